@@ -8,26 +8,29 @@ neighbours are taken as known: a bound with fewer unknowns is lower, and so rema
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
 from sabench.images.gaussians import fill_shares, fill_slopes
+from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
 
 _REACH = 4.0  # standard deviations from the centre of an image to its window's edge
-_OVERLAP = 2.5  # standard deviations of both: distance of images that overlap
+_OVERLAP = 2.0  # standard deviations of both: distance of images that overlap
 _WIDEST = 32  # px: half a window
 _UNKNOWNS = 4  # logarithm of the light, and position
 # share of its information by which each unknown of a neighbour is known before, so that neighbours
 # that one camera alone sees make no matrix singular
 _KNOWN = 1e-9
-_SINGULAR = 1e-12  # share of an unknown's information that must be left beside the others
+_SINGULAR = 1e-9  # least eigenvalue of information in units of each unknown's own
+_STEPS, _EXACT = 100, 1e-4  # of conjugate gradients, and the share of a rest they may still take
 
 
 @dataclass(frozen=True)
@@ -57,139 +60,309 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     NaN where the images do not fix the position. Source: Cramer-Rao inequality with the Fisher
     information of normal noise of known variance.
     """
-    pairs, blocks = zip(*(_information(camera) for camera in cameras), strict=True)
-    keys = np.concatenate([np.zeros((0, 2), dtype=np.int64), *pairs])
-    every = np.concatenate([np.zeros((0, _UNKNOWNS, _UNKNOWNS)), *blocks])
-    count = len(cameras[0].pixel)
-    unique, place = np.unique(keys[:, 0] * count + keys[:, 1], return_inverse=True)
-    order = np.argsort(place, kind="stable")
-    starts = np.searchsorted(place[order], np.arange(len(unique)))
-    summed = np.add.reduceat(every[order], starts) if len(every) else every
-    first = np.searchsorted(unique, np.arange(count + 1) * count)
-    bounds: F64 = _invert(first, unique % max(count, 1), summed, np.asarray(rows, dtype=np.int64))
+    pixels = np.stack([_where_seen(camera) for camera in cameras])
+    widest = np.array([float(camera.sigma_px.max(initial=0.0)) for camera in cameras])
+    starts, near = near_images(pixels, 2.0 * _OVERLAP * widest)
+    own = np.zeros((pixels.shape[1], _UNKNOWNS, _UNKNOWNS))
+    both = np.zeros((len(near), _UNKNOWNS, _UNKNOWNS))
+    for camera, pixel in zip(cameras, pixels, strict=True):
+        _add_information(camera, pixel, starts, near, own, both)
+    bounds = np.full((len(rows), 3, 3), np.nan)
+    known = own + np.eye(_UNKNOWNS) * (_KNOWN * own + np.finfo(float).tiny)
+    inverse = np.linalg.inv(known)
+
+    def invert(part: slice) -> None:
+        _invert(starts, near, own, known, inverse, both, rows[part], bounds[part])
+
+    _side_by_side(invert, len(rows))
     return bounds
 
 
-def _information(camera: ParticleSpots) -> tuple[I64, F64]:
-    """Compute the Fisher information of all pairs of images that overlap.
+def _side_by_side(work: Callable[[slice], None], count: int) -> None:
+    """Work on slices of a number of rows, on all cores."""
+    ends = np.linspace(0, count, numba.get_num_threads() + 1).astype(int)
+    with ThreadPoolExecutor(len(ends) - 1) as pool:
+        list(pool.map(work, [slice(*pair) for pair in itertools.pairwise(ends)]))
 
-    Returns rows (p, 2) of particles, in both orders and with themselves, and blocks (p, 4, 4) of
-    logarithm of the light and position.
+
+def _where_seen(camera: ParticleSpots) -> F64:
+    """Return the centres (n, 2) of images; NaN where none, or too wide a one, is."""
+    seen = (camera.light > 0.0) & (_REACH * camera.sigma_px + 1.0 < _WIDEST)
+    return np.where(seen[:, None], camera.pixel, np.nan)
+
+
+def _add_information(
+    camera: ParticleSpots, pixel: F64, starts: I64, near: I64, own: F64, both: F64
+) -> None:
+    """Add the Fisher information of a camera's images, and of pairs that overlap.
+
+    Parameters
+    ----------
+    pixel : (n, 2) of the images that count.
+    starts, near : pairs, as `near_images` lists them.
+    own, both : (n, 4, 4) and (pair, 4, 4) blocks of logarithm of the light and position.
     """
-    seen = np.flatnonzero((camera.light > 0.0) & np.isfinite(camera.pixel).all(axis=1))
-    reach = _REACH * camera.sigma_px[seen]
-    seen = seen[reach + 1.0 < _WIDEST]
-    if not len(seen):
-        return np.zeros((0, 2), dtype=np.int64), np.zeros((0, _UNKNOWNS, _UNKNOWNS))
-    half = np.ceil(_REACH * camera.sigma_px[seen] + 0.5).astype(np.int64)
-    pixel = camera.pixel[seen]
-    sigma = camera.sigma_px[seen]
-    near = cKDTree(pixel).query_pairs(2.0 * _OVERLAP * float(sigma.max()), output_type="ndarray")
-    apart = np.linalg.norm(pixel[near[:, 0]] - pixel[near[:, 1]], axis=1)
-    near = near[apart < _OVERLAP * sigma[near].sum(axis=1)]
-    own = np.arange(len(seen))
-    pairs = np.concatenate([np.column_stack([own, own]), near, near[:, ::-1]]).astype(np.int64)
+    count = len(pixel)
+    half = np.where(np.isfinite(pixel[:, 0]), np.ceil(_REACH * camera.sigma_px + 0.5), 0)
+    half = half.astype(np.int64)
+    size = 2 * int(half.max(initial=0)) + 1
+    first = np.zeros((count, 2), dtype=np.int64)
+    grey, slope = np.zeros((count, 2, size)), np.zeros((count, 2, size))
+    _fill_profiles(pixel, camera.sigma_px, half, first, grey, slope)
+    chain = np.zeros((count, 3, _UNKNOWNS))
+    chain[:, :2, 1:], chain[:, 2, 0] = camera.slope, 1.0
     weight = 1.0 / camera.variance
-    inner = _overlaps(pairs, pixel, camera.light[seen], sigma, half, weight)
-    kept = np.abs(inner).max(axis=(1, 2)) > 0.0
-    pairs, inner = pairs[kept], inner[kept]
-    chain = np.zeros((len(seen), 3, _UNKNOWNS))
-    chain[:, :2, 1:] = camera.slope[seen]
-    chain[:, 2, 0] = 1.0
-    left, right = chain[pairs[:, 0]], chain[pairs[:, 1]]
-    blocks = np.einsum("pia,pij,pjb->pab", left, inner, right)
-    return seen[pairs], blocks
+
+    def add(part: slice) -> None:
+        rows = np.arange(part.start, part.stop)
+        shapes = first, half, grey, slope
+        _add_pairs(
+            rows,
+            starts,
+            near,
+            pixel,
+            camera.sigma_px,
+            camera.light,
+            shapes,
+            chain,
+            weight,
+            own,
+            both,
+        )
+
+    _side_by_side(add, count)
 
 
 @numba.njit(cache=True)
-def _overlaps(
-    pairs: Any, pixel: Any, light: Any, sigma: Any, half: Any, weight: Any
-) -> Any:  # pragma: no cover
-    """Sum products (p, 3, 3) of two images' derivatives over common pixels.
-
-    The derivatives are those by column, row and logarithm of the light.
-    """
-    rows, columns = weight.shape
-    size = 2 * half.max() + 1
-    count = len(pixel)
-    grey = np.zeros((count, 2, size))
-    slope = np.zeros((count, 2, size))
-    first = np.zeros((count, 2), dtype=np.int64)
-    for i in range(count):
+def _fill_profiles(
+    pixel: Any, sigma: Any, half: Any, first: Any, grey: Any, slope: Any
+) -> None:  # pragma: no cover
+    """Fill in windows' corners (n, 2), and profiles (n, 2, pixel) for light 1."""
+    for i in range(len(pixel)):
+        if np.isnan(pixel[i, 0]):
+            continue
         for axis in range(2):
             first[i, axis] = int(np.rint(pixel[i, axis])) - half[i]
             width = 2 * half[i] + 1
             fill_shares(pixel[i, axis], sigma[i], first[i, axis], grey[i, axis, :width])
             fill_slopes(pixel[i, axis], sigma[i], first[i, axis], slope[i, axis, :width])
-    out = np.zeros((len(pairs), 3, 3))
-    one, other = np.zeros(3), np.zeros(3)
-    for p in range(len(pairs)):
-        i, j = pairs[p]
-        left = max(first[i, 0], first[j, 0], 0)
-        right = min(first[i, 0] + 2 * half[i], first[j, 0] + 2 * half[j], columns - 1)
-        top = max(first[i, 1], first[j, 1], 0)
-        bottom = min(first[i, 1] + 2 * half[i], first[j, 1] + 2 * half[j], rows - 1)
-        for row in range(top, bottom + 1):
-            yi, yj = row - first[i, 1], row - first[j, 1]
-            for column in range(left, right + 1):
-                xi, xj = column - first[i, 0], column - first[j, 0]
-                one[0] = light[i] * slope[i, 0, xi] * grey[i, 1, yi]
-                one[1] = light[i] * grey[i, 0, xi] * slope[i, 1, yi]
-                one[2] = light[i] * grey[i, 0, xi] * grey[i, 1, yi]
-                other[0] = light[j] * slope[j, 0, xj] * grey[j, 1, yj]
-                other[1] = light[j] * grey[j, 0, xj] * slope[j, 1, yj]
-                other[2] = light[j] * grey[j, 0, xj] * grey[j, 1, yj]
-                for a in range(3):
-                    for b in range(3):
-                        out[p, a, b] += weight[row, column] * one[a] * other[b]
-    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_pairs(
+    rows: Any,
+    starts: Any,
+    near: Any,
+    pixel: Any,
+    sigma: Any,
+    light: Any,
+    shapes: Any,
+    chain: Any,
+    weight: Any,
+    own: Any,
+    both: Any,
+) -> None:  # pragma: no cover
+    """Add the information of some particles' images, and of pairs with later ones."""
+    inner = np.zeros((3, 3))
+    for i in rows:
+        if np.isnan(pixel[i, 0]):
+            continue
+        _overlap(i, i, light, shapes, weight, inner)
+        own[i] += chain[i].T @ inner @ chain[i]
+        for place in range(starts[i], starts[i + 1]):
+            j = near[place]
+            if j < i or np.isnan(pixel[j, 0]):
+                continue
+            x, y = pixel[i, 0] - pixel[j, 0], pixel[i, 1] - pixel[j, 1]
+            if math.hypot(x, y) < _OVERLAP * (sigma[i] + sigma[j]):
+                _overlap(i, j, light, shapes, weight, inner)
+                block = chain[i].T @ inner @ chain[j]
+                both[place] += block
+                mirror = starts[j] + np.searchsorted(near[starts[j] : starts[j + 1]], i)
+                both[mirror] += block.T
 
 
 @numba.njit(cache=True)
-def _invert(first: Any, partners: Any, blocks: Any, rows: Any) -> Any:  # pragma: no cover
-    """Invert the information of positions whose partners are fitted, too."""
-    out = np.full((len(rows), 3, 3), np.nan)
+def _overlap(
+    i: int, j: int, light: Any, shapes: Any, weight: Any, inner: Any
+) -> None:  # pragma: no cover
+    """Sum products (3, 3) of two images' derivatives over common pixels.
+
+    The derivatives are those by column, row and logarithm of the light.
+    """
+    first, half, grey, slope = shapes
+    rows, columns = weight.shape
+    left = max(first[i, 0], first[j, 0], 0)
+    right = min(first[i, 0] + 2 * half[i], first[j, 0] + 2 * half[j], columns - 1)
+    top = max(first[i, 1], first[j, 1], 0)
+    bottom = min(first[i, 1] + 2 * half[i], first[j, 1] + 2 * half[j], rows - 1)
+    xx = xy = xl = yx = yy = yl = lx = ly = ll = 0.0
+    for row in range(top, bottom + 1):
+        p, u = grey[i, 1, row - first[i, 1]], slope[i, 1, row - first[i, 1]]
+        q, v = grey[j, 1, row - first[j, 1]], slope[j, 1, row - first[j, 1]]
+        both = by_i = by_j = level = 0.0  # sums along the row: slopes, and one's slope alone
+        for column in range(left, right + 1):
+            a, b = grey[i, 0, column - first[i, 0]], slope[i, 0, column - first[i, 0]]
+            c, d = grey[j, 0, column - first[j, 0]], slope[j, 0, column - first[j, 0]]
+            each = weight[row, column]
+            both, by_i = both + each * b * d, by_i + each * b * c
+            by_j, level = by_j + each * a * d, level + each * a * c
+        xx, xy, xl = xx + p * q * both, xy + p * v * by_i, xl + p * q * by_i
+        yx, yy, yl = yx + u * q * by_j, yy + u * v * level, yl + u * q * level
+        lx, ly, ll = lx + p * q * by_j, ly + p * v * level, ll + p * q * level
+    power = light[i] * light[j]
+    inner[0, 0], inner[0, 1], inner[0, 2] = power * xx, power * xy, power * xl
+    inner[1, 0], inner[1, 1], inner[1, 2] = power * yx, power * yy, power * yl
+    inner[2, 0], inner[2, 1], inner[2, 2] = power * lx, power * ly, power * ll
+
+
+@numba.njit(cache=True, nogil=True)
+def _invert(
+    starts: Any,
+    near: Any,
+    own: Any,
+    known: Any,
+    inverse: Any,
+    both: Any,
+    rows: Any,
+    out: Any,
+) -> None:  # pragma: no cover
+    """Invert the information of positions whose partners are fitted, too.
+
+    Known are own blocks with a little more information, inverse their inverses.
+    """
+    slot = np.full(len(own), -1)  # of a particle among the partners of the present one
     for k in range(len(rows)):
         i = rows[k]
-        near = partners[first[i] : first[i + 1]].copy()
-        if len(near) == 0:
-            continue
-        # itself last: the end of the Cholesky factor is then that of the Schur complement
-        at = np.searchsorted(near, i)
-        near[at:-1] = near[at + 1 :]
-        near[-1] = i
-        size = _UNKNOWNS * len(near)
-        matrix = np.zeros((size, size))
-        for a in range(len(near)):
-            start, end = first[near[a]], first[near[a] + 1]
-            for b in range(a + 1):
-                place = start + np.searchsorted(partners[start:end], near[b])
-                if place < end and partners[place] == near[b]:
-                    top, left = _UNKNOWNS * a, _UNKNOWNS * b
-                    matrix[top : top + _UNKNOWNS, left : left + _UNKNOWNS] = blocks[place]
-        for a in range(size - _UNKNOWNS):
-            matrix[a, a] *= 1.0 + _KNOWN
-        if _factorise(matrix):
-            own = np.ascontiguousarray(matrix[-3:, -3:])
-            for a in range(3):
-                own[a, a + 1 :] = 0.0
-            inverse = np.linalg.inv(own)
-            out[k] = inverse.T @ inverse
-    return out
+        partners = near[starts[i] : starts[i + 1]]
+        for n in range(len(partners)):
+            slot[partners[n]] = n
+        links, places, ends = _among(starts, near, partners, slot)
+        for one in partners:
+            slot[one] = -1
+        shared = both[starts[i] : starts[i + 1]]
+        rest = _rest(own[i], shared, known[partners], inverse[partners], links, places, ends, both)
+        out[k] = _inverse_of_rest(rest)
 
 
-@numba.njit(cache=True, fastmath={"reassoc", "contract"})  # vectorised sums
-def _factorise(matrix: Any) -> bool:  # pragma: no cover
-    """Replace the lower triangle by the Cholesky factor; False if it is singular."""
-    for i in range(len(matrix)):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i > j:
-                matrix[i, j] = total / matrix[j, j]
-            elif total > _SINGULAR * matrix[i, i]:
-                matrix[i, i] = math.sqrt(total)
-            else:
-                return False
-    return True
+@numba.njit(cache=True)
+def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: no cover
+    """List pairs among partners: where each one's start, places, and others."""
+    most = 0
+    for one in partners:
+        most += starts[one + 1] - starts[one]
+    links, n = np.zeros(len(partners) + 1, dtype=np.int64), 0
+    places, ends = np.zeros(most, dtype=np.int64), np.zeros(most, dtype=np.int64)
+    for row in range(len(partners)):
+        for place in range(starts[partners[row]], starts[partners[row] + 1]):
+            other = slot[near[place]]
+            if other >= 0:
+                places[n], ends[n] = place, other
+                n += 1
+        links[row + 1] = n
+    return links, places, ends
+
+
+@numba.njit(cache=True)
+def _rest(
+    own: Any,
+    shared: Any,
+    alone: Any,
+    inverse: Any,
+    links: Any,
+    places: Any,
+    ends: Any,
+    both: Any,
+) -> Any:  # pragma: no cover
+    """Compute a particle's information (4, 4) if its partners are fitted, too.
+
+    That is the Schur complement, by conjugate gradients (M. R. Hestenes and E. Stiefel, J. Res.
+    Natl. Bur. Stand. 49, 409-436, 1952) for each unknown, with the partners' own blocks (partner,
+    4, 4) as a preconditioner. Its error is of the second order in that of the solutions.
+    """
+    shape, k = (len(shared), _UNKNOWNS, _UNKNOWNS), _UNKNOWNS
+    right, x, left = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    better, step, pull = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for n in range(len(shared)):
+        right[n] = shared[n].T
+    left[:] = right
+    _times_blocks(inverse, left, better)
+    step[:] = better
+    size, after, bend, known = _product(left, better), np.zeros(k), np.zeros(k), np.diag(own).copy()
+    for _ in range(_STEPS):
+        _times_blocks(alone, step, pull)
+        _add_links(links, places, ends, both, step, pull)
+        bend[:] = _product(step, pull)
+        share, exact = np.zeros(k), True
+        for a in range(k):
+            share[a] = size[a] / bend[a] if bend[a] > 0.0 else 0.0
+            known[a] -= share[a] * size[a]
+            exact = exact and share[a] * size[a] < _EXACT * known[a]
+        x += share * step
+        left -= share * pull
+        if exact:
+            break
+        _times_blocks(inverse, left, better)
+        after[:] = _product(left, better)
+        for a in range(k):
+            share[a] = after[a] / size[a] if size[a] > 0.0 else 0.0
+        step[:] = better + share * step
+        size[:] = after
+    rest = own.copy()
+    for n in range(len(shared)):
+        for c in range(k):
+            for a in range(k):
+                for b in range(k):
+                    rest[a, b] -= right[n, c, a] * x[n, c, b] + x[n, c, a] * left[n, c, b]
+    return 0.5 * (rest + rest.T)
+
+
+@numba.njit(cache=True)
+def _times_blocks(blocks: Any, vectors: Any, out: Any) -> None:  # pragma: no cover
+    """Fill in products of each one's block with its vectors."""
+    for n in range(len(blocks)):
+        for a in range(_UNKNOWNS):
+            for r in range(_UNKNOWNS):
+                total = 0.0
+                for b in range(_UNKNOWNS):
+                    total += blocks[n, a, b] * vectors[n, b, r]
+                out[n, a, r] = total
+
+
+@numba.njit(cache=True)
+def _add_links(
+    links: Any, places: Any, ends: Any, both: Any, vectors: Any, out: Any
+) -> None:  # pragma: no cover
+    """Add products of blocks of pairs with the others' vectors."""
+    for n in range(len(out)):
+        for link in range(links[n], links[n + 1]):
+            place, other = places[link], ends[link]
+            for a in range(_UNKNOWNS):
+                for b in range(_UNKNOWNS):
+                    factor = both[place, a, b]
+                    for r in range(_UNKNOWNS):
+                        out[n, a, r] += factor * vectors[other, b, r]
+
+
+@numba.njit(cache=True)
+def _product(one: Any, other: Any) -> Any:  # pragma: no cover
+    """Return the scalar products (4,) of vectors."""
+    total = np.zeros(_UNKNOWNS)
+    for n in range(len(one)):
+        for a in range(_UNKNOWNS):
+            for r in range(_UNKNOWNS):
+                total[r] += one[n, a, r] * other[n, a, r]
+    return total
+
+
+@numba.njit(cache=True)
+def _inverse_of_rest(rest: Any) -> Any:
+    """Return the covariance (3, 3) of a position; NaN where the rest is singular."""
+    scale = np.sqrt(np.diag(rest))
+    if not scale.min() > 0.0:
+        return np.full((3, 3), np.nan)
+    even = rest / scale.reshape(-1, 1) / scale
+    if not np.linalg.eigvalsh(even)[0] > _SINGULAR:
+        return np.full((3, 3), np.nan)
+    inverse = np.linalg.inv(even) / scale.reshape(-1, 1) / scale
+    return np.ascontiguousarray(inverse[1:, 1:])

@@ -7,7 +7,14 @@ import math
 import numpy as np
 from scipy.special import erf
 
-from sabench.algorithms.particles.image_model import ImageModel, Particles, Room, make_room
+from sabench.algorithms.particles.image_model import (
+    ImageModel,
+    Particles,
+    Room,
+    make_room,
+    with_margins,
+)
+from sabench.algorithms.particles.joint_fit import refine
 from sabench.algorithms.particles.light_prior import even_covariance
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64
@@ -41,9 +48,10 @@ def model_of(maps: VolumePolynomials, images: F64, between: float = 0.1) -> Imag
         np.full(cameras, TYPICAL),
         precision,
         float(np.linalg.slogdet(precision)[1]),
-        images.astype(np.float32),
-        np.full(images.shape, 1.0 / NOISE**2, dtype=np.float32),
-        images.astype(np.float32),
+        float(np.linalg.eigvalsh(precision)[0]),
+        with_margins(images.astype(np.float32)),
+        with_margins(np.full(images.shape, 1.0 / NOISE**2, dtype=np.float32)),
+        with_margins(images.astype(np.float32)),
         math.log(30.0 / 8.0),
     )
 
@@ -56,3 +64,9 @@ def particles_of(points: F64, light: F64) -> Particles:
 def room_of(maps: VolumePolynomials) -> Room:
     """Room to work in for the maps' cameras."""
     return make_room(np.tile(np.array(SIGMA), (len(maps.coefficients), 1)))
+
+
+def refine_all(model: ImageModel, room: Room, particles: Particles, rounds: int) -> float:
+    """Fit all particles in several rounds; the change of the cost."""
+    rows = np.arange(len(particles.position))
+    return float(sum(refine(model, room, particles, rows) for _ in range(rounds)))

@@ -164,7 +164,7 @@ def _sweep(
                     2.0 / (columns - 1),
                     pixels[c],
                 )
-                room = (cameras - c - 1) * (most - floor)
+                room, bright = (cameras - c - 1) * (most - floor), False
                 for x in range(columns):
                     column, row = pixels[c, 0, x], pixels[c, 1, x]
                     inside = 0.0 <= column < last_column and 0.0 <= row < last_row
@@ -173,6 +173,9 @@ def _sweep(
                         above[x] += bound - floor
                         if bound < least or above[x] + room < 0.0:
                             above[x] = _DARK
+                    bright = bright or above[x] > _DARK
+                if not bright:
+                    break
             for x in range(columns):
                 means[z, y, x] = _DARK
                 if above[x] > _DARK:

@@ -2,6 +2,10 @@
 
 All cameras' windows of a particle are placed first, and then looked at, so that kernels pass few
 arrays to each other: a call that hands on the whole model and room costs more than a window's sums.
+
+Sums over windows are written for vector units: images have margins that windows outside lie in,
+rows of a window are a whole number of lanes, and what must not count is multiplied by zero. Sums
+may be taken in any order.
 """
 
 from __future__ import annotations
@@ -18,9 +22,23 @@ from sabench.images.gaussians import fill_profile
 from sabench.utils.arrays import F32, F64
 
 _REACH, _ROUNDED_PX = 3.1, 0.1  # of a particle's image in widths; that much less is enough
+_LANES = 8  # pixels of a row of a window that are summed up at once
+MARGIN = 24  # pixels around images: the widest window
 UNSEEN = 1e-12  # weight of an image that a camera does not see
-WEIGHT, PULL, XX, XY, YY, X, Y = range(7)  # of `sum_up`
-SUMS = 7
+WEIGHT, PULL, XX, XY, YY, X, Y, GIVEN = range(8)  # of `sum_up`
+SUMS = 8
+_ANY_ORDER = {"reassoc", "contract", "nsz"}  # of sums
+_NONE = np.float32(0.0)
+
+
+def with_margins(images: F32) -> F32:
+    """Copy images (camera, row, column) into frames of zeros."""
+    return np.pad(images, ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN)))
+
+
+def without_margins(images: Any) -> Any:
+    """Return the images within their frames: a view, of a camera or all."""
+    return images[..., MARGIN:-MARGIN, MARGIN:-MARGIN]
 
 
 class ImageModel(NamedTuple):
@@ -33,10 +51,10 @@ class ImageModel(NamedTuple):
         middle, and their change along each of its coordinates.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light.
-    log_precision : logarithm of its determinant.
-    images : (camera, row, column) float32, less black.
-    weight : the same shape, 1 / variance of a pixel; 0 where it is unknown, and less than 0 where
-        it is saturated: such a pixel asks for as much light as it has, or more.
+    log_precision, least_precision : logarithm of its determinant, and least eigenvalue.
+    images : (camera, row, column) float32, less black, with margins.
+    weight : the same shape, 1 / variance of a pixel; 0 in margins and where it is unknown, and less
+        than 0 where it is saturated: such a pixel asks for as much light as it has, or more.
     left : the same shape, the images less all particles; kept up to date.
     log_rate : logarithm of the number of particles in a unit cube of the box's coordinates.
     """
@@ -46,6 +64,7 @@ class ImageModel(NamedTuple):
     typical: F64
     precision: F64
     log_precision: float
+    least_precision: float
     images: F32
     weight: F32
     left: F32
@@ -72,10 +91,11 @@ class Room(NamedTuple):
 
     Attributes
     ----------
-    x, y, by_x, by_y : (camera, pixel) profiles of the image along columns and rows, for light 1,
-        and their derivatives by the centre. Windows are as many pixels wide and high as the
-        profiles are long, an odd number.
-    corner, here, width : (camera, 2) first column and row, centre, and widths, px.
+    window : pixels along columns and rows of windows, an odd number.
+    x, y, by_x, by_y : (camera, lane) profiles of the image along columns and rows, for light 1, and
+        their derivatives by the centre; zeros after the window's end.
+    corner : (camera, 2) first column and row in images with margins; in these for windows outside.
+    here, width : (camera, 2) centre in images without margins, and widths, px.
     slope : (camera, 2, 3) derivatives of the centre by the position in the box.
     sums : (camera, SUMS) of `sum_up`.
     signal, weight : (camera,) of `look`: minus the cost of light L in a camera, relative to no
@@ -83,10 +103,11 @@ class Room(NamedTuple):
     given : (1,) what light saves in saturated pixels that have enough of it.
     """
 
-    x: F64
-    y: F64
-    by_x: F64
-    by_y: F64
+    window: int
+    x: F32
+    y: F32
+    by_x: F32
+    by_y: F32
     corner: Any
     slope: F64
     here: F64
@@ -108,11 +129,14 @@ def make_room(sigma: F64) -> Room:
     """Make the arrays that kernels work in, for images of a width (camera, 2)."""
     cameras, half = len(sigma), math.ceil(_REACH * float(sigma.max()) - _ROUNDED_PX)
     window = 2 * half + 1
+    lanes = _LANES * math.ceil(window / _LANES)
+    x, y, by_x, by_y = (np.zeros((cameras, lanes), dtype=np.float32) for _ in range(4))
     return Room(
-        x=np.zeros((cameras, window)),
-        y=np.zeros((cameras, window)),
-        by_x=np.zeros((cameras, window)),
-        by_y=np.zeros((cameras, window)),
+        window=window,
+        x=x,
+        y=y,
+        by_x=by_x,
+        by_y=by_y,
         corner=np.zeros((cameras, 2), dtype=np.int64),
         slope=np.zeros((cameras, 2, 3)),
         here=np.zeros((cameras, 2)),
@@ -134,101 +158,115 @@ def make_room(sigma: F64) -> Room:
 @numba.njit(cache=True)
 def place(model: Any, room: Any, position: Any) -> None:
     """Place a particle's windows in all cameras, with its images' profiles."""
-    half = room.x.shape[1] // 2
+    size, lanes = np.uintp(room.window), room.x.shape[1]
+    half = room.window // 2
     for c in range(len(room.here)):
         project_point(model.maps, c, position, room.here[c], room.slope[c])
         for k in range(2):
-            room.corner[c, k] = math.floor(room.here[c, k] + 0.5) - half
             width = model.widths[c, k, 0]
             for p in range(3):
                 width += model.widths[c, k, p + 1] * position[p]
             room.width[c, k] = width
-        fill_profile(room.here[c, 0], room.width[c, 0], room.corner[c, 0], room.x[c], room.by_x[c])
-        fill_profile(room.here[c, 1], room.width[c, 1], room.corner[c, 1], room.y[c], room.by_y[c])
-
-
-@numba.njit(cache=True)
-def window_within(corner: Any, size: int, shape: Any) -> Any:
-    """Return the first and last rows and columns of a window that lie in an image."""
-    rows = max(0, -corner[1]), min(size, shape[0] - corner[1])
-    columns = max(0, -corner[0]), min(size, shape[1] - corner[0])
-    return rows[0], rows[1], columns[0], columns[1]
+            first = math.floor(room.here[c, k] + 0.5) - half
+            last = model.left.shape[2 - k] - lanes
+            room.corner[c, k] = min(max(first + MARGIN, 0), last)
+            shares, slopes = (room.x, room.by_x) if k == 0 else (room.y, room.by_y)
+            fill_profile(room.here[c, k], width, first, shares[c, :size], slopes[c, :size])
 
 
 # The indices of the windows' sums are unsigned: a signed one is compared with zero each time.
 
 
 @numba.njit(cache=True)
-def counting(weight: Any, left: Any) -> float:
+def counting(weight: Any, left: Any) -> Any:
     """Return the weight of a pixel with what is left there; 0 if it has enough light."""
-    if weight < 0.0:
-        return np.float64(-weight) if left > 0.0 else 0.0
-    return np.float64(weight)
+    return abs(weight) if (weight >= _NONE) | (left > _NONE) else _NONE
 
 
-@numba.njit(cache=True)
-def _paint(image: Any, x: Any, y: Any, corner: Any, amount: float) -> None:
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
+def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) -> None:
     """Add light with a window's profiles to an image."""
-    top, bottom, left, right = window_within(corner, len(x), image.shape)
-    for i in range(top, bottom):
-        row, share = np.uintp(corner[1] + i), amount * y[i]
-        for j in range(left, right):
-            image[row, np.uintp(corner[0] + j)] += np.float32(share * x[np.uintp(j)])
+    top, start = np.uintp(corner[1]), np.uintp(corner[0])
+    for block in range(len(x) // _LANES):
+        first = np.uintp(block * _LANES)
+        for k in range(size):
+            i = np.uintp(k)
+            share = np.float32(amount * y[i])
+            for lane in range(_LANES):
+                j = first + np.uintp(lane)
+                image[top + i, start + j] += share * x[j]
 
 
-@numba.njit(cache=True)
-def _match(image: Any, weights: Any, x: Any, y: Any, corner: Any, light: float) -> Any:
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
+def _match(image: Any, weights: Any, x: Any, y: Any, size: int, corner: Any, light: float) -> Any:
     """Sum up weights times a window's image times an image, and times its own square.
 
     Saturated pixels that have enough with this light count in the third sum.
     """
-    top, bottom, left, right = window_within(corner, len(x), image.shape)
-    signal = weight = given = 0.0
-    for i in range(top, bottom):
-        row, along, square = np.uintp(corner[1] + i), 0.0, 0.0
-        for j in range(left, right):
-            column, own = np.uintp(corner[0] + j), x[np.uintp(j)]
-            value, each = np.float64(image[row, column]), np.float64(weights[row, column])
-            if each < 0.0:
-                each = -each
-                if value - light * y[i] * own <= 0.0:
-                    given += 0.5 * each * max(value, 0.0) ** 2
-                    continue
-            along += each * own * value
-            square += each * own * own
-        signal, weight = signal + y[i] * along, weight + y[i] * y[i] * square
+    top, start = np.uintp(corner[1]), np.uintp(corner[0])
+    signal = weight = given = _NONE
+    for block in range(len(x) // _LANES):
+        first = np.uintp(block * _LANES)
+        for k in range(size):
+            i, along, square, spared = np.uintp(k), _NONE, _NONE, _NONE
+            share = np.float32(light * y[i])
+            for lane in range(_LANES):
+                j = first + np.uintp(lane)
+                value, each, own = image[top + i, start + j], weights[top + i, start + j], x[j]
+                counts = counting(each, value - share * own)
+                along, square = along + counts * own * value, square + counts * own * own
+                shown = max(value, _NONE)
+                spared += (abs(each) - counts) * shown * shown
+            signal, weight = signal + y[i] * along, weight + y[i] * y[i] * square
+            given += np.float32(0.5) * spared
     return signal, weight, given
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
 def _sum_window(
-    image: Any, weights: Any, x: Any, y: Any, by_x: Any, by_y: Any, corner: Any, sums: Any
+    image: Any,
+    weights: Any,
+    x: Any,
+    y: Any,
+    by_x: Any,
+    by_y: Any,
+    size: int,
+    corner: Any,
+    light: float,
+    sums: Any,
 ) -> None:
     """Fill in the sums (SUMS,) of a window, first along its rows."""
-    top, bottom, left, right = window_within(corner, len(x), image.shape)
-    weight = pull = xx = xy = yy = along_x = along_y = 0.0
-    for i in range(top, bottom):
-        row = np.uintp(corner[1] + i)
-        own = both = slopes = off = off_x = 0.0
-        for j in range(left, right):
-            column, a, b = np.uintp(corner[0] + j), x[np.uintp(j)], by_x[np.uintp(j)]
-            each = counting(weights[row, column], image[row, column])
-            light = each * image[row, column]
-            own, both, slopes = own + each * a * a, both + each * a * b, slopes + each * b * b
-            off, off_x = off + light * a, off_x + light * b
-        p, q = y[i], by_y[i]
-        weight, pull = weight + p * p * own, pull + p * off
-        xx, xy, yy = xx + p * p * slopes, xy + p * q * both, yy + q * q * own
-        along_x, along_y = along_x + p * off_x, along_y + q * off
+    top, start = np.uintp(corner[1]), np.uintp(corner[0])
+    weight = pull = xx = xy = yy = along_x = along_y = given = _NONE
+    for block in range(len(x) // _LANES):
+        first = np.uintp(block * _LANES)
+        for k in range(size):
+            i = np.uintp(k)
+            own = both = slopes = off = off_x = spared = _NONE
+            share = np.float32(light * y[i])
+            for lane in range(_LANES):
+                j = first + np.uintp(lane)
+                value, each = image[top + i, start + j], weights[top + i, start + j]
+                counts, a, b = counting(each, value), x[j], by_x[j]
+                here, there = counts * a, counts * b
+                own, both, slopes = own + here * a, both + here * b, slopes + there * b
+                off, off_x = off + here * value, off_x + there * value
+                shown = max(value + share * a, _NONE)
+                spared += (abs(each) - counts) * shown * shown
+            p, q = y[i], by_y[i]
+            weight, pull = weight + p * p * own, pull + p * off
+            xx, xy, yy = xx + p * p * slopes, xy + p * q * both, yy + q * q * own
+            along_x, along_y = along_x + p * off_x, along_y + q * off
+            given += np.float32(0.5) * spared
     sums[WEIGHT], sums[PULL], sums[XX], sums[XY], sums[YY] = weight, pull, xx, xy, yy
-    sums[X], sums[Y] = along_x, along_y
+    sums[X], sums[Y], sums[GIVEN] = along_x, along_y, given
 
 
 @numba.njit(cache=True)
 def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
     """Add light (camera,) times a sign to the images, where `place` was last."""
     for c in range(len(light)):
-        _paint(model.left[c], room.x[c], room.y[c], room.corner[c], sign * light[c])
+        _paint(model.left[c], room.x[c], room.y[c], room.window, room.corner[c], sign * light[c])
 
 
 @numba.njit(cache=True)
@@ -268,7 +306,13 @@ def match_here(model: Any, room: Any, light: Any) -> None:
     room.given[0] = 0.0
     for c in range(len(room.signal)):
         signal, weight, given = _match(
-            model.left[c], model.weight[c], room.x[c], room.y[c], room.corner[c], light[c]
+            model.left[c],
+            model.weight[c],
+            room.x[c],
+            room.y[c],
+            room.window,
+            room.corner[c],
+            light[c],
         )
         seen = weight > UNSEEN
         room.signal[c], room.weight[c] = signal if seen else 0.0, weight if seen else 0.0
@@ -276,14 +320,18 @@ def match_here(model: Any, room: Any, light: Any) -> None:
 
 
 @numba.njit(cache=True)
-def sum_up(model: Any, room: Any, position: Any) -> None:
-    """Fill in all cameras' sums of weights, of a particle whose light is subtracted.
+def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
+    """Fill in all cameras' sums of weights, of a particle that is subtracted.
 
     Squares of its image, products with what is left, squares of the image's derivatives (three),
-    and their products with what is left (two); all for light 1.
+    and their products with what is left (two), all for light 1; and what its light (camera,) saves
+    in saturated pixels that have enough with it. The first two and the last fill in what `look`
+    would without the particle.
     """
     place(model, room, position)
+    room.given[0] = 0.0
     for c in range(len(room.sums)):
+        sums = room.sums[c]
         _sum_window(
             model.left[c],
             model.weight[c],
@@ -291,9 +339,15 @@ def sum_up(model: Any, room: Any, position: Any) -> None:
             room.y[c],
             room.by_x[c],
             room.by_y[c],
+            room.window,
             room.corner[c],
-            room.sums[c],
+            light[c],
+            sums,
         )
+        seen = sums[WEIGHT] > UNSEEN
+        room.weight[c] = sums[WEIGHT] if seen else 0.0
+        room.signal[c] = sums[PULL] + light[c] * sums[WEIGHT] if seen else 0.0
+        room.given[0] += sums[GIVEN]
 
 
 @numba.njit(cache=True)
@@ -302,11 +356,11 @@ def add_leverage(model: Any, room: Any, particles: Any, leverage: Any) -> None:
 
     In each camera a particle's light takes as much of one pixel as the image tells more of it than
     its prior and the other cameras, its position as much of three as the camera has a share in.
-    Neighbours count as known.
+    Neighbours count as known. Leverage has margins.
     """
     cameras = len(model.typical)
     for n in range(len(particles.position)):
-        sum_up(model, room, particles.position[n])
+        sum_up(model, room, particles.position[n], particles.light[n])
         room.bend[:] = model.precision
         for c in range(cameras):
             room.bend[c, c] += particles.light[n, c] ** 2 * room.sums[c, WEIGHT]
@@ -319,9 +373,8 @@ def add_leverage(model: Any, room: Any, particles: Any, leverage: Any) -> None:
             taken = room.pull[c] * particles.light[n, c] ** 2
             x, y, by_x, by_y = room.x[c], room.y[c], room.by_x[c], room.by_y[c]
             weights, into, corner = model.weight[c], leverage[c], room.corner[c]
-            top, bottom, left, right = window_within(corner, len(x), weights.shape)
-            for i in range(top, bottom):
-                for j in range(left, right):
+            for i in range(room.window):
+                for j in range(room.window):
                     own, dx, dy = y[i] * x[j], y[i] * by_x[j], by_y[i] * x[j]
                     share = taken * own * own + 3.0 / cameras * (dx * dx + dy * dy) / slopes
                     row, column = corner[1] + i, corner[0] + j

@@ -21,7 +21,6 @@ from sabench.algorithms.particles.image_model import (
     X,
     Y,
     look,
-    match_here,
     paint_here,
     sum_up,
 )
@@ -34,6 +33,7 @@ from sabench.algorithms.particles.light_prior import (
 )
 
 _FARTHEST_PX = 0.5  # that a particle moves in one step
+_STILL = 1e-4  # fall of the cost that is not worth a step
 
 
 @numba.njit(cache=True)
@@ -73,13 +73,11 @@ def _add_to_matrix(matrix: Any, slope: Any, sums: Any, light: float) -> None:
 
 @numba.njit(cache=True)
 def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float:
-    """Fill in sums and normal equations of a particle, and give its light back.
+    """Fill in sums and normal equations of a particle.
 
     Returns the largest derivative of a pixel by a coordinate.
     """
-    sum_up(model, room, position)
-    paint_here(model, room, light, 1.0)
-    match_here(model, room, light)
+    sum_up(model, room, position, light)
     room.matrix[:], room.right[:], steepest = 0.0, 0.0, 0.0
     for c in range(len(light)):
         slope = room.slope[c]
@@ -116,16 +114,42 @@ def solve_three(matrix: Any, right: Any, step: Any) -> float:
 
 
 @numba.njit(cache=True)
+def _fits_already(model: Any, room: Any, light: Any) -> bool:
+    """Say whether no step of position or light would lower the cost notably.
+
+    After `_normal_equations`, and with the step of the position in `room.trial`. The prior of light
+    bends the cost at least as much as its widest direction.
+    """
+    fall = 0.0
+    for p in range(3):
+        fall += 0.5 * room.trial[p] * room.right[p]
+    for c in range(len(light)):
+        room.logs[c] = math.log(light[c] / model.typical[c])
+    for c in range(len(light)):
+        pull = 0.0
+        for k in range(len(light)):
+            pull += model.precision[c, k] * room.logs[k]
+        square = light[c] * light[c] * room.weight[c]
+        slope = pull + square - light[c] * room.signal[c]
+        fall += 0.5 * slope * slope / (square + model.least_precision)
+    return fall < _STILL
+
+
+@numba.njit(cache=True)
 def adjust(model: Any, room: Any, particles: Any, n: int) -> float:
     """Fit a particle to the images less all others; returns the change of the cost.
 
-    A step that raises the cost is not taken.
+    A step that raises the cost is not taken, nor one that hardly lowers it.
     """
     position, light = particles.position[n], particles.light[n]
     steepest = _normal_equations(model, room, position, light)
+    solved = solve_three(room.matrix, room.right, room.trial) > 0.0
+    if solved and _fits_already(model, room, light):
+        return 0.0
     before = cost_of(model, room, light)
+    paint_here(model, room, light, 1.0)
     lowered, cost = False, before
-    if solve_three(room.matrix, room.right, room.trial) > 0.0:
+    if solved:
         largest = max(abs(room.trial[0]), abs(room.trial[1]), abs(room.trial[2]))
         share = min(1.0, _FARTHEST_PX / max(steepest * largest, 1e-300))
         for p in range(3):
@@ -145,24 +169,19 @@ def adjust(model: Any, room: Any, particles: Any, n: int) -> float:
     return float(min(cost - before, 0.0))
 
 
-@numba.njit(cache=True)
-def refine(model: Any, room: Any, particles: Any, rounds: int) -> float:
-    """Fit all particles one after the other, in several rounds.
-
-    Returns the change of the cost.
-    """
+@numba.njit(cache=True, nogil=True)
+def refine(model: Any, room: Any, particles: Any, rows: Any) -> float:
+    """Fit particles (rows) one after the other; returns the change of the cost."""
     total = 0.0
-    for _ in range(rounds):
-        for n in range(len(particles.position)):
-            if particles.alive[n]:
-                total += adjust(model, room, particles, n)
+    for n in rows:
+        total += adjust(model, room, particles, n)
     return total
 
 
-@numba.njit(cache=True)
-def start_light(model: Any, room: Any, particles: Any, first: int) -> None:
-    """Give particles from a row on the light that those before leave them."""
-    for n in range(first, len(particles.position)):
+@numba.njit(cache=True, nogil=True)
+def start_light(model: Any, room: Any, particles: Any, rows: Any) -> None:
+    """Give particles (rows) the light that those before leave them."""
+    for n in rows:
         particles.light[n] = 0.0
         look(model, room, particles.position[n], particles.light[n])
         guess_light(room.signal, room.weight, model.typical, room.logs)
@@ -178,7 +197,7 @@ def price(model: Any, room: Any, position: Any, light: Any) -> float:
     and of how much narrower the images make its light than the prior: the better they tell both,
     the less probable it is to find them there by chance.
     """
-    sum_up(model, room, position)
+    sum_up(model, room, position, light)
     room.matrix[:] = 0.0
     for c in range(len(light)):
         for k in range(len(light)):

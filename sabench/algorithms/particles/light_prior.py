@@ -16,7 +16,7 @@ import numpy as np
 
 from sabench.utils.arrays import F64
 
-_STEPS, _STILL = 12, 1e-3  # of Newton's method, and the step at which it ends
+_STEPS, _STILL = 12, 0.01  # of Newton's method, and the step whose next one is nothing
 _LOW, _HIGH = -6.0, 4.0  # of the logarithms
 _SPREAD = 0.2  # squared scatter between cameras, for the first guess
 _CLIP = 0.97  # share of the particles that the covariance comes from

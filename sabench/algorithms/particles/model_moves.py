@@ -15,17 +15,16 @@ from typing import Any
 
 import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
 from sabench.algorithms.particles.image_model import (
-    SUMS,
+    MARGIN,
+    XX,
     counting,
     look,
     place,
     put_in,
     sum_up,
     take_out,
-    window_within,
 )
 from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
 from sabench.geometry.volume_polynomials import (
@@ -34,11 +33,13 @@ from sabench.geometry.volume_polynomials import (
     project_points,
 )
 from sabench.images.gaussians import fill_growth
+from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera
 _SURE = 4.0  # prices that a particle earns which is not tried again
+_CERTAIN = 2.0  # prices that it earns alone, without a trial
 _SHARED = 0.1  # of a particle's light in a pixel: more from others, and they may take it over
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
@@ -51,22 +52,11 @@ def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tupl
     Near is a few widths (camera, 2) of images. Returns where each particle's neighbours start in
     the list (n + 1,), and the list.
     """
-    pairs = np.concatenate(
-        [
-            cKDTree(project_points(maps, camera, positions)).query_pairs(
-                _NEAR * width, output_type="ndarray"
-            )
-            for camera, width in enumerate(sigma.max(axis=1))
-        ]
-    )
-    pairs = np.unique(pairs, axis=0)
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    both = both[np.argsort(both[:, 0], kind="stable")]
-    starts = np.searchsorted(both[:, 0], np.arange(len(positions) + 1))
-    return starts.astype(np.int64), np.ascontiguousarray(both[:, 1]).astype(np.int64)
+    pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
+    return near_images(np.stack(pixels), _NEAR * sigma.max(axis=1))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def remove_ghosts(
     model: Any,
     room: Any,
@@ -101,7 +91,7 @@ def remove_ghosts(
         position, light = particles.position[n], particles.light[n]
         least = price(model, room, position, light)
         alone = _earned_alone(model, room, light)
-        if alone > _SURE * least:
+        if alone > _CERTAIN * least:
             sure[n], odds[n] = True, alone - least
             continue
         first, last = starts[n], min(starts[n + 1], starts[n] + _NEIGHBOURS)
@@ -149,30 +139,31 @@ def _earned_alone(model: Any, room: Any, light: Any) -> float:
     """
     most, total, prior = 0.0, 0.0, 0.0
     for c in range(len(light)):
+        room.logs[c] = math.log(light[c] / model.typical[c])
+    for c in range(len(light)):
         earned = _earned_in(
             model.images[c],
             model.left[c],
             model.weight[c],
             room.x[c],
             room.y[c],
+            room.window,
             room.corner[c],
             light[c],
         )
         most, total = max(most, earned), total + max(earned, 0.0)
         for k in range(len(light)):
-            logs = math.log(light[c] / model.typical[c]), math.log(light[k] / model.typical[k])
-            prior += 0.5 * logs[0] * model.precision[c, k] * logs[1]
+            prior += 0.5 * room.logs[c] * model.precision[c, k] * room.logs[k]
     return float(total - most - prior)
 
 
 @numba.njit(cache=True)
 def _earned_in(
-    image: Any, left: Any, weights: Any, x: Any, y: Any, corner: Any, light: float
+    image: Any, left: Any, weights: Any, x: Any, y: Any, size: int, corner: Any, light: float
 ) -> float:
     earned = 0.0
-    top, bottom, first, last = window_within(corner, len(x), image.shape)
-    for i in range(top, bottom):
-        for j in range(first, last):
+    for i in range(size):
+        for j in range(size):
             row, column, own = corner[1] + i, corner[0] + j, light * y[i] * x[j]
             if image[row, column] - left[row, column] - own <= _SHARED * own:
                 earned += _saved(weights[row, column], left[row, column], own)
@@ -217,25 +208,22 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
         place(model, room, particles.position[n])
         for c in range(len(model.typical)):
             left, weights, corner = model.left[c], model.weight[c], room.corner[c]
-            top, bottom, first, last = window_within(corner, room.x.shape[1], left.shape)
-            for i in range(corner[1] + top, corner[1] + bottom):
-                for j in range(corner[0] + first, corner[0] + last):
+            for i in range(corner[1], corner[1] + room.window):
+                for j in range(corner[0], corner[0] + room.window):
                     each = counting(weights[i, j], left[i, j])
                     squares += each * left[i, j] ** 2
                     count += each > 0.0
         misfit[n] = (squares - count) / math.sqrt(2.0 * count) if count else 0.0
 
 
-@numba.njit(cache=True)
-def split_pairs(model: Any, room: Any, particles: Any, order: Any, count: int, steps: Any) -> int:
+@numba.njit(cache=True, nogil=True)
+def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, steps: Any) -> None:
     """Replace particles by two each where that is more probable.
-
-    Returns the new number of rows.
 
     Parameters
     ----------
     order : rows, in the order of the trials.
-    count : number of rows in use; those after them are room for new particles.
+    spare : (n,) the row that is free for the second of two, for the rows of `order`.
     steps : (k, 3) half distances of the two, in the box's coordinates, that are tried.
     """
     cameras = particles.light.shape[1]
@@ -246,8 +234,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, count: int, s
         np.zeros((2, cameras)),
     )
     for n in order:
-        if count == len(particles.position):
-            break
+        count = spare[n]
         place[:], own[:] = particles.position[n], particles.light[n]
         best = 0.0
         for s in range(len(steps)):
@@ -271,12 +258,10 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, count: int, s
                 particles.position[n], particles.light[n] = places[0], lights[0]
                 particles.position[count], particles.light[count] = places[1], lights[1]
                 particles.alive[count] = True
-                count += 1
             else:
                 for k in range(2):
                     take_out(model, room, places[k], lights[k])
                 put_in(model, room, place, own)
-    return count
 
 
 @numba.njit(cache=True)
@@ -330,13 +315,13 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
     The columns are the sums xx, xy, yy of the normal equations, and their right sides x and y.
     """
     for n in range(len(particles.position)):
-        sum_up(model, room, particles.position[n])
+        sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
             light = particles.light[n, c]
             for k in range(3):
-                equations[c, k] += light * light * room.sums[c, SUMS - 5 + k]
+                equations[c, k] += light * light * room.sums[c, XX + k]
             for k in range(3, 5):
-                equations[c, k] += light * room.sums[c, SUMS - 5 + k]
+                equations[c, k] += light * room.sums[c, XX + k]
 
 
 @numba.njit(cache=True)
@@ -358,13 +343,13 @@ def add_width_misses(
         place(model, room, particles.position[n])
         for c in range(len(model.typical)):
             column, row = room.corner[c, 0], room.corner[c, 1]
-            fill_growth(room.here[c, 0], room.width[c, 0], column, room.by_x[c])
-            fill_growth(room.here[c, 1], room.width[c, 1], row, room.by_y[c])
+            x, y, size = column - MARGIN, row - MARGIN, room.window
+            fill_growth(room.here[c, 0], room.width[c, 0], x, room.by_x[c, :size])
+            fill_growth(room.here[c, 1], room.width[c, 1], y, room.by_y[c, :size])
             left, weights, light = model.left[c], model.weight[c], particles.light[n, c]
-            top, bottom, start, end = window_within(room.corner[c], room.x.shape[1], left.shape)
             own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 1e-300, 0.0
-            for i in range(top, bottom):
-                for j in range(start, end):
+            for i in range(size):
+                for j in range(size):
                     each = counting(weights[row + i, column + j], left[row + i, column + j])
                     share = room.y[c, i] * room.x[c, j]
                     dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]

@@ -5,7 +5,9 @@ A particle has a place, light with a prior that is learned from the images, and 
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -13,15 +15,19 @@ from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.candidate_search import (
     BRIGHTEST,
     find_candidates,
+    pixel_mm,
     split_directions,
 )
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
+from sabench.algorithms.particles.disjoint_groups import disjoint_groups, side_by_side
 from sabench.algorithms.particles.image_model import (
     ImageModel,
     Particles,
     make_room,
     put_all_in,
     take_out,
+    with_margins,
+    without_margins,
 )
 from sabench.algorithms.particles.image_statistics import ImageStatistics
 from sabench.algorithms.particles.joint_fit import refine, start_light
@@ -146,7 +152,8 @@ class ParticleSearch:
         covered = flaws.covered if self.hidden is None else flaws.covered | self.hidden
         self.covered = covered[self.shown]
         self.known = ~(flaws.points | covered)[self.shown]
-        self.left, self.variance = self.images.copy(), np.ones_like(self.images)
+        self.framed, self.framed_left = with_margins(self.images), with_margins(self.images)
+        self.left, self.variance = without_margins(self.framed_left), np.ones_like(self.images)
         self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
         self.sure, self.trusted = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
         self.tag = np.zeros(0, dtype=np.int64)
@@ -206,9 +213,10 @@ class ParticleSearch:
             self.typical,
             precision,
             float(np.linalg.slogdet(precision)[1]),
-            self.images,
-            weight,
-            self.left,
+            float(np.linalg.eigvalsh(precision)[0]),
+            self.framed,
+            with_margins(weight),
+            self.framed_left,
             math.log(self.number / _BOX),
         )
 
@@ -238,13 +246,31 @@ class ParticleSearch:
     def refine(self, rounds: int) -> None:
         """Fit all particles, one after the other, in several rounds, as time allows."""
         model, particles = self.model(), self.particles()
-        for _ in range(rounds):
-            for part in self.deadline.portions(len(self.position)):
-                refine(model, self.room, Particles(*(rows[part] for rows in particles)), 1)
+
+        def fit(rows: I64) -> None:
+            refine(model, make_room(self.sigma), particles, rows)
+
+        self._each(fit, np.arange(len(self.position)), rounds=rounds)
+
+    def _each(
+        self,
+        work: Callable[[I64], None],
+        rows: I64,
+        neighbours: tuple[I64, I64] | None = None,
+        rounds: int = 1,
+    ) -> None:
+        """Work on rows, side by side where they share no pixel, as time allows.
+
+        Neighbours, if given, are changed, too.
+        """
+        window, pixel = self.room.x.shape[1], pixel_mm(self.maps)
+        turns = disjoint_groups(self.maps, self.position, rows, window, pixel, neighbours)
+        in_time = itertools.takewhile(lambda _: not self.deadline.over, rounds * turns)
+        side_by_side(work, in_time)
 
     def subtract_all(self) -> None:
         """Compute anew what all particles leave of the images."""
-        self.left[:] = self.images
+        self.framed_left[:] = self.framed
         put_all_in(self.model(), self.room, self.particles())
 
     def keep(self, good: Bool) -> None:
@@ -290,7 +316,13 @@ class ParticleSearch:
             found = found[: int(_MORE * max(first, self.number))]
         self.append(len(found), 0.0)
         self.position[first:] = found
-        start_light(self.model(), self.room, self.particles(), first)
+        model, particles = self.model(), self.particles()
+
+        def start(rows: I64) -> None:
+            start_light(model, make_room(self.sigma), particles, rows)
+
+        self._each(start, np.arange(first, len(self.position)))
+        self.select(np.all(self.light > 0.0, axis=1))  # all, unless time was over
 
     def weigh(self, cap: float) -> None:
         """Estimate the variance of every pixel from what is left.
@@ -325,22 +357,17 @@ class ParticleSearch:
         starts, near = find_neighbours(self.maps, self.sigma, self.position)
         particles, model = self.particles(), self.model()
         tried = ~self.sure & ~self.trusted
+
+        def remove(rows: I64) -> None:
+            room = make_room(self.sigma)
+            remove_ghosts(
+                model, room, particles, rows, starts, near, self.fits, lone, self.sure, self.odds
+            )
+
         for _ in range(2):
             rows = np.flatnonzero(tried)
             order = rows[np.argsort(self.common_light()[rows], kind="stable")]
-            for part in self.deadline.portions(len(order)):
-                remove_ghosts(
-                    model,
-                    self.room,
-                    particles,
-                    order[part],
-                    starts,
-                    near,
-                    self.fits,
-                    lone,
-                    self.sure,
-                    self.odds,
-                )
+            self._each(remove, order, (starts, near))
             promoted = tried & self.sure & particles.alive
             tried = ~tried & ~self.trusted & near_any(promoted, starts, near)
         self.sure &= lone
@@ -356,11 +383,18 @@ class ParticleSearch:
         order = order[misfit[order] > _MISFIT]
         self.sure[order] = False
         self.append(len(order), 1.0)
+        spare = np.zeros(count, dtype=np.int64)
+        spare[order] = np.arange(count, len(self.position))
+        particles = self.particles()
+        particles.alive[count:] = False
         width = float(self.sigma.max())
         steps = _APART * width / self.maps.half_mm * split_directions(self.maps)
-        for part in self.deadline.portions(len(order)):
-            count = split_pairs(model, self.room, self.particles(), order[part], count, steps)
-        self.select(np.arange(len(self.position)) < count)
+
+        def split(rows: I64) -> None:
+            split_pairs(model, make_room(self.sigma), particles, rows, spare, steps)
+
+        self._each(split, order)
+        self.select(particles.alive)
 
     def learn(self) -> None:
         """Learn typical light and its covariance from the particles that stand alone."""

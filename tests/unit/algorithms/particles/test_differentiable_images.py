@@ -9,7 +9,13 @@ import pytest
 
 from sabench.algorithms.particles.differentiable_images import DifferentiableImages, ImageModel
 from sabench.algorithms.particles.differentiable_projection import DifferentiableCamera
-from sabench.algorithms.particles.image_model import SUMS, make_room, put_all_in, sum_up
+from sabench.algorithms.particles.image_model import (
+    SUMS,
+    make_room,
+    put_all_in,
+    sum_up,
+    with_margins,
+)
 from sabench.algorithms.particles.light_prior import even_covariance
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.cylinder_wall import CylinderWall
@@ -193,16 +199,17 @@ def test_slopes_and_curvatures_are_those_of_the_kernels(maps: VolumePolynomials)
     shifted = maps._replace(coefficients=maps.coefficients.copy())
     shifted.coefficients[:, 0] += SHIFTS
     model = model_of(shifted, images)._replace(
-        weight=weight, precision=make_model(images).precision
+        weight=with_margins(weight), precision=make_model(images).precision
     )
     unit, light = (position - MIDDLE) / HALF, TYPICAL * np.exp(logs)
     room = make_room(np.tile(np.array(SIGMA) + 0.4, (4, 1)))  # windows as wide as the renderer's
     put_all_in(model, room, particles_of(unit, light))
     own, bends = np.zeros((COUNT, 7)), np.zeros((COUNT, 7, 7))
     for n in range(COUNT):
-        sum_up(model, room, unit[n])
+        sum_up(model, room, unit[n], light[n])
         for camera in range(4):
-            square, pull, xx, xy, yy, x, y = room.sums[camera]
+            square, pull, xx, xy, yy, x, y, given = room.sums[camera]
+            assert given == 0.0
             slope, own_light = room.slope[camera] / HALF, light[n, camera]
             own[n, :3] -= own_light * slope.T @ [x, y]
             own[n, 3 + camera] -= own_light * pull
@@ -212,7 +219,7 @@ def test_slopes_and_curvatures_are_those_of_the_kernels(maps: VolumePolynomials)
     own[:, 3:] += logs @ model.precision
     bends[:, 3:, 3:] += model.precision
     bends[:, :3, :3] += np.diag(3.0 / HALF**2)
-    assert SUMS == 7
+    assert SUMS == 8
     scale = np.abs(own).max(axis=0)
     np.testing.assert_allclose(by_place, own[:, :3], rtol=0.0, atol=2e-3 * scale[:3].max())
     np.testing.assert_allclose(by_log, own[:, 3:], rtol=0.0, atol=2e-3 * scale[3:].max())

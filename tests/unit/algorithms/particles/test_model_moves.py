@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.image_model import Particles, put_all_in
-from sabench.algorithms.particles.joint_fit import refine
+from sabench.algorithms.particles.image_model import Particles, put_all_in, without_margins
 from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
     add_width_misses,
@@ -26,6 +25,7 @@ from tests.helpers.image_model import (
     model_of,
     paint,
     particles_of,
+    refine_all,
     room_of,
 )
 from tests.unit.algorithms.particles.test_triangulation import (
@@ -84,7 +84,7 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(
     assert (odds > 10.0).tolist() == [True] * 4 + [False]
     assert particles.alive.tolist() == [True] * 4 + [False]
     kept = Particles(particles.position[:4], particles.light[:4], particles.alive[:4])
-    refine(model, room, kept, 10)
+    refine_all(model, room, kept, 10)
     assert np.abs(kept.light / light - 1.0).max() < 0.1
 
 
@@ -161,14 +161,15 @@ def test_two_particles_that_look_like_one_are_split(
     particles = Particles(rows, lights, np.array([True, False]))
     single = Particles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
     put_all_in(model, room, single)
-    refine(model, room, single, 10)
+    refine_all(model, room, single, 10)
     misfit = np.zeros(1)
     measure_misfit(model, room, single, misfit)
     assert misfit[0] > 4.0
     steps = 0.7 * size * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
     order = np.zeros(1, dtype=np.int64)
-    assert split_pairs(model, room, particles, order, 1, steps) == 2
-    refine(model, room, particles, 20)
+    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
+    assert particles.alive.all()
+    refine_all(model, room, particles, 20)
     assert distances(particles.position, pair, maps).max() < 0.3 * pixel_mm(maps)
     measure_misfit(model, room, particles, two := np.zeros(2))
     assert two.max() < 4.0
@@ -182,7 +183,8 @@ def test_a_single_particle_is_not_split(maps: VolumePolynomials) -> None:
     left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
     steps = 0.7 * size * np.eye(3)
     order = np.zeros(1, dtype=np.int64)
-    assert split_pairs(model, room, particles, order, 1, steps) == 1
+    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
+    assert particles.alive.tolist() == [True, False]
     np.testing.assert_allclose(particles.position[0], 0.0, atol=1e-12)
     np.testing.assert_allclose(model.left, left, atol=1e-3)
 
@@ -200,7 +202,9 @@ def test_a_wide_particle_is_not_split(maps: VolumePolynomials) -> None:
     measure_misfit(model, room, single, misfit := np.zeros(1))
     assert misfit[0] > 100.0
     order = np.zeros(1, dtype=np.int64)
-    assert split_pairs(model, room, particles, order, 1, 0.15 * size * np.ones((1, 3))) == 1
+    steps = 0.15 * size * np.ones((1, 3))
+    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
+    assert particles.alive.tolist() == [True, False]
 
 
 def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) -> None:
@@ -209,7 +213,7 @@ def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) ->
     changes = 0.02 * np.array([[1.0, -1.0, 0.5, 2.0], [-1.0, 1.5, 1.0, 0.5]])
     model.widths[2] += changes
     put_all_in(model, room, particles_of(points, light))
-    images = -model.left.astype(np.float64)
+    images = -without_margins(model.left).astype(np.float64)
     model, particles = model_of(maps, images), particles_of(points, 1.1 * light)
     particles.light[:, 2] *= 0.95  # as if its images were narrower
     put_all_in(model, room, particles)
@@ -218,9 +222,9 @@ def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) ->
         add_width_misses(model, room, particles, np.arange(30), matrices, right)
         step = np.linalg.solve(matrices, right[:, :, None]).reshape(4, 2, 4)
         model.widths[:] += step
-        model.left[:] = images
+        model.left[:] = model.images
         put_all_in(model, room, particles)
-        refine(model, room, particles, 2)
+        refine_all(model, room, particles, 2)
     expected = np.zeros((4, 2, 4))
     expected[2] = changes
     expected[:, :, 0] += SIGMA

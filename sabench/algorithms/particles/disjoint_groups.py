@@ -1,0 +1,149 @@
+"""Groups of particles that can be fitted side by side.
+
+A fit of a particle reads and changes the pixels of its images, and those of its neighbours if they
+are fitted, too. Particles of cells whose images share no pixel in any camera do not notice each
+other, so that threads may work on them at once. The order of rows counts, as the first take most
+light, so that rows of one portion are fitted before those of the next. Neither portions nor cells
+depend on the number of threads, and so neither does the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.utils.arrays import F64, I64
+
+_CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
+_PORTION = 8192  # rows that are fitted before later ones
+_FEW = 10**9  # rows at once, on average, that are worth several threads
+_MOVE_PX = 3.0  # by which fits move images, at most
+
+Groups = Sequence[I64]
+
+
+def side_by_side(work: Callable[[I64], None], turns: Iterable[Groups]) -> None:
+    """Work on one turn after the other.
+
+    The groups of a turn do not notice each other: all cores share them.
+    """
+    threads = numba.get_num_threads()
+    with ThreadPoolExecutor(threads) as pool:
+        for groups in turns:
+            shares: list[list[I64]] = [[] for _ in range(threads)]
+            for group in sorted(groups, key=len, reverse=True):
+                min(shares, key=lambda share: sum(map(len, share))).append(group)
+            list(pool.map(work, [np.concatenate(share) for share in shares if share]))
+
+
+def disjoint_groups(
+    maps: VolumePolynomials,
+    position: F64,
+    rows: I64,
+    window: int,
+    pixel: float,
+    neighbours: tuple[I64, I64] | None = None,
+) -> list[list[I64]]:
+    """Divide rows into groups, and list those that share no pixel together.
+
+    Rows keep their order within groups, and all of them if few could be fitted at once.
+
+    Parameters
+    ----------
+    position : (n, 3) of all particles in the box of the maps.
+    rows : particles that are fitted.
+    window : pixels along a row of a particle's image.
+    pixel : mm in the box.
+    neighbours : where each particle's neighbours start in a list (n + 1,), and the list, if they
+        are fitted, too.
+    """
+    if len(rows) < _FEW:
+        return [[rows]]
+    cell = _cells(maps, position[rows], pixel)
+    order = np.argsort(cell, kind="stable")
+    starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    ends = _ends(maps, position, rows, neighbours)[order]
+    low = np.minimum.reduceat(ends[:, :, 0], starts) - window - _MOVE_PX
+    high = np.maximum.reduceat(ends[:, :, 1], starts) + window + _MOVE_PX
+    colours = _colours(low, high)
+    colour = np.zeros(len(rows), dtype=np.int64)
+    colour[order] = np.repeat(colours, np.diff(starts, append=len(rows)))
+    turns = int(colours.max()) + 1
+    portions = min(len(rows) // _PORTION + 1, len(rows) // (_FEW * turns))
+    if not portions:
+        return [[rows]]
+    turn = np.arange(len(rows)) * portions // len(rows) * turns + colour
+    order = np.lexsort((cell, turn))
+    cuts = np.flatnonzero(np.diff(cell[order]) | np.diff(turn[order])) + 1
+    groups: list[list[I64]] = [[] for _ in range(portions * turns)]
+    for group in np.split(order, cuts):
+        groups[turn[group[0]]].append(rows[group])
+    return [one for one in groups if one]
+
+
+def _cells(maps: VolumePolynomials, position: F64, pixel: float) -> I64:
+    """Find the numbers (n,) of the cubes of the box that positions lie in."""
+    size = 2.0 * maps.half_mm
+    edge = max(_CELL_PX * pixel, float((np.prod(size) / _CELLS) ** (1.0 / 3.0)))
+    counts = np.maximum(size / edge, 1.0).astype(np.int64)
+    index = np.minimum(0.5 * (position + 1.0) * counts, counts - 1).astype(np.int64)
+    return np.asarray((index[:, 2] * counts[1] + index[:, 1]) * counts[0] + index[:, 0])
+
+
+def _ends(
+    maps: VolumePolynomials, position: F64, rows: I64, neighbours: tuple[I64, I64] | None
+) -> F64:
+    """Return the first and last pixels (k, camera, 2, 2) that fits touch."""
+    cameras = range(len(maps.coefficients))
+    if neighbours is None:
+        pixels = [project_points(maps, camera, position[rows]) for camera in cameras]
+        return np.repeat(np.stack(pixels, axis=1)[:, :, None], 2, axis=2)
+    pixels = [project_points(maps, camera, position) for camera in cameras]
+    out = np.zeros((len(rows), len(pixels), 2, 2))
+    _fill_ends(np.stack(pixels, axis=1), rows, *neighbours, out)
+    return out
+
+
+@numba.njit(cache=True)
+def _fill_ends(pixels: Any, rows: Any, starts: Any, near: Any, out: Any) -> None:
+    for k in range(len(rows)):
+        n = rows[k]
+        out[k, :, 0], out[k, :, 1] = pixels[n], pixels[n]
+        for place in range(starts[n], starts[n + 1]):
+            for c in range(pixels.shape[1]):
+                for a in range(2):
+                    value = pixels[near[place], c, a]
+                    out[k, c, 0, a] = min(out[k, c, 0, a], value)
+                    out[k, c, 1, a] = max(out[k, c, 1, a], value)
+
+
+@numba.njit(cache=True)
+def _colours(low: Any, high: Any) -> Any:
+    """Give rectangles (group, camera, 2) the least number that none they overlap has."""
+    count = len(low)
+    colour, taken = np.zeros(count, dtype=np.int64), np.full(count + 1, -1)
+    for g in range(count):
+        for other in range(g):
+            if taken[colour[other]] < g and _overlap(low, high, g, other):
+                taken[colour[other]] = g
+        while taken[colour[g]] == g:
+            colour[g] += 1
+    return colour
+
+
+@numba.njit(cache=True)
+def _overlap(low: Any, high: Any, one: int, other: int) -> bool:
+    for c in range(low.shape[1]):
+        if (
+            low[one, c, 0] <= high[other, c, 0]
+            and low[other, c, 0] <= high[one, c, 0]
+            and low[one, c, 1] <= high[other, c, 1]
+            and low[other, c, 1] <= high[one, c, 1]
+        ):
+            return True
+    return False

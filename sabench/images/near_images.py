@@ -1,0 +1,122 @@
+"""Search for particles whose images are near each other."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numba
+import numpy as np
+
+from sabench.utils.arrays import F64, I64
+
+_CELLS = 4  # of a camera's grid for each particle
+_FEW = 1.0  # percent of images on each side that may be far from all others
+
+
+def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
+    """Find particles whose images are near each other in at least one camera.
+
+    Returns where each particle's neighbours start in a list (n + 1,), and the list: in ascending
+    order, without the particle itself.
+
+    Parameters
+    ----------
+    pixels : (camera, n, 2) centres of images; NaN where there is none.
+    reach : (camera,) distance, px, up to which images are near.
+    """
+    count = pixels.shape[1]
+    if not count:
+        return np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    grids = [_grid(one, float(far)) for one, far in zip(pixels, reach, strict=True)]
+    cells = np.stack([cell for cell, _, _ in grids])
+    columns = np.array([width for _, width, _ in grids])
+    rows = np.array([height for _, _, height in grids])
+    starts = np.zeros((len(cells), int((columns * rows).max()) + 1), dtype=np.int64)
+    order = np.zeros(cells.shape, dtype=np.int64)
+    _sort(cells, starts, order)
+    parts = np.array_split(np.arange(count), numba.get_num_threads())
+    with ThreadPoolExecutor(len(parts)) as pool:
+        found = list(
+            pool.map(
+                lambda part: _gather(part, pixels, reach, cells, columns, rows, starts, order),
+                parts,
+            )
+        )
+    first = np.concatenate([[0], *(counts for counts, _ in found)])
+    return np.cumsum(first).astype(np.int64), np.concatenate([near for _, near in found])
+
+
+def _grid(pixels: F64, reach: float) -> tuple[I64, int, int]:
+    """Assign images (n, 2) to cells at least as wide as the reach; -1 for none.
+
+    Returns the numbers of cells along columns and rows, too.
+    """
+    there = np.isfinite(pixels).all(axis=1)
+    if not there.any():
+        return np.full(len(pixels), -1), 1, 1
+    low, high = np.percentile(pixels[there], [_FEW, 100.0 - _FEW], axis=0)
+    edge = max(reach, float(np.sqrt(np.prod(high - low) / (_CELLS * len(pixels)))))
+    last = np.minimum((high - low) / edge, _CELLS * len(pixels)).astype(np.int64)
+    # those beyond the grid are in its last cells: what is near stays in the next cell or nearer
+    column, row = np.clip((pixels[there] - low) / edge, 0, last).astype(np.int64).T
+    width, height = last + 1
+    cell = np.full(len(pixels), -1)
+    cell[there] = row * width + column
+    return cell, int(width), int(height)
+
+
+@numba.njit(cache=True)
+def _sort(cells: Any, starts: Any, order: Any) -> None:
+    """Fill in where each cell's images start, and the particles in this order."""
+    for c in range(len(cells)):
+        for cell in cells[c]:
+            if cell >= 0:
+                starts[c, cell + 1] += 1
+        for k in range(starts.shape[1] - 1):
+            starts[c, k + 1] += starts[c, k]
+        at = starts[c].copy()
+        for n in range(cells.shape[1]):
+            cell = cells[c, n]
+            if cell >= 0:
+                order[c, at[cell]] = n
+                at[cell] += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _gather(
+    part: Any,
+    pixels: Any,
+    reach: Any,
+    cells: Any,
+    columns: Any,
+    rows: Any,
+    starts: Any,
+    order: Any,
+) -> Any:
+    """Return the numbers of neighbours of some particles, and the neighbours."""
+    counts, near, total = np.zeros(len(part), dtype=np.int64), np.zeros(64, dtype=np.int64), 0
+    seen = np.full(cells.shape[1], -1)
+    for k in range(len(part)):
+        n, begun = part[k], total
+        seen[n] = n
+        for c in range(len(cells)):
+            if cells[c, n] < 0:
+                continue
+            row, column = cells[c, n] // columns[c], cells[c, n] % columns[c]
+            for i in range(max(row - 1, 0), min(row + 2, rows[c])):
+                left = i * columns[c] + max(column - 1, 0)
+                right = i * columns[c] + min(column + 2, columns[c])
+                for place in range(starts[c, left], starts[c, right]):
+                    other = order[c, place]
+                    x = pixels[c, other, 0] - pixels[c, n, 0]
+                    y = pixels[c, other, 1] - pixels[c, n, 1]
+                    if seen[other] != n and x * x + y * y <= reach[c] * reach[c]:
+                        seen[other] = n
+                        if total == len(near):
+                            near = np.concatenate((near, np.zeros_like(near)))
+                        near[total] = other
+                        total += 1
+        near[begun:total].sort()
+        counts[k] = total - begun
+    return counts, near[:total]
