@@ -21,7 +21,7 @@ from sabench.utils.arrays import F64, I64
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
 _PORTION = 8192  # rows that are fitted before later ones
-_FEW = 10**9  # rows at once, on average, that are worth several threads
+_FEW, _FEW_TRIALS = 100, 10  # rows at once that are worth several threads, with neighbours, too
 _MOVE_PX = 3.0  # by which fits move images, at most
 
 Groups = Sequence[I64]
@@ -62,7 +62,8 @@ def disjoint_groups(
     neighbours : where each particle's neighbours start in a list (n + 1,), and the list, if they
         are fitted, too.
     """
-    if len(rows) < _FEW:
+    few = _FEW if neighbours is None else _FEW_TRIALS
+    if len(rows) < few:
         return [[rows]]
     cell = _cells(maps, position[rows], pixel)
     order = np.argsort(cell, kind="stable")
@@ -74,7 +75,7 @@ def disjoint_groups(
     colour = np.zeros(len(rows), dtype=np.int64)
     colour[order] = np.repeat(colours, np.diff(starts, append=len(rows)))
     turns = int(colours.max()) + 1
-    portions = min(len(rows) // _PORTION + 1, len(rows) // (_FEW * turns))
+    portions = min(len(rows) // _PORTION + 1, len(rows) // (few * turns))
     if not portions:
         return [[rows]]
     turn = np.arange(len(rows)) * portions // len(rows) * turns + colour
