@@ -41,7 +41,7 @@ _FEWER = 0.998  # of the candidates: more that are left share the light as befor
 _STEPS = 3  # rounds from the first floor to the last
 _NOTABLE = 0.001  # of the particles: fewer that are tried change little
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
-_UNEXPLAINED = 0.02  # of the light: more that remains has a reason
+_UNEXPLAINED = 0.015  # of the light: more that remains has a reason
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
 

@@ -20,8 +20,8 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.utils.arrays import F64, I64
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
-_PORTION = 8192  # rows that are fitted before later ones
-_FEW, _FEW_TRIALS = 100, 10  # rows at once that are worth several threads, with neighbours, too
+_PORTION = 4096  # rows that are fitted before later ones
+_FEW = 20_000  # rows: fewer are fitted in their order, whose effect is larger than the time saved
 _MOVE_PX = 3.0  # by which fits move images, at most
 
 Groups = Sequence[I64]
@@ -51,7 +51,7 @@ def disjoint_groups(
 ) -> list[list[I64]]:
     """Divide rows into groups, and list those that share no pixel together.
 
-    Rows keep their order within groups, and all of them if few could be fitted at once.
+    Rows keep their order within groups, and few rows in one group all of theirs.
 
     Parameters
     ----------
@@ -62,8 +62,7 @@ def disjoint_groups(
     neighbours : where each particle's neighbours start in a list (n + 1,), and the list, if they
         are fitted, too.
     """
-    few = _FEW if neighbours is None else _FEW_TRIALS
-    if len(rows) < few:
+    if len(rows) < _FEW:
         return [[rows]]
     cell = _cells(maps, position[rows], pixel)
     order = np.argsort(cell, kind="stable")
@@ -75,9 +74,7 @@ def disjoint_groups(
     colour = np.zeros(len(rows), dtype=np.int64)
     colour[order] = np.repeat(colours, np.diff(starts, append=len(rows)))
     turns = int(colours.max()) + 1
-    portions = min(len(rows) // _PORTION + 1, len(rows) // (few * turns))
-    if not portions:
-        return [[rows]]
+    portions = len(rows) // _PORTION + 1
     turn = np.arange(len(rows)) * portions // len(rows) * turns + colour
     order = np.lexsort((cell, turn))
     cuts = np.flatnonzero(np.diff(cell[order]) | np.diff(turn[order])) + 1

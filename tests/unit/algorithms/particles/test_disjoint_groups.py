@@ -40,7 +40,6 @@ def test_groups_of_a_turn_share_no_pixel(
     maps: VolumePolynomials, whole: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
-    monkeypatch.setattr(module, "_FEW_TRIALS", 1)
     monkeypatch.setattr(module, "_PORTION", 200)
     points = unit_points(COUNT)
     neighbours = find_neighbours(maps, np.full((4, 2), 0.7), points) if whole else None
