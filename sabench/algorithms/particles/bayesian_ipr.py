@@ -39,7 +39,6 @@ _REAL = 0.3  # of a typical particle's light: what counts for that median
 FLOORS = (0.2, 0.06)  # of the candidates of the first and the last later round
 _FEWER = 0.998  # of the candidates: more that are left share the light as before
 _STEPS = 3  # rounds from the first floor to the last
-_NOTABLE = 0.001  # of the particles: fewer that are tried change little
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
@@ -102,8 +101,7 @@ def search_frame(
         if frame.deadline.over:
             break
         search.weigh(CAPS[1])
-        if not split_and_find(search):
-            break
+        split_and_find(search)
     search.weigh(CAPS[1])
     search.refine(2 * settings.fits)
     return search
@@ -163,22 +161,16 @@ def _find_most(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     return search
 
 
-def split_and_find(search: ParticleSearch) -> bool:
-    """Try misfits as two, add what is left, and remove what does not earn its price.
-
-    Returns whether a notable number of particles was tried.
-    """
-    before = len(search.position)
+def split_and_find(search: ParticleSearch) -> None:
+    """Try misfits as two, add what is left, and remove what does not earn its price."""
     search.split()
     search.refine(search.fits)
     search.find(FLOORS[1])
     search.refine(search.fits)
-    tried = len(search.position) - before
     search.weigh(CAPS[1])
     search.remove(lone=True)
     search.learn()
     search.learn_widths()
-    return tried > _NOTABLE * before
 
 
 def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> None:
