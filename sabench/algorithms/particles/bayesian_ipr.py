@@ -28,7 +28,7 @@ from sabench.algorithms.particles.time_budget import Deadline
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.flaws import Flaws
-from sabench.utils.arrays import Bool
+from sabench.utils.arrays import F64, Bool
 
 _FEWEST = 3  # cameras that must show particles
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
@@ -82,15 +82,26 @@ def dark_images(case: Observation) -> ClearImages:
     return ClearImages(*clear_images(light, good.flaws), good.images >= case.white_dn)
 
 
+class Known(NamedTuple):
+    """Particles taken for real: positions (n, 3) mm, light (n, all cameras)."""
+
+    position: F64
+    light: F64
+
+
 def search_frame(
-    case: Observation, maps: VolumePolynomials, settings: BayesianIprSettings
+    case: Observation,
+    maps: VolumePolynomials,
+    settings: BayesianIprSettings,
+    known: Known | None = None,
 ) -> ParticleSearch | None:
     """Search for a frame's particles; None if too few cameras show any.
 
+    The first candidates share the light that known particles leave.
     If light remains in the images, areas that are dark in a camera may be hidden from it, and count
     no longer. Cameras that contradict the others are left out, with a warning.
     """
-    frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s))
+    frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s), known)
     search = _find_visible(frame, np.zeros(len(case.cameras), dtype=np.bool_))
     if search is None:
         return None
@@ -114,6 +125,7 @@ class _Frame(NamedTuple):
     maps: VolumePolynomials
     settings: BayesianIprSettings
     deadline: Deadline
+    known: Known | None
 
 
 def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
@@ -138,13 +150,15 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
 
 def _find_most(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     """Find all particles but those that look like one with others."""
-    clear, maps, settings, deadline = frame
+    clear, maps, settings, deadline, known = frame
     statistics = measure_images(clear.images.astype(np.float64), ~clear.flaws.unknown)
     statistics = replace(statistics, shown=statistics.shown & ~wrong)
     if statistics.shown.sum() < _FEWEST:
         return None
     search = ParticleSearch(clear, maps, statistics, settings.fits)
     search.deadline = deadline
+    if known is not None:
+        _put_known(search, known)
     _share_the_light(search, settings)
     for number in range(settings.rounds):
         if deadline.over:
@@ -159,6 +173,15 @@ def _find_most(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
         if along == 1.0 and len(search.position) < _GROWTH * before:
             break
     return search
+
+
+def _put_known(search: ParticleSearch, known: Known) -> None:
+    """Put in the known particles that are in the box."""
+    place = (known.position - search.maps.middle_mm) / search.maps.half_mm
+    inside = (np.abs(place) <= 1.0).all(axis=1)
+    light = known.light[inside][:, search.shown]
+    light = np.where(light > 0.0, light, search.typical)
+    search.put(place[inside], light, np.full(len(light), -1))
 
 
 def split_and_find(search: ParticleSearch) -> None:
@@ -176,9 +199,13 @@ def split_and_find(search: ParticleSearch) -> None:
 def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> None:
     """Let the first candidates share the light, and drop the darkest, slowly.
 
-    Meanwhile saturated pixels have no more light than they show, or candidates would not share it.
+    Particles that are there already keep theirs. Meanwhile saturated pixels have no more light than
+    they show, or candidates would not share it.
     """
-    narrow, saturated = search.sigma, search.saturated
+    narrow, saturated, images = search.sigma, search.saturated, search.images.copy()
+    known = search.particles()
+    search.images[:] = search.left
+    search.select(np.zeros(len(known.position), dtype=np.bool_))
     search.saturated = np.zeros_like(saturated)
     search.set_width(settings.widening * narrow)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
@@ -197,4 +224,9 @@ def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> N
     search.reset_covariance()
     search.set_width(narrow)
     search.refine(settings.fits)
+    search.images[:] = images
+    search.subtract_all()
+    if len(known.position):
+        search.put(known.position, known.light, np.full(len(known.position), -1))
+        search.refine(settings.fits)
     search.learn()

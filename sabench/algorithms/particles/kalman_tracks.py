@@ -17,12 +17,18 @@ from sabench.utils.arrays import F64, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
 _NEIGHBOURS = 8  # whose velocities a new track is expected to have
+_NEAREST = 5  # particles whose velocities tell their gradient
 _WITHIN = 0.6827  # share of a normal variable's values within one standard deviation
 _ENOUGH, _FASTEST = 30, 4.0  # predictions that tell the jerk's strength, and its change at once
 _SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
 _LEAST = 1e-6  # of the first strength
 _BY_TRACK = ("number", "state", "covariance", "light", "seen", "missed")
 ANY_SPEED = 1e6  # mm/s
+# first guesses of acceleration over velocity times velocity gradient, and of its change over itself
+# times gradient times time: those of turbulence, within a few percent for two integral lengths;
+# and the most that an acceleration changes from frame to frame
+_ACCELERATION, _CHANGE, _MOST_CHANGE = 1.4, 3.5, 1.4
+_MAD = 1.4826  # standard deviation over the median of distances from the median
 
 
 @dataclass
@@ -160,6 +166,22 @@ class KalmanTracks:
         for name, more in zip(_BY_TRACK, new, strict=True):
             old = getattr(self, name)
             setattr(self, name, np.concatenate([old, more]) if len(old) else more)
+
+
+def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -> KalmanTracks:
+    """Guess how strongly particles accelerate, and how fast that changes.
+
+    An acceleration is as large as (u grad) u, of fluctuations of the velocity and their gradient,
+    but at least `least`.
+    A random jerk changes it as much as that in the longest time between two frames.
+    """
+    distance, near = cKDTree(position).query(position, _NEAREST + 1)
+    apart = np.linalg.norm(velocity[near[:, 1:]] - velocity[:, None], axis=2)
+    gradient = float(np.median(apart / np.maximum(distance[:, 1:], 1e-12)))
+    fluctuation = _MAD * np.median(np.abs(velocity - np.median(velocity, axis=0)), axis=0)
+    acceleration = max(_ACCELERATION * gradient * float(np.sqrt(np.mean(fluctuation**2))), least)
+    change = min(_CHANGE * gradient * longest_s, _MOST_CHANGE)
+    return KalmanTracks.start(acceleration**2, (change * acceleration) ** 2 / longest_s)
 
 
 def velocity_near(position: F64, known: F64, velocity: F64) -> tuple[F64, F64]:

@@ -153,6 +153,7 @@ class ParticleSearch:
         self.covered = covered[self.shown]
         self.known = ~(flaws.points | covered)[self.shown]
         self.framed, self.framed_left = with_margins(self.images), with_margins(self.images)
+        self.images = without_margins(self.framed)
         self.left, self.variance = without_margins(self.framed_left), np.ones_like(self.images)
         self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
         self.sure, self.trusted = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)

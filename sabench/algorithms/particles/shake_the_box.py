@@ -24,10 +24,12 @@ from sabench.algorithms.particles.bayesian_ipr import (
     split_and_find,
 )
 from sabench.algorithms.particles.candidate_search import pixel_mm
+from sabench.algorithms.particles.dense_start import WINDOW, are_mostly_wrong, search_window
 from sabench.algorithms.particles.kalman_tracks import (
     ANY_SPEED,
     MATURE,
     KalmanTracks,
+    start_tracks,
     velocity_near,
 )
 from sabench.algorithms.particles.linking import GATE, assign, link
@@ -35,6 +37,7 @@ from sabench.algorithms.particles.particle_search import ParticleSearch, joined,
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
 from sabench.algorithms.particles.time_budget import Deadline
 from sabench.algorithms.particles.track_motion import most_probable_motion
+from sabench.algorithms.particles.window_tracks import CONFIRMED
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64, Bool
@@ -48,11 +51,6 @@ _LAG = 3  # frames before and after one that tell how its particles move
 _NEAR = 3.0  # standard deviations from the box's faces within which a particle may come or go
 _NEIGHBOURS = 5  # particles that a lost track is compared with
 _FEWEST = 16  # links that tell how particles move
-# first guesses of acceleration over velocity times velocity gradient, and of its change over itself
-# times gradient times time: those of turbulence, within a few percent for two integral lengths;
-# and the most that an acceleration changes from frame to frame
-_ACCELERATION, _CHANGE, _MOST_CHANGE = 1.4, 3.5, 1.4
-_MAD = 1.4826  # standard deviation over the median of distances from the median
 
 
 @dataclass(frozen=True)
@@ -118,8 +116,8 @@ def track_particles(
     axes = rig_axes(maps)
     longest = float(np.diff(times_s).max(initial=0.0))
     tracker = _Tracker(turn_maps(maps, axes), settings, longest)
-    for case, time in zip(frames, times_s, strict=True):
-        tracker.take(case, time)
+    for number, (case, time) in enumerate(zip(frames, times_s, strict=True)):
+        tracker.take(case, time, len(times_s) - number - 1)
         while tracker.later >= _LAG + max(settings.gap, 1):
             yield turn_to_world(tracker.give(), axes)
     while tracker.later >= 0:
@@ -184,6 +182,10 @@ class _Tracker:
         self.maps, self.settings = maps, settings
         self.longest_s = longest_s  # between two frames
         self.search: ParticleSearch | None = None
+        self.before: tuple[Observation, float] | None = None  # last frame, if it has no tracks
+        self.doubtful = False  # whether the first links are mostly wrong
+        self.held: list[tuple[Observation, float]] = []  # frames that wait for those after them
+        self.alone: list[ParticleSearch] = []  # the first of these
         self.tracks: KalmanTracks | None = None
         self.frames: list[_Frame] = []
         self.given = 0  # of these frames
@@ -205,24 +207,57 @@ class _Tracker:
             self.given -= 1
         return found
 
-    def take(self, case: Observation, time: float) -> None:
-        """Find the particles of the next frame."""
-        if self.search is not None and self.tracks is not None and len(self.tracks.number):
+    def take(self, case: Observation, time: float, coming: int) -> None:
+        """Find the particles of the next frame, or hold it; so many others are coming."""
+        if self.held:
+            self.held.append((case, time))
+            if len(self.held) == WINDOW or not coming:
+                self._begin_together()
+        elif self.search is not None and self.tracks is not None and len(self.tracks.number):
             self._follow(case, time, self.tracks, self.search)
         else:
-            self._begin(case, time)
+            self._begin(case, time, coming)
 
-    def _begin(self, case: Observation, time: float) -> None:
-        """Search a frame without predictions, and link it to the one before."""
-        before, self.search = self.search, search_frame(case, self.maps, self.settings.first)
-        self.tracks = None
-        frame = _nothing(time, len(self.maps.coefficients))
-        if self.search is not None:
-            frame = self._write(self.search, time)
-        if before is not None and self.search is not None:
-            self.tracks = self._link_first(before.light, self.frames[-1], frame)
+    def _begin(self, case: Observation, time: float, coming: int) -> None:
+        """Search a frame without predictions, and link it to the one before.
+
+        If the links are mostly wrong, both are held until several frames can be searched together.
+        """
+        last, self.search = self.search, search_frame(case, self.maps, self.settings.first)
+        frame = self._join(last, time)
+        held = self.doubtful and coming + 2 >= CONFIRMED
+        if held and last is not None and self.search is not None and self.before is not None:
+            self.held, self.alone = [self.before, (case, time)], [last, self.search]
+            self.before = self.tracks = None
+        else:
+            self.before = (case, time) if self.tracks is None else None
+            self._go_on(case, frame)
+
+    def _begin_together(self) -> None:
+        """Search the frames that are held, and follow their particles."""
+        held, self.held = self.held, []
+        cases, times = zip(*held, strict=True)
+        first, self.search = search_window(cases, times, self.maps, self.settings.first, self.alone)
+        self.alone = []
+        self.frames[-1] = self._write(first, times[0])
+        self._go_on(cases[1], self._join(first, times[1]))
+        for case, time in held[2:]:
+            self.take(case, time, 0)
+
+    def _join(self, last: ParticleSearch | None, time: float) -> _Frame:
+        """Link the particles of a frame that was searched to those of the one before."""
+        self.tracks, self.doubtful = None, False
+        if self.search is None:
+            return _nothing(time, len(self.maps.coefficients))
+        frame = self._write(self.search, time)
+        if last is not None:
+            self.tracks = self._link_first(last.light, self.frames[-1], frame)
+        return frame
+
+    def _go_on(self, case: Observation, frame: _Frame) -> None:
+        """Follow the first tracks to a frame; without any, keep its particles."""
         if self.tracks is not None and self.search is not None:
-            self._follow(case, time, self.tracks, self.search)
+            self._follow(case, frame.time, self.tracks, self.search)
         else:
             self.frames.append(frame)
 
@@ -247,11 +282,12 @@ class _Tracker:
         _, i, j = np.intersect1d(earlier, later, return_indices=True)
         if len(i) < _FEWEST:
             return None
+        self.doubtful = are_mostly_wrong(first.position[i], second.position[j] - first.position[i])
         duration = second.time - first.time
         variance = self._variance(first)
         velocity = (second.position[j] - first.position[i]) / duration
         least = _LEAST_ERROR_PX * pixel_mm(self.maps) / duration  # particles may stand still
-        tracks = _start_tracks(first.position[i], velocity, self.longest_s, least / duration)
+        tracks = start_tracks(first.position[i], velocity, self.longest_s, least / duration)
         errors = 2.0 * variance[i] / duration**2 + tracks.acceleration * duration**2
         place = first.position
         tracks.add(first.number[i], place[i], variance[i], light[i], velocity, errors, 2)
@@ -371,22 +407,6 @@ class _Tracker:
         outside = (np.abs(tracks.state[:, 0] - self.maps.middle_mm) > self.maps.half_mm).any(axis=1)
         over = (tracks.seen < MATURE) | (tracks.missed > self.settings.gap) | outside
         tracks.select(~(missed & over))
-
-
-def _start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -> KalmanTracks:
-    """Guess how strongly particles accelerate, and how fast that changes.
-
-    An acceleration is as large as (u grad) u, of fluctuations of the velocity and their gradient,
-    but at least `least`.
-    A random jerk changes it as much as that in the longest time between two frames.
-    """
-    distance, near = cKDTree(position).query(position, _NEIGHBOURS + 1)
-    apart = np.linalg.norm(velocity[near[:, 1:]] - velocity[:, None], axis=2)
-    gradient = float(np.median(apart / np.maximum(distance[:, 1:], 1e-12)))
-    fluctuation = _MAD * np.median(np.abs(velocity - np.median(velocity, axis=0)), axis=0)
-    acceleration = max(_ACCELERATION * gradient * float(np.sqrt(np.mean(fluctuation**2))), least)
-    change = min(_CHANGE * gradient * longest_s, _MOST_CHANGE)
-    return KalmanTracks.start(acceleration**2, (change * acceleration) ** 2 / longest_s)
 
 
 def _nothing(time: float, cameras: int) -> _Frame:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.shake_the_box import _start_tracks
+from sabench.algorithms.particles.kalman_tracks import start_tracks
 from sabench.utils.arrays import F64
 
 
@@ -27,7 +27,7 @@ def guess(count: int, wavelength: float, speed: float) -> tuple[float, float]:
     """Guessed and true standard deviation of an acceleration's components."""
     position = np.random.default_rng(5).uniform(0.0, 10.0, (count, 3))
     velocity, true = flow(position, wavelength, speed)
-    tracks = _start_tracks(position, velocity, 0.01, 1e-9)
+    tracks = start_tracks(position, velocity, 0.01, 1e-9)
     return float(np.sqrt(tracks.acceleration)), float(np.sqrt(np.mean(true**2)))
 
 
@@ -44,7 +44,7 @@ def test_accelerations_are_guessed_from_velocities_and_their_gradient(
 
 def test_particles_that_stand_still_get_the_least_acceleration() -> None:
     position = np.random.default_rng(5).uniform(0.0, 10.0, (50, 3))
-    tracks = _start_tracks(position, np.zeros((50, 3)), 0.01, 0.5)
+    tracks = start_tracks(position, np.zeros((50, 3)), 0.01, 0.5)
     assert tracks.acceleration == pytest.approx(0.25)
     assert np.isfinite(tracks.jerk)
     assert tracks.jerk >= 0.0
