@@ -69,6 +69,8 @@ def search_window(
         finds = [_finds(one, time, maps) for one, time in zip(found, times_s, strict=True)]
         known = confirm_tracks(finds, _spacing(found, maps))
         before, confirmed = confirmed, sum(len(one.position) for one in known)
+        if not confirmed:
+            return list(alone)
         last = number == _PASSES - 1 or confirmed < _GROWTH * before
         few = len(alone) if last else len(cases)
         searches = [
