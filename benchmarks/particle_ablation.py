@@ -46,6 +46,7 @@ from benchmarks.particle_density import (  # noqa: E402
     write_record,
 )
 from sabench.algorithms.particles import bayesian_ipr  # noqa: E402
+from sabench.algorithms.particles.learned_model import learn_light  # noqa: E402
 from sabench.algorithms.particles.light_prior import even_covariance  # noqa: E402
 from sabench.algorithms.particles.particle_search import ParticleSearch  # noqa: E402
 from sabench.simulation.in_memory import simulate  # noqa: E402
@@ -73,19 +74,18 @@ def _set_even(between: float) -> Callable[..., None]:
 
 
 def _learn_light_only(between: float) -> Callable[[ParticleSearch], None]:
-    """Make a method that learns typical light, with a scatter that stays."""
-    learn = ParticleSearch.learn
+    """Make a function that learns typical light, with a scatter that stays."""
 
-    def learn_light(search: ParticleSearch) -> None:
-        learn(search)
+    def learn_typical(search: ParticleSearch) -> None:
+        learn_light(search)
         search.covariance = even_covariance(len(search.typical), between, _COMMON)
 
-    return learn_light
+    return learn_typical
 
 
 def _fixed_light(between: float) -> Patches:
     return [
-        (ParticleSearch, "learn", _learn_light_only(between)),
+        (bayesian_ipr, "learn_light", _learn_light_only(between)),
         (ParticleSearch, "reset_covariance", _set_even(between)),
     ]
 
@@ -118,8 +118,8 @@ PARTS: dict[str, tuple[dict[str, Any], Patches]] = {
     "splits": ({}, [(ParticleSearch, "split", _nothing)]),
     "light free": ({}, _fixed_light(_FREE)),
     "one light": ({}, _fixed_light(_SAME)),
-    "alignment": ({}, [(ParticleSearch, "align", _nothing)]),
-    "widths": ({}, [(ParticleSearch, "learn_widths", _nothing)]),
+    "alignment": ({}, [(bayesian_ipr, "align_cameras", _nothing)]),
+    "widths": ({}, [(bayesian_ipr, "learn_widths", _nothing)]),
     "background": (
         {},
         [

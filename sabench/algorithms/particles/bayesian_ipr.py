@@ -22,6 +22,12 @@ from sabench.algorithms.particles.background import (
 )
 from sabench.algorithms.particles.camera_check import without_wrong_cameras
 from sabench.algorithms.particles.image_statistics import measure_images
+from sabench.algorithms.particles.learned_model import (
+    align_cameras,
+    learn_light,
+    learn_widths,
+    weigh_pixels,
+)
 from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
 from sabench.algorithms.particles.time_budget import Deadline
@@ -111,9 +117,9 @@ def search_frame(
     for _ in range(settings.splits):
         if frame.deadline.over:
             break
-        search.weigh(CAPS[1])
+        weigh_pixels(search, CAPS[1])
         split_and_find(search)
-    search.weigh(CAPS[1])
+    weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)
     return search
 
@@ -166,10 +172,10 @@ def _find_most(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
         before, along = len(search.position), min((number + 1) / _STEPS, 1.0)
         search.find(FLOORS[0] * (FLOORS[1] / FLOORS[0]) ** along)
         search.refine(settings.fits)
-        search.weigh(CAPS[0] * (CAPS[1] / CAPS[0]) ** along)
+        weigh_pixels(search, CAPS[0] * (CAPS[1] / CAPS[0]) ** along)
         search.remove(lone=number > 0)
-        search.learn()
-        search.align()
+        learn_light(search)
+        align_cameras(search)
         if along == 1.0 and len(search.position) < _GROWTH * before:
             break
     return search
@@ -190,10 +196,10 @@ def split_and_find(search: ParticleSearch) -> None:
     search.refine(search.fits)
     search.find(FLOORS[1])
     search.refine(search.fits)
-    search.weigh(CAPS[1])
+    weigh_pixels(search, CAPS[1])
     search.remove(lone=True)
-    search.learn()
-    search.learn_widths()
+    learn_light(search)
+    learn_widths(search)
 
 
 def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> None:
@@ -209,13 +215,13 @@ def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> N
     search.saturated = np.zeros_like(saturated)
     search.set_width(settings.widening * narrow)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
-    search.weigh(CAPS[0])
+    weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
     search.refine(settings.fits)
     before = np.inf  # the first time
     for level in _DARKEST:
         if len(search.position) < before:
-            search.weigh(CAPS[0])
+            weigh_pixels(search, CAPS[0])
             search.refine(settings.fits)
         common = search.common_light()
         real, before = common[common > _REAL], _FEWER * len(common)
@@ -229,4 +235,4 @@ def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> N
     if len(known.position):
         search.put(known.position, known.light, np.full(len(known.position), -1))
         search.refine(settings.fits)
-    search.learn()
+    learn_light(search)

@@ -20,7 +20,6 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.utils.arrays import F64, I64
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
-_PORTION = 4096  # rows that are fitted before later ones
 _FEW = 20_000  # rows: fewer are fitted in their order, whose effect is larger than the time saved
 _MOVE_PX = 3.0  # by which fits move images, at most
 
@@ -47,6 +46,7 @@ def disjoint_groups(
     rows: I64,
     window: int,
     pixel: float,
+    portions: int,
     neighbours: tuple[I64, I64] | None = None,
 ) -> list[list[I64]]:
     """Divide rows into groups, and list those that share no pixel together.
@@ -59,6 +59,7 @@ def disjoint_groups(
     rows : particles that are fitted.
     window : pixels along a row of a particle's image.
     pixel : mm in the box.
+    portions : of the rows; the rows of one come before those of the next.
     neighbours : where each particle's neighbours start in a list (n + 1,), and the list, if they
         are fitted, too.
     """
@@ -74,7 +75,6 @@ def disjoint_groups(
     colour = np.zeros(len(rows), dtype=np.int64)
     colour[order] = np.repeat(colours, np.diff(starts, append=len(rows)))
     turns = int(colours.max()) + 1
-    portions = len(rows) // _PORTION + 1
     turn = np.arange(len(rows)) * portions // len(rows) * turns + colour
     order = np.lexsort((cell, turn))
     cuts = np.flatnonzero(np.diff(cell[order]) | np.diff(turn[order])) + 1
@@ -82,6 +82,16 @@ def disjoint_groups(
     for group in np.split(order, cuts):
         groups[turn[group[0]]].append(rows[group])
     return [one for one in groups if one]
+
+
+def order_in_memory(maps: VolumePolynomials, position: F64, pixel: float) -> I64:
+    """Return the rows (n,) of many particles cell by cell; of few as they are.
+
+    Each cell's particles and pixels then stay in the processor's cache.
+    """
+    if len(position) < _FEW:
+        return np.arange(len(position))
+    return np.argsort(_cells(maps, position, pixel), kind="stable")
 
 
 def _cells(maps: VolumePolynomials, position: F64, pixel: float) -> I64:

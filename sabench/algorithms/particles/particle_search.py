@@ -19,7 +19,11 @@ from sabench.algorithms.particles.candidate_search import (
     split_directions,
 )
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
-from sabench.algorithms.particles.disjoint_groups import disjoint_groups, side_by_side
+from sabench.algorithms.particles.disjoint_groups import (
+    disjoint_groups,
+    order_in_memory,
+    side_by_side,
+)
 from sabench.algorithms.particles.image_model import (
     ImageModel,
     Particles,
@@ -33,13 +37,9 @@ from sabench.algorithms.particles.image_statistics import ImageStatistics
 from sabench.algorithms.particles.joint_fit import refine, start_light
 from sabench.algorithms.particles.light_prior import (
     even_covariance,
-    learn_covariance,
     scatter_between,
 )
-from sabench.algorithms.particles.lone_particles import find_lone
 from sabench.algorithms.particles.model_moves import (
-    add_camera_misses,
-    add_width_misses,
     find_neighbours,
     measure_misfit,
     near_any,
@@ -55,19 +55,15 @@ from sabench.geometry.volume_polynomials import (
 from sabench.images.particle_widths import peak_brightness
 from sabench.utils.arrays import F32, F64, I64, Bool
 
+_PORTIONS = 8  # of many rows whose order counts: the first are fitted before the next
 _BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
 _FLOOR = 2.0  # standard deviations of noise: the least floor of candidates
+_MANY, _FIRST = 16.0, 1.5  # of the estimated number: first candidates, times cameras, and least
 _MORE = 0.5  # of the particles so far: candidates beside them
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
-_FEW = 30  # particles that tell nothing of all
 _MISFIT = 4.0  # standard deviations: particles that fit no better may be two
 _DOUBTFUL = 0.3  # largest share of particles that are tried as two
-_ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
-_WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
-_WIDTH_STEPS = 2
-_OWN_ERROR = 0.03  # of a particle's image: particles differ
-_UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 _APART = 1.1  # widths: distance of the two of a split from their middle
 _CERTAIN = 30.0  # logarithm of the highest odds
 
@@ -237,7 +233,7 @@ class ParticleSearch:
         """Compute the mean light (n,) over cameras, in a typical particle's."""
         return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
 
-    def _peaks(self) -> F64:
+    def peaks(self) -> F64:
         """Compute the brightest pixel (camera,) of a typical particle."""
         erf = np.array(
             [[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in self.sigma]
@@ -251,21 +247,22 @@ class ParticleSearch:
         def fit(rows: I64) -> None:
             refine(model, make_room(self.sigma), particles, rows)
 
-        self._each(fit, np.arange(len(self.position)), rounds=rounds)
+        self._each(fit, np.arange(len(self.position)), portions=1, rounds=rounds)
 
     def _each(
         self,
         work: Callable[[I64], None],
         rows: I64,
         neighbours: tuple[I64, I64] | None = None,
+        portions: int = _PORTIONS,
         rounds: int = 1,
     ) -> None:
         """Work on rows, side by side where they share no pixel, as time allows.
 
-        Neighbours, if given, are changed, too.
+        Neighbours, if given, are changed, too. Rows of one portion come before those of the next.
         """
         window, pixel = self.room.x.shape[1], pixel_mm(self.maps)
-        turns = disjoint_groups(self.maps, self.position, rows, window, pixel, neighbours)
+        turns = disjoint_groups(self.maps, self.position, rows, window, pixel, portions, neighbours)
         in_time = itertools.takewhile(lambda _: not self.deadline.over, rounds * turns)
         side_by_side(work, in_time)
 
@@ -281,8 +278,8 @@ class ParticleSearch:
             take_out(model, self.room, self.position[n], self.light[n])
         self.select(good)
 
-    def select(self, good: Bool) -> None:
-        """Keep these rows, whatever the images show."""
+    def select(self, good: Bool | I64) -> None:
+        """Keep these rows, in this order, whatever the images show."""
         self.position, self.light = self.position[good], self.light[good]
         self.sure, self.tag, self.odds = self.sure[good], self.tag[good], self.odds[good]
         self.trusted = self.trusted[good]
@@ -303,7 +300,7 @@ class ParticleSearch:
         """
         if self.deadline.over:
             return
-        peaks = self._peaks()[:, None, None]
+        peaks = self.peaks()[:, None, None]
         dark = np.maximum(self.noise[:, None, None] / peaks, _DIMMEST)
         logs = np.log(np.clip(self.left / peaks, dark, BRIGHTEST))
         enough = self.saturated & (self.left <= 0.0)
@@ -313,8 +310,9 @@ class ParticleSearch:
         least = max(floor, _FLOOR * float(dark.max()))
         found = find_candidates(self.maps, logs, math.log(least), spread)
         first = len(self.position)
-        if first:
-            found = found[: int(_MORE * max(first, self.number))]
+        share = max(_MANY / cameras, _FIRST)  # the more cameras, the fewer meet by chance
+        most = _MORE * max(first, self.number) if first else share * self.number
+        found = found[: int(most)]
         self.append(len(found), 0.0)
         self.position[first:] = found
         model, particles = self.model(), self.particles()
@@ -322,33 +320,9 @@ class ParticleSearch:
         def start(rows: I64) -> None:
             start_light(model, make_room(self.sigma), particles, rows)
 
-        self._each(start, np.arange(first, len(self.position)))
+        self._each(start, np.arange(first, len(self.position)), portions=1)
         self.select(np.all(self.light > 0.0, axis=1))  # all, unless time was over
-
-    def weigh(self, cap: float) -> None:
-        """Estimate the variance of every pixel from what is left.
-
-        It is the noise of dark pixels and a share of the model's light; the part above the dark
-        noise is at most `cap` of a typical peak squared, but not less than what particles leave
-        whose images are a little wider or narrower than others', or what particles that are not
-        found yet leave.
-        """
-        for camera, peak in enumerate(self._peaks()):
-            known, dark = self.known[camera], self.noise[camera] ** 2
-            # no more than the image shows, or particles that are too bright would hide it
-            image = np.maximum(self.images[camera], 0.0)
-            model = np.clip(self.images[camera] - self.left[camera], 0.0, image)
-            miss = self.miss(camera)
-            squares = np.square(miss[known], dtype=np.float64)
-            squares = np.minimum(squares, 30.0 * squares.mean())
-            light = model[known].astype(np.float64)
-            terms = np.stack([np.ones_like(light), light], axis=1)
-            even, slope = np.linalg.lstsq(terms, squares, rcond=None)[0]
-            variance = np.minimum(
-                max(even, dark) + max(slope, 0.0) * model, dark + (cap * peak) ** 2
-            )
-            least = (_OWN_ERROR * model) ** 2 + (_UNKNOWN * miss) ** 2
-            self.variance[camera] = np.maximum(variance, dark + least)
+        self.select(order_in_memory(self.maps, self.position, pixel_mm(self.maps)))
 
     def remove(self, lone: bool) -> None:
         """Remove particles that do not earn their price, the darkest first.
@@ -394,63 +368,5 @@ class ParticleSearch:
         def split(rows: I64) -> None:
             split_pairs(model, make_room(self.sigma), particles, rows, spare, steps)
 
-        self._each(split, order)
+        self._each(split, order, portions=1)
         self.select(particles.alive)
-
-    def learn(self) -> None:
-        """Learn typical light and its covariance from the particles that stand alone."""
-        lone = self._lone()
-        if len(lone) < _FEW:
-            return
-        logs = np.log(self.light[lone] / self.typical)
-        self.typical = self.typical * np.exp(np.median(logs, axis=0))
-        self.covariance = learn_covariance(logs)
-
-    def learn_widths(self) -> None:
-        """Learn the widths of images, and how they change, from lone particles.
-
-        Half of them count, those that leave least of their images: others may be two. Few must be
-        missing yet, because what they leave makes others wider.
-        """
-        lone = self._lone()
-        if len(lone) < _FEW:
-            return
-        model, particles, cameras = self.model(), self.particles(), len(self.images)
-        misfit = np.zeros(len(self.position))
-        measure_misfit(model, self.room, particles, misfit)
-        misfit = misfit[lone] / self.common_light()[lone] ** 2
-        lone = lone[misfit <= np.median(misfit)]
-        for _ in range(_WIDTH_STEPS):
-            matrices, right = np.zeros((cameras, 8, 8)), np.zeros((cameras, 8))
-            add_width_misses(model, self.room, particles, lone, matrices, right)
-            sigma = np.repeat(self.sigma[:, :, None], 4, axis=2)
-            known = (np.array([_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]) * sigma).reshape(-1, 8) ** -2.0
-            right -= known * (self.widths - self.first_widths).reshape(-1, 8)
-            matrices += known[:, :, None] * np.eye(8)
-            step = np.linalg.solve(matrices, right[:, :, None]).reshape(self.widths.shape)
-            most = _WIDTH_CHANGE * sigma
-            self.widths += np.clip(step, -most, most)
-            self.subtract_all()
-
-    def align(self) -> None:
-        """Shift each camera's pixels to where it sees the particles.
-
-        A shift that particles take part in, as one of all cameras, cannot be seen.
-        """
-        if len(self.position) < _FEW:
-            return
-        for _ in range(_ALIGNMENTS):
-            sums = np.zeros((len(self.images), 5))
-            add_camera_misses(self.model(), self.room, self.particles(), sums)
-            xx, xy, yy, x, y = sums.T
-            matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
-            shifts = np.zeros((len(matrix), 2))
-            there = np.linalg.det(matrix) > 0.0  # cameras that see some particles
-            right = np.stack([x, y], axis=1)[there, :, None]
-            shifts[there] = np.linalg.solve(matrix[there], right)[:, :, 0]
-            self.maps.coefficients[:, 0] += np.clip(shifts, -_FARTHEST_PX, _FARTHEST_PX)
-            self.subtract_all()
-            self.refine(1)
-
-    def _lone(self) -> I64:
-        return find_lone(self.maps, self.position, self.light, self.sigma, self.images.shape[1:])

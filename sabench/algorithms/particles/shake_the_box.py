@@ -32,6 +32,7 @@ from sabench.algorithms.particles.kalman_tracks import (
     start_tracks,
     velocity_near,
 )
+from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
 from sabench.algorithms.particles.linking import GATE, assign, link
 from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
@@ -335,9 +336,9 @@ class _Tracker:
         search.deadline = Deadline(settings.first.budget_s)
         search.show(dark_images(case))
         search.put(place[rows], tracks.light[rows], rows)
-        search.weigh(CAPS[0])
+        weigh_pixels(search, CAPS[0])
         search.refine(_SHAKES)
-        search.weigh(CAPS[1])
+        weigh_pixels(search, CAPS[1])
         search.refine(_SHAKES)
         bright = search.light.sum(axis=1) > _FADED * tracks.light[search.tag].sum(axis=1)
         search.trusted = bright & (tracks.seen[search.tag] >= MATURE)
@@ -345,12 +346,12 @@ class _Tracker:
         for number in range(settings.searches):
             search.find(FLOORS[min(number, 1)])
             search.refine(search.fits)
-            search.weigh(CAPS[1])
+            weigh_pixels(search, CAPS[1])
             search.remove(lone=True)
-        search.align()
+        align_cameras(search)
         for _ in range(settings.splits):
             split_and_find(search)
-        search.weigh(CAPS[1])
+        weigh_pixels(search, CAPS[1])
         search.refine(search.fits)
 
     def _recognise(

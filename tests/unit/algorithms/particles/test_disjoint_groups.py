@@ -18,7 +18,8 @@ from tests.helpers.image_model import TYPICAL, model_of, paint, particles_of, ro
 from tests.unit.algorithms.particles.test_triangulation import COLUMNS, ROWS, maps, unit_points
 
 __all__ = ["maps"]
-COUNT, WINDOW, MOST = 600, 8, numba.config.NUMBA_NUM_THREADS
+COUNT, WINDOW, PORTIONS = 600, 8, 3
+MOST = numba.config.NUMBA_NUM_THREADS
 RNG = np.random.default_rng(12)
 Neighbours = tuple[I64, I64] | None
 
@@ -40,11 +41,10 @@ def test_groups_of_a_turn_share_no_pixel(
     maps: VolumePolynomials, whole: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
-    monkeypatch.setattr(module, "_PORTION", 200)
     points = unit_points(COUNT)
     neighbours = find_neighbours(maps, np.full((4, 2), 0.7), points) if whole else None
     rows = np.sort(RNG.permutation(COUNT)[:500])
-    turns = disjoint_groups(maps, points, rows, WINDOW, 0.3 * pixel_mm(maps), neighbours)
+    turns = disjoint_groups(maps, points, rows, WINDOW, 0.3 * pixel_mm(maps), PORTIONS, neighbours)
     assert (
         np.sort(np.concatenate([one for turn in turns for one in turn])).tolist() == rows.tolist()
     )
@@ -76,7 +76,7 @@ def fitted(maps: VolumePolynomials, points: F64, turns: list[list[I64]], threads
 
 def test_few_rows_keep_their_order(maps: VolumePolynomials) -> None:
     rows = RNG.permutation(COUNT)
-    turns = disjoint_groups(maps, unit_points(COUNT), rows, WINDOW, pixel_mm(maps))
+    turns = disjoint_groups(maps, unit_points(COUNT), rows, WINDOW, pixel_mm(maps), PORTIONS)
     assert [one.tolist() for turn in turns for one in turn] == [rows.tolist()]
 
 
@@ -85,7 +85,7 @@ def test_the_number_of_threads_does_not_change_a_fit(
 ) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
     points = 0.95 * unit_points(COUNT)
-    turns = disjoint_groups(maps, points, np.arange(COUNT), WINDOW, 0.3 * pixel_mm(maps))
+    turns = disjoint_groups(maps, points, np.arange(COUNT), WINDOW, 0.3 * pixel_mm(maps), PORTIONS)
     assert max(len(turn) for turn in turns) > 1
     one, two = (fitted(maps, points, turns, threads) for threads in (1, min(2, MOST)))
     for before, after in zip(one, two, strict=True):

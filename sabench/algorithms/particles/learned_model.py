@@ -1,0 +1,110 @@
+"""Noise, light, widths and shifts of cameras, learned from a search's particles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sabench.algorithms.particles.light_prior import learn_covariance
+from sabench.algorithms.particles.lone_particles import find_lone
+from sabench.algorithms.particles.model_moves import (
+    add_camera_misses,
+    add_width_misses,
+    measure_misfit,
+)
+from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.utils.arrays import I64
+
+_FEW = 30  # particles that tell nothing of all
+_ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
+_WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
+_WIDTH_STEPS = 2
+_OWN_ERROR = 0.03  # of a particle's image: particles differ
+_UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
+
+
+def weigh_pixels(search: ParticleSearch, cap: float) -> None:
+    """Estimate the variance of every pixel from what is left.
+
+    It is the noise of dark pixels and a share of the model's light; the part above the dark
+    noise is at most `cap` of a typical peak squared, but not less than what particles leave
+    whose images are a little wider or narrower than others', or what particles that are not
+    found yet leave.
+    """
+    for camera, peak in enumerate(search.peaks()):
+        known, dark = search.known[camera], search.noise[camera] ** 2
+        # no more than the image shows, or particles that are too bright would hide it
+        image = np.maximum(search.images[camera], 0.0)
+        model = np.clip(search.images[camera] - search.left[camera], 0.0, image)
+        miss = search.miss(camera)
+        squares = np.square(miss[known], dtype=np.float64)
+        squares = np.minimum(squares, 30.0 * squares.mean())
+        light = model[known].astype(np.float64)
+        terms = np.stack([np.ones_like(light), light], axis=1)
+        even, slope = np.linalg.lstsq(terms, squares, rcond=None)[0]
+        variance = np.minimum(max(even, dark) + max(slope, 0.0) * model, dark + (cap * peak) ** 2)
+        least = (_OWN_ERROR * model) ** 2 + (_UNKNOWN * miss) ** 2
+        search.variance[camera] = np.maximum(variance, dark + least)
+
+
+def learn_light(search: ParticleSearch) -> None:
+    """Learn typical light and its covariance from the particles that stand alone."""
+    lone = _lone(search)
+    if len(lone) < _FEW:
+        return
+    logs = np.log(search.light[lone] / search.typical)
+    search.typical = search.typical * np.exp(np.median(logs, axis=0))
+    search.covariance = learn_covariance(logs)
+
+
+def learn_widths(search: ParticleSearch) -> None:
+    """Learn the widths of images, and how they change, from lone particles.
+
+    Half of them count, those that leave least of their images: others may be two. Few must be
+    missing yet, because what they leave makes others wider.
+    """
+    lone = _lone(search)
+    if len(lone) < _FEW:
+        return
+    model, particles, cameras = search.model(), search.particles(), len(search.images)
+    misfit = np.zeros(len(search.position))
+    measure_misfit(model, search.room, particles, misfit)
+    misfit = misfit[lone] / search.common_light()[lone] ** 2
+    lone = lone[misfit <= np.median(misfit)]
+    for _ in range(_WIDTH_STEPS):
+        matrices, right = np.zeros((cameras, 8, 8)), np.zeros((cameras, 8))
+        add_width_misses(model, search.room, particles, lone, matrices, right)
+        sigma = np.repeat(search.sigma[:, :, None], 4, axis=2)
+        known = (np.array([_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]) * sigma).reshape(-1, 8) ** -2.0
+        right -= known * (search.widths - search.first_widths).reshape(-1, 8)
+        matrices += known[:, :, None] * np.eye(8)
+        step = np.linalg.solve(matrices, right[:, :, None]).reshape(search.widths.shape)
+        most = _WIDTH_CHANGE * sigma
+        search.widths += np.clip(step, -most, most)
+        search.subtract_all()
+
+
+def align_cameras(search: ParticleSearch) -> None:
+    """Shift each camera's pixels to where it sees the particles.
+
+    A shift that particles take part in, as one of all cameras, cannot be seen.
+    """
+    if len(search.position) < _FEW:
+        return
+    for _ in range(_ALIGNMENTS):
+        sums = np.zeros((len(search.images), 5))
+        add_camera_misses(search.model(), search.room, search.particles(), sums)
+        xx, xy, yy, x, y = sums.T
+        matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
+        shifts = np.zeros((len(matrix), 2))
+        there = np.linalg.det(matrix) > 0.0  # cameras that see some particles
+        right = np.stack([x, y], axis=1)[there, :, None]
+        shifts[there] = np.linalg.solve(matrix[there], right)[:, :, 0]
+        search.maps.coefficients[:, 0] += np.clip(shifts, -_FARTHEST_PX, _FARTHEST_PX)
+        search.subtract_all()
+        search.refine(1)
+
+
+def _lone(search: ParticleSearch) -> I64:
+    return find_lone(
+        search.maps, search.position, search.light, search.sigma, search.images.shape[1:]
+    )
