@@ -8,6 +8,7 @@ from pydantic import Field
 from sabench.algorithms.refocus import (
     ExtractionParameters,
     extract_particles,
+    find_edge_on,
     refocus_sum,
     typical_where_covered,
 )
@@ -37,6 +38,10 @@ class Asa(Solver):
         "Belden et al., Meas. Sci. Technol. 21 (2010) 125403",
     )
     Parameters = AsaParameters
+
+    def skip(self, case: Observation) -> str | None:
+        """Skip cameras that see planes of constant Z edge-on."""
+        return find_edge_on(case.cameras, case.grid)
 
     def solve(self, case: Observation) -> Reconstruction:
         """Compute I_k = (1 / N) sum_i I_ki, thresholded plane by plane."""

@@ -19,6 +19,7 @@ from sabench.algorithms.bubbles import (
     find_edges,
     find_ellipses,
 )
+from sabench.algorithms.refocus import find_edge_on
 from sabench.api import (
     F32,
     F64,
@@ -71,6 +72,10 @@ class LocalFeature(BubbleSolver):
     name = "local_feature"
     references = ("J. Belden, MIT thesis, section 5.4.3", "Y. Xie and Q. Ji, ICPR 2002")
     Parameters = LocalFeatureParameters
+
+    def skip(self, case: Observation) -> str | None:
+        """Skip cameras that see planes of constant Z edge-on."""
+        return find_edge_on(case.cameras, case.grid)
 
     def solve(self, case: Observation) -> Detections:
         """Detect bubbles by steps 1 to 4 of the section."""

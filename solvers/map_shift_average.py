@@ -5,6 +5,7 @@ from __future__ import annotations
 from sabench.algorithms.refocus import (
     ExtractionParameters,
     extract_particles,
+    find_edge_on,
     refocus_by_shifts,
     typical_where_covered,
 )
@@ -23,6 +24,10 @@ class MapShiftAverage(Solver):
         "Vaish et al., Using plane + parallax for calibrating dense camera arrays, CVPR 2004",
     )
     Parameters = ExtractionParameters
+
+    def skip(self, case: Observation) -> str | None:
+        """Skip cameras that see planes of constant Z edge-on."""
+        return find_edge_on(case.cameras, case.grid)
 
     def solve(self, case: Observation) -> Reconstruction:
         """Average mapped and shifted images, thresholded plane by plane.

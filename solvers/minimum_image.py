@@ -14,6 +14,7 @@ from sabench.algorithms.bubbles import (
     merge_overlaps,
     minimum_images,
 )
+from sabench.algorithms.refocus import find_edge_on
 from sabench.api import BubbleSolver, Detections, Observation, Parameters, progress_bar
 
 
@@ -39,6 +40,10 @@ class MinimumImage(BubbleSolver):
     name = "minimum_image"
     references = ("J. Belden, MIT thesis, section 5.4.2",)
     Parameters = MinimumImageParameters
+
+    def skip(self, case: Observation) -> str | None:
+        """Skip cameras that see planes of constant Z edge-on."""
+        return find_edge_on(case.cameras, case.grid)
 
     def solve(self, case: Observation) -> Detections:
         """Detect bubbles by steps 1 to 5 of the section."""

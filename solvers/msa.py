@@ -9,6 +9,7 @@ from sabench.algorithms.refocus import (
     ExtractionParameters,
     count_views,
     extract_particles,
+    find_edge_on,
     refocus_log2,
 )
 from sabench.api import Observation, Reconstruction, Solver
@@ -51,6 +52,10 @@ class Msa(Solver):
         "Belden et al., Meas. Sci. Technol. 21 (2010) 125403",
     )
     Parameters = MsaParameters
+
+    def skip(self, case: Observation) -> str | None:
+        """Skip cameras that see planes of constant Z edge-on."""
+        return find_edge_on(case.cameras, case.grid)
 
     def solve(self, case: Observation) -> Reconstruction:
         """Compute I_k = prod_i max(I_ki, floor)^n, thresholded plane by plane."""

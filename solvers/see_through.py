@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from sabench.algorithms.bubbles import transmission
-from sabench.algorithms.refocus import refocus_log2, refocus_sum
+from sabench.algorithms.refocus import find_edge_on, refocus_log2, refocus_sum
 from sabench.api import (
     F32,
     Flaws,
@@ -45,6 +45,10 @@ class SeeThrough(SeeThroughSolver):
     name = "see_through"
     references = ("J. Belden, MIT thesis, equations 3.3, 3.4 and 3.9, figure 1-3",)
     Parameters = SeeThroughParameters
+
+    def skip(self, case: Observation) -> str | None:
+        """Skip cameras that see planes of constant Z edge-on."""
+        return find_edge_on(case.cameras, case.grid)
 
     def solve(self, case: Observation) -> Reconstruction:
         """Compute the transmission (z, y, x) of every voxel from the views."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.algorithms.particles.correspondence import match
+from sabench.algorithms.particles.correspondence import follow_lines, match
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.images.peaks import Peaks
 from sabench.utils.arrays import F64, I64
@@ -47,26 +47,14 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
     If they are too many, they are those of a random part of the first camera's images.
     The shares of right and wrong sets then stay the same.
     """
-    pixels = np.stack(
-        [
-            project_points(maps, c, np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]))
-            for c in range(len(peaks))
-        ]
-    )
-    travel = float(
-        np.linalg.norm(
-            (pixels[1:, 1] - pixels[1:, 0]) - (pixels[0, 1] - pixels[0, 0]), axis=1
-        ).max()
-    )
+    along, steps = follow_lines(maps, range(len(peaks)), _STEP_PX)
     positions, hits, errors = (
         np.empty((_SETS, 3)),
         np.empty((_SETS, len(peaks)), dtype=np.int32),
         np.empty((_SETS, len(peaks), 2)),
     )
     order = np.random.default_rng(0).permutation(len(peaks[0].pixels))
-    count = match(
-        maps, peaks, order, reach_px, max(2, int(travel / _STEP_PX) + 2), positions, hits, errors
-    )
+    count = match(maps, peaks, order, reach_px, along, steps, positions, hits, errors)
     return Sets(positions[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
 
 

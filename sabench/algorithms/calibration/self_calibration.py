@@ -16,11 +16,13 @@ from sabench.algorithms.calibration.disparity import Sets, correct, find_sets
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.robust import median_noise
 from sabench.algorithms.particles.correspondence import pair_up
+from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps
 from sabench.api import Observation
 from sabench.geometry.camera import Camera
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
     fit_volume_polynomials,
+    points_in_mm,
     project_points,
 )
 from sabench.images.peaks import Peaks, find_peaks
@@ -52,13 +54,15 @@ class Tracking:
     cameras : nominal cameras, those of the core first.
     order : their numbers in the case.
     peaks : their particle images.
-    maps : polynomials of the nominal cameras.
+    maps : polynomials of the nominal cameras, in a box along the rig's axes.
+    axes : (3, 3) these, one a row.
     """
 
     cameras: tuple[Camera, ...]
     order: tuple[int, ...]
     peaks: tuple[Peaks, ...]
     maps: VolumePolynomials
+    axes: F64
 
     @classmethod
     def from_case(cls, case: Observation, light: F32, bright: float) -> Tracking:
@@ -82,7 +86,9 @@ class Tracking:
         low = np.asarray(case.grid.low_mm)
         high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)
         cameras = tuple(pinholes[number] for number in order)
-        return cls(cameras, tuple(order), peaks, fit_volume_polynomials(cameras, low, high))
+        maps = fit_volume_polynomials(cameras, low, high)
+        axes = rig_axes(maps)
+        return cls(cameras, tuple(order), peaks, turn_maps(maps, axes), axes)
 
 
 def _spread(centers: F64) -> list[int]:
@@ -223,9 +229,9 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
     determines what particles do not show.
     """
     (positions, pixels), maps = matched, tracking.maps
-    particles = maps.middle_mm + maps.half_mm * positions
-    axes = [np.linspace(-1.0, 1.0, count) for count in _LATTICE]
-    lattice = maps.middle_mm + maps.half_mm * np.array(list(itertools.product(*axes)))
+    particles = points_in_mm(maps, positions) @ tracking.axes
+    nodes = [np.linspace(-1.0, 1.0, count) for count in _LATTICE]
+    lattice = points_in_mm(maps, np.array(list(itertools.product(*nodes)))) @ tracking.axes
     points = np.vstack([particles, lattice])
     nominal = np.stack([camera.project(lattice)[0] for camera in tracking.cameras])
     both = np.concatenate([pixels, nominal], axis=1)

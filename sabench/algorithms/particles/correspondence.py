@@ -11,7 +11,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.geometry.volume_polynomials import project_point
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    project_point,
+    project_with_slopes,
+)
 from sabench.images.peaks import find_near
 
 _NEAR = 64  # particle images looked at around one position
@@ -59,18 +63,33 @@ def _compute_step(gains: Any, misses: Any, cameras: int, step: Any) -> None:
             step[p] += gains[c, 0, p] * misses[c, 0] + gains[c, 1, p] * misses[c, 1]
 
 
+def follow_lines(maps: VolumePolynomials, cameras: range, step_px: float) -> tuple[int, int]:
+    """Choose how the first camera's lines of sight are followed through the box.
+
+    Returns the axis of the box along which the one in its middle runs the most, and how many
+    positions along it are at most a step apart in the images of these cameras.
+    """
+    slopes = [project_with_slopes(maps, camera, np.zeros((1, 3)))[1][0] for camera in (0, *cameras)]
+    line = np.linalg.svd(slopes[0])[2][2]
+    along = int(np.argmax(np.abs(line)))
+    through = 2.0 * line / abs(line[along])
+    longest = max(float(np.linalg.norm(slope @ through)) for slope in slopes)
+    return along, max(2, int(longest / step_px) + 2)
+
+
 @numba.njit(cache=True)
-def move_to_pixel(maps: Any, pixel: Any, position: Any, here: Any, slope: Any) -> bool:
-    """Move a position in x and y so that the first camera sees it at a pixel."""
+def move_to_pixel(maps: Any, pixel: Any, position: Any, along: int, here: Any, slope: Any) -> bool:
+    """Move a position, but not along an axis, so that the first camera sees it at a pixel."""
+    a, b = (along + 1) % 3, (along + 2) % 3
     for _ in range(10):
         project_point(maps, 0, position, here, slope)
         du, dv = pixel[0] - here[0], pixel[1] - here[1]
-        determinant = slope[0, 0] * slope[1, 1] - slope[0, 1] * slope[1, 0]
-        position[0] += (slope[1, 1] * du - slope[0, 1] * dv) / determinant
-        position[1] += (slope[0, 0] * dv - slope[1, 0] * du) / determinant
+        determinant = slope[0, a] * slope[1, b] - slope[0, b] * slope[1, a]
+        position[a] += (slope[1, b] * du - slope[0, b] * dv) / determinant
+        position[b] += (slope[0, a] * dv - slope[1, a] * du) / determinant
         if abs(du) + abs(dv) < 1e-3:
             break
-    return bool(abs(position[0]) <= 1.0 and abs(position[1]) <= 1.0)
+    return bool(abs(position[a]) <= 1.0 and abs(position[b]) <= 1.0)
 
 
 @numba.njit(cache=True)
@@ -79,6 +98,7 @@ def match(
     peaks: Any,
     order: Any,
     radius: float,
+    along: int,
     steps: int,
     positions: Any,
     hits: Any,
@@ -97,7 +117,7 @@ def match(
     ----------
     peaks : one `Peaks` of each camera.
     order : numbers of the first camera's images, in the order in which they are taken.
-    steps : positions on a line of sight, close enough for `radius`.
+    along, steps : axis and number of positions on a line of sight, from `follow_lines`.
     positions : (sets, 3) filled with the positions, x, y, z from -1 to 1.
     hits : (sets, cameras) filled with the numbers of the images.
     errors : (sets, cameras, 2) filled with where the images lie against where the cameras see the
@@ -115,9 +135,9 @@ def match(
         chosen[0], left = first, 0
         position[:] = 0.0
         for n in range(steps):
-            position[2] = -1.0 + 2.0 * n / (steps - 1)
-            if not move_to_pixel(maps, peaks[0].pixels[first], position, here, slope):
-                position[:2] = 0.0
+            position[along] = -1.0 + 2.0 * n / (steps - 1)
+            if not move_to_pixel(maps, peaks[0].pixels[first], position, along, here, slope):
+                position[:] = 0.0
                 continue
             project_point(maps, 1, position, here, slope)
             for k in range(find_near(peaks[1], here, radius, second)):

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from sabench.algorithms.particles.correspondence import move_to_pixel
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
+from sabench.algorithms.particles.correspondence import follow_lines, move_to_pixel
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64, Bool
 
@@ -56,19 +56,9 @@ def find_candidates(
     """
     most = _ROOM * len(peaks[0].pixels)
     position, hit, error = np.zeros((most, 3)), np.full((most, len(peaks)), -1), np.zeros(most)
-    steps = max(2, int(_travel(maps) / reach_px) + 2)
-    count = _follow(maps, peaks, reach_px, covered, steps, position, hit, error)
+    along, steps = follow_lines(maps, range(1, 2), reach_px)
+    count = _follow(maps, peaks, reach_px, covered, along, steps, position, hit, error)
     return Candidates(position[:count], hit[:count], error[:count])
-
-
-def _travel(maps: VolumePolynomials) -> float:
-    """Compute the length in the second image of a line of sight of the first camera.
-
-    The length is in px; the line runs from the front to the back of the box.
-    """
-    ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-    here, there = project_points(maps, 0, ends), project_points(maps, 1, ends)
-    return float(np.linalg.norm(np.diff(there, axis=0)) + np.linalg.norm(np.diff(here, axis=0)))
 
 
 def select_best(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
@@ -95,6 +85,7 @@ def _follow(
     peaks: Any,
     radius: float,
     covered: Any,
+    along: int,
     steps: int,
     positions: Any,
     hits: Any,
@@ -115,9 +106,9 @@ def _follow(
         left = 0
         position[:] = 0.0
         for n in range(steps):
-            position[2] = -1.0 + 2.0 * n / (steps - 1)
-            if not move_to_pixel(maps, peaks[0].pixels[first], position, here, slope):
-                position[:2] = 0.0
+            position[along] = -1.0 + 2.0 * n / (steps - 1)
+            if not move_to_pixel(maps, peaks[0].pixels[first], position, along, here, slope):
+                position[:] = 0.0
                 continue
             project_point(maps, 1, position, here, slope)
             for k in range(find_near(peaks[1], here, 1.5 * radius, near)):

@@ -3,6 +3,7 @@
 Images of all cameras are summed or multiplied on planes of the world.
 """
 
+from sabench.algorithms.refocus.plane_view import find_edge_on
 from sabench.algorithms.refocus.synthetic_aperture import (
     count_views,
     refocus_by_shifts,
@@ -24,6 +25,7 @@ __all__ = [
     "count_views",
     "extract",
     "extract_particles",
+    "find_edge_on",
     "occupancy",
     "refocus_by_shifts",
     "refocus_log2",

@@ -59,12 +59,10 @@ def scale_of(cameras: Sequence[CameraModel], grid: Grid) -> Scale:
     ends = middle + np.concatenate([np.eye(3), -np.eye(3)]) * np.asarray(grid.voxel_mm) / 2.0
     pixels = np.stack([_visible(camera, ends) for camera in cameras])
     steps = pixels[:, :3] - pixels[:, 3:]
-    across = (
-        steps[:, :2] / np.asarray(grid.voxel_mm)[:2, None]
-    )  # a camera that looks from the side sees one direction foreshortened: not the other
+    by_mm = steps / np.asarray(grid.voxel_mm)[:, None]
     return Scale(
         triple(np.linalg.norm(steps, axis=2).max(axis=0)),
-        float(np.linalg.svd(across, compute_uv=False)[:, 0].mean()),
+        float(np.linalg.svd(by_mm, compute_uv=False)[:, 0].mean()),
     )
 
 

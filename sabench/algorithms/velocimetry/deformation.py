@@ -174,12 +174,22 @@ def _read_edge(
     depth, height, width = coefficients.shape
     for x in range(first, end):
         i, j, k = x + corners[0, x], corners[1, x], corners[2, x]
-        if i < 0 or j < 0 or k < 0 or i > width - 1 or j > height - 1 or k > depth - 1:
+        if (
+            _is_beyond(i, positions[0, x], width)
+            or _is_beyond(j, positions[1, x], height)
+            or _is_beyond(k, positions[2, x], depth)
+        ):
             beyond[x] = True
         else:
             out[x] = _sample(
                 coefficients, (i, j, k), (positions[0, x], positions[1, x], positions[2, x])
             )
+
+
+@numba.njit(cache=True)
+def _is_beyond(voxel: int, part: Any, count: int) -> bool:
+    """Say whether a point, a part of a step after a voxel, is not between the first and last."""
+    return voxel < 0 or voxel >= count or (voxel == count - 1 and part > 0.0)
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -152,7 +152,7 @@ def matched(maps: VolumePolynomials, peaks: tuple[Peaks, ...], radius: float) ->
     """Positions and errors of the sets that self-calibration matches."""
     positions, errors = np.zeros((500, 3)), np.zeros((500, 4, 2))
     hits, order = np.zeros((500, 4), dtype=np.int64), np.arange(len(peaks[0].pixels))
-    count = match(maps, peaks, order, radius, 200, positions, hits, errors)
+    count = match(maps, peaks, order, radius, 2, 200, positions, hits, errors)
     return positions[:count], errors[:count]
 
 
@@ -181,7 +181,7 @@ def test_a_line_of_sight_is_followed_as_far_as_the_box_goes(maps: VolumePolynomi
     for goal in ([0.3, 0.4, -0.5], [0.3, 1.3, -0.5], [-1.2, 0.2, 0.6], [0.9, -1.1, 0.0]):
         pixel = project_points(maps, 0, np.array([goal]))[0]
         position = np.array([0.0, 0.0, goal[2]])
-        inside = move_to_pixel(maps, pixel, position, here, slope)
+        inside = move_to_pixel(maps, pixel, position, 2, here, slope)
         assert inside == (max(np.abs(goal)) <= 1.0)
         if inside:
             np.testing.assert_allclose(position, goal, atol=1e-4)
@@ -237,5 +237,5 @@ def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back()
         )
         positions, errors = np.zeros((5, 3)), np.zeros((5, 4, 2))
         hits, order = np.zeros((5, 4), dtype=np.int64), np.arange(1)
-        assert match(maps, peaks, order, 0.5, 3, positions, hits, errors) == 1
+        assert match(maps, peaks, order, 0.5, 2, 3, positions, hits, errors) == 1
         np.testing.assert_allclose(positions[0], point, atol=1e-6)

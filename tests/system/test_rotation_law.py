@@ -1,0 +1,116 @@
+"""A rig that is rotated as a whole gives the same results, or a sentence why it cannot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from sabench.api import Camera, ImageSequence, Observation, VolumePair
+from sabench.api.make import make_algorithm
+from sabench.geometry.grid import Grid
+from sabench.utils.arrays import F64
+from tests.helpers.small_particles import make_small, rotate_rig
+
+ROTATIONS = [
+    np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),  # X to Z, Y to X, Z to Y
+    np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),  # X to Z, Z to -X
+]
+PARTICLES = ["ray_triangulation", "inverse_rendering", "shake_the_box", "optv"]
+TOMOGRAPHY = ["block_mart", "mart", "mfg_mart", "mlos_sart", "mlos_smart", "smart"]
+PLANES = ["asa", "local_feature", "map_shift_average", "minimum_image", "msa", "see_through"]
+
+
+def make(name: str, parameters: dict[str, Any] | None = None) -> Any:
+    return make_algorithm(name, parameters or {})
+
+
+@pytest.fixture(scope="module")
+def case() -> Observation:
+    return make_small(3).observation
+
+
+def rotate_field(field: Any, rotation: F64) -> Any:
+    """A field (z, y, x) on the grid of `rotate_rig`: each axis goes where the rotation sends it."""
+    by_xyz = field.transpose(2, 1, 0, *range(3, field.ndim))
+    axes = [int(np.flatnonzero(row)[0]) for row in rotation]
+    turned = by_xyz.transpose(*axes, *range(3, field.ndim))
+    turned = np.flip(turned, tuple(k for k in range(3) if rotation[k, axes[k]] < 0.0))
+    return turned.transpose(2, 1, 0, *range(3, field.ndim))
+
+
+def one_frame(case: Observation) -> ImageSequence:
+    return ImageSequence(case.cameras, case.grid, (0.0,), lambda _: case)
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+@pytest.mark.parametrize("name", TOMOGRAPHY)
+def test_tomography_follows_the_rig(case: Observation, name: str, rotation: F64) -> None:
+    volume = make(name).solve(case).volume
+    turned = make(name).solve(rotate_rig(case, rotation)).volume
+    expected = rotate_field(volume, rotation)
+    assert np.abs(turned - expected).max() < 2e-3 * volume.max()
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+@pytest.mark.parametrize(
+    "name", ["ray_triangulation", "inverse_rendering", "shake_the_box", "optv"]
+)
+def test_particles_follow_the_rig(case: Observation, name: str, rotation: F64) -> None:
+    (found,) = make(name).solve(one_frame(case))
+    (turned,) = make(name).solve(one_frame(rotate_rig(case, rotation)))
+    assert len(found.position_mm) == len(turned.position_mm) > 50
+    distances = cKDTree(turned.position_mm @ rotation).query(found.position_mm)[0]
+    assert np.quantile(distances, 0.9) < 2e-4
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_self_calibration_follows_the_rig(rotation: F64) -> None:
+    case = make_small(
+        3, 0.012, (3, 2), cameras={"rows": 120, "columns": 160}, volume={"size_mm": [8.0, 6.0, 2.0]}
+    ).observation
+    first = case.cameras[0]
+    assert isinstance(first, Camera)
+    column, row = first.principal_point_px
+    off = replace(first, principal_point_px=(column + 0.6, row - 0.4))
+    wrong = replace(case, cameras=(off, *case.cameras[1:]))
+    points = np.random.default_rng(2).uniform(-0.8, 0.8, (40, 3))
+    solver = make("volume_self_calibration")
+    for one, other in zip(
+        solver.solve(wrong).cameras, solver.solve(rotate_rig(wrong, rotation)).cameras, strict=True
+    ):
+        pixels, turned = one.project(points)[0], other.project(points @ rotation.T)[0]
+        assert np.abs(pixels - turned).max() < 1e-3
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+@pytest.mark.parametrize("name", ["piv3d", "piv3d_plain"])
+def test_velocities_follow_the_rig(name: str, rotation: F64) -> None:
+    rng = np.random.default_rng(5)
+    blobs = rng.uniform(0.0, 40.0, (400, 3))
+    z, y, x = np.meshgrid(*[np.arange(40.0)] * 3, indexing="ij")
+    first, second = np.zeros((40, 40, 40), np.float32), np.zeros((40, 40, 40), np.float32)
+    for place in blobs:
+        for volume, shift in ((first, 0.0), (second, np.array([1.5, 0.5, -1.0]))):
+            px, py, pz = place + shift
+            around = np.exp(-((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2) / 2.0)
+            volume += around.astype(np.float32)
+    grid = Grid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (40, 40, 40))
+    cubes = {"window": [16, 16, 16]} | ({"first_window": [16] * 3} if name == "piv3d" else {})
+    solver = make(name, cubes)
+    field = solver.solve(VolumePair(first, second, grid, 1.0)).velocity_mm_s
+    before, after = (np.ascontiguousarray(rotate_field(one, rotation)) for one in (first, second))
+    turned = solver.solve(VolumePair(before, after, grid, 1.0)).velocity_mm_s
+    np.testing.assert_allclose(turned, rotate_field(field, rotation) @ rotation.T, atol=2e-2)
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_planes_seen_edge_on_are_refused(case: Observation, name: str) -> None:
+    solver = make(name)
+    assert solver.skip(case) is None
+    reason = solver.skip(rotate_rig(case, ROTATIONS[0]))
+    assert reason is not None
+    assert reason.startswith("it refocuses planes of constant Z, which c")
