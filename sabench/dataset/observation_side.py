@@ -86,7 +86,8 @@ def _copy_side(dataset: Dataset, folder: Path, blind: bool) -> None:
     if blind:
         copy_observation(dataset, folder)
         return
-    for name in [*dataset.manifest.files, schema.MANIFEST]:
+    whole = dataset.contents if dataset.recorded else dataset.manifest
+    for name in [*whole.files, schema.MANIFEST]:
         place = inside(folder, name)
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(inside(dataset.root, name), place)

@@ -1,0 +1,329 @@
+"""Import of real recordings: images and calibrated cameras become a data set without truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sabench.dataset.recorded_writer import RecordedWriter, recorded_writer
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.common_view import grid_of_box, pixel_size_mm, propose_box, share_in_view
+from sabench.geometry.grid import Grid
+from sabench.images.grey_levels import GreyLevels, GreyValues
+from sabench.images.image_files import Files, find_image_files
+from sabench.images.image_reading import RawLayout, read_images
+from sabench.images.preprocessing import Step
+from sabench.utils.arrays import Bool
+from sabench.utils.errors import InputError
+from sabench.utils.progress import progress_bar
+
+Box = tuple[float, float, float, float, float, float]
+Taken = tuple[CameraModel, tuple[Path, ...]]  # a camera and its files
+_ENOUGH = 0.5  # share of the grid that a camera should see
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """Facts of a recording that its images and calibration do not tell.
+
+    Attributes
+    ----------
+    pattern : path of an image below the folder, see `find_image_files`.
+    pairs : calibrated camera of each camera of the images, by their names; the others of both are
+        left out. None: by name, or else in order.
+    frames : range of the images of each camera to take.
+    raw : layout of raw files.
+    masks : folder with an image for each camera, by its name; 0 marks pixels that do not count.
+    volume_mm : x0, x1, y0, y1, z0, z1 of the box that is lit; None: the calibration's grid, or else
+        one that is proposed.
+    voxel_mm : size of voxels; None: the calibration's, or else that of a pixel in the box's middle.
+    interval_s : time between frames.
+    pulses, period_s : number of frames in a group, 2 for double frames, and the time from group to
+        group.
+    black_dn, white_dn : grey values of no light and of saturation; None: estimated for each camera.
+    preprocessing : steps that solvers' images pass.
+    backlit : whether the images show bubbles or bodies in front of a bright background.
+    """
+
+    pattern: str | None = None
+    pairs: Mapping[str, str] | None = None
+    frames: slice = field(default_factory=lambda: slice(None))
+    raw: RawLayout | None = None
+    masks: Path | None = None
+    volume_mm: Box | None = None
+    voxel_mm: float | None = None
+    interval_s: float = 1.0
+    pulses: int = 1
+    period_s: float | None = None
+    black_dn: float | None = None
+    white_dn: float | None = None
+    preprocessing: tuple[Step, ...] = ()
+    backlit: bool = False
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Levels and grid of an imported recording, and notes for the user.
+
+    Attributes
+    ----------
+    frames : number of images of each camera.
+    grid : of the data set.
+    levels : of each camera, by its name.
+    notes : one sentence each.
+    """
+
+    frames: int
+    grid: Grid
+    levels: dict[str, GreyLevels]
+    notes: tuple[str, ...]
+
+
+def import_recording(
+    folder: Path,
+    calibration: Sequence[CameraModel],
+    out: Path,
+    options: ImportOptions,
+    grid: Grid | None = None,
+    *,
+    overwrite: bool = False,
+) -> Imported:
+    """Make a data set without truth of a folder of images and calibrated cameras.
+
+    Images are copied as 16-bit TIFF. Those of cameras with smaller sensors are extended to one
+    size, and what is added is masked.
+
+    Parameters
+    ----------
+    calibration : cameras of any model.
+    grid : of the calibration, if it has one.
+
+    Raises
+    ------
+    InputError
+        Images or cameras that are missing, of another size, or of different numbers; a camera that
+        sees nothing of the volume; and anything that an option, a file or a camera is not.
+    """
+    notes: list[str] = []
+    files = find_image_files(folder, [one.name for one in calibration], options.pattern)
+    chosen = _match(folder, files, calibration, options.pairs, notes)
+    cameras = [camera for camera, _ in chosen]
+    voxels = _grid(cameras, options, grid, notes)
+    _check_views(cameras, voxels, notes)
+    with recorded_writer(out, folder.resolve().name, overwrite=overwrite) as writer:
+        counts, values = _copy_all(writer, chosen, options)
+        made = Imported(_one_length(folder, counts), voxels, _levels(values, options), tuple(notes))
+        writer.set_cameras(_of_one_size(cameras), **_keys(made, options))
+    return made
+
+
+def _of_one_size(cameras: Sequence[Any]) -> list[CameraModel]:
+    """Extend the images of cameras, which are dataclasses, to the largest one."""
+    rows, columns = _largest(cameras)
+    return [dataclasses.replace(one, rows=rows, columns=columns) for one in cameras]
+
+
+def _largest(cameras: Sequence[CameraModel]) -> tuple[int, int]:
+    return max(one.rows for one in cameras), max(one.columns for one in cameras)
+
+
+def _match(
+    folder: Path,
+    files: Files,
+    cameras: Sequence[CameraModel],
+    pairs: Mapping[str, str] | None,
+    notes: list[str],
+) -> list[Taken]:
+    """Find the files of each calibrated camera: as paired, by its name, or in order."""
+    named = {camera.name: camera for camera in cameras}
+    if pairs is not None:
+        return [
+            (_known(named, own, "camera"), _known(files, of, "images")) for of, own in pairs.items()
+        ]
+    alike = {_plain(name): name for name in files}
+    if any(_plain(name) in alike for name in named):
+        _check_pairs(folder, set(alike), [_plain(name) for name in named])
+        return [(camera, files[alike[_plain(camera.name)]]) for camera in cameras]
+    if len(files) != len(named):
+        raise InputError(
+            f"{folder}: expected images of {len(named)} cameras ({', '.join(named)}), got "
+            f"{len(files)} ({', '.join(files)}); name the pairs, or the pattern of the files"
+        )
+    pairs_in_order = ", ".join(f"{of} = {own}" for of, own in zip(files, named, strict=True))
+    notes.append(f"no images have a camera's name: taken in order, {pairs_in_order}")
+    return list(zip(cameras, files.values(), strict=True))
+
+
+def _check_pairs(folder: Path, images: set[str], cameras: Sequence[str]) -> None:
+    missing, spare = [one for one in cameras if one not in images], sorted(images - set(cameras))
+    if missing:
+        raise InputError(
+            f"{folder}: expected images of all {len(cameras)} cameras, found none of "
+            f"{', '.join(missing)}; name the pairs to leave cameras out"
+        )
+    if spare:
+        raise InputError(
+            f"{folder}: expected a calibration of each camera, found none of {', '.join(spare)}; "
+            "name the pairs to leave images out"
+        )
+
+
+def _known(known: Mapping[str, Any], name: str, kind: str) -> Any:
+    if name not in known:
+        raise InputError(f"{kind}: expected one of {', '.join(known)}, got {name!r}")
+    return known[name]
+
+
+def _plain(name: str) -> str:
+    return "".join(mark for mark in name.lower() if mark.isalnum())
+
+
+def _grid(
+    cameras: Sequence[CameraModel],
+    options: ImportOptions,
+    calibrated: Grid | None,
+    notes: list[str],
+) -> Grid:
+    """Choose the grid: of the options, the calibration, or one that all cameras see."""
+    if options.volume_mm is None and options.voxel_mm is None and calibrated is not None:
+        return calibrated
+    if options.volume_mm is not None:
+        low, high = np.array(options.volume_mm[::2]), np.array(options.volume_mm[1::2])
+    elif calibrated is not None:
+        low = np.asarray(calibrated.low_mm) - 0.5 * np.asarray(calibrated.voxel_mm)
+        high = low + np.asarray(calibrated.voxel_mm) * calibrated.shape[::-1]
+    else:
+        low, high = propose_box(cameras)
+        notes.append("the volume is what all cameras see; set --volume to the part that is lit")
+    voxel_mm = options.voxel_mm or pixel_size_mm(cameras, 0.5 * (low + high))
+    return grid_of_box(low, high, voxel_mm)
+
+
+def _check_views(cameras: Sequence[CameraModel], grid: Grid, notes: list[str]) -> None:
+    for camera in cameras:
+        lit, seen = share_in_view(camera, grid)
+        if not seen:
+            raise InputError(
+                f"{camera.name}: expected it to see some of the volume, but it sees nothing of it; "
+                "check the volume, and units and axes of the calibration"
+            )
+        if lit < 1.0:
+            notes.append(
+                f"{camera.name}: {1.0 - lit:.0%} of the volume has no light path to it, which "
+                "particle solvers refuse: is part of it in or before the wall?"
+            )
+        if seen < _ENOUGH:
+            notes.append(f"{camera.name}: it sees {seen:.0%} of the volume only")
+
+
+def _copy_all(
+    writer: RecordedWriter, chosen: Sequence[Taken], options: ImportOptions
+) -> tuple[dict[str, int], dict[str, GreyValues]]:
+    """Copy the images and masks of all cameras.
+
+    Returns the number of images and the grey values of each, by its name.
+    """
+    largest = _largest([camera for camera, _ in chosen])
+    counts, values = dict[str, int](), dict[str, GreyValues]()
+    for camera, paths in chosen:
+        mask = _mask(camera, options.masks, largest)
+        if mask is not None:
+            writer.add_mask(camera.name, mask)
+        values[camera.name] = GreyValues()
+        images = itertools.islice(
+            read_images(paths, (camera.rows, camera.columns), options.raw),
+            *(options.frames.start, options.frames.stop, options.frames.step),
+        )
+        for frame, image in enumerate(progress_bar(images, f"import {camera.name}")):
+            values[camera.name].add(
+                image, None if mask is None else mask[: camera.rows, : camera.columns]
+            )
+            writer.add_image(camera.name, frame, _extended(image, largest))
+            counts[camera.name] = frame + 1
+        if camera.name not in counts:
+            raise InputError(f"{camera.name}: expected images in the range of frames, got none")
+    return counts, values
+
+
+def _extended(image: Any, shape: tuple[int, int]) -> Any:
+    """Extend an image (row, column) by zeros on the right and below."""
+    return np.pad(image, [(0, size - own) for size, own in zip(shape, image.shape, strict=True)])
+
+
+def _mask(camera: CameraModel, folder: Path | None, shape: tuple[int, int]) -> Bool | None:
+    """Read which pixels (row, column) of the extended image count; None: all."""
+    own = np.ones((camera.rows, camera.columns), dtype=np.bool_)
+    if folder is not None:
+        found = find_image_files(folder, [camera.name], "{camera}.*")
+        if camera.name in found:
+            own = next(read_images(found[camera.name], (camera.rows, camera.columns))) > 0
+    counts: Bool = _extended(own, shape)
+    return None if counts.all() else counts
+
+
+def _levels(values: Mapping[str, GreyValues], options: ImportOptions) -> dict[str, GreyLevels]:
+    """Choose each camera's levels: those of the options, or else estimates."""
+    bit_depth = max(one.bit_depth for one in values.values())
+    given = {"black_dn": options.black_dn, "white_dn": options.white_dn}
+    known: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    return {
+        name: dataclasses.replace(one.levels(bit_depth, backlit=options.backlit), **known)
+        for name, one in values.items()
+    }
+
+
+def _one_length(folder: Path, counts: Mapping[str, int]) -> int:
+    if len(set(counts.values())) > 1:
+        got = ", ".join(f"{count} of {name}" for name, count in counts.items())
+        raise InputError(
+            f"{folder}: expected as many images of each camera, got {got}; give the range of "
+            "frames that all have"
+        )
+    return next(iter(counts.values()))
+
+
+def _keys(made: Imported, options: ImportOptions) -> dict[str, Any]:
+    """List the keys of cameras.json besides the cameras and their walls."""
+    levels = list(made.levels.values())
+    both = [(one.black_dn, one.white_dn) for one in levels]
+    sensor: dict[str, Any] = {
+        "black_dn": both[0][0],
+        "white_dn": both[0][1],
+        "bit_depth": max(one.bit_depth for one in levels),
+    }
+    if len(set(both)) > 1:
+        sensor["by_camera"] = both
+    keys: dict[str, Any] = {
+        "frames": made.frames,
+        "interval_s": options.interval_s,
+        "sensor": sensor,
+        "grid": made.grid,
+        "shows": ["bubbles" if options.backlit else "particles"],
+    }
+    if options.pulses > 1:
+        keys["pulses"] = options.pulses
+        keys["times_s"] = _times(made.frames, options)
+    if options.preprocessing:
+        keys["preprocessing"] = [step.model_dump() for step in options.preprocessing]
+    return keys
+
+
+def _times(frames: int, options: ImportOptions) -> list[float]:
+    """Compute the times of frames in groups."""
+    shortest = (options.pulses - 1) * options.interval_s
+    period = options.period_s or options.pulses * options.interval_s
+    if period <= shortest or frames % options.pulses:
+        raise InputError(
+            f"pulses: expected a whole number of groups of {options.pulses} frames, and more than "
+            f"{shortest:g} s from group to group, got {frames} frames and {period:g} s"
+        )
+    return [
+        frame // options.pulses * period + frame % options.pulses * options.interval_s
+        for frame in range(frames)
+    ]
