@@ -18,13 +18,14 @@ from sabench.geometry.grid import Grid
 from sabench.images.grey_levels import GreyLevels, GreyValues
 from sabench.images.image_files import Files, find_image_files
 from sabench.images.image_reading import RawLayout, read_images
-from sabench.images.preprocessing import Step
+from sabench.images.preprocessing import Step, step_faults
 from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
 Box = tuple[float, float, float, float, float, float]
 Taken = tuple[CameraModel, tuple[Path, ...]]  # a camera and its files
+_MOST_DN = 65535
 _ENOUGH = 0.5  # share of the grid that a camera should see
 
 
@@ -148,7 +149,7 @@ def _match(
         ]
     alike = {_plain(name): name for name in files}
     if any(_plain(name) in alike for name in named):
-        _check_pairs(folder, set(alike), [_plain(name) for name in named])
+        _check_pairs(folder, list(files), list(named))
         return [(camera, files[alike[_plain(camera.name)]]) for camera in cameras]
     if len(files) != len(named):
         raise InputError(
@@ -160,8 +161,8 @@ def _match(
     return list(zip(cameras, files.values(), strict=True))
 
 
-def _check_pairs(folder: Path, images: set[str], cameras: Sequence[str]) -> None:
-    missing, spare = [one for one in cameras if one not in images], sorted(images - set(cameras))
+def _check_pairs(folder: Path, images: Sequence[str], cameras: Sequence[str]) -> None:
+    missing, spare = _without(cameras, images), _without(images, cameras)
     if missing:
         raise InputError(
             f"{folder}: expected images of all {len(cameras)} cameras, found none of "
@@ -172,6 +173,11 @@ def _check_pairs(folder: Path, images: set[str], cameras: Sequence[str]) -> None
             f"{folder}: expected a calibration of each camera, found none of {', '.join(spare)}; "
             "name the pairs to leave images out"
         )
+
+
+def _without(names: Sequence[str], others: Sequence[str]) -> list[str]:
+    known = {_plain(one) for one in others}
+    return [one for one in names if _plain(one) not in known]
 
 
 def _known(known: Mapping[str, Any], name: str, kind: str) -> Any:
@@ -230,9 +236,10 @@ def _copy_all(
     Returns the number of images and the grey values of each, by its name.
     """
     largest = _largest([camera for camera, _ in chosen])
+    masks = _find_masks(options.masks, [camera.name for camera, _ in chosen])
     counts, values = dict[str, int](), dict[str, GreyValues]()
     for camera, paths in chosen:
-        mask = _mask(camera, options.masks, largest)
+        mask = _mask(camera, masks.get(camera.name, ()), largest)
         if mask is not None:
             writer.add_mask(camera.name, mask)
         values[camera.name] = GreyValues()
@@ -256,13 +263,23 @@ def _extended(image: Any, shape: tuple[int, int]) -> Any:
     return np.pad(image, [(0, size - own) for size, own in zip(shape, image.shape, strict=True)])
 
 
-def _mask(camera: CameraModel, folder: Path | None, shape: tuple[int, int]) -> Bool | None:
+def _find_masks(folder: Path | None, cameras: Sequence[str]) -> Files:
+    if folder is None:
+        return {}
+    found = find_image_files(folder, cameras, "{camera}.*")
+    if unknown := [name for name in found if name not in cameras]:
+        raise InputError(
+            f"{folder}: expected masks by the names of cameras ({', '.join(cameras)}), got "
+            f"{', '.join(unknown)}"
+        )
+    return found
+
+
+def _mask(camera: CameraModel, files: Sequence[Path], shape: tuple[int, int]) -> Bool | None:
     """Read which pixels (row, column) of the extended image count; None: all."""
     own = np.ones((camera.rows, camera.columns), dtype=np.bool_)
-    if folder is not None:
-        found = find_image_files(folder, [camera.name], "{camera}.*")
-        if camera.name in found:
-            own = next(read_images(found[camera.name], (camera.rows, camera.columns))) > 0
+    if files:
+        own = next(read_images(files, (camera.rows, camera.columns))) > 0
     counts: Bool = _extended(own, shape)
     return None if counts.all() else counts
 
@@ -272,10 +289,17 @@ def _levels(values: Mapping[str, GreyValues], options: ImportOptions) -> dict[st
     bit_depth = max(one.bit_depth for one in values.values())
     given = {"black_dn": options.black_dn, "white_dn": options.white_dn}
     known: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
-    return {
+    levels = {
         name: dataclasses.replace(one.levels(bit_depth, backlit=options.backlit), **known)
         for name, one in values.items()
     }
+    for name, one in levels.items():
+        if not 0.0 <= one.black_dn < one.white_dn <= _MOST_DN:
+            raise InputError(
+                f"{name}: expected black below white, of 0 to {_MOST_DN}, got {one.black_dn:g} and "
+                f"{one.white_dn:g}"
+            )
+    return levels
 
 
 def _one_length(folder: Path, counts: Mapping[str, int]) -> int:
@@ -309,6 +333,8 @@ def _keys(made: Imported, options: ImportOptions) -> dict[str, Any]:
     if options.pulses > 1:
         keys["pulses"] = options.pulses
         keys["times_s"] = _times(made.frames, options)
+    if faults := list(step_faults(options.preprocessing, made.frames)):
+        raise InputError(f"preprocessing: {faults[0]}")
     if options.preprocessing:
         keys["preprocessing"] = [step.model_dump() for step in options.preprocessing]
     return keys

@@ -19,6 +19,7 @@ from sabench.utils.processes.isolated_reading import read_isolated
 _BATCH = 32  # images that one child process reads
 _EXPANDED = 100  # times a movie's size that its frames may take
 _NEARLY_GREY = 6  # of 255: difference of colours that a movie's compression makes of grey
+_WHITEST = np.uint16(65535)
 _LUMA = (0.114, 0.587, 0.299)  # of blue, green and red, ITU-R BT.601
 
 
@@ -127,9 +128,21 @@ def _store_stills(_: Path, paths: Sequence[Path], folder: Path, first: int) -> N
         except (cv2.error, MemoryError):  # no page is left, or too many pixels
             done, pages = False, ()
         if not done and first == 0:
-            raise InputError(f"{path}: expected an image, got something else")
+            raise InputError(f"{path}: expected an image of a kind that OpenCV reads, got none")
         for page, image in enumerate(pages):
-            np.save(folder / f"{number}-{page}.npy", _grey(path, image))
+            grey = _grey(path, image)
+            light = _WHITEST - grey if _is_negative(path, image) else grey
+            np.save(folder / f"{number}-{page}.npy", light)
+
+
+def _is_negative(path: Path, image: Any) -> bool:
+    """Return whether 0 is white in a TIFF; OpenCV turns those of 8 bits around, but no others."""
+    import tifffile
+
+    if path.suffix.lower() not in (".tif", ".tiff") or image.dtype != np.uint16:
+        return False
+    with tifffile.TiffFile(path) as file:
+        return bool(file.pages.first.photometric == tifffile.PHOTOMETRIC.MINISWHITE)
 
 
 def _store_movie(path: Path, _: Sequence[Path], folder: Path) -> None:
@@ -157,9 +170,12 @@ def _grey_of_movie(path: Path, image: Any) -> U16:
 
 
 def _grey(path: Path, image: Any) -> U16:
+    if image.dtype.kind == "f" and (image == np.clip(np.rint(image), 0, _WHITEST)).all():
+        image = image.astype(np.uint16)
     if image.dtype.kind not in "ui" or image.dtype.itemsize > 2:
         raise InputError(
-            f"{path}: expected 8 or 16 bits a pixel, got {image.dtype}; convert it to 16 bits"
+            f"{path}: expected whole grey values of 8 or 16 bits, got {image.dtype}; convert it to "
+            "16 bits"
         )
     if image.dtype.kind == "i" and image.min() < 0:
         raise InputError(f"{path}: expected grey values of 0 or more, got {int(image.min())}")
