@@ -18,6 +18,7 @@ from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.importing import import_recording
 from sabench.cli.options import say
+from sabench.cli.quality import quality
 from sabench.cli.recordings import compare_statistics
 from sabench.cli.reproduce import reproduce
 from sabench.utils.errors import InputError
@@ -33,6 +34,7 @@ for _command in (
     compare_statistics,
     solve.solve,
     solve.score,
+    quality,
     data.export,
     solve.conform,
     solve.calibrate,

@@ -1,4 +1,4 @@
-"""Import of real recordings: images and calibrated cameras become a data set without truth."""
+"""Import of recordings: images and cameras become a data set without truth."""
 
 from __future__ import annotations
 

@@ -149,7 +149,9 @@ def is_observed(name: str) -> bool:
 
 
 def read_manifest(root: Path) -> Contents:
-    """Read the manifest of a data set, of its observation side alone, or of a recorded one.
+    """Read the manifest of a data set of any kind.
+
+    It is a whole one, the observation side of one alone, or a recorded one.
 
     Raises InputError if there is none, it is broken or of another format.
     """

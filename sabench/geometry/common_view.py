@@ -20,9 +20,10 @@ _MOST_VOXELS = 1_000_000  # along an axis
 
 
 def pixel_size_mm(cameras: Sequence[CameraModel], point_mm: F64) -> float:
-    """Compute the size of a pixel at a point (3,), averaged over the cameras that see it.
+    """Compute the size of a pixel at a point (3,), averaged over cameras.
 
-    It is 1 / sqrt(s1 s2), with the two singular values of the slope of pixels by position.
+    The cameras are those that have a pixel of the point. It is 1 / sqrt(s1 s2), with the two
+    singular values of the slope of pixels by position.
 
     Raises
     ------
@@ -92,7 +93,7 @@ def seen_by(camera: CameraModel, points_mm: F64) -> Bool:
 
 
 def _grow(seen: Bool) -> tuple[list[int], list[int]]:
-    """Find the first and last nodes of a box of nodes that are seen, from the middle one on."""
+    """Find the first and last nodes of a box around the middle that is seen."""
     first, last = [_NODES // 2] * 3, [_NODES // 2] * 3
     growing = list(itertools.product(range(3), (False, True)))
     while growing:
@@ -111,7 +112,7 @@ def _grow(seen: Bool) -> tuple[list[int], list[int]]:
 
 
 def grid_of_box(low_mm: F64, high_mm: F64, voxel_mm: float) -> Grid:
-    """Make the grid of cubic voxels whose outer faces are those of a box, up to a voxel.
+    """Make the grid of cubic voxels that fill a box, up to half a voxel.
 
     Raises
     ------
@@ -135,7 +136,7 @@ def grid_of_box(low_mm: F64, high_mm: F64, voxel_mm: float) -> Grid:
 
 
 def share_in_view(camera: CameraModel, grid: Grid) -> tuple[float, float]:
-    """Compute the shares of a grid that have a light path to a camera, and that it sees."""
+    """Compute the shares of a grid with a light path to a camera, and in its view."""
     points = lattice_of(grid)
     return float(camera.project(points)[1].mean()), float(seen_by(camera, points).mean())
 

@@ -294,7 +294,7 @@ def _meeting(camera: _Fitted) -> tuple[float, float, float]:
 
 
 def fitted_box(camera: object) -> tuple[F64, F64] | None:
-    """Return the corners (3,) of the box to which a camera was fitted; None without any."""
+    """Return the corners (3,) of the box of a camera's fit; None without any."""
     if not isinstance(camera, _Fitted):
         return None
     middle, half = np.asarray(camera.middle_mm), np.asarray(camera.half_mm)

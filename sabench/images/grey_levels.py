@@ -1,4 +1,4 @@
-"""Grey values of no light and of saturation, estimated from a camera's own images."""
+"""Grey values of no light and of saturation, estimated from images."""
 
 from __future__ import annotations
 
@@ -72,9 +72,10 @@ class GreyValues:
         return int(np.searchsorted(up_to, share * up_to[-1], side="right"))
 
     def _most_frequent(self) -> float:
-        """Average the values around the most frequent one, as far as the darkest ones are from it.
+        """Average the values around the most frequent one.
 
-        Light makes the other side longer, which so does not count.
+        They reach as far as the darkest ones are from it. Light makes the other side longer, which
+        so does not count.
         """
         reach = max(int(np.argmax(self.counts)) - self._quantile(_TAIL), 1)
         wide = np.convolve(self.counts, np.ones(reach), mode="same")

@@ -136,7 +136,10 @@ def _store_stills(_: Path, paths: Sequence[Path], folder: Path, first: int) -> N
 
 
 def _is_negative(path: Path, image: Any) -> bool:
-    """Return whether 0 is white in a TIFF; OpenCV turns those of 8 bits around, but no others."""
+    """Return whether 0 is white in a TIFF of 16 bits.
+
+    OpenCV inverts those of 8 bits itself, but no others.
+    """
     import tifffile
 
     if path.suffix.lower() not in (".tif", ".tiff") or image.dtype != np.uint16:

@@ -163,7 +163,7 @@ def _write_particles(root: Path, data: Dataset, frame: int, found: FoundParticle
 
 
 def _identities(found: FoundParticles, data: Dataset, frame: int) -> Data:
-    """Match found particles to true ones as the scores do; -1 marks those without a match."""
+    """Match found particles to true ones as the scores do; -1 marks the others."""
     grid, true = data.setup.grid, data.particles(frame)
     i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(true.position_mm))
     identity = np.full(len(found.position_mm), -1)
