@@ -81,12 +81,9 @@ def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool)
     image = np.where(counts, y[:, :, None] * x[:, None], 0.0)
     slope = np.stack([y[:, :, None] * by_x[:, None], by_y[:, :, None] * x[:, None]], axis=-1)
     slope *= counts[..., None]
-    count = len(rows)
+    flat = len(rows), x.shape[1] * y.shape[1]
     return Patches(
-        rows,
-        np.where(counts, at, -1).reshape(count, -1),
-        image.reshape(count, -1),
-        slope.reshape(count, -1, 2),
+        rows, np.where(counts, at, -1).reshape(flat), image.reshape(flat), slope.reshape(*flat, 2)
     )
 
 
