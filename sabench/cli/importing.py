@@ -148,7 +148,9 @@ def _show_import(made: Imported, out: Path) -> None:
     rows = [
         (
             name,
-            *(f"{one:g}" for one in (level.black_dn, level.white_dn, level.bit_depth)),
+            f"{level.black_dn:.1f}",
+            f"{level.white_dn:g}",
+            f"{level.bit_depth}",
             f"{100.0 * level.saturated:.3f}",
         )
         for name, level in made.levels.items()
@@ -159,7 +161,8 @@ def _show_import(made: Imported, out: Path) -> None:
         f"{low - step / 2:.4g} to {low + step * (count - 0.5):.4g}"
         for low, step, count in zip(grid.low_mm, grid.voxel_mm, grid.shape[::-1], strict=True)
     )
-    say(f"volume: x {x}, y {y}, z {z} mm; voxels of {grid.voxel_mm[0]:.4g} mm")
+    voxels = " x ".join(f"{edge:.4g}" for edge in grid.voxel_mm)
+    say(f"volume: x {x}, y {y}, z {z} mm; voxels of {voxels} mm")
     for note in made.notes:
         say(f"note: {note}")
     say(f"{out}: {made.frames} frame(s) of {len(made.levels)} camera(s), recorded, without truth")

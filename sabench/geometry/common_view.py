@@ -112,7 +112,12 @@ def _grow(seen: Bool) -> tuple[list[int], list[int]]:
 
 
 def grid_of_box(low_mm: F64, high_mm: F64, voxel_mm: float) -> Grid:
-    """Make the grid of cubic voxels that fill a box, up to half a voxel.
+    """Make the grid of voxels that fill a box, cubes as nearly as they can be.
+
+    Parameters
+    ----------
+    low_mm, high_mm : (3,) corners of the box.
+    voxel_mm : edge of a voxel, which changes until a whole number of them fits along each axis.
 
     Raises
     ------
@@ -131,8 +136,8 @@ def grid_of_box(low_mm: F64, high_mm: F64, voxel_mm: float) -> Grid:
             f"voxel: expected at most {_MOST_VOXELS} along an axis, got {counts.max():.0f}"
         )
     x, y, z = (int(count) for count in counts)
-    first = 0.5 * (np.asarray(low_mm) + np.asarray(high_mm)) - 0.5 * (counts - 1.0) * voxel_mm
-    return Grid(triple(first), (voxel_mm,) * 3, (z, y, x))
+    edges = size / counts
+    return Grid(triple(np.asarray(low_mm) + 0.5 * edges), triple(edges), (z, y, x))
 
 
 def share_in_view(camera: CameraModel, grid: Grid) -> tuple[float, float]:

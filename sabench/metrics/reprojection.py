@@ -173,5 +173,5 @@ def _sum_up(shape: tuple[int, ...], patches: Patches, light: F64) -> F64:
 
 
 def _read(image: F64, patches: Patches) -> F64:
-    """Read an image (row, column) in all windows (m, k); pixels that do not count are 0."""
+    """Read an image in all windows (m, k); pixels that do not count are 0."""
     return np.where(patches.at >= 0, image.ravel()[patches.at], 0.0)

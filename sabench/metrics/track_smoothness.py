@@ -12,7 +12,7 @@ _FACTORS = {3: np.array([1.0, -2.0, 1.0]), 4: np.array([1.0, -3.0, 3.0, -1.0])}
 
 
 def differences(numbers: Sequence[I64], positions: Sequence[F64], order: int) -> F64:
-    """Compute differences (k, 3) of the positions of trajectories over frames in a row.
+    """Compute differences (k, 3) of positions of trajectories over frames in a row.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def jitter_mm(numbers: Sequence[I64], positions: Sequence[F64]) -> float:
 
 
 def share_followed(numbers: Sequence[I64], frames: int) -> float:
-    """Compute the share of found particles in trajectories of that many frames or more.
+    """Compute the share of found particles in trajectories of enough frames.
 
     NaN without any.
     """

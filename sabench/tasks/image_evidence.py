@@ -29,7 +29,7 @@ _BLUR_PX = 0.7  # standard deviation of a voxel's image
 
 
 class Shown(NamedTuple):
-    """What one camera shows of particles that were found without it.
+    """Evidence of one camera for particles that were found without it.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ class FrameEvidence:
     def count_shown(
         self, camera: int, positions_mm: F64, found_mm: F64, shift: tuple[int, int]
     ) -> int:
-        """Count the particles (n, 3) that a camera shows after its image has been shifted.
+        """Count the particles (n, 3) that a camera shows in its shifted image.
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class FrameEvidence:
 
 
 def correlate(one: F64, other: F64, known: Bool) -> float:
-    """Correlate two images (row, column) over known pixels; NaN for one without contrast."""
+    """Correlate two images over known pixels; NaN for one without contrast."""
     a, b = one[known] - one[known].mean(), other[known] - other[known].mean()
     norm = float(np.sqrt((a**2).sum() * (b**2).sum()))
     return float((a * b).sum()) / norm if norm else float("nan")

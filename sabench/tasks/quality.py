@@ -34,7 +34,7 @@ from sabench.utils.progress import progress_bar
 
 
 class Figure(NamedTuple):
-    """Figure without truth: its decimals in tables, and a phrase that says what it is."""
+    """Figure without truth: its decimals in tables, and its meaning."""
 
     decimals: int
     meaning: str
@@ -233,7 +233,7 @@ def write_quality(
 
 
 def residual_picture(data: Dataset, left: F64) -> bytes:
-    """Draw the first frame's images, and then what is left of them, on one scale, as a PNG."""
+    """Draw the first frame's images and what is left of them as a PNG."""
     seen = data.observation(0)
     grey = np.clip(np.rint(left + seen.black_dn), 0.0, 65535.0).astype(np.uint16)
     both = np.concatenate([seen.images, grey])
