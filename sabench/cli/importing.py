@@ -112,6 +112,10 @@ def import_recording(
             help="Pixels of raw files: uint8, uint16 or uint16-big, and bytes of their header.",
         ),
     ] = None,
+    reference: Annotated[
+        bool,
+        typer.Option("--reference", help="Leave the images where they are, and do not copy them."),
+    ] = False,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -135,6 +139,7 @@ def import_recording(
         white_dn=white,
         preprocessing=_steps(step or []),
         backlit=backlit,
+        referenced=reference,
     )
     source = read_camera_source(cameras)
     made = make(folder, source.cameras, output, options, source.grid, overwrite=overwrite)

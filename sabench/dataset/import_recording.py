@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sabench.dataset.camera_files import read_cameras
 from sabench.dataset.recorded_writer import RecordedWriter, recorded_writer
+from sabench.dataset.references import ReferenceList, extended
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import grid_of_box, pixel_size_mm, propose_box, share_in_view
 from sabench.geometry.grid import Grid
@@ -19,7 +21,7 @@ from sabench.images.grey_levels import GreyLevels, GreyValues
 from sabench.images.image_files import Files, find_image_files
 from sabench.images.image_reading import RawLayout, read_images
 from sabench.images.preprocessing import Step, step_faults
-from sabench.utils.arrays import Bool
+from sabench.utils.arrays import U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
@@ -50,6 +52,7 @@ class ImportOptions:
     black_dn, white_dn : grey values of no light and of saturation; None: estimated for each camera.
     preprocessing : steps that solvers' images pass.
     backlit : whether the images show bubbles or bodies in front of a bright background.
+    referenced : whether the data set names the image files in place of holding copies.
     """
 
     pattern: str | None = None
@@ -66,6 +69,7 @@ class ImportOptions:
     white_dn: float | None = None
     preprocessing: tuple[Step, ...] = ()
     backlit: bool = False
+    referenced: bool = False
 
 
 @dataclass(frozen=True)
@@ -97,8 +101,8 @@ def import_recording(
 ) -> Imported:
     """Make a data set without truth of a folder of images and calibrated cameras.
 
-    Images are copied as 16-bit TIFF. Those of cameras with smaller sensors are extended to one
-    size, and what is added is masked.
+    Images are copied as 16-bit TIFF, or stay where they are. Those of cameras with smaller sensors
+    are extended to one size, and what is added is masked.
 
     Parameters
     ----------
@@ -118,10 +122,19 @@ def import_recording(
     voxels = _grid(cameras, options, grid, notes)
     _check_views(cameras, voxels, notes)
     with recorded_writer(out, folder.resolve().name, overwrite=overwrite) as writer:
-        counts, values = _copy_all(writer, chosen, options)
+        counts, values = _store_all(writer, folder, chosen, options)
         made = Imported(_one_length(folder, counts), voxels, _levels(values, options), tuple(notes))
         writer.set_cameras(_of_one_size(cameras), **_keys(made, options))
+        _check_cameras(writer.root, out)
     return made
+
+
+def _check_cameras(written: Path, out: Path) -> None:
+    """Check that the cameras can be read again; `out` stands for the folder in the error."""
+    try:
+        read_cameras(written)
+    except InputError as error:
+        raise InputError(str(error).replace(str(written), str(out))) from None
 
 
 def _of_one_size(cameras: Sequence[Any]) -> list[CameraModel]:
@@ -228,39 +241,50 @@ def _check_views(cameras: Sequence[CameraModel], grid: Grid, notes: list[str]) -
             notes.append(f"{camera.name}: it sees {seen:.0%} of the volume only")
 
 
-def _copy_all(
-    writer: RecordedWriter, chosen: Sequence[Taken], options: ImportOptions
+def _store_all(
+    writer: RecordedWriter, folder: Path, chosen: Sequence[Taken], options: ImportOptions
 ) -> tuple[dict[str, int], dict[str, GreyValues]]:
-    """Copy the images and masks of all cameras.
+    """Store the images and masks of all cameras.
 
     Returns the number of images and the grey values of each, by its name.
     """
     largest = _largest([camera for camera, _ in chosen])
     masks = _find_masks(options.masks, [camera.name for camera, _ in chosen])
+    references = ReferenceList(folder, options.raw) if options.referenced else None
     counts, values = dict[str, int](), dict[str, GreyValues]()
     for camera, paths in chosen:
         mask = _mask(camera, masks.get(camera.name, ()), largest)
         if mask is not None:
             writer.add_mask(camera.name, mask)
+        own = None if mask is None else mask[: camera.rows, : camera.columns]
         values[camera.name] = GreyValues()
-        images = itertools.islice(
-            read_images(paths, (camera.rows, camera.columns), options.raw),
-            *(options.frames.start, options.frames.stop, options.frames.step),
-        )
-        for frame, image in enumerate(progress_bar(images, f"import {camera.name}")):
-            values[camera.name].add(
-                image, None if mask is None else mask[: camera.rows, : camera.columns]
-            )
-            writer.add_image(camera.name, frame, _extended(image, largest))
+        images = progress_bar(_images(camera, paths, options), f"import {camera.name}")
+        for frame, (path, page, image) in enumerate(images):
+            values[camera.name].add(image, own)
+            if references is None:
+                writer.add_image(camera.name, frame, extended(image, largest))
+            else:
+                references.add(camera.name, path, page, image)
             counts[camera.name] = frame + 1
         if camera.name not in counts:
             raise InputError(f"{camera.name}: expected images in the range of frames, got none")
+    if references is not None:
+        writer.set_references(references)
     return counts, values
 
 
-def _extended(image: Any, shape: tuple[int, int]) -> Any:
-    """Extend an image (row, column) by zeros on the right and below."""
-    return np.pad(image, [(0, size - own) for size, own in zip(shape, image.shape, strict=True)])
+def _images(
+    camera: CameraModel, paths: Sequence[Path], options: ImportOptions
+) -> Iterator[tuple[Path, int, U16]]:
+    """Read the range of a camera's images, each with its file and number in it."""
+    every = _numbered(read_images(paths, (camera.rows, camera.columns), options.raw))
+    chosen = options.frames
+    return itertools.islice(every, chosen.start, chosen.stop, chosen.step)
+
+
+def _numbered(images: Iterator[tuple[Path, U16]]) -> Iterator[tuple[Path, int, U16]]:
+    for path, pages in itertools.groupby(images, key=lambda pair: pair[0]):
+        yield from ((path, page, image) for page, (_, image) in enumerate(pages))
 
 
 def _find_masks(folder: Path | None, cameras: Sequence[str]) -> Files:
@@ -279,8 +303,8 @@ def _mask(camera: CameraModel, files: Sequence[Path], shape: tuple[int, int]) ->
     """Read which pixels (row, column) of the extended image count; None: all."""
     own = np.ones((camera.rows, camera.columns), dtype=np.bool_)
     if files:
-        own = next(read_images(files, (camera.rows, camera.columns))) > 0
-    counts: Bool = _extended(own, shape)
+        own = next(read_images(files, (camera.rows, camera.columns)))[1] > 0
+    counts = extended(own, shape)
     return None if counts.all() else counts
 
 

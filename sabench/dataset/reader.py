@@ -16,6 +16,7 @@ from sabench.dataset import schema
 from sabench.dataset.build_observation import build_observation
 from sabench.dataset.camera_files import CamerasFile, read_cameras, read_true_cameras
 from sabench.dataset.hdf5 import finite, names_in, open_hdf5, read_array
+from sabench.dataset.references import ReferencesFile, read_references
 from sabench.dataset.schema import Contents, Manifest, RecordedManifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
@@ -138,7 +139,16 @@ class Dataset:
         """Read the image (row, column) of a frame and camera as it was recorded."""
         self._check_frame(frame)
         camera = self.setup.cameras[number]
+        if self.references is not None:
+            return self.references.read(camera.name, frame, (camera.rows, camera.columns))
         return read_tiff(self._image(camera.name, frame), (camera.rows, camera.columns))
+
+    @cached_property
+    def references(self) -> ReferencesFile | None:
+        """Read where the images of a recorded data set lie, if they are not in it."""
+        if not self.recorded or schema.REFERENCES not in self.contents.files:
+            return None
+        return read_references(self.root)
 
     @cached_property
     def _lowest(self) -> U16 | None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from sabench.dataset import schema
 from sabench.dataset.camera_files import write_cameras
+from sabench.dataset.references import ReferenceList
 from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera_model import CameraModel
 from sabench.images.tiff_exr import write_tiff
@@ -29,6 +30,10 @@ class RecordedWriter:
     def add_image(self, camera: str, frame: int, image: U16) -> None:
         """Store the grey values (row, column) of a camera's frame."""
         self._write(schema.image_name(camera, frame, "tif"), image)
+
+    def set_references(self, references: ReferenceList) -> None:
+        """Store the names of image files that stay where they are."""
+        (self.root / schema.REFERENCES).write_text(references.text(), encoding="utf-8")
 
     def add_mask(self, camera: str, counts: Bool) -> None:
         """Store which pixels (row, column) of a camera count."""

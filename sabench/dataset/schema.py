@@ -24,6 +24,7 @@ MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
 TARGET, POINTS = "target.json", "points.h5"
 MOST_POINTS = 1_000_000  # of a target
 _LARGEST_MM = 1e6  # pitch of a target: a kilometre
+REFERENCES = "images.json"  # of a recorded data set whose images lie elsewhere
 MASKS = "masks"  # folder of images that mark the pixels that count
 GIVEN = "given"  # folder of files of other programs, which the scene reads
 

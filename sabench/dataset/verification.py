@@ -48,7 +48,9 @@ def describe_recorded(dataset: Dataset) -> str:
         return ""
     frames, cameras = dataset.setup.frames, len(dataset.setup.cameras)
     masks = "" if dataset.masked is None else ", masks"
-    return f"; recorded: {frames} frame(s) of {cameras} camera(s){masks}; no truth, no scene"
+    elsewhere = "" if dataset.references is None else f", images in {dataset.references.folder}"
+    size = f"{frames} frame(s) of {cameras} camera(s)"
+    return f"; recorded: {size}{masks}{elsewhere}; no truth, no scene"
 
 
 def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
@@ -111,6 +113,11 @@ def _observation_faults(dataset: Dataset) -> Iterator[str]:
     if broken := list(_try(lambda: dataset.masked)):
         yield from broken
         return
+    if broken := list(_try(lambda: dataset.references)):
+        yield from broken
+        return
+    if dataset.references is not None:
+        yield from dataset.references.faults()
     for frame in progress_bar(range(dataset.setup.frames), "verify shapes"):
         yield from _try(functools.partial(dataset.observation, frame))
 

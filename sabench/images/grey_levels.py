@@ -12,8 +12,8 @@ _DEPTHS = (8, 10, 12, 14, 16)
 _VALUES = 1 << 16
 _DARKEST = 1e-4  # of the pixels of a backlit image
 _TAIL = 0.02  # of the pixels: darker than nearly all
-_NEAR = 4  # grey values below the highest one
-_CLIPPED = 10.0  # times as many pixels at the highest value as at those below it: saturation
+_NEAR = 0.01  # of the highest grey value: saturated pixels are that near to it
+_CLIPPED = 5.0  # times as many pixels near the highest value as just below: saturation
 _FEWEST = 20  # pixels that saturate
 
 
@@ -55,8 +55,8 @@ class GreyValues:
 
         Black is the mean of the most frequent values, those of the dark between particles; in
         backlit images, which have no dark, it is the least value but for one pixel in ten thousand.
-        White is the highest value if far more pixels have it than those below it, else the largest
-        value of the bit depth.
+        White is the median of the highest values if far more pixels have them than those just
+        below, else the largest value of the bit depth.
         """
         white = self._white((1 << bit_depth) - 1)
         black = float(self._quantile(_DARKEST)) if backlit else self._most_frequent()
@@ -88,8 +88,11 @@ class GreyValues:
 
     def _white(self, largest: int) -> float:
         highest = self._highest
-        below = self.counts[:highest]
-        near = np.flatnonzero(below)[-_NEAR:]
-        many = float(below[near].mean()) if len(near) else 0.0
-        clipped = self.counts[highest] >= max(_FEWEST, _CLIPPED * many)
-        return float(highest if clipped and 2 * highest > largest else largest)
+        near = max(1, round(_NEAR * highest))
+        top = self.counts[highest - near + 1 : highest + 1]
+        below = self.counts[max(highest - 2 * near + 1, 0) : highest - near + 1]
+        clipped = top.sum() >= max(_FEWEST, _CLIPPED * below.sum()) and 2 * highest > largest
+        if not clipped:
+            return float(largest)
+        middle = np.searchsorted(np.cumsum(top), 0.5 * top.sum())
+        return float(highest - near + 1 + middle)

@@ -51,10 +51,11 @@ _RAW_TYPES = {"uint8": "u1", "uint16": "<u2", "uint16-big": ">u2"}
 
 def read_images(
     files: Sequence[Path], shape: tuple[int, int], raw: RawLayout | None = None
-) -> Iterator[U16]:
-    """Read the grey values (row, column) of all images in files, one after the other.
+) -> Iterator[tuple[Path, U16]]:
+    """Read all images in files, one after the other.
 
-    A file may hold several. Limited child processes read them, which the libraries may not survive.
+    Yields the file and the grey values (row, column) of each. A file may hold several. Limited
+    child processes read them, which the libraries may not survive.
 
     Parameters
     ----------
@@ -77,7 +78,26 @@ def read_images(
             batches = [own[at : at + _BATCH] for at in range(0, len(own), _BATCH)]
             images = itertools.chain.from_iterable(_read_stills(batch) for batch in batches)
         for path, image in images:
-            yield _checked(path, image, shape)
+            yield path, _checked(path, image, shape)
+
+
+def read_page(path: Path, page: int, shape: tuple[int, int], raw: RawLayout | None = None) -> U16:
+    """Read one image (row, column) of a file; pages count from 0.
+
+    Raises
+    ------
+    InputError
+        A movie, whose images cannot be read alone; a page that the file does not have; and
+        anything that `read_images` refuses.
+    """
+    kind = _kind(path)
+    if kind == "movie":
+        raise InputError(f"{path}: expected a file whose images can be read alone, got a movie")
+    if kind == "raw":
+        return next(itertools.islice(_read_raw(path, shape, raw), page, None))[1]
+    for _, image in _in_child(_store_stills, [path], page, 1):
+        return _checked(path, image, shape)
+    raise InputError(f"{path}: expected image {page} in it, got fewer")
 
 
 def _kind(path: Path) -> str:
@@ -92,7 +112,7 @@ def _read_stills(paths: Sequence[Path]) -> Iterator[tuple[Path, U16]]:
     while left:
         counts = dict.fromkeys(left, 0)
         pages: dict[Path, list[U16]] = {path: [] for path in left}
-        for path, image in _in_child(_store_stills, left, first):
+        for path, image in _in_child(_store_stills, left, first, _BATCH):
             counts[path] += 1
             pages[path].append(image)
         if len(left) > 1 and any(count == _BATCH for count in counts.values()):
@@ -119,12 +139,12 @@ def _in_child(store: Any, paths: Sequence[Path], *arguments: Any) -> Iterator[tu
                 file.unlink()
 
 
-def _store_stills(_: Path, paths: Sequence[Path], folder: Path, first: int) -> None:
+def _store_stills(_: Path, paths: Sequence[Path], folder: Path, first: int, count: int) -> None:
     import cv2
 
     for number, path in enumerate(paths):
         try:
-            done, pages = cv2.imreadmulti(str(path), first, _BATCH, flags=cv2.IMREAD_UNCHANGED)
+            done, pages = cv2.imreadmulti(str(path), first, count, flags=cv2.IMREAD_UNCHANGED)
         except (cv2.error, MemoryError):  # no page is left, or too many pixels
             done, pages = False, ()
         if not done and first == 0:

@@ -18,6 +18,7 @@ import sabench
 from sabench.api import FoundParticles
 from sabench.dataset.camera_files import write_cameras
 from sabench.dataset.import_recording import ImportOptions, import_recording
+from sabench.dataset.observation_side import pack
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
 from sabench.dataset.verification import verify
@@ -269,3 +270,36 @@ def test_double_frames(original: Dataset, pngs: Path, tmp_path: Path) -> None:
     tank = import_like(original, pngs, tmp_path / "tank", pulses=2, interval_s=0.001, period_s=0.1)
     assert tank.setup.times_s == pytest.approx((0.0, 0.001, 0.1, 0.101))
     assert tank.setup.pairs() == [(0, 1), (2, 3)]
+
+
+def test_images_stay_where_they_are(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    import shutil
+
+    folder = tmp_path / "images"
+    shutil.copytree(pngs, folder)
+    tank = import_like(original, folder, tmp_path / "tank", referenced=True)
+    assert not (tank.root / "images").exists()
+    copied = import_like(original, folder, tmp_path / "copied")
+    for one, other in zip(
+        solved("ray_triangulation", tank, tmp_path / "one.h5"),
+        solved("ray_triangulation", copied, tmp_path / "other.h5"),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one.position_mm, other.position_mm)
+    with pytest.raises(InputError, match="pack it with --blind"):
+        pack(tank, tmp_path / "whole", blind=False)
+    pack(tank, tmp_path / "blind", blind=True)
+    assert verify(tmp_path / "blind") == []
+    image = folder / "camera_01" / "img_2.png"
+    image.write_bytes(image.read_bytes() + b"x")
+    assert verify(tank.root)[0] == f"{image}: its bytes are not those that were imported"
+    image.unlink()
+    assert "missing" in verify(tank.root)[0]
+
+
+def test_references_within_stacks(original: Dataset, tmp_path: Path) -> None:
+    folder = write_stacks(original, tmp_path / "stacks", compression="zlib")
+    frames = slice(1, None, 2)
+    tank = import_like(original, folder, tmp_path / "tank", referenced=True, frames=frames)
+    assert tank.setup.frames == 2
+    np.testing.assert_array_equal(tank.raw_image(2, 1), original.raw_image(2, 3))

@@ -45,6 +45,9 @@ def test_white_is_where_pixels_pile_up() -> None:
     assert (found.white_dn, found.bit_depth) == (700.0, 10)
     assert found.saturated == (sharp >= 700.0).mean()
     assert levels(recording(1.5, 0.02)).white_dn == 4095.0
+    noise = np.random.default_rng(2).normal(0.0, 2.0, sharp.shape)
+    full = np.where(sharp >= 700.0, 690.0 + np.rint(noise), sharp)
+    assert levels(full).white_dn == pytest.approx(690.0, abs=1.0)
 
 
 def test_backlit_images_have_their_black_in_the_shadows() -> None:

@@ -21,7 +21,7 @@ def stack(count: int = 3, most: int = 4000) -> U16:
 
 
 def read(*files: Path, raw: RawLayout | None = None) -> U16:
-    return np.stack(list(read_images(files, SHAPE, raw)))
+    return np.stack([image for _, image in read_images(files, SHAPE, raw)])
 
 
 def write(path: Path, values: Any, **options: Any) -> Path:
