@@ -130,7 +130,7 @@ def import_recording(
 
 
 def _check_cameras(written: Path, out: Path) -> None:
-    """Check that the cameras can be read again; `out` stands for the folder in the error."""
+    """Check that the cameras can be read again; errors name the folder `out`."""
     try:
         read_cameras(written)
     except InputError as error:

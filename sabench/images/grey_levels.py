@@ -12,7 +12,7 @@ _DEPTHS = (8, 10, 12, 14, 16)
 _VALUES = 1 << 16
 _DARKEST = 1e-4  # of the pixels of a backlit image
 _TAIL = 0.02  # of the pixels: darker than nearly all
-_NEAR = 0.01  # of the highest grey value: saturated pixels are that near to it
+_NEAR = 0.02  # of the highest grey value: saturated pixels are that near to it
 _CLIPPED = 5.0  # times as many pixels near the highest value as just below: saturation
 _FEWEST = 20  # pixels that saturate
 
