@@ -49,7 +49,9 @@ def import_recording(
     ] = None,
     frames: Annotated[
         str | None,
-        typer.Option(metavar="START:STOP", help="Take this range of images of each camera only."),
+        typer.Option(
+            metavar="START:STOP", help="Take these images of each camera only; the first one is 0."
+        ),
     ] = None,
     interval: Annotated[
         float, typer.Option(min=1e-12, metavar="SECONDS", help="Time between frames.")
@@ -65,21 +67,21 @@ def import_recording(
         str | None,
         typer.Option(
             metavar="X0,X1,Y0,Y1,Z0,Z1",
-            help="The box that is lit, mm. [default: what all cameras see]",
+            help="The box that is lit, mm; by default what all cameras see.",
             show_default=False,
         ),
     ] = None,
     voxel: Annotated[
         float | None,
         typer.Option(
-            metavar="MM", help="Size of voxels. [default: that of a pixel]", show_default=False
+            metavar="MM", help="Size of voxels; by default that of a pixel.", show_default=False
         ),
     ] = None,
     black: Annotated[
         float | None,
         typer.Option(
             metavar="DN",
-            help="Grey value of no light. [default: estimated for each camera]",
+            help="Grey value of no light; by default estimated for each camera.",
             show_default=False,
         ),
     ] = None,
@@ -87,7 +89,7 @@ def import_recording(
         float | None,
         typer.Option(
             metavar="DN",
-            help="Grey value of saturation. [default: estimated for each camera]",
+            help="Grey value of saturation; by default estimated for each camera.",
             show_default=False,
         ),
     ] = None,
