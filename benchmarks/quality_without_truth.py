@@ -5,10 +5,10 @@
 
 Cases: four cameras of 120 x 160 pixels in air, four frames, 0.01 to 0.1 particles per pixel, bright
 or dim light, true cameras or cameras off by 0.4 px; solvers of particles. At 0.1 particles per
-pixel the record holds `ray_triangulation` alone, as the others take an hour for it. Each figure is compared
-with its true counterpart over all cases by Spearman's rank correlation: 1 or -1 where the figure
-orders the results as the truth does. --tables prints the tables of docs/using/quality.md from the
-record. What the file holds of other cases stays.
+pixel the record holds `ray_triangulation` alone, since the others take too long to solve nine times
+a case. Each figure is compared with its true counterpart over all cases by Spearman's rank
+correlation: 1 or -1 where the figure orders the results as the truth does. --tables prints the
+tables of docs/using/quality.md from the record. What the file holds of other cases stays.
 """
 
 from __future__ import annotations
