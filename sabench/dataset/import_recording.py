@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sabench.dataset.camera_files import read_cameras
+from sabench.dataset.camera_pairs import Taken, pair_images
 from sabench.dataset.recorded_writer import RecordedWriter, recorded_writer
 from sabench.dataset.references import ReferenceList, extended
 from sabench.geometry.camera_model import CameraModel
@@ -26,7 +27,6 @@ from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
 Box = tuple[float, float, float, float, float, float]
-Taken = tuple[CameraModel, tuple[Path, ...]]  # a camera and its files
 _MOST_DN = 65535
 _ENOUGH = 0.5  # share of the grid that a camera should see
 
@@ -117,7 +117,7 @@ def import_recording(
     """
     notes: list[str] = []
     files = find_image_files(folder, [one.name for one in calibration], options.pattern)
-    chosen = _match(folder, files, calibration, options.pairs, notes)
+    chosen = pair_images(folder, files, calibration, options.pairs, notes)
     cameras = [camera for camera, _ in chosen]
     voxels = _grid(cameras, options, grid, notes)
     _check_views(cameras, voxels, notes)
@@ -145,62 +145,6 @@ def _of_one_size(cameras: Sequence[Any]) -> list[CameraModel]:
 
 def _largest(cameras: Sequence[CameraModel]) -> tuple[int, int]:
     return max(one.rows for one in cameras), max(one.columns for one in cameras)
-
-
-def _match(
-    folder: Path,
-    files: Files,
-    cameras: Sequence[CameraModel],
-    pairs: Mapping[str, str] | None,
-    notes: list[str],
-) -> list[Taken]:
-    """Find the files of each calibrated camera: as paired, by its name, or in order."""
-    named = {camera.name: camera for camera in cameras}
-    if pairs is not None:
-        return [
-            (_known(named, own, "camera"), _known(files, of, "images")) for of, own in pairs.items()
-        ]
-    alike = {_plain(name): name for name in files}
-    if any(_plain(name) in alike for name in named):
-        _check_pairs(folder, list(files), list(named))
-        return [(camera, files[alike[_plain(camera.name)]]) for camera in cameras]
-    if len(files) != len(named):
-        raise InputError(
-            f"{folder}: expected images of {len(named)} cameras ({', '.join(named)}), got "
-            f"{len(files)} ({', '.join(files)}); name the pairs, or the pattern of the files"
-        )
-    pairs_in_order = ", ".join(f"{of} = {own}" for of, own in zip(files, named, strict=True))
-    notes.append(f"no images have a camera's name: taken in order, {pairs_in_order}")
-    return list(zip(cameras, files.values(), strict=True))
-
-
-def _check_pairs(folder: Path, images: Sequence[str], cameras: Sequence[str]) -> None:
-    missing, spare = _without(cameras, images), _without(images, cameras)
-    if missing:
-        raise InputError(
-            f"{folder}: expected images of all {len(cameras)} cameras, found none of "
-            f"{', '.join(missing)}; name the pairs to leave cameras out"
-        )
-    if spare:
-        raise InputError(
-            f"{folder}: expected a calibration of each camera, found none of {', '.join(spare)}; "
-            "name the pairs to leave images out"
-        )
-
-
-def _without(names: Sequence[str], others: Sequence[str]) -> list[str]:
-    known = {_plain(one) for one in others}
-    return [one for one in names if _plain(one) not in known]
-
-
-def _known(known: Mapping[str, Any], name: str, kind: str) -> Any:
-    if name not in known:
-        raise InputError(f"{kind}: expected one of {', '.join(known)}, got {name!r}")
-    return known[name]
-
-
-def _plain(name: str) -> str:
-    return "".join(mark for mark in name.lower() if mark.isalnum())
 
 
 def _grid(
@@ -256,21 +200,23 @@ def _store_all(
         mask = _mask(camera, masks.get(camera.name, ()), largest)
         if mask is not None:
             writer.add_mask(camera.name, mask)
-        own = None if mask is None else mask[: camera.rows, : camera.columns]
-        values[camera.name] = GreyValues()
+        values[camera.name], counts[camera.name] = GreyValues(), 0
         images = progress_bar(_images(camera, paths, options), f"import {camera.name}")
         for frame, (path, page, image) in enumerate(images):
-            values[camera.name].add(image, own)
+            values[camera.name].add(image, _cut(mask, image.shape))
+            counts[camera.name] += 1
             if references is None:
                 writer.add_image(camera.name, frame, extended(image, largest))
             else:
                 references.add(camera.name, path, page, image)
-            counts[camera.name] = frame + 1
-        if camera.name not in counts:
-            raise InputError(f"{camera.name}: expected images in the range of frames, got none")
     if references is not None:
         writer.set_references(references)
     return counts, values
+
+
+def _cut(mask: Bool | None, shape: tuple[int, ...]) -> Bool | None:
+    """Return the part of a mask for an image that is not extended."""
+    return None if mask is None else mask[: shape[0], : shape[1]]
 
 
 def _images(
@@ -327,6 +273,8 @@ def _levels(values: Mapping[str, GreyValues], options: ImportOptions) -> dict[st
 
 
 def _one_length(folder: Path, counts: Mapping[str, int]) -> int:
+    if missing := next((name for name, count in counts.items() if not count), None):
+        raise InputError(f"{missing}: expected images in the range of frames, got none")
     if len(set(counts.values())) > 1:
         got = ", ".join(f"{count} of {name}" for name, count in counts.items())
         raise InputError(
