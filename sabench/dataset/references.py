@@ -53,6 +53,12 @@ class ReferencesFile(Record):
         frames = self.images.get(camera, ())
         if camera not in self.shapes or not 0 <= frame < len(frames):
             raise InputError(f"{REFERENCES}: {camera}: expected an image of frame {frame}")
+        own = self.shapes[camera]
+        if not all(0 < size <= most for size, most in zip(own, shape, strict=True)):
+            raise InputError(
+                f"{REFERENCES}: {camera}: expected a shape of at most {shape[0]} x {shape[1]} pixels "
+                f"(rows x columns), got {own[0]} x {own[1]}"
+            )
         name, page = frames[frame]
         path = self._place(name)
         if not path.is_file():
@@ -60,7 +66,7 @@ class ReferencesFile(Record):
                 f"{path}: expected an image, found no such file; if the recording has moved, "
                 "import it again"
             )
-        return extended(read_page(path, page, self.shapes[camera], self.raw), shape)
+        return extended(read_page(path, page, own, self.raw), shape)
 
     def faults(self) -> Iterator[str]:
         """Find files that are missing or have changed."""

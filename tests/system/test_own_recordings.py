@@ -297,6 +297,25 @@ def test_images_stay_where_they_are(original: Dataset, pngs: Path, tmp_path: Pat
     assert "missing" in verify(tank.root)[0]
 
 
+def test_references_are_checked(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    tank = import_like(original, pngs, tmp_path / "tank", referenced=True)
+    assert tank.references is not None
+    first = tank.references
+    shape = first.shapes["camera_00"]
+    cases = {
+        "expected a shape of at most": {"shapes": first.shapes | {"camera_00": (500, 500)}},
+        "expected a plain file inside": {"images": {"camera_00": (("../secret.png", 0),)}},
+        "expected an image of frame 0": {"images": {}},
+        "expected image 7 in it, got fewer": {
+            "images": {"camera_00": (("camera_00/img_0.png", 7),)}
+        },
+        "found no such file": {"folder": str(tmp_path / "moved")},
+    }
+    for expected, change in cases.items():
+        with pytest.raises(InputError, match=expected):
+            first.model_copy(update=change).read("camera_00", 0, shape)
+
+
 def test_references_within_stacks(original: Dataset, tmp_path: Path) -> None:
     folder = write_stacks(original, tmp_path / "stacks", compression="zlib")
     frames = slice(1, None, 2)
