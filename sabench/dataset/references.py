@@ -56,8 +56,8 @@ class ReferencesFile(Record):
         own = self.shapes[camera]
         if not all(0 < size <= most for size, most in zip(own, shape, strict=True)):
             raise InputError(
-                f"{REFERENCES}: {camera}: expected a shape of at most {shape[0]} x {shape[1]} pixels "
-                f"(rows x columns), got {own[0]} x {own[1]}"
+                f"{REFERENCES}: {camera}: expected a shape of at most {shape[0]} x {shape[1]} "
+                f"pixels (rows x columns), got {own[0]} x {own[1]}"
             )
         name, page = frames[frame]
         path = self._place(name)

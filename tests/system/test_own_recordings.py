@@ -302,7 +302,7 @@ def test_references_are_checked(original: Dataset, pngs: Path, tmp_path: Path) -
     assert tank.references is not None
     first = tank.references
     shape = first.shapes["camera_00"]
-    cases = {
+    cases: dict[str, dict[str, Any]] = {
         "expected a shape of at most": {"shapes": first.shapes | {"camera_00": (500, 500)}},
         "expected a plain file inside": {"images": {"camera_00": (("../secret.png", 0),)}},
         "expected an image of frame 0": {"images": {}},
