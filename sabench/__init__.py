@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         tasks,
     )
     from sabench.api.truth import Bubbles, Particles
+    from sabench.dataset.import_recording import ImportOptions, import_recording
     from sabench.dataset.reader import Dataset, open_dataset
     from sabench.dataset.results import Result, open_result
     from sabench.dataset.verification import verify
@@ -30,12 +31,14 @@ if TYPE_CHECKING:
     from sabench.geometry.camera import Camera
     from sabench.geometry.grid import Grid
     from sabench.geometry.refraction import Layer, Wall
+    from sabench.interop.camera_sources import read_camera_source
     from sabench.interop.vtkhdf import export
     from sabench.plugins import list_generators, list_scenes, list_solvers, list_suites
     from sabench.scenes import Scene, load_scene
     from sabench.simulation.in_memory import simulate
     from sabench.simulation.pipeline import generate
     from sabench.tasks.own_calibration import calibrate
+    from sabench.tasks.quality import quality
     from sabench.tasks.solve_and_score import score, solve
 
 
@@ -46,6 +49,7 @@ _HOMES = {
     "Camera": "geometry.camera",
     "Dataset": "dataset.reader",
     "Grid": "geometry.grid",
+    "ImportOptions": "dataset.import_recording",
     "Layer": "geometry.refraction",
     "Particles": "api.truth",
     "Result": "dataset.results",
@@ -55,6 +59,7 @@ _HOMES = {
     "check": "evaluation.gates.comparison:check_file",
     "export": "interop.vtkhdf",
     "generate": "simulation.pipeline",
+    "import_recording": "dataset.import_recording",
     "list_generators": "plugins",
     "list_scenes": "plugins",
     "list_solvers": "plugins",
@@ -62,6 +67,8 @@ _HOMES = {
     "load_scene": "scenes",
     "open_dataset": "dataset.reader",
     "open_result": "dataset.results",
+    "quality": "tasks.quality",
+    "read_camera_source": "interop.camera_sources",
     "reproduce": "evaluation.thesis",
     "run_suite": "evaluation.runner",
     "score": "tasks.solve_and_score",
@@ -85,6 +92,7 @@ __all__ = [
     "Camera",
     "Dataset",
     "Grid",
+    "ImportOptions",
     "Layer",
     "Particles",
     "Result",
@@ -100,6 +108,7 @@ __all__ = [
     "generate",
     "geometry",
     "images",
+    "import_recording",
     "list_generators",
     "list_scenes",
     "list_solvers",
@@ -109,6 +118,8 @@ __all__ = [
     "open_dataset",
     "open_result",
     "plotting",
+    "quality",
+    "read_camera_source",
     "reproduce",
     "run_suite",
     "score",

@@ -182,6 +182,7 @@ def verify(
     """Check every byte and every shape of a data set."""
     from sabench.dataset.agreement import disagreements
     from sabench.dataset.reader import open_dataset
+    from sabench.dataset.verification import describe_recorded
     from sabench.dataset.verification import verify as faults_of
 
     faults = faults_of(dataset)
@@ -192,7 +193,8 @@ def verify(
         say(fault)
     if faults:
         raise typer.Exit(1)
-    say(f"{dataset}: intact" + (f", agrees with {against}" if against is not None else ""))
+    agrees = f", agrees with {against}" if against is not None else ""
+    say(f"{dataset}: intact{agrees}{describe_recorded(open_dataset(dataset))}")
 
 
 def pack(

@@ -16,7 +16,9 @@ import typer
 from sabench.cli import data, evaluate, solve
 from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
+from sabench.cli.importing import import_recording
 from sabench.cli.options import say
+from sabench.cli.quality import quality
 from sabench.cli.recordings import compare_statistics
 from sabench.cli.reproduce import reproduce
 from sabench.utils.errors import InputError
@@ -32,6 +34,7 @@ for _command in (
     compare_statistics,
     solve.solve,
     solve.score,
+    quality,
     data.export,
     solve.conform,
     solve.calibrate,
@@ -43,6 +46,7 @@ for _command in (
     doctor,
 ):
     app.command(_command.__name__.replace("_", "-"), cls=Command)(_command)
+app.command("import", cls=Command)(import_recording)
 
 _INTERRUPTED = "interrupted: finished work is kept, nothing is left half-written"
 _AGAIN_S = 0.05  # until a Ctrl-C is repeated

@@ -23,13 +23,13 @@ from sabench.dataset.setup_limits import check_lengths, check_shown
 from sabench.dataset.wall_entries import behind, check_walls
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.camera_records import record_camera
+from sabench.geometry.camera_records import CameraEntry, record_camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.wall_records import WallRecord, WallsRecord
 from sabench.images.preprocessing import Step
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber
-from sabench.utils.files import canonical_json, inside
+from sabench.utils.files import canonical_json, inside, read_json
 
 _MOST_DN = 65535  # of 16 bits
 
@@ -54,7 +54,7 @@ class CamerasFile(Record):
     frames: int = Field(ge=1, le=1_000_000)  # tasks list them
     interval_s: float = Field(gt=0)
     wall: WallsRecord | None
-    cameras: tuple[Camera, ...] = Field(min_length=1)
+    cameras: tuple[CameraEntry, ...] = Field(min_length=1)
     grid: Grid
     sensor: SensorLevels
     unknown: tuple[LensNumber, ...] = ()
@@ -62,6 +62,20 @@ class CamerasFile(Record):
     pulses: int = Field(1, ge=1)
     preprocessing: tuple[Step, ...] = ()
     shows: tuple[Literal["particles", "bubbles", "code"], ...] = ("particles",)
+
+    @property
+    def pinholes(self) -> tuple[Camera, ...]:
+        """The cameras, where all of them are pinholes.
+
+        Raises
+        ------
+        InputError
+            A camera of another model.
+        """
+        other = next((one.name for one in self.cameras if not isinstance(one, Camera)), None)
+        if other is not None:
+            raise InputError(f"{other}: expected a pinhole camera, got another camera model")
+        return tuple(one for one in self.cameras if isinstance(one, Camera))
 
     def walls_of_cameras(self) -> tuple[WallRecord | None, ...]:
         """List the wall that each camera looks through."""
@@ -94,16 +108,45 @@ class TrueCamerasFile(Record):
     cameras: tuple[Camera, ...]
 
 
+class CalibratedFile(Record):
+    """cameras.json of a calibration: cameras and their walls alone."""
+
+    format: str
+    version: int
+    wall: WallsRecord | None = None
+    cameras: tuple[CameraEntry, ...] = Field(min_length=1)
+
+
+def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
+    """Read the cameras of a calibration, or those of a data set and its grid.
+
+    Cameras of a calibration may differ in image size.
+
+    Raises
+    ------
+    InputError
+        Another kind of file, or broken cameras.
+    """
+    keys = read_json(path)
+    if isinstance(keys, dict) and "grid" in keys:
+        setup = read_cameras(path.parent)
+        return setup.cameras, setup.grid
+    loaded = read_versioned(CalibratedFile, path)
+    one = loaded.wall
+    walls = one if isinstance(one, tuple) else (one,) * len(loaded.cameras)
+    _check_names(loaded.cameras, path)
+    _check_cameras(loaded.cameras, path)
+    check_walls(path, walls, len(loaded.cameras))
+    return behind(walls, loaded.cameras), None
+
+
 def read_cameras(root: Path) -> CamerasFile:
     """Read the cameras of a data set, every one with its wall."""
     path = inside(root, CAMERAS)
     loaded = read_versioned(CamerasFile, path)
-    names = [camera.name for camera in loaded.cameras]
-    if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
-        raise InputError(
-            f"{path}: cameras: expected different names of letters, digits and _, got {names}"
-        )
+    _check_names(loaded.cameras, path)
     _check_cameras(loaded.cameras, path)
+    _check_one_size(loaded.cameras, path)
     check_shown(path, loaded.shows)
     check_walls(path, loaded.walls_of_cameras(), len(loaded.cameras))
     check_lengths(path, loaded.walls_of_cameras(), loaded.cameras, loaded.grid)
@@ -132,32 +175,65 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
     return behind(walls, cameras)
 
 
-def _check_cameras(cameras: tuple[Camera, ...], path: Path) -> None:
-    """Check what the types cannot express of cameras."""
+def _check_names(cameras: Sequence[CameraModel], path: Path) -> None:
+    names = [camera.name for camera in cameras]
+    if len(set(names)) != len(names) or not all(name.replace("_", "").isalnum() for name in names):
+        raise InputError(
+            f"{path}: cameras: expected different names of letters, digits and _, got {names}"
+        )
+
+
+def _check_one_size(cameras: Sequence[CameraModel], path: Path) -> None:
     first = cameras[0]
     for camera in cameras:
-        sizes = (
-            camera.rows,
-            camera.columns,
-            camera.pixel_mm,
-            camera.principal_distance_mm,
-            camera.focal_length_mm,
-            camera.f_number,
-        )
-        if min(sizes) <= 0:
-            raise InputError(f"{path}: {camera.name}: expected positive sizes, got {sizes}")
         if (camera.rows, camera.columns) != (first.rows, first.columns):
             got = f"{camera.rows} x {camera.columns}"
             raise InputError(
                 f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x "
                 f"columns) as {first.name} has, got {got}"
             )
-        rotation = np.asarray(camera.rotation)
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0.0:
-            raise InputError(
-                f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got "
-                f"{rotation.tolist()}"
-            )
+
+
+def _check_cameras(cameras: Sequence[CameraModel], path: Path) -> None:
+    """Check what the types cannot express of cameras."""
+    for camera in cameras:
+        sizes: tuple[float, ...] = (camera.rows, camera.columns)
+        if isinstance(camera, Camera):
+            lens = (camera.focal_length_mm, camera.f_number)
+            sizes = (*sizes, camera.pixel_mm, camera.principal_distance_mm, *lens)
+        if min(sizes) <= 0:
+            raise InputError(f"{path}: {camera.name}: expected positive sizes, got {sizes}")
+        if isinstance(camera, Camera):
+            _check_rotation(camera, path)
+        else:
+            _check_map(camera, path)
+
+
+def _check_rotation(camera: Camera, path: Path) -> None:
+    rotation = np.asarray(camera.rotation)
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-9 or np.linalg.det(rotation) < 0.0:
+        raise InputError(
+            f"{path}: {camera.name}: rotation: expected a right-handed orthonormal matrix, got "
+            f"{rotation.tolist()}"
+        )
+
+
+def _check_map(camera: CameraModel, path: Path) -> None:
+    """Check that a camera without optics maps points, and has lines of sight."""
+    middle = np.array([[(camera.columns - 1) / 2.0, (camera.rows - 1) / 2.0]])
+    try:
+        with np.errstate(all="ignore"):
+            rays = camera.back_project(middle)
+            _, there = camera.project(rays.origins_mm + rays.directions)
+            sound = bool(rays.valid[0] and np.isfinite([*camera.center_mm]).all() and len(there))
+    except (ArithmeticError, IndexError, ValueError) as error:  # sizes of matrices, singular ones
+        raise InputError(
+            f"{path}: {camera.name}: expected a camera that maps points to pixels, got {error}"
+        ) from error
+    if not sound:
+        raise InputError(
+            f"{path}: {camera.name}: expected a line of sight of its middle pixel, got none"
+        )
 
 
 def _check_numbers(loaded: CamerasFile, path: Path) -> None:

@@ -12,7 +12,9 @@ from pathlib import Path
 
 from sabench.dataset import schema
 from sabench.dataset.reader import Dataset
-from sabench.utils.files import complete_or_nothing, inside
+from sabench.images.tiff_exr import write_tiff
+from sabench.utils.errors import InputError
+from sabench.utils.files import complete_or_nothing, inside, sha256
 from sabench.utils.progress import progress_bar
 
 
@@ -34,6 +36,8 @@ def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) ->
             continue  # whoever reads it finds the fault, and names the file
         place.parent.mkdir(parents=True, exist_ok=True)
         _copy(inside(dataset.root, name), place, linked)
+    if dataset.references is not None:
+        files |= _copy_references(dataset, folder)
     head = {
         "format": schema.FORMAT,
         "version": schema.VERSION,
@@ -42,6 +46,19 @@ def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) ->
         "files": {name: entry.model_dump() for name, entry in files.items()},
     }
     (folder / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")
+
+
+def _copy_references(dataset: Dataset, folder: Path) -> dict[str, schema.FileEntry]:
+    """Copy the images of a recorded data set that lie elsewhere."""
+    files = {}
+    for frame in range(dataset.setup.frames):
+        for number, camera in enumerate(dataset.setup.cameras):
+            name = schema.image_name(camera.name, frame, "tif")
+            place = inside(folder, name)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            write_tiff(place, dataset.raw_image(number, frame))
+            files[name] = schema.FileEntry(bytes=place.stat().st_size, sha256=sha256(place))
+    return files
 
 
 def _copy(source: Path, place: Path, linked: bool) -> None:
@@ -86,7 +103,13 @@ def _copy_side(dataset: Dataset, folder: Path, blind: bool) -> None:
     if blind:
         copy_observation(dataset, folder)
         return
-    for name in [*dataset.manifest.files, schema.MANIFEST]:
+    if dataset.references is not None:
+        raise InputError(
+            f"{dataset.root}: expected a data set that holds its images, got one that references "
+            "them; pack it with --blind, which copies them"
+        )
+    whole = dataset.contents if dataset.recorded else dataset.manifest
+    for name in [*whole.files, schema.MANIFEST]:
         place = inside(folder, name)
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(inside(dataset.root, name), place)

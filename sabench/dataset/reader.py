@@ -16,8 +16,10 @@ from sabench.dataset import schema
 from sabench.dataset.build_observation import build_observation
 from sabench.dataset.camera_files import CamerasFile, read_cameras, read_true_cameras
 from sabench.dataset.hdf5 import finite, names_in, open_hdf5, read_array
-from sabench.dataset.schema import Contents, Manifest
+from sabench.dataset.references import ReferencesFile, read_references
+from sabench.dataset.schema import Contents, Manifest, RecordedManifest
 from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.frames import Pose
 from sabench.images.preprocessing import takes_all_frames
 from sabench.images.tiff_exr import read_exr, read_tiff
@@ -53,16 +55,24 @@ class Dataset:
 
     @property
     def has_truth(self) -> bool:
-        """True unless the folder holds the observation side alone."""
+        """True unless it is recorded, or the folder holds the observation side alone."""
         return isinstance(self.contents, Manifest)
+
+    @property
+    def recorded(self) -> bool:
+        """True for images that real cameras recorded, of which no truth is known."""
+        return isinstance(self.contents, RecordedManifest)
 
     @property
     def manifest(self) -> Manifest:
         """Contents and origin: truth, not for solvers."""
         if not isinstance(self.contents, Manifest):
-            raise InputError(
-                f"{self.root}: expected a data set with its truth, got the observation side alone"
+            got = (
+                "a recorded one, which has none: see `sabench quality`"
+                if self.recorded
+                else "the observation side alone"
             )
+            raise InputError(f"{self.root}: expected a data set with its truth, got {got}")
         return self.contents
 
     @cached_property
@@ -77,7 +87,7 @@ class Dataset:
         They are those of `setup`, unless the data set has a calibration error.
         """
         if schema.TRUE_CAMERAS not in self.manifest.files:
-            return self.setup.cameras
+            return self.setup.pinholes
         return read_true_cameras(self.root, self.setup)
 
     @cached_property
@@ -105,7 +115,21 @@ class Dataset:
             lowest=self._lowest,
             by_camera=setup.sensor.by_camera,
             backlit="bubbles" in setup.shows,
+            masked=self.masked,
         )
+
+    @cached_property
+    def masked(self) -> Bool | None:
+        """Read which pixels (camera, row, column) masks leave out; None without masks."""
+        if not any(schema.mask_name(one.name) in self.contents.files for one in self.setup.cameras):
+            return None
+        return np.stack([self._masked(camera) for camera in self.setup.cameras])
+
+    def _masked(self, camera: CameraModel) -> Bool:
+        name, shape = schema.mask_name(camera.name), (camera.rows, camera.columns)
+        if name not in self.contents.files:
+            return np.zeros(shape, dtype=np.bool_)
+        return np.asarray(read_tiff(inside(self.root, name), shape) == 0)
 
     def _raw(self, frame: int) -> U16:
         """Read the raw images (camera, row, column) of a frame."""
@@ -115,7 +139,16 @@ class Dataset:
         """Read the image (row, column) of a frame and camera as it was recorded."""
         self._check_frame(frame)
         camera = self.setup.cameras[number]
+        if self.references is not None:
+            return self.references.read(camera.name, frame, (camera.rows, camera.columns))
         return read_tiff(self._image(camera.name, frame), (camera.rows, camera.columns))
+
+    @cached_property
+    def references(self) -> ReferencesFile | None:
+        """Read where the images of a recorded data set lie, if they are not in it."""
+        if not self.recorded or schema.REFERENCES not in self.contents.files:
+            return None
+        return read_references(self.root)
 
     @cached_property
     def _lowest(self) -> U16 | None:
@@ -218,7 +251,7 @@ class Dataset:
                 for vertices, faces in parts
             ]
 
-    def sight(self, frame: int, camera: Camera) -> Sight:
+    def sight(self, frame: int, camera: CameraModel) -> Sight:
         """Read the true view of a frame's bubbles and bodies by one camera."""
         self._check_frame(frame)
         group, image = (
@@ -241,7 +274,7 @@ class Dataset:
                 )
             )
 
-    def render_error(self, frame: int, camera: Camera) -> float:
+    def render_error(self, frame: int, camera: CameraModel) -> float:
         """Read the mean relative standard error of an image of bubbles and bodies."""
         with open_hdf5(self._truth()) as file:
             return float(
@@ -278,7 +311,7 @@ class Dataset:
         return CalibrationCase(
             target,
             arrays["pixels"],
-            setup.cameras,
+            setup.pinholes,
             arrays["rough_mm"],
             arrays["known_mm"],
             arrays["known_sigma_mm"],

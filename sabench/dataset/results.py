@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from sabench.api.estimates import Array, Estimate
+from sabench.api.estimates import Array, Calibration, Estimate
 from sabench.api.solvers import TaskName
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import (
@@ -25,6 +25,8 @@ from sabench.dataset.hdf5 import (
     read_attributes,
 )
 from sabench.dataset.reader import Dataset
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.camera_records import decode_cameras
 from sabench.geometry.grid import Grid
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
@@ -269,6 +271,27 @@ class DatasetNames:
         """Return whether this is a copy of the result's data set."""
         known = self.identity is not None and self.identity == dataset.identity
         return known or self.content_hash == dataset.content_hash
+
+
+def read_result_cameras(path: Path) -> tuple[CameraModel, ...]:
+    """Read the cameras that a solver of the task calibration has estimated.
+
+    Raises
+    ------
+    InputError
+        Not a result file, or one without cameras.
+    """
+    with open_hdf5(path) as file:
+        task = _task(_head(file), path)
+        if task != "calibration":
+            raise InputError(
+                f"{path}: expected a result of the task calibration, got one of {task}"
+            )
+        code = read_array(file, f"{Calibration.GROUP}/cameras", (None,), "u")
+    try:
+        return decode_cameras(code.astype(np.uint8))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
 def read_dataset_names(path: Path) -> DatasetNames:

@@ -24,6 +24,8 @@ MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
 TARGET, POINTS = "target.json", "points.h5"
 MOST_POINTS = 1_000_000  # of a target
 _LARGEST_MM = 1e6  # pitch of a target: a kilometre
+REFERENCES = "images.json"  # of a recorded data set whose images lie elsewhere
+MASKS = "masks"  # folder of images that mark the pixels that count
 GIVEN = "given"  # folder of files of other programs, which the scene reads
 
 
@@ -82,12 +84,28 @@ class ObservationManifest(Contents):
     side: Literal["observation"]
 
 
+class RecordedManifest(Contents):
+    """manifest.json of a recorded data set, which has no truth.
+
+    `source` names the recording; `versions` are those that imported it.
+    """
+
+    recorded: Literal[True]
+    source: str
+    versions: dict[str, str]
+
+
 def image_name(camera: str, frame: int, suffix: str) -> str:
     """Name the path of an image inside a data set.
 
     `suffix` is tif (grey values) or exr (radiance).
     """
     return f"images/frame_{frame:04d}/{camera}.{suffix}"
+
+
+def mask_name(camera: str) -> str:
+    """Name the path of a camera's mask inside a data set."""
+    return f"{MASKS}/{camera}.tif"
 
 
 def frame_group(frame: int) -> str:
@@ -127,20 +145,21 @@ def seal(manifest: dict[str, Any]) -> str:
 
 def is_observed(name: str) -> bool:
     """Return whether a file of a data set belongs to its observation side."""
-    image = name.startswith("images/") and name.endswith(".tif")
+    image = name.startswith(("images/", f"{MASKS}/")) and name.endswith(".tif")
     return image or name in (CAMERAS, TARGET, POINTS)
 
 
 def read_manifest(root: Path) -> Contents:
-    """Read the manifest of a data set, or of its observation side alone.
+    """Read the manifest of a data set of any kind.
+
+    It is a whole one, the observation side of one alone, or a recorded one.
 
     Raises InputError if there is none, it is broken or of another format.
     """
     path = inside(root, MANIFEST)
     if not root.is_dir() or not path.is_file():
         raise InputError(f"{path}: expected a data set's manifest, found none")
-    kind = ObservationManifest if _is_observation(path) else Manifest
-    manifest: Contents = read_versioned(kind, path)
+    manifest: Contents = read_versioned(_kind_of(path), path)
     if path.read_text(encoding="utf-8") != seal(
         manifest.model_dump(mode="json", exclude_none=True)
     ):
@@ -185,9 +204,12 @@ def read_target(root: Path) -> Target:
     return target
 
 
-def _is_observation(path: Path) -> bool:
+def _kind_of(path: Path) -> type[Contents]:
     value = read_json(path)
-    return isinstance(value, dict) and "side" in value
+    keys = value if isinstance(value, dict) else {}
+    if "side" in keys:
+        return ObservationManifest
+    return RecordedManifest if "recorded" in keys else Manifest
 
 
 def read_versioned(model: type[Model], path: Path) -> Model:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.wall_records import WallRecord
@@ -35,7 +36,7 @@ def _lone_code(shows: Sequence[str]) -> bool:
 
 
 def check_lengths(
-    path: Path, walls: Sequence[WallRecord | None], cameras: Sequence[Camera], grid: Grid
+    path: Path, walls: Sequence[WallRecord | None], cameras: Sequence[CameraModel], grid: Grid
 ) -> None:
     """Check that lengths and coordinates are such as a laboratory has.
 
@@ -62,11 +63,11 @@ def check_lengths(
 
 
 def _lengths(
-    walls: Sequence[WallRecord | None], cameras: Sequence[Camera], grid: Grid
+    walls: Sequence[WallRecord | None], cameras: Sequence[CameraModel], grid: Grid
 ) -> Iterator[tuple[str, Sequence[float]]]:
     size = [step * count for step, count in zip(grid.voxel_mm, grid.shape[::-1], strict=True)]
     yield "grid", [*grid.low_mm, *size]
-    for camera in cameras:
+    for camera in (one for one in cameras if isinstance(one, Camera)):
         lens = (camera.principal_distance_mm, camera.focal_length_mm, camera.pixel_mm)
         yield camera.name, [*camera.center_mm, *lens]
     for wall in walls:

@@ -42,9 +42,20 @@ def verify(path: str | Path) -> list[str]:
     return [one_line(fault, _LONGEST) for fault in faults]
 
 
+def describe_recorded(dataset: Dataset) -> str:
+    """Say what a recorded data set holds, as the end of a sentence; "" for any other."""
+    if not dataset.recorded:
+        return ""
+    frames, cameras = dataset.setup.frames, len(dataset.setup.cameras)
+    masks = "" if dataset.masked is None else ", masks"
+    elsewhere = "" if dataset.references is None else f", images in {dataset.references.folder}"
+    size = f"{frames} frame(s) of {cameras} camera(s)"
+    return f"; recorded: {size}{masks}{elsewhere}; no truth, no scene"
+
+
 def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
     """Find missing, changed and unlisted files."""
-    whole = isinstance(manifest, schema.Manifest)
+    whole = not isinstance(manifest, schema.ObservationManifest)
     if whole and manifest.content_hash != schema.content_hash(manifest.files):
         yield f"{root / schema.MANIFEST}: its content_hash does not match its files"
     present = {
@@ -99,6 +110,14 @@ def _observation_faults(dataset: Dataset) -> Iterator[str]:
     if dataset.shows_target:
         yield from _try(dataset.calibration_case)
         return
+    if broken := list(_try(lambda: dataset.masked)):
+        yield from broken
+        return
+    if broken := list(_try(lambda: dataset.references)):
+        yield from broken
+        return
+    if dataset.references is not None:
+        yield from dataset.references.faults()
     for frame in progress_bar(range(dataset.setup.frames), "verify shapes"):
         yield from _try(functools.partial(dataset.observation, frame))
 

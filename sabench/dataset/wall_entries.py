@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.refraction import Wall
 from sabench.geometry.wall_records import WallRecord
 from sabench.utils.errors import InputError
+
+AnyCamera = TypeVar("AnyCamera", bound=CameraModel)
 
 
 def wall_entry(cameras: Sequence[CameraModel]) -> Any:
@@ -24,10 +26,15 @@ def wall_entry(cameras: Sequence[CameraModel]) -> Any:
     return [wall and dataclasses.asdict(wall) for wall in walls]
 
 
-def behind(walls: Sequence[WallRecord | None], cameras: Sequence[Camera]) -> tuple[Camera, ...]:
-    """Put each camera behind its own wall."""
+def behind(
+    walls: Sequence[WallRecord | None], cameras: Sequence[AnyCamera]
+) -> tuple[AnyCamera, ...]:
+    """Put each pinhole behind its own wall; other camera models include refraction."""
     pairs = zip(cameras, walls, strict=True)
-    return tuple(dataclasses.replace(camera, wall=wall) for camera, wall in pairs)
+    return tuple(
+        dataclasses.replace(camera, wall=wall) if isinstance(camera, Camera) else camera
+        for camera, wall in pairs
+    )
 
 
 def check_walls(path: Path, walls: Sequence[WallRecord | None], cameras: int) -> None:

@@ -6,10 +6,17 @@ import functools
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any, cast
+from typing import Annotated, Any, Union, cast
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import (
+    BeforeValidator,
+    Discriminator,
+    GetPydanticSchema,
+    Tag,
+    TypeAdapter,
+    ValidationError,
+)
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
@@ -19,6 +26,7 @@ from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.utils.arrays import U8
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
+from sabench.utils.validation import MODEL_TAG
 
 MODELS: dict[str, type[Any]] = {
     "pinhole": Camera,
@@ -29,6 +37,44 @@ MODELS: dict[str, type[Any]] = {
 
 
 _LARGEST = 1e12  # no length or coefficient of a camera is beyond it
+_DEFAULT = "pinhole"  # of records without `model`
+
+
+def _model_of(value: Any) -> str:
+    """Name the model of a record, or of a camera."""
+    if isinstance(value, dict):
+        return f"{MODEL_TAG}{value.get('model', _DEFAULT)}"
+    named = (name for name, model in MODELS.items() if type(value) is model)
+    return f"{MODEL_TAG}{next(named, '')}"
+
+
+def _without_model(value: Any) -> Any:
+    return (
+        {key: one for key, one in value.items() if key != "model"}
+        if isinstance(value, dict)
+        else value
+    )
+
+
+def _any_model() -> Any:
+    """Make the union of all models, told apart by the key `model`."""
+    members = [
+        Annotated[model, BeforeValidator(_without_model), Tag(f"{MODEL_TAG}{name}")]
+        for name, model in MODELS.items()
+    ]
+    known = ", ".join(MODELS)
+    return Annotated[
+        Union[tuple(members)],  # noqa: UP007  # its members are known at run time only
+        Discriminator(
+            _model_of,
+            custom_error_type="camera_model",
+            custom_error_message=f"Input should be a camera with a model of {known}",
+        ),
+    ]
+
+
+# Camera of any model as a field of a pydantic model; a record without `model` is a pinhole's.
+CameraEntry = Annotated[CameraModel, GetPydanticSchema(lambda _, handler: handler(_any_model()))]
 
 
 def record_camera(camera: CameraModel) -> dict[str, Any]:

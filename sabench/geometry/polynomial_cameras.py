@@ -291,3 +291,11 @@ def _meeting(camera: _Fitted) -> tuple[float, float, float]:
     return triple(
         np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origin), rcond=None)[0]
     )
+
+
+def fitted_box(camera: object) -> tuple[F64, F64] | None:
+    """Return the corners (3,) of the box of a camera's fit; None without any."""
+    if not isinstance(camera, _Fitted):
+        return None
+    middle, half = np.asarray(camera.middle_mm), np.asarray(camera.half_mm)
+    return middle - half, middle + half

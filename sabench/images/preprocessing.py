@@ -7,12 +7,13 @@ any order.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.utils.arrays import F32, U16
+from sabench.utils.validation import validate
 
 WHITE = 65535  # of processed images; their black is 0
 
@@ -109,6 +110,15 @@ Step = Annotated[
     TemporalMinimum | SlidingMinimum | Gaussian | MatchHistograms | Stretch,
     Field(discriminator="step"),
 ]
+
+
+class _Steps(_Step):
+    steps: tuple[Step, ...]
+
+
+def read_steps(tables: Sequence[dict[str, Any]], source: str) -> tuple[Step, ...]:
+    """Make steps of tables of their keys; an InputError names faults after `source`."""
+    return validate(_Steps, {"steps": tables}, source).steps
 
 
 def takes_all_frames(steps: Sequence[Step]) -> bool:

@@ -52,7 +52,8 @@ def export(
     there is a flow, `flow`; `bubbles`; `bodies`. A result gives `volume` and, if it has some,
     `particles`, or `particles` alone with the ids of the true ones that they are, or `velocity`
     with the exact field and the error of every vector, or `bubbles` with the errors of those that
-    are matched to true ones. Lengths are mm, velocities mm/s.
+    are matched to true ones. Without the truth a result gives its own arrays alone. Lengths are mm,
+    velocities mm/s.
 
     Raises
     ------
@@ -134,33 +135,40 @@ def _write_reconstruction(root: Path, data: Dataset, frame: int, found: Reconstr
 
 
 def _write_velocity(root: Path, data: Dataset, frame: int, field: Velocity) -> None:
-    pair = next(pair for pair in data.setup.pairs() if pair[0] == frame)
-    exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
-        field.velocity_mm_s.shape
-    )
     values = _field(field, gradient(field.velocity_mm_s, field.step_mm)) | {
-        "valid": field.valid.astype(np.uint8),
-        "exact_mm_s": exact,
-        "error_mm_s": field.velocity_mm_s - exact,
+        "valid": field.valid.astype(np.uint8)
     }
+    if data.has_truth:
+        pair = next(pair for pair in data.setup.pairs() if pair[0] == frame)
+        exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
+            field.velocity_mm_s.shape
+        )
+        values |= {"exact_mm_s": exact, "error_mm_s": field.velocity_mm_s - exact}
     write_lattice(root / f"velocity_{frame:04d}.vtkhdf", field.low_mm, field.step_mm, values)
 
 
 def _write_detections(root: Path, data: Dataset, frame: int, found: Detections) -> None:
-    values = _shapes(found) | _errors(found, data.bubbles(frame))
+    values = _shapes(found)
+    if data.has_truth:
+        values |= _errors(found, data.bubbles(frame))
     write_points(root / f"bubbles_{frame:04d}.vtkhdf", found.center_mm, values)
 
 
 def _write_particles(root: Path, data: Dataset, frame: int, found: FoundParticles) -> None:
+    given = {"intensity": found.intensity, "track": found.trajectory}
+    about = {name: one for name, one in given.items() if one is not None}
+    if data.has_truth:
+        about |= _identities(found, data, frame)
+    write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
+
+
+def _identities(found: FoundParticles, data: Dataset, frame: int) -> Data:
+    """Match found particles to true ones as the scores do; -1 marks the others."""
     grid, true = data.setup.grid, data.particles(frame)
     i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(true.position_mm))
     identity = np.full(len(found.position_mm), -1)
     identity[i] = true.id[j]
-    given = {"intensity": found.intensity, "track": found.trajectory}
-    about = {"matched": (identity >= 0).astype(np.uint8), "true_id": identity} | {
-        name: one for name, one in given.items() if one is not None
-    }
-    write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
+    return {"matched": (identity >= 0).astype(np.uint8), "true_id": identity}
 
 
 _WRITERS: dict[type[Estimate], Callable[[Path, Dataset, int, Any], None]] = {

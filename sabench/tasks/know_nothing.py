@@ -204,7 +204,7 @@ def _fields(data: Dataset) -> dict[str, Make]:
 
 
 def _calibrations(data: Dataset) -> dict[str, Make]:
-    cameras = data.setup.cameras
+    cameras = data.setup.pinholes
     made = {
         "far away": Calibration(
             tuple(_moved(one, _FAR_MM * (-1) ** number) for number, one in enumerate(cameras))

@@ -216,10 +216,11 @@ def score(
     Raises
     ------
     InputError
-        A file that is not a result of this data set, or has a wrong shape or values that are not
-        finite.
+        A data set without truth, or a file that is not a result of this data set, or has a wrong
+        shape or values that are not finite.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    _ = data.manifest  # raises where there is no truth
     word: Literal["truth", "empty"] | None = next(
         (one for one in WORDS if one == str(result)), None
     )

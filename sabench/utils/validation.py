@@ -18,6 +18,7 @@ from pydantic_core import InitErrorDetails
 
 from sabench.utils.errors import InputError
 
+MODEL_TAG = "model:"  # opens the tags of unions of camera models
 _SHOWN = 80  # characters of a value that a sentence quotes
 _WORDS = (  # pydantic's words and ours, tried one after the other
     (r"^input should be a valid (\w+), .*", r"expected a valid \1"),
@@ -145,6 +146,7 @@ def _key_path(loc: tuple[Any, ...]) -> list[Any]:
         for i, part in enumerate(loc)
         if not (i and loc[i - 1] == "layout" and part in layouts)
         and not ("wall" in loc[:i] and part in walls)
+        and not (isinstance(part, str) and part.startswith(MODEL_TAG))
     ]
 
 

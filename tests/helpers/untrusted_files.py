@@ -262,7 +262,7 @@ def mesh(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
 def describe_calibration(data: Dataset, folder: Path) -> dict[str, Any]:
     """Write a folder for `sabench calibrate` from a data set of a target; return its TOML."""
     case, setup = data.calibration_case(), data.setup
-    wall, first = setup.wall, setup.cameras[0]
+    wall, first = setup.wall, setup.pinholes[0]
     assert wall is not None
     values = {
         "target_mm": [0.0, 0.0, 30.0],

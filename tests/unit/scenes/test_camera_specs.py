@@ -94,7 +94,7 @@ def test_what_cannot_be_is_refused(each: list[dict[str, Any]], expected: str) ->
 
 def test_data_sets_keep_the_tilt(tmp_path: Path) -> None:
     made = sabench.generate(scene_with(OWN), tmp_path / "data", seed=1, backend="splat")
-    assert sabench.open_dataset(made.root).setup.cameras[2].tilt_deg == (4.0, -6.0)
+    assert sabench.open_dataset(made.root).setup.pinholes[2].tilt_deg == (4.0, -6.0)
     path = made.root / "cameras.json"
     values = json.loads(path.read_text(encoding="utf-8"))
     assert [("tilt_deg" in camera) for camera in values["cameras"]] == [False, False, True, False]

@@ -110,7 +110,7 @@ def test_a_data_set_keeps_both_the_nominal_and_the_true_cameras(
     )
     assert simulate(shifted_scene(1.5), seed=9).observation.cameras == wrong.setup.cameras
     np.testing.assert_allclose(
-        np.linalg.norm(moves(wrong.setup.cameras, wrong.true_cameras), axis=2), 1.5
+        np.linalg.norm(moves(wrong.setup.pinholes, wrong.true_cameras), axis=2), 1.5
     )
     for view, camera in zip(wrong.views(0), wrong.true_cameras, strict=True):
         np.testing.assert_allclose(

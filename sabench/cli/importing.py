@@ -1,0 +1,245 @@
+"""Command on your own recordings: import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sabench.cli import tables
+from sabench.cli.options import AsJson, Overwrite, parse_parameters, say, say_json
+from sabench.utils.errors import InputError
+
+if TYPE_CHECKING:
+    from sabench.dataset.import_recording import Box, Imported
+    from sabench.images.image_reading import RawLayout
+    from sabench.images.preprocessing import Step
+
+
+def import_recording(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of images.")],
+    cameras: Annotated[
+        Path,
+        typer.Option(
+            metavar="PATH",
+            help="The calibration: a folder that `sabench calibrate` has written, a cameras.json, "
+            "or a data set.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FOLDER", help="The data set folder to create."),
+    ],
+    pattern: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Path of an image in the folder, as in '{camera}/img_{frame}.tif'; * stands for "
+            "anything.",
+        ),
+    ] = None,
+    pair: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="IMAGES=CAMERA",
+            help="Name of a camera's images and of its calibration; repeatable. Others are left "
+            "out.",
+        ),
+    ] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option(
+            metavar="START:STOP", help="Take these images of each camera only; the first one is 0."
+        ),
+    ] = None,
+    interval: Annotated[
+        float, typer.Option(min=1e-12, metavar="SECONDS", help="Time between frames.")
+    ] = 1.0,
+    pulses: Annotated[
+        int, typer.Option(min=1, metavar="N", help="Frames in a group: 2 for double frames.")
+    ] = 1,
+    period: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Time from group to group.", show_default=False),
+    ] = None,
+    volume: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X0,X1,Y0,Y1,Z0,Z1",
+            help="The box that is lit, mm; by default what all cameras see.",
+            show_default=False,
+        ),
+    ] = None,
+    voxel: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MM", help="Size of voxels; by default that of a pixel.", show_default=False
+        ),
+    ] = None,
+    black: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DN",
+            help="Grey value of no light; by default estimated for each camera.",
+            show_default=False,
+        ),
+    ] = None,
+    white: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DN",
+            help="Grey value of saturation; by default estimated for each camera.",
+            show_default=False,
+        ),
+    ] = None,
+    masks: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Images by the cameras' names; 0 leaves pixels out."),
+    ] = None,
+    step: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[,KEY=VALUE]",
+            help="Step of preprocessing, as in sliding_minimum,window_px=9; repeatable.",
+        ),
+    ] = None,
+    backlit: Annotated[
+        bool, typer.Option("--backlit", help="The images show bubbles or bodies, not particles.")
+    ] = False,
+    raw: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TYPE[,HEADER]",
+            help="Pixels of raw files: uint8, uint16 or uint16-big, and bytes of their header.",
+        ),
+    ] = None,
+    reference: Annotated[
+        bool,
+        typer.Option("--reference", help="Leave the images where they are, and do not copy them."),
+    ] = False,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a data set without truth of your own images and calibration."""
+    from sabench.dataset.import_recording import ImportOptions
+    from sabench.dataset.import_recording import import_recording as make
+    from sabench.interop.camera_sources import read_camera_source
+
+    options = ImportOptions(
+        pattern=pattern,
+        pairs=_pairs(pair),
+        frames=_frames(frames),
+        raw=_raw(raw),
+        masks=masks,
+        volume_mm=_box(volume),
+        voxel_mm=voxel,
+        interval_s=interval,
+        pulses=pulses,
+        period_s=period,
+        black_dn=black,
+        white_dn=white,
+        preprocessing=_steps(step or []),
+        backlit=backlit,
+        referenced=reference,
+    )
+    source = read_camera_source(cameras)
+    made = make(folder, source.cameras, output, options, source.grid, overwrite=overwrite)
+    if as_json:
+        say_json(_import_record(made))
+    else:
+        _show_import(made, output)
+
+
+def _show_import(made: Imported, out: Path) -> None:
+    rows = [
+        (
+            name,
+            f"{level.black_dn:.1f}",
+            f"{level.white_dn:g}",
+            f"{level.bit_depth}",
+            f"{100.0 * level.saturated:.3f}",
+        )
+        for name, level in made.levels.items()
+    ]
+    tables.show(("camera", "black", "white", "bits", "saturated %"), rows)
+    grid = made.grid
+    x, y, z = (
+        f"{low - step / 2:.4g} to {low + step * (count - 0.5):.4g}"
+        for low, step, count in zip(grid.low_mm, grid.voxel_mm, grid.shape[::-1], strict=True)
+    )
+    voxels = " x ".join(f"{edge:.4g}" for edge in grid.voxel_mm)
+    say(f"volume: x {x}, y {y}, z {z} mm; voxels of {voxels} mm")
+    for note in made.notes:
+        say(f"note: {note}")
+    say(f"{out}: {made.frames} frame(s) of {len(made.levels)} camera(s), recorded, without truth")
+
+
+def _import_record(made: Imported) -> dict[str, object]:
+    from dataclasses import asdict
+
+    return {
+        "frames": made.frames,
+        "cameras": {name: asdict(level) for name, level in made.levels.items()},
+        "grid": asdict(made.grid),
+        "notes": made.notes,
+    }
+
+
+def _pairs(words: list[str] | None) -> dict[str, str] | None:
+    if not words:
+        return None
+    parted = [word.partition("=") for word in words]
+    if not all(of and own for of, _, own in parted):
+        raise InputError(f"--pair: expected IMAGES=CAMERA, got {', '.join(words)}")
+    return {of: own for of, _, own in parted}
+
+
+def _numbers(option: str, text: str, expected: str, count: int) -> list[float]:
+    try:
+        values = [float(one) for one in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise InputError(f"{option}: expected {expected}, got {text!r}")
+    return values
+
+
+def _box(text: str | None) -> Box | None:
+    if text is None:
+        return None
+    x0, x1, y0, y1, z0, z1 = _numbers("--volume", text, "x0,x1,y0,y1,z0,z1 in mm", 6)
+    return x0, x1, y0, y1, z0, z1
+
+
+def _frames(text: str | None) -> slice:
+    if text is None:
+        return slice(None)
+    try:
+        parts = [int(one) if one else None for one in text.split(":")]
+    except ValueError:
+        parts = []
+    if not 2 <= len(parts) <= 3 or any(one is not None and one < 0 for one in parts):
+        raise InputError(f"--frames: expected START:STOP or START:STOP:STEP, got {text!r}")
+    return slice(*parts)
+
+
+def _raw(text: str | None) -> RawLayout | None:
+    from sabench.images.image_reading import RawLayout
+
+    if text is None:
+        return None
+    dtype, _, header = text.partition(",")
+    if header and not header.isdigit():
+        raise InputError(f"--raw: expected TYPE or TYPE,HEADER in bytes, got {text!r}")
+    return RawLayout(dtype, int(header or 0))
+
+
+def _steps(words: list[str]) -> tuple[Step, ...]:
+    from sabench.images.preprocessing import read_steps
+
+    tables_of = []
+    for word in words:
+        name, *keys = word.split(",")
+        tables_of.append({"step": name, **parse_parameters(keys)})
+    return read_steps(tables_of, "--step")

@@ -1,0 +1,327 @@
+"""Import of recordings: images and cameras become a data set without truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sabench.dataset.camera_files import read_cameras
+from sabench.dataset.camera_pairs import Taken, pair_images
+from sabench.dataset.recorded_writer import RecordedWriter, recorded_writer
+from sabench.dataset.references import ReferenceList, extended
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.common_view import grid_of_box, pixel_size_mm, propose_box, share_in_view
+from sabench.geometry.grid import Grid
+from sabench.images.grey_levels import GreyLevels, GreyValues
+from sabench.images.image_files import Files, find_image_files
+from sabench.images.image_reading import RawLayout, read_images
+from sabench.images.preprocessing import Step, step_faults
+from sabench.utils.arrays import U16, Bool
+from sabench.utils.errors import InputError
+from sabench.utils.progress import progress_bar
+
+Box = tuple[float, float, float, float, float, float]
+_MOST_DN = 65535
+_ENOUGH = 0.5  # share of the grid that a camera should see
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """Facts of a recording that its images and calibration do not tell.
+
+    Attributes
+    ----------
+    pattern : path of an image below the folder, see `find_image_files`.
+    pairs : calibrated camera of each camera of the images, by their names; the others of both are
+        left out. None: by name, or else in order.
+    frames : range of the images of each camera to take.
+    raw : layout of raw files.
+    masks : folder with an image for each camera, by its name; 0 marks pixels that do not count.
+    volume_mm : x0, x1, y0, y1, z0, z1 of the box that is lit; None: the calibration's grid, or else
+        one that is proposed.
+    voxel_mm : size of voxels; None: the calibration's, or else that of a pixel in the box's middle.
+    interval_s : time between frames.
+    pulses, period_s : number of frames in a group, 2 for double frames, and the time from group to
+        group.
+    black_dn, white_dn : grey values of no light and of saturation; None: estimated for each camera.
+    preprocessing : steps that solvers' images pass.
+    backlit : whether the images show bubbles or bodies in front of a bright background.
+    referenced : whether the data set names the image files in place of holding copies.
+    """
+
+    pattern: str | None = None
+    pairs: Mapping[str, str] | None = None
+    frames: slice = field(default_factory=lambda: slice(None))
+    raw: RawLayout | None = None
+    masks: Path | None = None
+    volume_mm: Box | None = None
+    voxel_mm: float | None = None
+    interval_s: float = 1.0
+    pulses: int = 1
+    period_s: float | None = None
+    black_dn: float | None = None
+    white_dn: float | None = None
+    preprocessing: tuple[Step, ...] = ()
+    backlit: bool = False
+    referenced: bool = False
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Levels and grid of an imported recording, and notes for the user.
+
+    Attributes
+    ----------
+    frames : number of images of each camera.
+    grid : of the data set.
+    levels : of each camera, by its name.
+    notes : one sentence each.
+    """
+
+    frames: int
+    grid: Grid
+    levels: dict[str, GreyLevels]
+    notes: tuple[str, ...]
+
+
+def import_recording(
+    folder: Path,
+    calibration: Sequence[CameraModel],
+    out: Path,
+    options: ImportOptions,
+    grid: Grid | None = None,
+    *,
+    overwrite: bool = False,
+) -> Imported:
+    """Make a data set without truth of a folder of images and calibrated cameras.
+
+    Images are copied as 16-bit TIFF, or stay where they are. Those of cameras with smaller sensors
+    are extended to one size, and what is added is masked.
+
+    Parameters
+    ----------
+    calibration : cameras of any model.
+    grid : of the calibration, if it has one.
+
+    Raises
+    ------
+    InputError
+        Images or cameras that are missing, of another size, or of different numbers; a camera that
+        sees nothing of the volume; and anything that an option, a file or a camera is not.
+    """
+    notes: list[str] = []
+    files = find_image_files(folder, [one.name for one in calibration], options.pattern)
+    chosen = pair_images(folder, files, calibration, options.pairs, notes)
+    cameras = [camera for camera, _ in chosen]
+    voxels = _grid(cameras, options, grid, notes)
+    _check_views(cameras, voxels, notes)
+    with recorded_writer(out, folder.resolve().name, overwrite=overwrite) as writer:
+        counts, values = _store_all(writer, folder, chosen, options)
+        made = Imported(_one_length(folder, counts), voxels, _levels(values, options), tuple(notes))
+        writer.set_cameras(_of_one_size(cameras), **_keys(made, options))
+        _check_cameras(writer.root, out)
+    return made
+
+
+def _check_cameras(written: Path, out: Path) -> None:
+    """Check that the cameras can be read again; errors name the folder `out`."""
+    try:
+        read_cameras(written)
+    except InputError as error:
+        raise InputError(str(error).replace(str(written), str(out))) from None
+
+
+def _of_one_size(cameras: Sequence[Any]) -> list[CameraModel]:
+    """Extend the images of cameras, which are dataclasses, to the largest one."""
+    rows, columns = _largest(cameras)
+    return [dataclasses.replace(one, rows=rows, columns=columns) for one in cameras]
+
+
+def _largest(cameras: Sequence[CameraModel]) -> tuple[int, int]:
+    return max(one.rows for one in cameras), max(one.columns for one in cameras)
+
+
+def _grid(
+    cameras: Sequence[CameraModel],
+    options: ImportOptions,
+    calibrated: Grid | None,
+    notes: list[str],
+) -> Grid:
+    """Choose the grid: of the options, the calibration, or one that all cameras see."""
+    if options.volume_mm is None and options.voxel_mm is None and calibrated is not None:
+        return calibrated
+    if options.volume_mm is not None:
+        low, high = np.array(options.volume_mm[::2]), np.array(options.volume_mm[1::2])
+    elif calibrated is not None:
+        low = np.asarray(calibrated.low_mm) - 0.5 * np.asarray(calibrated.voxel_mm)
+        high = low + np.asarray(calibrated.voxel_mm) * calibrated.shape[::-1]
+    else:
+        low, high = propose_box(cameras)
+        notes.append("the volume is what all cameras see; set --volume to the part that is lit")
+    voxel_mm = options.voxel_mm or pixel_size_mm(cameras, 0.5 * (low + high))
+    return grid_of_box(low, high, voxel_mm)
+
+
+def _check_views(cameras: Sequence[CameraModel], grid: Grid, notes: list[str]) -> None:
+    for camera in cameras:
+        lit, seen = share_in_view(camera, grid)
+        if not seen:
+            raise InputError(
+                f"{camera.name}: expected it to see some of the volume, but it sees nothing of it; "
+                "check the volume, and units and axes of the calibration"
+            )
+        if lit < 1.0:
+            notes.append(
+                f"{camera.name}: {1.0 - lit:.0%} of the volume has no light path to it, which "
+                "particle solvers refuse: is part of it in or before the wall?"
+            )
+        if seen < _ENOUGH:
+            notes.append(f"{camera.name}: it sees {seen:.0%} of the volume only")
+
+
+def _store_all(
+    writer: RecordedWriter, folder: Path, chosen: Sequence[Taken], options: ImportOptions
+) -> tuple[dict[str, int], dict[str, GreyValues]]:
+    """Store the images and masks of all cameras.
+
+    Returns the number of images and the grey values of each, by its name.
+    """
+    largest = _largest([camera for camera, _ in chosen])
+    masks = _find_masks(options.masks, [camera.name for camera, _ in chosen])
+    references = ReferenceList(folder, options.raw) if options.referenced else None
+    counts, values = dict[str, int](), dict[str, GreyValues]()
+    for camera, paths in chosen:
+        mask = _mask(camera, masks.get(camera.name, ()), largest)
+        if mask is not None:
+            writer.add_mask(camera.name, mask)
+        values[camera.name], counts[camera.name] = GreyValues(), 0
+        images = progress_bar(_images(camera, paths, options), f"import {camera.name}")
+        for frame, (path, page, image) in enumerate(images):
+            values[camera.name].add(image, _cut(mask, image.shape))
+            counts[camera.name] += 1
+            if references is None:
+                writer.add_image(camera.name, frame, extended(image, largest))
+            else:
+                references.add(camera.name, path, page, image)
+    if references is not None:
+        writer.set_references(references)
+    return counts, values
+
+
+def _cut(mask: Bool | None, shape: tuple[int, ...]) -> Bool | None:
+    """Return the part of a mask for an image that is not extended."""
+    return None if mask is None else mask[: shape[0], : shape[1]]
+
+
+def _images(
+    camera: CameraModel, paths: Sequence[Path], options: ImportOptions
+) -> Iterator[tuple[Path, int, U16]]:
+    """Read the range of a camera's images, each with its file and number in it."""
+    every = _numbered(read_images(paths, (camera.rows, camera.columns), options.raw))
+    chosen = options.frames
+    return itertools.islice(every, chosen.start, chosen.stop, chosen.step)
+
+
+def _numbered(images: Iterator[tuple[Path, U16]]) -> Iterator[tuple[Path, int, U16]]:
+    for path, pages in itertools.groupby(images, key=lambda pair: pair[0]):
+        yield from ((path, page, image) for page, (_, image) in enumerate(pages))
+
+
+def _find_masks(folder: Path | None, cameras: Sequence[str]) -> Files:
+    if folder is None:
+        return {}
+    found = find_image_files(folder, cameras, "{camera}.*")
+    if unknown := [name for name in found if name not in cameras]:
+        raise InputError(
+            f"{folder}: expected masks by the names of cameras ({', '.join(cameras)}), got "
+            f"{', '.join(unknown)}"
+        )
+    return found
+
+
+def _mask(camera: CameraModel, files: Sequence[Path], shape: tuple[int, int]) -> Bool | None:
+    """Read which pixels (row, column) of the extended image count; None: all."""
+    own = np.ones((camera.rows, camera.columns), dtype=np.bool_)
+    if files:
+        own = next(read_images(files, (camera.rows, camera.columns)))[1] > 0
+    counts = extended(own, shape)
+    return None if counts.all() else counts
+
+
+def _levels(values: Mapping[str, GreyValues], options: ImportOptions) -> dict[str, GreyLevels]:
+    """Choose each camera's levels: those of the options, or else estimates."""
+    bit_depth = max(one.bit_depth for one in values.values())
+    given = {"black_dn": options.black_dn, "white_dn": options.white_dn}
+    known: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    levels = {
+        name: dataclasses.replace(one.levels(bit_depth, backlit=options.backlit), **known)
+        for name, one in values.items()
+    }
+    for name, one in levels.items():
+        if not 0.0 <= one.black_dn < one.white_dn <= _MOST_DN:
+            raise InputError(
+                f"{name}: expected black below white, of 0 to {_MOST_DN}, got {one.black_dn:g} and "
+                f"{one.white_dn:g}"
+            )
+    return levels
+
+
+def _one_length(folder: Path, counts: Mapping[str, int]) -> int:
+    if missing := next((name for name, count in counts.items() if not count), None):
+        raise InputError(f"{missing}: expected images in the range of frames, got none")
+    if len(set(counts.values())) > 1:
+        got = ", ".join(f"{count} of {name}" for name, count in counts.items())
+        raise InputError(
+            f"{folder}: expected as many images of each camera, got {got}; give the range of "
+            "frames that all have"
+        )
+    return next(iter(counts.values()))
+
+
+def _keys(made: Imported, options: ImportOptions) -> dict[str, Any]:
+    """List the keys of cameras.json besides the cameras and their walls."""
+    levels = list(made.levels.values())
+    both = [(one.black_dn, one.white_dn) for one in levels]
+    sensor: dict[str, Any] = {
+        "black_dn": both[0][0],
+        "white_dn": both[0][1],
+        "bit_depth": max(one.bit_depth for one in levels),
+    }
+    if len(set(both)) > 1:
+        sensor["by_camera"] = both
+    keys: dict[str, Any] = {
+        "frames": made.frames,
+        "interval_s": options.interval_s,
+        "sensor": sensor,
+        "grid": made.grid,
+        "shows": ["bubbles" if options.backlit else "particles"],
+    }
+    if options.pulses > 1:
+        keys["pulses"] = options.pulses
+        keys["times_s"] = _times(made.frames, options)
+    if faults := list(step_faults(options.preprocessing, made.frames)):
+        raise InputError(f"preprocessing: {faults[0]}")
+    if options.preprocessing:
+        keys["preprocessing"] = [step.model_dump() for step in options.preprocessing]
+    return keys
+
+
+def _times(frames: int, options: ImportOptions) -> list[float]:
+    """Compute the times of frames in groups."""
+    shortest = (options.pulses - 1) * options.interval_s
+    period = options.period_s or options.pulses * options.interval_s
+    if period <= shortest or frames % options.pulses:
+        raise InputError(
+            f"pulses: expected a whole number of groups of {options.pulses} frames, and more than "
+            f"{shortest:g} s from group to group, got {frames} frames and {period:g} s"
+        )
+    return [
+        frame // options.pulses * period + frame % options.pulses * options.interval_s
+        for frame in range(frames)
+    ]

@@ -1,0 +1,131 @@
+"""Images of a recorded data set that stay where they were recorded.
+
+The data set names their files; each image is read and converted when it is requested.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from sabench.dataset.schema import FORMAT, REFERENCES, VERSION, FileEntry, Record, read_versioned
+from sabench.images.image_files import MOVIES
+from sabench.images.image_reading import RawLayout, read_page
+from sabench.utils.arrays import U16, Bool
+from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json, inside, sha256
+
+Grey = TypeVar("Grey", U16, Bool)
+
+
+class ReferencesFile(Record):
+    """images.json: files outside the data set, and the images in them.
+
+    Attributes
+    ----------
+    folder : absolute path of the recording's folder.
+    raw : layout of raw files.
+    files : size and checksum of each file, by its path in the folder.
+    shapes : rows and columns of each camera's images, by its name.
+    images : file and number of the image in it for each frame, by the camera's name.
+    """
+
+    format: str
+    version: int
+    folder: str
+    raw: RawLayout | None
+    files: dict[str, FileEntry]
+    shapes: dict[str, tuple[int, int]]
+    images: dict[str, tuple[tuple[str, int], ...]]
+
+    def read(self, camera: str, frame: int, shape: tuple[int, int]) -> U16:
+        """Read a camera's image (row, column), extended by zeros to a shape.
+
+        Raises
+        ------
+        InputError
+            No such image, or anything that `read_page` refuses.
+        """
+        frames = self.images.get(camera, ())
+        if camera not in self.shapes or not 0 <= frame < len(frames):
+            raise InputError(f"{REFERENCES}: {camera}: expected an image of frame {frame}")
+        own = self.shapes[camera]
+        if not all(0 < size <= most for size, most in zip(own, shape, strict=True)):
+            raise InputError(
+                f"{REFERENCES}: {camera}: expected a shape of at most {shape[0]} x {shape[1]} "
+                f"pixels (rows x columns), got {own[0]} x {own[1]}"
+            )
+        name, page = frames[frame]
+        path = self._place(name)
+        if not path.is_file():
+            raise InputError(
+                f"{path}: expected an image, found no such file; if the recording has moved, "
+                "import it again"
+            )
+        return extended(read_page(path, page, own, self.raw), shape)
+
+    def faults(self) -> Iterator[str]:
+        """Find files that are missing or have changed."""
+        for name, entry in self.files.items():
+            path = self._place(name)
+            if not path.is_file():
+                yield f"{path}: missing"
+            elif path.stat().st_size != entry.bytes or sha256(path) != entry.sha256:
+                yield f"{path}: its bytes are not those that were imported"
+
+    def _place(self, name: str) -> Path:
+        return inside(Path(self.folder), name)
+
+
+class ReferenceList:
+    """Collector of the images of a recording while it is imported."""
+
+    def __init__(self, folder: Path, raw: RawLayout | None) -> None:
+        self.folder, self.raw = folder.absolute(), raw
+        self.shapes: dict[str, tuple[int, int]] = {}
+        self.images: dict[str, list[tuple[str, int]]] = {}
+
+    def add(self, camera: str, path: Path, page: int, image: U16) -> None:
+        """Add the next image of a camera.
+
+        Raises
+        ------
+        InputError
+            An image of a movie, which cannot be read alone.
+        """
+        if path.suffix.lower() in MOVIES:
+            raise InputError(
+                f"{path}: expected images that can be read alone, got a movie; copy it"
+            )
+        self.shapes[camera] = (image.shape[0], image.shape[1])
+        name = path.absolute().relative_to(self.folder).as_posix()
+        self.images.setdefault(camera, []).append((name, page))
+
+    def text(self) -> str:
+        """Serialise the list, with the checksums of all files."""
+        names = sorted({name for images in self.images.values() for name, _ in images})
+        paths = {name: self.folder / name for name in names}
+        files = {
+            name: {"bytes": path.stat().st_size, "sha256": sha256(path)}
+            for name, path in paths.items()
+        }
+        head = {"format": FORMAT, "version": VERSION, "folder": str(self.folder)}
+        raw = self.raw and dataclasses.asdict(self.raw)
+        lists = {"files": files, "shapes": self.shapes, "images": self.images}
+        return canonical_json({**head, "raw": raw, **lists})
+
+
+def read_references(root: Path) -> ReferencesFile:
+    """Read the images.json of a data set."""
+    return read_versioned(ReferencesFile, inside(root, REFERENCES))
+
+
+def extended(image: Grey, shape: tuple[int, int]) -> Grey:
+    """Extend an image (row, column) by zeros on the right and below."""
+    more = [(0, size - own) for size, own in zip(shape, image.shape, strict=True)]
+    made: Grey = np.pad(image, more)
+    return made

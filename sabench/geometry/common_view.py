@@ -1,0 +1,160 @@
+"""Box that several cameras see, and the grid of voxels in it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.geometry.polynomial_cameras import fitted_box
+from sabench.geometry.triangulation import intersect
+from sabench.utils.arrays import F64, Bool, triple
+from sabench.utils.errors import InputError
+
+_NODES = 49  # of the lattice along each axis; an odd number has a middle
+_DELTA_MM = 1e-3  # over which a projection's slope is measured
+_MOST_VOXELS = 1_000_000  # along an axis
+
+
+def pixel_size_mm(cameras: Sequence[CameraModel], point_mm: F64) -> float:
+    """Compute the size of a pixel at a point (3,), averaged over cameras.
+
+    The cameras are those that have a pixel of the point. It is 1 / sqrt(s1 s2), with the two
+    singular values of the slope of pixels by position.
+
+    Raises
+    ------
+    InputError
+        No camera has a pixel of the point.
+    """
+    around = point_mm + np.concatenate([np.eye(3), -np.eye(3)]) * _DELTA_MM
+    sizes = []
+    for camera in cameras:
+        pixels, valid = camera.project(around)
+        if valid.all():
+            slope = (pixels[:3] - pixels[3:]).T / (2.0 * _DELTA_MM)
+            sizes.append(1.0 / np.sqrt(np.linalg.svd(slope, compute_uv=False).prod()))
+    if not sizes:
+        raise InputError(f"volume: expected a middle that a camera sees, got {_words(point_mm)} mm")
+    return float(np.mean(sizes))
+
+
+def propose_box(cameras: Sequence[CameraModel]) -> tuple[F64, F64]:
+    """Propose the corners (3,) of a box along the world's axes that all cameras see.
+
+    It grows around the point nearest to the lines of sight of the images' middles, in all
+    directions by the same length until a camera sees a face no longer, and at most to the size of
+    an image in each direction.
+
+    Raises
+    ------
+    InputError
+        Lines of sight that do not meet, or no point that all cameras see.
+    """
+    middles = np.array([[[0.5 * (one.columns - 1), 0.5 * (one.rows - 1)]] for one in cameras])
+    middle = intersect(cameras, middles)[0]
+    if not np.isfinite(middle).all():
+        raise InputError(
+            "volume: expected cameras whose lines of sight meet, got parallel ones or a single "
+            "camera; give the volume"
+        )
+    reach = pixel_size_mm(cameras, middle) * max(max(one.rows, one.columns) for one in cameras)
+    steps = reach * np.linspace(-1.0, 1.0, _NODES)
+    points = np.stack(np.meshgrid(*(steps + at for at in middle), indexing="ij"), axis=-1)
+    seen = seen_by_all(cameras, points.reshape(-1, 3)).reshape((_NODES,) * 3)
+    if not seen[(_NODES // 2,) * 3]:
+        raise InputError(
+            f"volume: expected all cameras to see {_words(middle)} mm, where the middles of their "
+            "images meet, but some do not; give the volume, or check the calibration"
+        )
+    first, last = _grow(seen)
+    return points[tuple(first)], points[tuple(last)]
+
+
+def seen_by_all(cameras: Sequence[CameraModel], points_mm: F64) -> Bool:
+    """Mark the points (n, 3) that lie on every camera's image."""
+    seen = np.ones(len(points_mm), dtype=np.bool_)
+    for camera in cameras:
+        seen &= seen_by(camera, points_mm)
+    return seen
+
+
+def seen_by(camera: CameraModel, points_mm: F64) -> Bool:
+    """Mark the points (n, 3) that lie on a camera's image, and in the box of its fit."""
+    pixels, valid = camera.project(points_mm)
+    seen = np.asarray(valid & camera.contains(pixels))
+    box = fitted_box(camera)
+    if box is not None:
+        seen &= ((points_mm >= box[0]) & (points_mm <= box[1])).all(axis=1)
+    return seen
+
+
+def _grow(seen: Bool) -> tuple[list[int], list[int]]:
+    """Find the first and last nodes of a box around the middle that is seen."""
+    first, last = [_NODES // 2] * 3, [_NODES // 2] * 3
+    growing = list(itertools.product(range(3), (False, True)))
+    while growing:
+        for axis, upwards in list(growing):
+            low, high = list(first), list(last)
+            at = (last[axis] + 1) if upwards else (first[axis] - 1)
+            low[axis] = high[axis] = at
+            face = tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))
+            if not 0 <= at < _NODES or not seen[face].all():
+                growing.remove((axis, upwards))
+            elif upwards:
+                last[axis] = at
+            else:
+                first[axis] = at
+    return first, last
+
+
+def grid_of_box(low_mm: F64, high_mm: F64, voxel_mm: float) -> Grid:
+    """Make the grid of voxels that fill a box, cubes as nearly as they can be.
+
+    Parameters
+    ----------
+    low_mm, high_mm : (3,) corners of the box.
+    voxel_mm : edge of a voxel, which changes until a whole number of them fits along each axis.
+
+    Raises
+    ------
+    InputError
+        Corners in the wrong order, or a size of voxels that makes none or too many.
+    """
+    size = np.asarray(high_mm) - np.asarray(low_mm)
+    if not (size > 0.0).all() or not voxel_mm > 0.0:
+        raise InputError(
+            "volume: expected x0,x1,y0,y1,z0,z1 with x0 < x1, y0 < y1, z0 < z1 and positive "
+            f"voxels, got {_words(low_mm)} to {_words(high_mm)} mm and {voxel_mm:g} mm"
+        )
+    counts = np.maximum(np.rint(size / voxel_mm), 1.0)
+    if counts.max() > _MOST_VOXELS:
+        raise InputError(
+            f"voxel: expected at most {_MOST_VOXELS} along an axis, got {counts.max():.0f}"
+        )
+    x, y, z = (int(count) for count in counts)
+    edges = size / counts
+    return Grid(triple(np.asarray(low_mm) + 0.5 * edges), triple(edges), (z, y, x))
+
+
+def share_in_view(camera: CameraModel, grid: Grid) -> tuple[float, float]:
+    """Compute the shares of a grid with a light path to a camera, and in its view."""
+    points = lattice_of(grid)
+    return float(camera.project(points)[1].mean()), float(seen_by(camera, points).mean())
+
+
+def lattice_of(grid: Grid, nodes: int = 17) -> F64:
+    """Make a lattice of points (n, 3) over the voxels' centres."""
+    counts = np.array(grid.shape[::-1]) - 1
+    axes = [
+        low + step * np.linspace(0.0, count, nodes)
+        for low, step, count in zip(grid.low_mm, grid.voxel_mm, counts, strict=True)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _words(point_mm: F64) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in point_mm) + ")"

@@ -1,0 +1,98 @@
+"""Grey values of no light and of saturation, estimated from images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sabench.utils.arrays import I64, U16, Bool
+
+_DEPTHS = (8, 10, 12, 14, 16)
+_VALUES = 1 << 16
+_DARKEST = 1e-4  # of the pixels of a backlit image
+_TAIL = 0.02  # of the pixels: darker than nearly all
+_NEAR = 0.02  # of the highest grey value: saturated pixels are that near to it
+_CLIPPED = 5.0  # times as many pixels near the highest value as just below: saturation
+_FEWEST = 20  # pixels that saturate
+
+
+@dataclass(frozen=True)
+class GreyLevels:
+    """Levels of one camera.
+
+    Attributes
+    ----------
+    black_dn, white_dn : grey values of no light and of saturation.
+    bit_depth : least of 8, 10, 12, 14 and 16 bits that hold all grey values.
+    saturated : share of the pixels at `white_dn` or above.
+    """
+
+    black_dn: float
+    white_dn: float
+    bit_depth: int
+    saturated: float
+
+
+@dataclass
+class GreyValues:
+    """Histogram of the grey values of one camera's images."""
+
+    counts: I64 = field(default_factory=lambda: np.zeros(_VALUES, dtype=np.int64))
+
+    def add(self, image: U16, counts: Bool | None = None) -> None:
+        """Add an image (row, column), without the pixels that do not count."""
+        used = image if counts is None else image[counts]
+        self.counts += np.bincount(used.ravel(), minlength=_VALUES)
+
+    @property
+    def bit_depth(self) -> int:
+        """Least of 8, 10, 12, 14 and 16 bits that hold all grey values."""
+        return next(depth for depth in _DEPTHS if self._highest < 1 << depth)
+
+    def levels(self, bit_depth: int, *, backlit: bool = False) -> GreyLevels:
+        """Estimate the levels of a sensor of so many bits.
+
+        Black is the mean of the most frequent values, those of the dark between particles; in
+        backlit images, which have no dark, it is the least value but for one pixel in ten thousand.
+        White is the median of the highest values if far more pixels have them than those just
+        below, else the largest value of the bit depth.
+        """
+        white = self._white((1 << bit_depth) - 1)
+        black = float(self._quantile(_DARKEST)) if backlit else self._most_frequent()
+        saturated = self.counts[int(white) :].sum() / max(self.counts.sum(), 1)
+        return GreyLevels(min(black, white - 1.0), white, bit_depth, float(saturated))
+
+    @property
+    def _highest(self) -> int:
+        return int(np.flatnonzero(self.counts)[-1]) if self.counts.any() else 0
+
+    def _quantile(self, share: float) -> int:
+        up_to = np.cumsum(self.counts)
+        return int(np.searchsorted(up_to, share * up_to[-1], side="right"))
+
+    def _most_frequent(self) -> float:
+        """Average the values around the most frequent one.
+
+        They reach as far as the darkest ones are from it. Light makes the other side longer, which
+        so does not count.
+        """
+        reach = max(int(np.argmax(self.counts)) - self._quantile(_TAIL), 1)
+        wide = np.convolve(self.counts, np.ones(reach), mode="same")
+        middle = int(np.argmax(wide)) if reach > 2 else int(np.argmax(self.counts))
+        first, last = max(middle - reach, 0), middle + reach + 1
+        counts = self.counts[first:last]
+        if not counts.any():
+            return 0.0
+        return float(np.average(np.arange(first, first + len(counts)), weights=counts))
+
+    def _white(self, largest: int) -> float:
+        highest = self._highest
+        near = max(1, round(_NEAR * highest))
+        top = self.counts[highest - near + 1 : highest + 1]
+        below = self.counts[max(highest - 2 * near + 1, 0) : highest - near + 1]
+        clipped = top.sum() >= max(_FEWEST, _CLIPPED * below.sum()) and 2 * highest > largest
+        if not clipped:
+            return float(largest)
+        middle = np.searchsorted(np.cumsum(top), 0.5 * top.sum())
+        return float(highest - near + 1 + middle)

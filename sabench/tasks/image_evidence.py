@@ -1,0 +1,190 @@
+"""Evidence of a frame's images for or against what has been found in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sabench.algorithms.particles.bayesian_ipr import dark_images
+from sabench.algorithms.particles.image_statistics import ImageStatistics, measure_images
+from sabench.api import Observation
+from sabench.metrics.reprojection import (
+    LightFit,
+    Patches,
+    cut_patches,
+    draw,
+    explained_share,
+    fit_light,
+    matched_light,
+)
+from sabench.utils.arrays import F32, F64, Bool
+
+_CERTAIN = 0.3  # of a typical particle's light: dimmer ones have no certain place
+_HIT = 0.3  # of the median light of what has been found: what counts as an image
+_SHIFTS = 5  # multiples of the scramble's shift at which chance is measured
+_BLUR_PX = 0.7  # standard deviation of a voxel's image
+
+
+class Shown(NamedTuple):
+    """Evidence of one camera for particles that were found without it.
+
+    Attributes
+    ----------
+    true_share : of the particles; 0 where they show no more light than any other place, 1 where
+        they show as much as the particles found with the camera.
+    chance : share of other places that show an image.
+    """
+
+    true_share: float
+    chance: float
+
+
+@dataclass(frozen=True)
+class FrameEvidence:
+    """Images of a frame, less black and background, and their statistics.
+
+    Attributes
+    ----------
+    case : the frame.
+    images : (camera, row, column).
+    known : the same shape, pixels that count.
+    statistics : widths and light of particle images, and noise.
+    """
+
+    case: Observation
+    images: F64
+    known: Bool
+    statistics: ImageStatistics
+
+    @classmethod
+    def of(cls, case: Observation) -> FrameEvidence:
+        """Clear a frame's images and measure them."""
+        clear = dark_images(case)
+        known = ~(clear.flaws.unknown | clear.saturated)
+        images = clear.images.astype(np.float64)
+        return cls(case, images, known, measure_images(images, known))
+
+    def fit(self, positions_mm: F64) -> list[LightFit]:
+        """Fit the light of particles (n, 3) in every camera."""
+        return [self._fit(camera, positions_mm) for camera in range(len(self.images))]
+
+    def _fit(self, camera: int, positions_mm: F64) -> LightFit:
+        patches = self._patches(camera, self._pixels(camera, positions_mm))
+        return fit_light(self.images[camera], patches, len(positions_mm))
+
+    def certain_shifts(self, camera: int, fit: LightFit) -> F64:
+        """Return the shifts (k, 2) of images that are bright enough to have a place."""
+        bright = fit.light > _CERTAIN * self.statistics.light[camera]
+        good: F64 = fit.shift_px[bright & np.isfinite(fit.shift_px).all(axis=1)]
+        return good
+
+    def explained(self, camera: int, left: F64) -> float:
+        """Compute the share of an image's light that is not left of it."""
+        noise = float(self.statistics.noise[camera])
+        return explained_share(self.images[camera], left, self.known[camera], noise)
+
+    def compare(
+        self, camera: int, positions_mm: F64, found_mm: F64, shift: tuple[int, int]
+    ) -> Shown:
+        """Compare a camera's light at particles found without it, with it, and elsewhere.
+
+        Light counts by its rank among that of other places, whose mean is one half: particles show
+        `true_share` of the excess of those found with the camera.
+
+        Parameters
+        ----------
+        positions_mm, found_mm : (n, 3) found without and with the camera.
+        shift : rows and columns from a particle to another place.
+        """
+        pixels = self._pixels(camera, positions_mm)
+        light = self._light(camera, pixels)
+        size = np.array([self.case.cameras[camera].columns, self.case.cameras[camera].rows])
+        step = np.array(shift[::-1])
+        elsewhere = np.sort(
+            np.concatenate(
+                [
+                    self._light(camera, (pixels + 0.5 + number * step) % size - 0.5)
+                    for number in range(1, _SHIFTS + 1)
+                ]
+            )
+        )
+        known = self._light(camera, self._pixels(camera, found_mm))
+        if not (len(light) and len(known) and len(elsewhere)):
+            return Shown(float("nan"), float("nan"))
+        excess = [
+            float(np.searchsorted(elsewhere, one).mean()) / len(elsewhere) - 0.5
+            for one in (light, known)
+        ]
+        share = excess[0] / excess[1] if excess[1] > 0.0 else float("nan")
+        chance = float((elsewhere > _HIT * np.median(known)).mean())
+        return Shown(float(np.clip(share, 0.0, 1.0)), chance)
+
+    def count_shown(
+        self, camera: int, positions_mm: F64, found_mm: F64, shift: tuple[int, int]
+    ) -> int:
+        """Count the particles (n, 3) that a camera shows in its shifted image.
+
+        Parameters
+        ----------
+        found_mm : (m, 3) found with the camera, whose light says what an image is.
+        shift : rows and columns.
+        """
+        size = np.array([self.case.cameras[camera].columns, self.case.cameras[camera].rows])
+        pixels = self._pixels(camera, positions_mm) + 0.5 - np.array(shift[::-1])
+        known = self._light(camera, self._pixels(camera, found_mm))
+        if not len(known):
+            return 0
+        light = self._light(camera, pixels % size - 0.5)
+        return int((light > _HIT * np.median(known)).sum())
+
+    def correlation(self, camera: int, positions_mm: F64, others: Sequence[int]) -> float:
+        """Correlate a camera's image with the one that other cameras' light predicts."""
+        lights = [
+            self._fit(other, positions_mm).light / self.statistics.light[other] for other in others
+        ]
+        seen = np.isfinite(lights)
+        light = np.where(seen, lights, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+        patches = self._patches(camera, self._pixels(camera, positions_mm))
+        drawn = draw(self.images[camera].shape, patches, light[patches.rows])
+        return correlate(self.images[camera], drawn, self.known[camera])
+
+    def _pixels(self, camera: int, positions_mm: F64) -> F64:
+        pixels, valid = self.case.cameras[camera].project(positions_mm)
+        return np.where(valid[:, None], pixels, np.nan)
+
+    def _patches(self, camera: int, pixels: F64) -> Patches:
+        sigma = self.statistics.sigma[camera]
+        return cut_patches(self.images[camera].shape, pixels, sigma, self.known[camera])
+
+    def _light(self, camera: int, pixels: F64) -> F64:
+        light = matched_light(self.images[camera], self._patches(camera, pixels))
+        return light[np.isfinite(light)]
+
+
+def correlate(one: F64, other: F64, known: Bool) -> float:
+    """Correlate two images over known pixels; NaN for one without contrast."""
+    a, b = one[known] - one[known].mean(), other[known] - other[known].mean()
+    norm = float(np.sqrt((a**2).sum() * (b**2).sum()))
+    return float((a * b).sum()) / norm if norm else float("nan")
+
+
+def volume_correlation(case: Observation, camera: int, volume: F32) -> float:
+    """Correlate a camera's image with a volume (z, y, x) that is projected into it.
+
+    Every voxel shines as a Gaussian of the size of a pixel.
+    """
+    image = case.repaired.images[camera].astype(np.float64) - case.black_dn
+    known = ~case.repaired.flaws.unknown[camera]
+    drawn = np.zeros(image.shape)
+    x, y, z = case.grid.axes_mm
+    for plane, depth in zip(volume, z, strict=True):
+        row, column = np.nonzero(plane)
+        points = np.column_stack([x[column], y[row], np.full(len(row), depth)])
+        pixels, valid = case.cameras[camera].project(points)
+        pixels = np.where(valid[:, None], pixels, np.nan)
+        patches = cut_patches(image.shape, pixels, np.full(2, _BLUR_PX), known)
+        drawn += draw(image.shape, patches, plane[row, column].astype(np.float64)[patches.rows])
+    return correlate(image, drawn, known)

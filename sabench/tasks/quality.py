@@ -1,0 +1,294 @@
+"""Quality of a result without truth: what its own images say of it.
+
+Particles, or the voxels of a volume, are compared with the images that they came from. Then the
+solver runs again without one camera, which the others must predict, and with one camera scrambled,
+where all that is found is chance.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sabench import plugins
+from sabench.api import FoundParticles, Reconstruction
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import Result, open_result
+from sabench.metrics.averages import finite_or_none, mean_of_finite, root_mean_square
+from sabench.metrics.track_smoothness import jitter_mm, share_followed
+from sabench.plotting import pictures
+from sabench.tasks.found_frames import link_frames
+from sabench.tasks.image_evidence import FrameEvidence, volume_correlation
+from sabench.tasks.reduced_data import scramble_shift, with_scrambled_camera, without_camera
+from sabench.tasks.solve_and_score import solve
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.files import canonical_json, complete_or_nothing
+from sabench.utils.progress import progress_bar
+
+
+class Figure(NamedTuple):
+    """Figure without truth: its decimals in tables, and its meaning."""
+
+    decimals: int
+    meaning: str
+
+
+FIGURES = {
+    "residual_px": Figure(3, "RMS distance of particles' images from their projections, px"),
+    "explained": Figure(3, "share of the images' light that the result explains"),
+    "held_out": Figure(3, "share of particles found without a camera that this camera shows"),
+    "held_out_correlation": Figure(3, "correlation of an image with the others' prediction"),
+    "ghost_percent": Figure(2, "expected ghosts, relative to true particles, %"),
+    "chance_percent": Figure(2, "found with a scrambled camera, relative to what is found, %"),
+    "jitter_mm": Figure(4, "scatter of positions along an axis, from jitter of trajectories, mm"),
+    "followed": Figure(3, "share of particles in trajectories of three frames or more"),
+}
+Figures = dict[str, float | None]
+_FOLLOWED = 3  # frames
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Figures of a result that need no truth.
+
+    Attributes
+    ----------
+    figures : by the keys of `FIGURES`; None where the data or the task give none.
+    cameras : those of each camera, by its name.
+    left : (camera, row, column) what particles leave of the first frame's images, less black and
+        background, in grey values; None for volumes.
+    notes : one sentence each.
+    """
+
+    figures: Figures
+    cameras: dict[str, Figures]
+    left: F64 | None
+    notes: tuple[str, ...]
+
+
+def quality(
+    dataset: Dataset | str | Path,
+    result: str | Path,
+    *,
+    frames: int = 1,
+    solve_again: bool = True,
+) -> Quality:
+    """Judge a result by the images that it came from.
+
+    Parameters
+    ----------
+    frames : number of frames, from the first one on, that are compared with their images.
+    solve_again : run the solver again without each camera, and with each one scrambled; without
+        it, the figures that need that are None.
+
+    Raises
+    ------
+    InputError
+        A result of another data set, or of another task than particles or reconstruction.
+    """
+    data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    opened = open_result(result, data)
+    if opened.task not in ("particles", "reconstruction"):
+        raise InputError(
+            f"{result}: expected a result of the task particles or reconstruction, got one of "
+            f"{opened.task}"
+        )
+    count = min(frames, len(data.setup.sequences()[0]))
+    judge = _Particles if opened.task == "particles" else _Volumes
+    return _judge(judge(data, opened, count), solve_again=solve_again)
+
+
+class _Particles:
+    """Particles of some frames, and the evidence of their images."""
+
+    def __init__(self, data: Dataset, result: Result, frames: int) -> None:
+        self.data, self.result, self.frames = data, result, frames
+        self.evidence = [FrameEvidence.of(data.observation(frame)) for frame in range(frames)]
+        self.found = _read_all(result, frames)
+        self.fits = [
+            one.fit(found.position_mm) for one, found in zip(self.evidence, self.found, strict=True)
+        ]
+
+    def compared(self, camera: int) -> Figures:
+        """Compare one camera's images with the particles."""
+        pairs = list(zip(self.evidence, self.fits, strict=True))
+        shifts = [one.certain_shifts(camera, fits[camera]) for one, fits in pairs]
+        return {
+            "residual_px": finite_or_none(
+                root_mean_square(np.linalg.norm(np.concatenate(shifts), axis=1))
+            ),
+            "explained": mean_of_finite(
+                one.explained(camera, fits[camera].left) for one, fits in pairs
+            ),
+        }
+
+    def over_time(self) -> Figures:
+        """Judge the trajectories of the first sequence."""
+        frames = self.data.setup.sequences()[0]
+        found = link_frames(self.data.setup, _read_all(self.result, self.data.setup.frames))
+        numbers = [found[frame].trajectory for frame in frames]
+        known = [np.asarray(one) for one in numbers]
+        if len(known) < _FOLLOWED:
+            return {"jitter_mm": None, "followed": None}
+        positions = [found[frame].position_mm for frame in frames]
+        return {
+            "jitter_mm": finite_or_none(jitter_mm(known, positions)),
+            "followed": finite_or_none(share_followed(known, _FOLLOWED)),
+        }
+
+    def held_out(self, camera: int, again: Result) -> Figures:
+        """Compare a camera's images with what is found without it."""
+        shift = scramble_shift(self.data.setup.cameras[camera])
+        figures = []
+        others = [n for n in range(len(self.data.setup.cameras)) if n != camera]
+        for one, all_found, found in zip(
+            self.evidence, self.found, _read_all(again, self.frames), strict=True
+        ):
+            shown = one.compare(camera, found.position_mm, all_found.position_mm, shift)
+            ghosts = (1.0 - shown.true_share) * len(found.position_mm) * shown.chance
+            rest = len(all_found.position_mm) - ghosts
+            figures.append(
+                {
+                    "held_out": shown.true_share,
+                    "held_out_correlation": one.correlation(camera, found.position_mm, others),
+                    "ghost_percent": 100.0 * ghosts / rest if rest > 0.0 else None,
+                }
+            )
+        return _means(figures)
+
+    def scrambled(self, camera: int, again: Result) -> Figures:
+        """Count what is found with a scrambled camera, and shown by it."""
+        shift = scramble_shift(self.data.setup.cameras[camera])
+        chance = sum(
+            one.count_shown(camera, other.position_mm, found.position_mm, shift)
+            for one, found, other in zip(
+                self.evidence, self.found, _read_all(again, self.frames), strict=True
+            )
+        )
+        whole = sum(len(found.position_mm) for found in self.found)
+        return {"chance_percent": 100.0 * chance / whole if whole else None}
+
+    def left(self) -> F64:
+        """Return what is left of the first frame's images."""
+        return np.stack([fit.left for fit in self.fits[0]])
+
+
+class _Volumes:
+    """Volumes of some frames, and the images that they predict."""
+
+    def __init__(self, data: Dataset, result: Result, frames: int) -> None:
+        self.data, self.result, self.frames = data, result, frames
+        self.cases = [data.observation(frame) for frame in range(frames)]
+
+    def compared(self, camera: int) -> Figures:
+        """Compare one camera's images with the projected volumes."""
+        value = self._correlation(self.result, camera)
+        return {"explained": None if value is None else max(value, 0.0) ** 2}
+
+    def _correlation(self, result: Result, camera: int) -> float | None:
+        return mean_of_finite(
+            volume_correlation(case, camera, result.read(Reconstruction, frame).volume)
+            for frame, case in enumerate(self.cases)
+        )
+
+    def over_time(self) -> Figures:
+        """Return no figures: volumes have no trajectories."""
+        return {}
+
+    def held_out(self, camera: int, again: Result) -> Figures:
+        """Compare a camera's images with the projected volumes of the others."""
+        return {"held_out_correlation": self._correlation(again, camera)}
+
+    def scrambled(self, camera: int, again: Result) -> Figures:
+        """Compare the intensity that is left with a scrambled camera."""
+        chance, whole = (
+            sum(float(one.read(Reconstruction, frame).volume.sum()) for frame in range(self.frames))
+            for one in (again, self.result)
+        )
+        return {"chance_percent": 100.0 * chance / whole if whole else None}
+
+    def left(self) -> None:
+        """Return nothing: scales of volumes and images differ."""
+        return
+
+
+def write_quality(
+    dataset: Dataset | str | Path, judged: Quality, out: Path, *, overwrite: bool = False
+) -> None:
+    """Write quality.json and, for particles, residuals.png into a new folder."""
+    data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    values = {"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes}
+    with complete_or_nothing(out, overwrite=overwrite) as folder:
+        folder.mkdir()
+        (folder / "quality.json").write_text(canonical_json(values), encoding="utf-8")
+        if judged.left is not None:
+            (folder / "residuals.png").write_bytes(residual_picture(data, judged.left))
+
+
+def residual_picture(data: Dataset, left: F64) -> bytes:
+    """Draw the first frame's images and what is left of them as a PNG."""
+    seen = data.observation(0)
+    grey = np.clip(np.rint(left + seen.black_dn), 0.0, 65535.0).astype(np.uint16)
+    both = np.concatenate([seen.images, grey])
+    return pictures.montage(both, seen.black_dn, seen.white_dn)
+
+
+def _judge(judge: Any, *, solve_again: bool) -> Quality:
+    cameras = judge.data.setup.cameras
+    figures: dict[str, Figures] = {
+        camera.name: judge.compared(number) for number, camera in enumerate(cameras)
+    }
+    notes: list[str] = []
+    if solve_again:
+        for number, camera in enumerate(progress_bar(cameras, "quality: solve again")):
+            figures[camera.name] |= _again(judge, number, notes)
+    whole = _means(list(figures.values())) | judge.over_time()
+    return Quality({key: whole.get(key) for key in FIGURES}, figures, judge.left(), tuple(notes))
+
+
+def _again(judge: Any, number: int, notes: list[str]) -> Figures:
+    """Solve without one camera, and with that camera scrambled."""
+    data, figures = judge.data, Figures()
+    tries: tuple[tuple[Callable[..., Dataset], Callable[[Result], Figures]], ...] = (
+        (without_camera, lambda again: judge.held_out(number, again)),
+        (with_scrambled_camera, lambda again: judge.scrambled(number, again)),
+    )
+    for change, figures_of in tries:
+        try:
+            with _solved_again(judge.result, change, data, number, judge.frames) as again:
+                figures |= figures_of(again)
+        except InputError as error:
+            doing = change.__name__.replace("_", " ")
+            notes.append(f"{data.setup.cameras[number].name}: not solved {doing}: {error}")
+    return figures
+
+
+@contextmanager
+def _solved_again(
+    result: Result, change: Callable[..., Dataset], data: Dataset, number: int, frames: int
+) -> Iterator[Result]:
+    if result.solver not in plugins.names("solvers"):
+        raise InputError(f"expected a solver that sabench has, got {result.solver}")
+    with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
+        changed = change(data, number, frames, Path(folder) / "data")
+        yield solve(
+            result.solver, changed, Path(folder) / "result.h5", parameters=result.parameters
+        )
+
+
+def _read_all(result: Result, frames: int) -> list[FoundParticles]:
+    return [result.read(FoundParticles, frame) for frame in range(frames)]
+
+
+def _means(figures: list[Any]) -> Figures:
+    """Average each figure of cameras or frames, some of which may lack it."""
+    keys = dict.fromkeys(key for one in figures for key in one)
+    every: list[Mapping[str, float | None]] = figures
+    return {key: mean_of_finite(one.get(key) for one in every) for key in keys}

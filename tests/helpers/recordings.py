@@ -1,0 +1,54 @@
+"""Small recordings: images of a generated data set in files as recorders write them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sabench.dataset.reader import Dataset
+from sabench.scenes import Scene, find, parse_scene
+from sabench.utils.arrays import U16
+
+
+def make_scene_in_motion(frames: int = 4, **changes: Any) -> Scene:
+    """Eighty particles in air, before four cameras of 96 x 112 pixels."""
+    import tomllib
+
+    values = tomllib.loads(find("particle-tracking-air", "scenes").read_text(encoding="utf-8"))
+    values["volume"]["size_mm"] = [6.0, 5.0, 3.0]
+    values["cameras"] |= {"rows": 96, "columns": 112}
+    values["particles"] |= {"per_pixel": 0.01}
+    values["grid"]["crop_mm"] = [0.4, 0.4, 0.0]
+    values |= {"frames": frames}
+    for table, update in changes.items():
+        values[table] = values[table] | update
+    return parse_scene(values, "small")
+
+
+def stack_of(data: Dataset, camera: int) -> U16:
+    """Return the raw images (frame, row, column) of a camera."""
+    return np.stack([data.raw_image(camera, frame) for frame in range(data.setup.frames)])
+
+
+def write_pngs(data: Dataset, folder: Path) -> Path:
+    """Write PNG files into a folder for each camera."""
+    import cv2
+
+    for number, camera in enumerate(data.setup.cameras):
+        (folder / camera.name).mkdir(parents=True)
+        for frame, image in enumerate(stack_of(data, number)):
+            cv2.imwrite(str(folder / camera.name / f"img_{frame}.png"), image)
+    return folder
+
+
+def write_stacks(data: Dataset, folder: Path, **options: Any) -> Path:
+    """Write a TIFF file of many pages for each camera, by its name."""
+    import tifffile
+
+    folder.mkdir()
+    for number, camera in enumerate(data.setup.cameras):
+        values = stack_of(data, number)
+        tifffile.imwrite(folder / f"{camera.name}.tif", values, photometric="minisblack", **options)
+    return folder

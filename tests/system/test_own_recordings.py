@@ -1,0 +1,324 @@
+"""Own recordings, as a stranger brings them: imported, verified, solved, judged.
+
+A generated data set loses its truth: its images become files as recorders write them. All that
+solvers find must be as on the original.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sabench
+from sabench.api import FoundParticles
+from sabench.dataset.camera_files import write_cameras
+from sabench.dataset.import_recording import ImportOptions, import_recording
+from sabench.dataset.observation_side import pack
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result
+from sabench.dataset.verification import verify
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.common_view import lattice_of
+from sabench.geometry.polynomial_cameras import fit_planes, fit_soloff
+from sabench.geometry.projective_camera import fit_projective
+from sabench.interop.camera_sources import read_camera_source
+from sabench.utils.errors import InputError
+from tests.conftest import Command
+from tests.helpers.recordings import make_scene_in_motion, stack_of, write_pngs, write_stacks
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    folder = tmp_path_factory.mktemp("original")
+    return sabench.generate(make_scene_in_motion(), folder / "data", seed=5, backend="splat")
+
+
+@pytest.fixture(scope="module")
+def pngs(original: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_pngs(original, tmp_path_factory.mktemp("pngs") / "images")
+
+
+def exact_options(data: Dataset, **changes: Any) -> ImportOptions:
+    """Give the facts that the original's scene states, so that both are solved alike."""
+    setup = data.setup
+    known: dict[str, Any] = {
+        "black_dn": setup.sensor.black_dn,
+        "white_dn": setup.sensor.white_dn,
+        "interval_s": setup.time_s(1) - setup.time_s(0),
+    }
+    return ImportOptions(**(known | changes))
+
+
+def import_like(original: Dataset, folder: Path, out: Path, **changes: Any) -> Dataset:
+    options, setup = exact_options(original, **changes), original.setup
+    import_recording(folder, setup.cameras, out, options, setup.grid)
+    assert verify(out) == []
+    return open_dataset(out)
+
+
+def solved(solver: str, data: Dataset, out: Path) -> list[FoundParticles]:
+    sabench.solve(solver, data, out)
+    result = open_result(out, data)
+    return [result.read(FoundParticles, frame) for frame in range(data.setup.frames)]
+
+
+def test_solvers_find_the_same(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    stacks = write_stacks(original, tmp_path / "stacks", byteorder=">", compression="zlib")
+    tanks = [
+        import_like(original, folder, tmp_path / name)
+        for name, folder in (("one", pngs), ("two", stacks))
+    ]
+    for solver in ("bayesian_ipr", "shake_the_box"):
+        expected = solved(solver, original, tmp_path / "expected.h5")
+        (tmp_path / "expected.h5").unlink()
+        assert min(len(one.position_mm) for one in expected) > 50
+        for number, tank in enumerate(tanks):
+            found = solved(solver, tank, tmp_path / f"{solver}-{number}.h5")
+            for here, there in zip(found, expected, strict=True):
+                for (name, value), (_, same) in zip(here.arrays(), there.arrays(), strict=True):
+                    np.testing.assert_allclose(value, same, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+def test_commands(original: Dataset, pngs: Path, tmp_path: Path, command: Command) -> None:
+    done = command("import", pngs, "--cameras", original.root, "-o", "tank", "--interval", 0.01)
+    assert done.returncode == 0, done.stderr
+    assert "tank: 4 frame(s) of 4 camera(s), recorded, without truth" in done.stdout
+    assert command("verify", "tank").stdout == (
+        "tank: intact; recorded: 4 frame(s) of 4 camera(s); no truth, no scene\n"
+    )
+    done = command("solve", "ray_triangulation", "tank", "-o", "r.h5")
+    assert done.returncode == 0, done.stderr
+    for word in ("r.h5", "truth", "empty"):
+        done = command("score", "tank", word)
+        assert done.returncode == 2
+        assert "expected a data set with its truth, got a recorded one" in done.stderr
+    done = command("pack", "tank", "-o", "copy")
+    assert done.returncode == 0, done.stderr
+    assert verify(tmp_path / "copy") == []
+    done = command("import", pngs, "--cameras", original.root, "-o", "tank")
+    assert done.returncode == 2
+    assert "tank" in done.stderr
+
+
+def test_export_needs_no_truth(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    tank = import_like(original, pngs, tmp_path / "tank")
+    for solver in ("ray_triangulation", "msa", "piv3d"):
+        out = tmp_path / f"{solver}.h5"
+        sabench.solve(solver, tank, out)
+        made = sabench.export(tank, tmp_path / solver, out)
+        assert any(made.iterdir())
+    with pytest.raises(InputError, match="got a recorded one"):
+        sabench.export(tank, tmp_path / "truth")
+
+
+def test_changed_files_are_found(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    tank = import_like(original, pngs, tmp_path / "tank")
+    image = tank.root / "images/frame_0001/camera_02.tif"
+    image.write_bytes(image.read_bytes()[:-1] + b"\x01")
+    assert verify(tank.root) == [f"{image}: its bytes do not match the manifest"]
+    path = tank.root / "manifest.json"
+    path.write_text(path.read_text(encoding="utf-8").replace("true", "false"), encoding="utf-8")
+    assert "recorded" in verify(tank.root)[0]
+
+
+def models(cameras: tuple[CameraModel, ...], points: Any) -> list[CameraModel]:
+    """Replace cameras by fits of other models."""
+    one, two, three, four = (
+        (camera.name, camera.rows, camera.columns, points, camera.project(points)[0])
+        for camera in cameras
+    )
+    planes = [points[points[:, 2] == z] for z in np.unique(points[:, 2])]
+    pixels = [cameras[1].project(plane)[0] for plane in planes]
+    return [
+        fit_soloff(*one),
+        fit_planes(*two[:3], planes, pixels),
+        fit_projective(*three),
+        fit_soloff(*four),
+    ]
+
+
+def test_cameras_of_any_model(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    grid = original.setup.grid
+    middle = np.asarray(grid.low_mm) + 0.5 * np.asarray(grid.voxel_mm) * grid.shape[::-1]
+    points = middle + 1.2 * (lattice_of(grid, 7) - middle)
+    other = models(original.setup.cameras, points)
+    write_cameras(tmp_path / "cameras.json", other)
+    source = read_camera_source(tmp_path / "cameras.json")
+    assert list(source.cameras) == other
+    import_recording(pngs, source.cameras, tmp_path / "tank", exact_options(original), grid)
+    assert verify(tmp_path / "tank") == []
+    tank = open_dataset(tmp_path / "tank")
+    assert list(tank.setup.cameras) == other
+    found = solved("bayesian_ipr", tank, tmp_path / "r.h5")
+    expected = solved("bayesian_ipr", original, tmp_path / "e.h5")
+    assert len(found[0].position_mm) == pytest.approx(len(expected[0].position_mm), abs=3)
+    for solver in ("ray_triangulation", "msa", "mart"):
+        sabench.solve(solver, tank, tmp_path / f"{solver}.h5")
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"model": "fisheye"}, "cameras.0: expected a camera with a model of pinhole, projective"),
+        ({"matrix": [[1.0, 0.0, 0.0]] * 3}, "a: expected a camera that maps points to pixels"),
+        ({"matrix": [[0.0] * 4] * 3}, "a: expected a camera that maps points to pixels"),
+        ({"rows": 0}, "a: expected positive sizes"),
+        ({"scale": 2.0}, "cameras.0.scale: "),
+        ({"name": "a b"}, "expected different names of letters"),
+    ],
+)
+def test_broken_cameras(change: dict[str, Any], expected: str, tmp_path: Path) -> None:
+    matrix = [[100.0, 0.0, 0.0, 50.0], [0.0, 100.0, 0.0, 40.0], [0.0, 0.0, 0.01, 1.0]]
+    camera = {"model": "projective", "name": "a", "rows": 80, "columns": 100, "matrix": matrix}
+    head = {"format": "sabench-dataset", "version": 1}
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps(head | {"cameras": [camera | change]}), encoding="utf-8")
+    with pytest.raises(InputError, match=expected):
+        read_camera_source(path)
+
+
+def test_masks_and_smaller_sensors(original: Dataset, tmp_path: Path) -> None:
+    """One camera's images are smaller, another one's are masked."""
+    import cv2
+
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    rows, columns = original.setup.cameras[0].rows, original.setup.cameras[0].columns
+    counts = np.full((rows, columns), 255, dtype=np.uint8)
+    counts[:, :40] = 0
+    cv2.imwrite(str(masks / "camera_02.png"), counts)
+    folder = write_stacks(original, tmp_path / "stacks")
+    import tifffile
+
+    tifffile.imwrite(
+        folder / "camera_01.tif", stack_of(original, 1)[:, :-6, :-9], photometric="minisblack"
+    )
+    cameras: list[Any] = list(original.setup.cameras)
+    cameras[1] = dataclasses.replace(cameras[1], rows=rows - 6, columns=columns - 9)
+    options = exact_options(original, masks=masks)
+    import_recording(folder, cameras, tmp_path / "tank", options, original.setup.grid)
+    assert verify(tmp_path / "tank") == []
+    tank = open_dataset(tmp_path / "tank")
+    seen = tank.observation(0)
+    unknown = seen.repaired.flaws.covered
+    assert not unknown[0].any()
+    assert unknown[1, -6:].all()
+    assert unknown[1, :, -9:].all()
+    assert unknown[2, :, :40].all()
+    assert (seen.images[unknown] == seen.black_dn).all()
+    np.testing.assert_array_equal(seen.images[3], original.observation(0).images[3])
+    assert len(solved("bayesian_ipr", tank, tmp_path / "r.h5")[0].position_mm) > 50
+
+
+def test_volume_is_proposed(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    made = import_recording(
+        pngs, original.setup.cameras, tmp_path / "tank", exact_options(original)
+    )
+    assert "set --volume" in made.notes[0]
+    grid = open_dataset(tmp_path / "tank").setup.grid
+    assert grid == made.grid
+    low = np.asarray(grid.low_mm)
+    high = low + np.asarray(grid.voxel_mm) * grid.shape[::-1]
+    assert (low < [-1.5, -1.5, 29.0]).all()
+    assert (high > [1.5, 1.5, 31.0]).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"volume_mm": (500.0, 501.0, 0.0, 1.0, 0.0, 1.0)}, "camera_00: .* sees nothing of it"),
+        ({"pairs": {"left": "camera_00"}}, "images: expected one of camera_00"),
+        ({"frames": slice(9, 12)}, "camera_00: expected images in the range of frames"),
+        ({"pulses": 3}, "expected a whole number of groups of 3 frames"),
+        ({"black_dn": 5000.0}, "camera_00: expected black below white"),
+    ],
+)
+def test_import_refuses(
+    changes: dict[str, Any], expected: str, original: Dataset, pngs: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=expected) as caught:
+        import_like(original, pngs, tmp_path / "tank", **changes)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_images(original: Dataset, tmp_path: Path) -> None:
+    import tifffile
+
+    folder = write_stacks(original, tmp_path / "stacks")
+    options = {"photometric": "minisblack"}
+    tifffile.imwrite(folder / "camera_03.tif", stack_of(original, 3)[:2], **options)
+    with pytest.raises(InputError, match=r"got 4 of camera_00, .* 2 of camera_03"):
+        import_like(original, folder, tmp_path / "tank")
+    tank = import_like(original, folder, tmp_path / "short", frames=slice(0, 2))
+    assert tank.setup.frames == 2
+    (folder / "camera_01.tif").rename(folder / "spare.tif")
+    with pytest.raises(InputError, match="found none of camera_01"):
+        import_like(original, folder, tmp_path / "tank")
+    pairs = {f"camera_0{n}": f"camera_0{n}" for n in (0, 2)} | {"spare": "camera_01"}
+    tank = import_like(original, folder, tmp_path / "three", pairs=pairs)
+    assert [one.name for one in tank.setup.cameras] == ["camera_00", "camera_02", "camera_01"]
+    np.testing.assert_array_equal(tank.raw_image(2, 3), original.raw_image(1, 3))
+
+
+def test_double_frames(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    tank = import_like(original, pngs, tmp_path / "tank", pulses=2, interval_s=0.001, period_s=0.1)
+    assert tank.setup.times_s == pytest.approx((0.0, 0.001, 0.1, 0.101))
+    assert tank.setup.pairs() == [(0, 1), (2, 3)]
+
+
+def test_images_stay_where_they_are(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    import shutil
+
+    folder = tmp_path / "images"
+    shutil.copytree(pngs, folder)
+    tank = import_like(original, folder, tmp_path / "tank", referenced=True)
+    assert not (tank.root / "images").exists()
+    copied = import_like(original, folder, tmp_path / "copied")
+    for one, other in zip(
+        solved("ray_triangulation", tank, tmp_path / "one.h5"),
+        solved("ray_triangulation", copied, tmp_path / "other.h5"),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one.position_mm, other.position_mm)
+    with pytest.raises(InputError, match="pack it with --blind"):
+        pack(tank, tmp_path / "whole", blind=False)
+    pack(tank, tmp_path / "blind", blind=True)
+    assert verify(tmp_path / "blind") == []
+    image = folder / "camera_01" / "img_2.png"
+    image.write_bytes(image.read_bytes() + b"x")
+    assert verify(tank.root)[0] == f"{image}: its bytes are not those that were imported"
+    image.unlink()
+    assert "missing" in verify(tank.root)[0]
+
+
+def test_references_are_checked(original: Dataset, pngs: Path, tmp_path: Path) -> None:
+    tank = import_like(original, pngs, tmp_path / "tank", referenced=True)
+    assert tank.references is not None
+    first = tank.references
+    shape = first.shapes["camera_00"]
+    cases: dict[str, dict[str, Any]] = {
+        "expected a shape of at most": {"shapes": first.shapes | {"camera_00": (500, 500)}},
+        "expected a plain file inside": {"images": {"camera_00": (("../secret.png", 0),)}},
+        "expected an image of frame 0": {"images": {}},
+        "expected image 7 in it, got fewer": {
+            "images": {"camera_00": (("camera_00/img_0.png", 7),)}
+        },
+        "found no such file": {"folder": str(tmp_path / "moved")},
+    }
+    for expected, change in cases.items():
+        with pytest.raises(InputError, match=expected):
+            first.model_copy(update=change).read("camera_00", 0, shape)
+
+
+def test_references_within_stacks(original: Dataset, tmp_path: Path) -> None:
+    folder = write_stacks(original, tmp_path / "stacks", compression="zlib")
+    frames = slice(1, None, 2)
+    tank = import_like(original, folder, tmp_path / "tank", referenced=True, frames=frames)
+    assert tank.setup.frames == 2
+    np.testing.assert_array_equal(tank.raw_image(2, 1), original.raw_image(2, 3))

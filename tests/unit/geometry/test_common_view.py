@@ -1,0 +1,75 @@
+"""Boxes that cameras see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sabench.geometry.common_view import (
+    grid_of_box,
+    lattice_of,
+    pixel_size_mm,
+    propose_box,
+    seen_by_all,
+    share_in_view,
+)
+from sabench.geometry.polynomial_cameras import fit_soloff
+from sabench.scenes import build_rig, load_scene
+from sabench.utils.errors import InputError
+from tests.helpers.small_particles import rotate_cameras
+
+
+@pytest.mark.parametrize("name", ["quick", "cylinder-tank", "particle-tracking-air"])
+def test_all_cameras_see_the_proposed_box(name: str) -> None:
+    rig = build_rig(load_scene(name), name)
+    low, high = propose_box(rig.cameras)
+    grid = grid_of_box(low, high, pixel_size_mm(rig.cameras, 0.5 * (low + high)))
+    assert seen_by_all(rig.cameras, lattice_of(grid)).all()
+    assert ((high - low) > 2.0).all()
+
+
+def test_the_box_is_as_large_as_cameras_see() -> None:
+    cameras = build_rig(load_scene("quick"), "quick").cameras
+    low, high = propose_box(cameras)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    for axis in np.eye(3):
+        for sign in (-1.0, 1.0):
+            face = middle + half * (1.0 + 0.15 * axis) * (1.0 - axis + sign * axis)
+            assert not seen_by_all(cameras, face[None]).all() or np.abs(face - middle).max() > 5.0
+
+
+def test_a_pixel_is_as_large_as_optics_make_it() -> None:
+    camera = build_rig(load_scene("particle-tracking-air"), "air").cameras[0]
+    point = np.array([0.0, 0.0, 30.0])
+    distance = np.linalg.norm(point - np.asarray(camera.center_mm))
+    expected = camera.pixel_mm * distance / camera.principal_distance_mm
+    assert pixel_size_mm([camera], point) == pytest.approx(expected, rel=1e-3)
+
+
+def test_fitted_cameras_see_no_further_than_their_fit() -> None:
+    exact = build_rig(load_scene("quick"), "quick").cameras
+    points = np.random.default_rng(2).uniform([-3, -2, 28], [3, 2, 32], (200, 3))
+    fitted = [
+        fit_soloff(one.name, one.rows, one.columns, points, one.project(points)[0]) for one in exact
+    ]
+    low, high = propose_box(fitted)
+    assert (low > [-3.01, -2.01, 27.9]).all()
+    assert (high < [3.01, 2.01, 32.1]).all()
+
+
+def test_lines_of_sight_must_meet() -> None:
+    camera = build_rig(load_scene("particle-tracking-air"), "air").cameras[0]
+    with pytest.raises(InputError, match="lines of sight meet"):
+        propose_box([camera])
+    with pytest.raises(InputError, match="expected x0,x1"):
+        grid_of_box(np.ones(3), np.zeros(3), 0.1)
+    far = grid_of_box(np.full(3, 1e3), np.full(3, 1.1e3), 1.0)
+    assert share_in_view(camera, far)[1] == 0.0
+
+
+def test_the_box_turns_with_the_rig() -> None:
+    cameras = build_rig(load_scene("quick"), "quick").cameras
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    plain, turned = propose_box(cameras), propose_box(rotate_cameras(cameras, turn))
+    for one, other in zip(plain, turned, strict=True):
+        np.testing.assert_allclose(turn @ one, other, atol=1e-6)
