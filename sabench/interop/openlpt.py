@@ -9,7 +9,6 @@ listed from the fluid to the camera, with a point on the face to the fluid and t
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
+from sabench.interop.tracks import openlpt_files
 from sabench.utils.arrays import F32, F64
 from sabench.utils.processes import child
 
@@ -30,8 +30,6 @@ _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through pl
 _SKIN_MM = 1e-3  # of fluid that stands for a plate where a wall has none
 # grey values of a bright particle's peak and of the brightest pixel: two particles may overlap
 _BRIGHT, _WHITE = 160.0, 255
-# files that OpenLPT's own programs read as the result
-_TRACKS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")
 
 
 @dataclass(frozen=True)
@@ -236,19 +234,8 @@ def _tracer(settings: Settings, ends: F64) -> list[str]:
 
 def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
     """Read the particles of every frame from OpenLPT's files of tracks."""
-    rows: list[list[float]] = []
-    for kind in _TRACKS:
-        for path in sorted((folder / "results" / "ConvergeTrack").glob(f"{kind}_*.csv")):
-            before = max((row[0] for row in rows), default=-1.0) + 1.0
-            with path.open(encoding="utf-8", newline="") as file:
-                rows += [
-                    [before + float(one[0]), *map(float, one[1:5])]
-                    for one in list(csv.reader(file))[1:]
-                    if one
-                ]
-    table = np.array(rows, dtype=np.float64).reshape(-1, 5)
-    parts = [table[table[:, 1] == frame] for frame in range(frames)]
-    return [FoundParticles(part[:, 2:].copy(), None, part[:, 0].astype(np.int64)) for part in parts]
+    table = openlpt_files.read_files(openlpt_files.track_files(folder), None)
+    return [table.estimate(frame) for frame in range(frames)]
 
 
 def read_particles(folder: Path, frames: int) -> list[FoundParticles]:

@@ -96,7 +96,7 @@ def read_table(path: Path, least: int, *, missing: bool = False) -> Table:
     """Read a table of numbers below an optional line of names.
 
     Lines that begin with # or % are comments; the last of them before the numbers is the header if
-    it has as many words as there are columns.
+    it has as many words as there are columns. Columns behind the last name are `column_N`.
 
     Parameters
     ----------
@@ -110,11 +110,15 @@ def read_table(path: Path, least: int, *, missing: bool = False) -> Table:
     """
     lines = content_lines(path)
     mark = _separator(lines)
-    header, rows, numbers = list[str](), list[list[float]](), list[int]()
+    header, comment = list[str](), list[str]()
+    rows, numbers = list[list[float]](), list[int]()
     for number, line in lines:
         words = _split(line.lstrip("#%").strip(), mark)
-        if line[0] in "#%" or (not rows and _is_header(words)):
-            header = words if not rows else header
+        if line[0] in "#%":
+            comment = comment if rows else words
+            continue
+        if not rows and _is_header(words):
+            header = words
             continue
         rows.append(_row(path, number, words, mark, missing))
         numbers.append(number)
@@ -124,14 +128,23 @@ def read_table(path: Path, least: int, *, missing: bool = False) -> Table:
                 f"{path}: line {number}: expected {expected} columns, got {len(words)}: "
                 f"{line[:60]!r}"
             )
-    named = [_unit_of(word) for word in header] if rows and len(header) == len(rows[0]) else []
+    columns = len(rows[0]) if rows else least
+    named = _names(header or (comment if len(comment) == columns else []), columns)
     return Table(
         path,
         tuple(name for name, _ in named),
         tuple(unit for _, unit in named),
-        np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else least),
+        np.array(rows, dtype=np.float64).reshape(len(rows), columns),
         tuple(numbers),
     )
+
+
+def _names(header: Sequence[str], columns: int) -> list[tuple[str, str]]:
+    """Split names from units, and name the columns behind the last name."""
+    if not header:
+        return []
+    rest = [f"column_{number}" for number in range(len(header) + 1, columns + 1)]
+    return [_unit_of(word) for word in [*header, *rest][:columns]]
 
 
 def _separator(lines: Sequence[tuple[int, str]]) -> str | None:
