@@ -13,7 +13,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from sabench.cli import data, evaluate, solve
+from sabench.cli import data, evaluate, exchange, solve
 from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.options import say
@@ -32,7 +32,8 @@ for _command in (
     compare_statistics,
     solve.solve,
     solve.score,
-    data.export,
+    exchange.export,
+    exchange.import_result,
     solve.conform,
     solve.calibrate,
     evaluate.run,

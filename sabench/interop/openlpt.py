@@ -21,6 +21,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
+from sabench.interop.image_statistics import ImageStatistics
 from sabench.interop.tracks import openlpt_files
 from sabench.utils.arrays import F32, F64
 from sabench.utils.processes import child
@@ -61,6 +62,35 @@ class Settings:
     rounds: int = 4
     fits: int = 4
     threads: int = 1
+
+
+def derive_settings(
+    seen: ImageStatistics,
+    displacement_px: float = 10.0,
+    tolerance_px: float = 0.8,
+    floor: float = 0.2,
+    **others: float | int,
+) -> Settings:
+    """Derive settings from the statistics of the first frame.
+
+    Parameters
+    ----------
+    displacement_px : largest displacement from frame to frame.
+    tolerance_px : largest distance of a particle image from its particle's projection.
+    floor : smallest peak of a particle image, over a bright particle's; more if noise demands it.
+    others : further settings by their names.
+    """
+    return Settings(
+        threshold=round(_BRIGHT * max(floor, seen.floor)),
+        radius_px=2.5 * seen.sigma_px,
+        move_mm=0.5 * displacement_px * seen.mm_per_px,
+        spacing_mm=seen.spacing_mm,
+        reach_mm=max(displacement_px * seen.mm_per_px, seen.spacing_mm),
+        tolerance_px=tolerance_px,
+        tolerance_mm=tolerance_px * seen.mm_per_px,
+        mm_per_px=seen.mm_per_px,
+        **others,  # type: ignore[arg-type]
+    )
 
 
 def camera_text(camera: Camera) -> str:
@@ -178,15 +208,21 @@ def write_frame(folder: Path, frame: int, images: F32) -> None:
 
 
 def write_project(
-    folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings
+    folder: Path,
+    cameras: tuple[Camera, ...],
+    grid: Grid,
+    frames: int,
+    settings: Settings,
+    home: Path | None = None,
 ) -> None:
     """Write cameras, lists of images and settings into the folder of the images.
 
-    `config.txt` names all of them.
+    `config.txt` names all of them, by their paths below `home`, where the folder will be.
     """
+    home = home or folder
     for number, camera in enumerate(cameras):
         (folder / f"cam{number}.txt").write_text(camera_text(camera), encoding="utf-8")
-        names = [f"{folder}/cam{number}/{frame:05d}.tif\n" for frame in range(frames)]
+        names = [f"{home}/cam{number}/{frame:05d}.tif\n" for frame in range(frames)]
         (folder / f"cam{number}ImageNames.txt").write_text("".join(names), encoding="utf-8")
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
     ends = np.column_stack([low - voxel, low + voxel * np.asarray(grid.shape[::-1])])
@@ -196,13 +232,13 @@ def write_project(
         "1",
         str(settings.threads),
         str(count),
-        *(f"{folder}/cam{number}.txt,{_WHITE}" for number in range(count)),
-        *(f"{folder}/cam{number}ImageNames.txt" for number in range(count)),
+        *(f"{home}/cam{number}.txt,{_WHITE}" for number in range(count)),
+        *(f"{home}/cam{number}ImageNames.txt" for number in range(count)),
         _row(ends.ravel()),
         repr(settings.mm_per_px),
-        f"{folder}/results/",
+        f"{home}/results/",
         "Tracer",
-        f"{folder}/tracer.txt",
+        f"{home}/tracer.txt",
         "0,0",
     ]
     (folder / "config.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -26,7 +26,8 @@ from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.interop.foreign_world import ForeignWorld
-from sabench.utils.arrays import F32, F64, I64, triple
+from sabench.interop.image_statistics import ImageStatistics
+from sabench.utils.arrays import F32, F64, I64, U8, triple
 from sabench.utils.files import read_json
 from sabench.utils.processes import child
 
@@ -56,6 +57,27 @@ class Settings:
     move_mm: float
     change_mm: float
     angle_gon: float
+
+
+def derive_settings(
+    seen: ImageStatistics,
+    displacement_px: float = 10.0,
+    tolerance_px: float = 1.0,
+    discontinuity: int = 5,
+    change: float = 0.5,
+    angle_gon: float = 100.0,
+) -> Settings:
+    """Derive settings from the statistics of the first frame.
+
+    Parameters
+    ----------
+    displacement_px : largest displacement from frame to frame.
+    tolerance_px, discontinuity, angle_gon : as in `Settings`.
+    change : largest change of a displacement, over the largest displacement.
+    """
+    move = displacement_px * seen.mm_per_px
+    threshold = max(2, round(_BRIGHT * seen.floor))
+    return Settings(threshold, discontinuity, tolerance_px, move, change * move, angle_gon)
 
 
 def missing() -> str | None:
@@ -179,16 +201,30 @@ def media_of(camera: Camera) -> dict[str, Any]:
     return {"n1": wall.air_index, "n2": [index], "n3": wall.fluid_index, "d": [thick]}
 
 
+def to_8_bits(images: F32) -> U8:
+    """Scale images, in which a bright particle's peak is 1, to grey values."""
+    return np.asarray(np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8))
+
+
+def write_image(path: Path, image: U8) -> None:
+    """Write grey values (row, column) as an 8-bit TIFF file of any name."""
+    tifffile.imwrite(path, image, photometric="minisblack")
+
+
 def write_frame(folder: Path, frame: int, images: F32) -> None:
     """Write a frame's images (camera, row, column) as an 8-bit TIFF stack.
 
     A bright particle's peak is 1.
     """
-    tifffile.imwrite(
-        folder / f"frame_{frame:05d}.tif",
-        np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8),
-        photometric="minisblack",
-    )
+    path = folder / f"frame_{frame:05d}.tif"
+    tifffile.imwrite(path, to_8_bits(images), photometric="minisblack")
+
+
+def ends_mm(grid: Grid, world: ForeignWorld) -> F64:
+    """Compute opposite corners (2, 3) of a volume in OpenPTV's world."""
+    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
+    corners = np.stack([low - voxel, low + voxel * np.asarray(grid.shape[::-1])])
+    return np.sort(world.into(corners), axis=0)
 
 
 def write_project(
@@ -200,11 +236,7 @@ def write_project(
         (folder / f"cam{number}.ori").write_text(orientation_text(camera, world), encoding="utf-8")
         (folder / f"cam{number}.addpar").write_text(distortion_text(camera), encoding="utf-8")
     first = cameras[0]
-    low, high = (
-        np.asarray(grid.low_mm),
-        np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * np.asarray(grid.shape[::-1]),
-    )
-    ends = np.sort(world.into(np.stack([low - np.asarray(grid.voxel_mm), high])), axis=0)
+    ends = ends_mm(grid, world)
     project = asdict(settings) | {
         "cameras": len(cameras),
         "frames": frames,

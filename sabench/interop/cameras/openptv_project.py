@@ -15,6 +15,7 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
 from sabench.geometry.lens_distortion import Distortion, distort
 from sabench.geometry.refraction import Layer, Wall
 from sabench.interop import openptv
@@ -239,3 +240,32 @@ def _control_text(cameras: Sequence[Camera]) -> str:
         media["d"][0],
     ]
     return "\n".join(str(line) for line in lines) + "\n"
+
+
+def write_parameters(
+    folder: Path, grid: Grid, cameras: int, frames: Sequence[int], settings: openptv.Settings
+) -> None:
+    """Write the files sequence, criteria, targ_rec and track.par of a project.
+
+    They are of OpenPTV's world for the volume of a grid. `frames` are the first and last numbers.
+    """
+    low, high = openptv.ends_mm(grid, openptv.world_of(grid))
+    tolerance = settings.tolerance_px
+    move, change = settings.move_mm, settings.change_mm
+    files = {
+        "sequence": [*(f"img/cam{number}." for number in range(1, cameras + 1)), *frames],
+        # the volume at its left and right ends, similarity of targets, band in mm
+        "criteria": [low[0], low[2], high[2], high[0], low[2], high[2], *4 * [0.01], 0, tolerance],
+        # thresholds, discontinuity, least and most pixels in all, along X and Y, sum of grey
+        "targ_rec": [
+            *4 * [settings.threshold],
+            settings.discontinuity,
+            *(2, 400, 1, 40, 1, 40),
+            settings.threshold,
+            2,
+        ],
+        "track": [*3 * [-move, move], settings.angle_gon, change, 0],
+    }
+    for name, lines in files.items():
+        text = "".join(f"{line}\n" for line in lines)
+        (folder / "parameters" / f"{name}.par").write_text(text, encoding="utf-8")
