@@ -95,7 +95,7 @@ def _write_particles(
         world = write_into(root, cameras, program, setup.grid)
     if program and world != ForeignWorld():
         cameras = read_cameras(root, program)  # the same cameras in its world
-    recording = Recording(cameras, setup.frames, setup.interval_s)
+    recording = Recording(cameras, tuple(setup.time_s(i) for i in range(setup.frames)))
     write_tracks(root, table.into(world), to, recording)
 
 

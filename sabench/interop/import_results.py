@@ -13,7 +13,7 @@ from sabench.dataset.results import result_writer
 from sabench.geometry.grid import Grid
 from sabench.interop.foreign_world import LENGTHS_MM, note, read_world
 from sabench.interop.tracks import TrackFormat, read_tracks
-from sabench.interop.tracks.track_table import TrackTable
+from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import refuse_existing
@@ -71,7 +71,8 @@ def import_result(
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     refuse_existing(Path(out), overwrite=overwrite)
     setup, source = data.setup, Path(found)
-    table = read_tracks(source, form, unit=unit, interval_s=setup.interval_s)
+    recording = Recording(setup.cameras, tuple(setup.time_s(i) for i in range(setup.frames)))
+    table = read_tracks(source, form, unit=unit, interval_s=recording.interval_s)
     table = _renumbered(source, table, first, setup.frames).back(read_world(source))
     _check_places(source, table, setup.grid, unit)
     estimates = [_estimate(source, table, frame) for frame in range(setup.frames)]

@@ -48,6 +48,7 @@ _WRITERS: dict[str, ModuleType] = {
     "openlpt": openlpt_files,
     "opencv": opencv_files,
     "sabench-calibration": sabench_files,
+    "lpt-challenge": point_lists,
 }
 
 
@@ -103,7 +104,8 @@ def write_cameras(
     """Write cameras into a new folder, and say what the format cannot carry.
 
     With a grid, OpenPTV's world has its origin in the grid's centre, its Y axis up and its Z axis
-    towards the cameras; `foreign_world.read_world` finds it. The point list needs the grid.
+    towards the cameras; `foreign_world.read_world` finds it. The point list needs the grid, and so
+    do MyPTV's polynomials.
 
     Raises
     ------
@@ -122,21 +124,17 @@ def write_into(
     folder: Path, cameras: Sequence[CameraModel], form: CameraFormat, grid: Grid | None
 ) -> ForeignWorld:
     """Write cameras into a folder that is there; return the world of its files."""
-    lost = losses(form)
-    if lost:
-        note(f"{form}: its camera files do not carry {'; '.join(lost)}")
     world = world_for(form, grid)
-    if form == "lpt-challenge":
-        if grid is None:
-            raise InputError("lpt-challenge: expected a grid, over which the points are placed")
-        point_lists.write_points(folder, cameras, point_lists.lattice(grid))
-        return world
+    points = None if grid is None else point_lists.lattice(grid)
     try:
-        _WRITERS[form].write_cameras(folder, cameras, world)
+        _WRITERS[form].write_cameras(folder, cameras, world, points)
     except ValueError as error:
         raise InputError(f"{form}: {error}") from error
     if world != ForeignWorld():
         world.write(folder)
+    lost = losses(form)
+    if lost:
+        note(f"{form}: its camera files do not carry {'; '.join(lost)}")
     return world
 
 
@@ -144,15 +142,14 @@ def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
     """Raise an InputError if a format cannot describe some cameras."""
     if form == "matlab":
         raise InputError("matlab: expected a format that cameras can be written in, as opencv")
-    reason = None if form == "lpt-challenge" else _WRITERS[form].unfit(cameras)
+    reason = _WRITERS[form].unfit(cameras)
     if reason:
         raise InputError(f"{form}: {reason}")
 
 
 def losses(form: CameraFormat) -> tuple[str, ...]:
     """List what a format's camera files do not carry."""
-    module = point_lists if form == "lpt-challenge" else _WRITERS[form]
-    return tuple(module.LOST)
+    return tuple(_WRITERS[form].LOST)
 
 
 def world_for(form: CameraFormat, grid: Grid | None) -> ForeignWorld:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeGuard
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from sabench.interop.cameras.lenses import (
     check_positive,
     plain_camera,
 )
-from sabench.interop.foreign_world import ForeignWorld
+from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.interop.text_tables import content_lines, split_numbers
 from sabench.utils.arrays import F64, nested
 from sabench.utils.errors import InputError
@@ -167,31 +168,85 @@ def _monomials(points: F64) -> F64:
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Say why MyPTV cannot describe cameras exactly; None if it can."""
-    for camera in cameras:
-        if not isinstance(camera, Camera):
-            return f"{camera.name}: MyPTV's Tsai model has pinholes only"
-        if camera.wall is not None:
-            return f"{camera.name}: MyPTV has no walls, and this camera looks through one"
-        if camera.distortion != Distortion():
-            return f"{camera.name}: MyPTV has no radial distortion, and this camera has some"
+    """Return None: what Tsai's model cannot describe gets polynomials."""
     return None
 
 
-def write_cameras(folder: Path, cameras: Sequence[Camera], world: ForeignWorld) -> None:
-    """Write a Tsai file for each camera, named as the camera."""
-    for one in cameras:
-        camera = one.upright()
-        offset = np.asarray(camera.principal_point_px) - [camera.columns / 2.0, camera.rows / 2.0]
-        rows = [
-            (camera.columns, camera.rows),
-            camera.center_mm,
-            _angles(np.asarray(camera.rotation)).tolist(),
-            (camera.focal_px,),
-            offset.tolist(),
-            *[[0.0] * 5] * 3,
-        ]
-        # its own reader drops the last two characters of a line
-        text = [" ".join(repr(value) for value in row) + " " for row in rows]
-        lines = ["Tsai model camera", camera.name, *text]
-        (folder / camera.name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+def write_cameras(
+    folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
+) -> None:
+    """Write a file for each camera, named as the camera.
+
+    A pinhole in air without distortion has Tsai's model. Other cameras have polynomials, fitted
+    over points (n, 3) of the volume; the error is said.
+
+    Raises
+    ------
+    InputError
+        A camera that needs the volume, which is not given.
+    """
+    for camera in cameras:
+        if _is_tsai(camera):
+            text = _tsai_text(camera.upright())
+        elif points_mm is None:
+            raise InputError(f"{camera.name}: MyPTV has polynomials for it: give the volume (grid)")
+        else:
+            text = _zolof_text(camera, points_mm)
+        (folder / camera.name).write_text(text, encoding="utf-8")
+
+
+def _is_tsai(camera: CameraModel) -> TypeGuard[Camera]:
+    return isinstance(camera, Camera) and camera.wall is None and camera.distortion == Distortion()
+
+
+def _tsai_text(camera: Camera) -> str:
+    offset = np.asarray(camera.principal_point_px) - [camera.columns / 2.0, camera.rows / 2.0]
+    rows = [
+        (camera.columns, camera.rows),
+        camera.center_mm,
+        _angles(np.asarray(camera.rotation)).tolist(),
+        (camera.focal_px,),
+        offset.tolist(),
+        *[[0.0] * 5] * 3,
+    ]
+    # its own reader drops the last two characters of a line
+    text = [" ".join(repr(value) for value in row) + " " for row in rows]
+    return "\n".join(["Tsai model camera", camera.name, *text]) + "\n"
+
+
+def _zolof_text(camera: CameraModel, points_mm: F64) -> str:
+    """Fit the polynomials of pixels A, and of lines of sight B through a point O."""
+    pixels, valid = camera.project(points_mm)
+    points, pixels = points_mm[valid], pixels[valid]
+    table, error_px = _least_squares(_monomials(points), pixels)
+    rays = camera.back_project(pixels)
+    across = np.eye(3) - rays.directions[:, :, None] * rays.directions[:, None, :]
+    beside = np.einsum("nij,nj->i", across, rays.origins_mm)
+    origin = np.linalg.solve(across.sum(axis=0), beside)
+    towards = points - origin
+    away = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    lines, error = _least_squares(_pixel_terms(pixels), away)
+    reach = float(np.linalg.norm(towards, axis=1).max())
+    note(
+        f"myptv: {camera.name}: polynomials replace the camera in the volume; they differ from it "
+        f"by up to {error_px:.2g} px, and their lines of sight by {error * reach:.2g} mm"
+    )
+    parts = [("O", origin[:, None]), ("A", table), ("B", lines)]
+    rows = [
+        f"{letter} {' '.join(map(str, index[: 1 if letter == 'O' else 2]))} \t {value!r} "
+        for letter, values in parts
+        for index, value in zip(np.ndindex(values.shape), values.ravel().tolist(), strict=True)
+    ]
+    return "\n".join(["extendedZolof model camera", camera.name, *rows]) + "\n"
+
+
+def _least_squares(terms: F64, values: F64) -> tuple[F64, float]:
+    """Solve for coefficients; also return the largest error."""
+    scale = np.abs(terms).max(axis=0)
+    solution = np.linalg.lstsq(terms / scale, values, rcond=None)[0] / scale[:, None]
+    return np.asarray(solution), float(np.abs(terms @ solution - values).max())
+
+
+def _pixel_terms(pixels: F64) -> F64:
+    x, y = pixels.T
+    return np.stack([x**0, x, y, x**2, y**2, x * y, x**2 * y, x * y**2, x**3, y**3], axis=1)

@@ -168,7 +168,9 @@ def unfit(cameras: Sequence[CameraModel]) -> str | None:
     return None
 
 
-def write_cameras(folder: Path, cameras: Sequence[Camera], world: ForeignWorld) -> None:
+def write_cameras(
+    folder: Path, cameras: Sequence[Camera], world: ForeignWorld, points_mm: F64 | None
+) -> None:
     """Write a YAML file for each camera, named as the camera."""
     for one in cameras:
         camera = one.upright()

@@ -25,7 +25,7 @@ from sabench.interop.cameras.lenses import (
 )
 from sabench.interop.foreign_world import ForeignWorld
 from sabench.interop.text_tables import content_lines, split_numbers
-from sabench.utils.arrays import triple
+from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 
 LOST = ("f-numbers and focal lengths", "the pixel pitch", "the depth of the tank")
@@ -125,7 +125,9 @@ def unfit(cameras: Sequence[CameraModel]) -> str | None:
     return None
 
 
-def write_cameras(folder: Path, cameras: Sequence[Camera], world: ForeignWorld) -> None:
+def write_cameras(
+    folder: Path, cameras: Sequence[Camera], world: ForeignWorld, points_mm: F64 | None
+) -> None:
     """Write cam0.txt, cam1.txt and so on."""
     for number, camera in enumerate(cameras):
         text = openlpt.camera_text(camera)

@@ -203,7 +203,9 @@ def unfit(cameras: Sequence[CameraModel]) -> str | None:
     return own or openptv.unlike(plain)
 
 
-def write_cameras(folder: Path, cameras: Sequence[Camera], world: ForeignWorld) -> None:
+def write_cameras(
+    folder: Path, cameras: Sequence[Camera], world: ForeignWorld, points_mm: F64 | None
+) -> None:
     """Write parameters/ptv.par and cal/cam1.ori, cal/cam1.addpar and so on."""
     (folder / "cal").mkdir()
     (folder / "parameters").mkdir()

@@ -19,7 +19,7 @@ from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.polynomial_cameras import fit_soloff
 from sabench.geometry.projective_camera import Projective, fit_projective
 from sabench.interop.cameras.lenses import PIXEL_MM, Extent, Pose, plain_camera
-from sabench.interop.foreign_world import note
+from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.interop.text_tables import read_table
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
@@ -112,8 +112,23 @@ def lattice(grid: Grid) -> F64:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def write_points(folder: Path, cameras: Sequence[CameraModel], points_mm: F64) -> None:
-    """Write the pixels of points (n, 3) in all cameras."""
+def unfit(cameras: Sequence[CameraModel]) -> str | None:
+    """Return None: every camera has pixels of points."""
+    return None
+
+
+def write_cameras(
+    folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
+) -> None:
+    """Write the pixels of points (n, 3) in all cameras.
+
+    Raises
+    ------
+    InputError
+        No points.
+    """
+    if points_mm is None:
+        raise InputError("lpt-challenge: expected a grid, over which the points are placed")
     columns = [points_mm, *(camera.project(points_mm)[0] for camera in cameras)]
     rows = np.hstack(columns).tolist()
     text = "".join(" ".join(repr(value) for value in row) + "\n" for row in rows)

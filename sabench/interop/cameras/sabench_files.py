@@ -16,6 +16,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import read_camera
 from sabench.geometry.wall_records import WallsRecord
 from sabench.interop.foreign_world import ForeignWorld
+from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json
 
@@ -64,6 +65,8 @@ def unfit(cameras: Sequence[CameraModel]) -> str | None:
     return None
 
 
-def write_cameras(folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld) -> None:
+def write_cameras(
+    folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
+) -> None:
     """Write cameras.json."""
     write_file(folder / CAMERAS, cameras, wall=wall_entry(cameras))

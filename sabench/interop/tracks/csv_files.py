@@ -37,7 +37,7 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
 
 def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     """Write tracks.csv."""
-    columns = columns_of_table(table)
+    columns = columns_of_table(table, recording.times_s)
     rows = zip(*(np.asarray(one).tolist() for one in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
     (folder / FILE).write_text("\n".join(lines) + "\n", encoding="utf-8")

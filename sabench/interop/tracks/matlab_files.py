@@ -67,7 +67,7 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     """Write tracks.mat; all numbers are double."""
     path = folder / FILE
     with h5py.File(path, "w", userblock_size=_BLOCK) as file:
-        for name, values in columns_of_table(table).items():
+        for name, values in columns_of_table(table, recording.times_s).items():
             stored = file.create_dataset(name, data=values.astype(np.float64)[None])
             stored.attrs["MATLAB_class"] = np.bytes_("double")
     head = (_HEADER + b" 1.00 .").ljust(116) + bytes(8) + b"\x00\x02IM"

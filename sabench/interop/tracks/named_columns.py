@@ -154,9 +154,10 @@ def _finite(where: str, name: str, values: npt.NDArray[Any]) -> F64:
     return found
 
 
-def columns_of_table(table: TrackTable) -> dict[str, npt.NDArray[Any]]:
-    """List the columns of a table by the names that this module reads."""
-    found: dict[str, npt.NDArray[Any]] = {"frame": table.frame}
+def columns_of_table(table: TrackTable, times_s: tuple[float, ...]) -> dict[str, npt.NDArray[Any]]:
+    """List the columns of a table, and the times of frames, by the names that this module reads."""
+    times = np.asarray(times_s, dtype=np.float64)
+    found: dict[str, npt.NDArray[Any]] = {"frame": table.frame, "time_s": times[table.frame]}
     if table.trajectory is not None:
         found["trajectory"] = table.trajectory
     for name, values in (

@@ -24,7 +24,7 @@ from sabench.worlds.library.field_formats import Array
 
 FILE = "tracks.nc"
 LOST = ("light of each camera", "covariances", "probabilities")
-_UNITS = {"_mm": "mm", "_mm_s": "mm s-1", "_mm_s2": "mm s-2"}
+_UNITS = {"_mm": "mm", "_mm_s": "mm s-1", "_mm_s2": "mm s-2", "time_s": "s"}
 
 
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
@@ -108,8 +108,8 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     with netcdf_file(folder / FILE, "w", version=2) as file:
         file.Conventions, file.featureType = "CF-1.8", "trajectory"
         file.createDimension("obs", len(table))
-        for name, values in columns_of_table(table).items():
-            kind, stored = _storable(folder / FILE, name, values)
+        for name, values in columns_of_table(table, recording.times_s).items():
+            kind, stored = _storable(name, values)
             variable = file.createVariable(name, kind, ("obs",))
             variable[:] = stored
             ending = next((unit for end, unit in _UNITS.items() if name.endswith(end)), None)
@@ -119,13 +119,11 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
             file.variables["trajectory"].long_name = "number of the trajectory"
 
 
-def _storable(
-    path: Path, name: str, values: npt.NDArray[Any]
-) -> tuple[str, npt.NDArray[np.generic]]:
+def _storable(name: str, values: npt.NDArray[Any]) -> tuple[str, npt.NDArray[np.generic]]:
     """Choose a type of NetCDF 3, whose whole numbers have 32 bits."""
     if values.dtype.kind == "f":
         return "f8", values
     if np.abs(values).max(initial=0) > 2**31 - 1:
-        note(f"{path}: {name}: numbers beyond 32 bits were numbered anew")
+        note(f"{FILE}: {name}: numbers beyond 32 bits were numbered anew")
         values = np.unique(values, return_inverse=True)[1]
     return "i4", values.astype(np.int32)

@@ -98,13 +98,22 @@ class Recording:
     Attributes
     ----------
     cameras : in the world of the particles.
-    frames : number of frames; some may have no particle.
-    interval_s : time between frames.
+    times_s : time of each frame; some frames may have no particle.
     """
 
     cameras: Sequence[CameraModel]
-    frames: int
-    interval_s: float
+    times_s: tuple[float, ...]
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.times_s)
+
+    @property
+    def interval_s(self) -> float:
+        """Mean time between frames; 1 for a single frame."""
+        steps = self.frames - 1
+        return (self.times_s[-1] - self.times_s[0]) / steps if steps else 1.0
 
 
 def of_estimates(found: Sequence[FoundParticles]) -> TrackTable:

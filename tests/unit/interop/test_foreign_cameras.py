@@ -100,8 +100,8 @@ def test_losses_are_said(form: CameraFormat, tmp_path: Path) -> None:
 
 
 REFUSED = [
-    ("myptv", {}, "camera_00: MyPTV has no walls, and this camera looks through one"),
-    ("myptv", {"wall": None, "distortion": LENS}, "camera_00: MyPTV has no radial distortion"),
+    ("myptv", {}, "camera_00: MyPTV has polynomials for it: give the volume"),
+    ("lpt-challenge", {}, "expected a grid, over which the points are placed"),
     ("opencv", {}, "camera_00: OpenCV has no walls"),
     ("openptv", ASIDE | {"distortion": LENS}, "distortion about the centre of the image"),
     ("openlpt", {"distortion": Distortion(k1=-0.1)}, "without a positive coefficient"),
@@ -321,3 +321,11 @@ def test_matlabs_structures_are_read(old: bool, tmp_path: Path) -> None:
     savemat(tmp_path / "other.mat", {"x": 1.0})
     with pytest.raises(InputError, match="expected structures with K or IntrinsicMatrix"):
         read_quietly(tmp_path / "other.mat", "matlab")
+
+
+def test_polynomials_replace_cameras_behind_a_wall(tmp_path: Path) -> None:
+    with pytest.warns(ForeignFormatWarning) as said:
+        write_cameras(tmp_path / "out", CAMERAS, "myptv", grid=GRID)
+    assert "camera_00: polynomials replace the camera in the volume" in str(said[0].message)
+    found = read_quietly(tmp_path / "out", "myptv", size=SIZE, grid=GRID)
+    assert difference_px(found, CAMERAS, ForeignWorld()) < 1e-3
