@@ -146,7 +146,7 @@ def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:
     settings = openptv.derive_settings(measure_statistics(data.observation(0)))
     setup = data.setup
     span = (FIRST, FIRST + setup.frames - 1)
-    openptv_project.write_parameters(root, setup.grid, len(setup.cameras), span, settings)
+    openptv_project.write_parameters(root, setup.grid, setup.cameras, span, settings)
 
 
 def _write_for_openlpt(root: Path, data: Dataset, home: Path) -> None:

@@ -245,19 +245,23 @@ def _control_text(cameras: Sequence[Camera]) -> str:
 
 
 def write_parameters(
-    folder: Path, grid: Grid, cameras: int, frames: Sequence[int], settings: openptv.Settings
+    folder: Path,
+    grid: Grid,
+    cameras: Sequence[Camera],
+    frames: Sequence[int],
+    settings: openptv.Settings,
 ) -> None:
     """Write the files sequence, criteria, targ_rec and track.par of a project.
 
     They are of OpenPTV's world for the volume of a grid. `frames` are the first and last numbers.
     """
     low, high = openptv.ends_mm(grid, openptv.world_of(grid))
-    tolerance = settings.tolerance_px
+    band_mm = settings.tolerance_px * cameras[0].pixel_mm
     move, change = settings.move_mm, settings.change_mm
     files = {
-        "sequence": [*(f"img/cam{number}." for number in range(1, cameras + 1)), *frames],
-        # the volume at its left and right ends, similarity of targets, band in mm
-        "criteria": [low[0], low[2], high[2], high[0], low[2], high[2], *4 * [0.01], 0, tolerance],
+        "sequence": [*(f"img/cam{number}." for number in range(1, len(cameras) + 1)), *frames],
+        # the volume at its left and right ends, similarity of targets, band on the sensor
+        "criteria": [low[0], low[2], high[2], high[0], low[2], high[2], *4 * [0.01], 0, band_mm],
         # thresholds, discontinuity, least and most pixels in all, along X and Y, sum of grey
         "targ_rec": [
             *4 * [settings.threshold],
