@@ -18,8 +18,7 @@ from sabench.utils.errors import InputError
 
 _LARGEST = 2_000_000_000  # bytes of a text file
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")  # x [mm], x (mm)
-_WORDS = re.compile(r"[A-Za-z_]{2,}|[A-DF-Za-df-z_]")  # letters that no number has; 1e-3 has an e
-_NOT_FINITE = {"nan", "inf", "-inf", "+inf", "-nan", "infinity"}
+_NUMBER = re.compile(r"^[-+]?(?:\d|[.,]\d|nan$|inf)", re.IGNORECASE)  # begins as a number does
 
 
 @dataclass(frozen=True)
@@ -161,7 +160,8 @@ def _split(line: str, mark: str | None) -> list[str]:
 
 
 def _is_header(words: Sequence[str]) -> bool:
-    return any(_WORDS.search(word) and word.lower() not in _NOT_FINITE for word in words)
+    """Tell a line of names, in which no word is a number."""
+    return not any(_NUMBER.match(word) for word in words if word)
 
 
 def _row(

@@ -40,13 +40,12 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
     files = list(numbered_files(path, _NAME)) if path.is_dir() else [(0, path)]
     if not files:
         raise InputError(f"{path}: expected files NAME_N.dat or .txt, N the frame, found none")
-    parts = [_read_frame(file, number, unit) for number, file in files]
+    read = [(file, _read_frame(file, number, unit)) for number, file in files]
+    parts = [one for _, one in read if len(one)] or [read[0][1]]
     linked = [one.trajectory is not None for one in parts]
     if any(linked) and not all(linked):
-        raise InputError(
-            f"{files[linked.index(False)][1]}: expected a number for each particle, as in other "
-            "files, got none"
-        )
+        odd = next(file for file, one in read if len(one) and one.trajectory is None)
+        raise InputError(f"{odd}: expected a number for each particle, as in other files, got none")
     if not any(linked):
         note(f"{path}: its particles have no numbers of tracks")
     names = ("frame", "position_mm", *(("trajectory",) if all(linked) else ()))

@@ -1,9 +1,7 @@
-"""Tracks as NetCDF: an indexed ragged array of trajectories by the CF conventions.
+"""Tracks as NetCDF: variables over one dimension `obs`, with the attribute `units`.
 
 Written is the classic format (NetCDF 3), which every reader takes; read are NetCDF 3 and 4. Arrays
 (trajectory, obs), padded with NaN, are read too.
-
-Source: CF conventions 1.8, section H.4.4.
 """
 
 from __future__ import annotations
@@ -106,7 +104,6 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     from scipy.io import netcdf_file
 
     with netcdf_file(folder / FILE, "w", version=2) as file:
-        file.Conventions, file.featureType = "CF-1.8", "trajectory"
         file.createDimension("obs", len(table))
         for name, values in columns_of_table(table, recording.times_s).items():
             kind, stored = _storable(name, values)
@@ -115,8 +112,6 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
             ending = next((unit for end, unit in _UNITS.items() if name.endswith(end)), None)
             if ending:
                 variable.units = ending
-        if table.trajectory is not None:
-            file.variables["trajectory"].long_name = "number of the trajectory"
 
 
 def _storable(name: str, values: npt.NDArray[Any]) -> tuple[str, npt.NDArray[np.generic]]:
