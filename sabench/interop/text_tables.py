@@ -127,7 +127,7 @@ def read_table(path: Path, least: int, *, missing: bool = False) -> Table:
                 f"{path}: line {number}: expected {expected} columns, got {len(words)}: "
                 f"{line[:60]!r}"
             )
-    columns = len(rows[0]) if rows else least
+    columns = len(rows[0]) if rows else max(least, len(header))
     named = _names(header or (comment if len(comment) == columns else []), columns)
     return Table(
         path,
