@@ -1,4 +1,4 @@
-"""Central camera whose lens is a polynomial: any pinhole that `Camera` cannot describe.
+"""Central cameras with a polynomial lens: pinholes that no `Camera` describes.
 
 Pixels that are not square, shear, distortion about another point than the principal point, and
 other models of distortion than Brown and Conrady's are all maps from ideal image coordinates to
@@ -31,7 +31,7 @@ _STEPS, _NEAR_PX = 30, 1e-10
 
 @dataclass(frozen=True)
 class CentralCamera:
-    """Pinhole behind a wall or in air, with a polynomial in place of focal length and distortion.
+    """Pinhole with a polynomial in place of focal length and distortion.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ class CentralCamera:
 
 
 def solve_pairs(across: F64, along: F64, miss: F64) -> F64:
-    """Solve s across + t along = miss for pairs s, t (n, 2); all arguments are (n, 2)."""
+    """Solve s across + t along = miss for pairs s, t; all arrays are (n, 2)."""
     determinant = across[:, 0] * along[:, 1] - along[:, 0] * across[:, 1]
     s = along[:, 1] * miss[:, 0] - along[:, 0] * miss[:, 1]
     t = across[:, 0] * miss[:, 1] - across[:, 1] * miss[:, 0]
@@ -159,7 +159,7 @@ def image_lattice(rows: int, columns: int) -> F64:
 
 
 def invert_lens(lens: Lens, pixels: F64, guess: F64) -> F64:
-    """Find ideal image coordinates (n, 2) of pixels by Newton's iteration from a guess (n, 2).
+    """Find ideal coordinates (n, 2) of pixels by Newton's iteration from a guess.
 
     NaN where it does not converge.
     """

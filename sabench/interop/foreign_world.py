@@ -18,7 +18,7 @@ _UNIT_AXES: Rows = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class ForeignFormatWarning(UserWarning):
-    """Sentence about what a foreign format cannot carry, or what was changed to read it."""
+    """Loss in a foreign format, or a change that was needed to read it."""
 
 
 def note(sentence: str) -> None:
@@ -67,7 +67,7 @@ class ForeignWorld:
 
 
 def read_world(path: Path) -> ForeignWorld:
-    """Read the world of a folder, or of one of the two above; without a file it is ours."""
+    """Read the world of a folder or of one of the two above it; by default ours."""
     for folder in (path, *path.parents[:2]):
         file = folder / WORLD_FILE
         if file.is_file():

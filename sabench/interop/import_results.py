@@ -108,7 +108,7 @@ def _renumbered(source: Path, table: TrackTable, first: int | None, frames: int)
 
 
 def _check_places(source: Path, table: TrackTable, grid: Grid, unit: str | None) -> None:
-    """Refuse positions that lie in the volume only in another unit; say if they lie elsewhere."""
+    """Refuse positions in another unit; say if they lie outside the volume."""
     share = _share_inside(grid, table.position_mm)
     if share >= _FEW:
         return

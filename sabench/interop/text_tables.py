@@ -189,7 +189,7 @@ def _unit_of(word: str) -> tuple[str, str]:
 
 
 def numbered_files(folder: Path, pattern: str) -> Iterator[tuple[int, Path]]:
-    """Yield the files of a folder whose names match, with the number in the group `frame`."""
+    """Yield the files whose names match, with the number in the group `frame`."""
     compiled = re.compile(pattern)
     matches = ((compiled.fullmatch(path.name), path) for path in folder.iterdir())
     found = [(int(match["frame"]), path) for match, path in matches if match]

@@ -128,9 +128,10 @@ CSV = "frame,particle,x,y,z\n"
 
 def refused(tank: Dataset, text: str, folder: Path, **more: int | str) -> str:
     (folder / "found.csv").write_text(text, encoding="utf-8")
-    with warnings.catch_warnings(), pytest.raises(InputError) as error:
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", ForeignFormatWarning)
-        import_result(tank, folder / "found.csv", folder / "out.h5", "csv", **more)  # type: ignore[arg-type]
+        with pytest.raises(InputError) as error:
+            import_result(tank, folder / "found.csv", folder / "out.h5", "csv", **more)  # type: ignore[arg-type]
     assert not (folder / "out.h5").exists()
     return str(error.value)
 

@@ -1,4 +1,4 @@
-"""Cameras in the formats of other programs: one function to read and one to write them.
+"""Readers and writers of cameras in the formats of other programs.
 
 docs/formats/foreign.md lists what each format carries.
 """

@@ -1,4 +1,4 @@
-"""Cameras of ours from what other programs write: matrices, distortions, printed rotations."""
+"""Cameras made of matrices, distortions and printed rotations."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Extent:
-    """What a camera file of some models leaves out.
+    """Properties of a recording that some camera files leave out.
 
     Attributes
     ----------
@@ -240,7 +240,7 @@ def scaled_camera(camera: CameraModel, factor: float) -> CameraModel:
 
 
 def _scaled_wall(wall: WallRecord | None, factor: float) -> WallRecord | None:
-    """Scale a plane wall; no format with another unit than mm has one of another shape."""
+    """Scale a plane wall; formats in other units than mm have no other."""
     if not isinstance(wall, Wall):
         return wall
     layers = tuple(

@@ -1,4 +1,4 @@
-"""Cameras in MATLAB's files: structures of camera parameters with the place of each camera.
+"""Cameras in MATLAB's files: structures of camera parameters.
 
 MATLAB's objects `cameraParameters` and `cameraIntrinsics` cannot be read outside MATLAB; their
 structures, as `toStruct` makes them, can. A structure of one camera has the lens (`K`, or the

@@ -1,4 +1,4 @@
-"""Camera files of MyPTV: Tsai's model with a quadratic correction, and extended Zolof polynomials.
+"""Camera files of MyPTV: Tsai's model, and extended Zolof polynomials.
 
 Source: the formats as MyPTV 1.3 documents and writes them. The camera's axes are the rows of
 R = Rx Ry Rz. A pixel (column, row) of a Tsai camera sees along ((c, r, f) + E Z) R, where c and r

@@ -1,4 +1,4 @@
-"""Cameras in OpenCV's YAML, XML and JSON files: matrix, distortion, rotation and translation.
+"""Cameras in OpenCV's YAML, XML and JSON files.
 
 A point X of the world is at R X + t before the camera, X to the right, Y down, Z forward; pixel
 (0, 0) is the centre of the first pixel. Distortion has 4 to 14 coefficients: k1 k2 p1 p2 k3, the

@@ -1,4 +1,4 @@
-"""Cameras of an OpenPTV project: ptv.par with an .ori and an .addpar file for each camera.
+"""Cameras of an OpenPTV project: ptv.par, .ori and .addpar files.
 
 Source: the formats as the library optv 0.3.2 reads them. Its world is kept as it is. Positions on
 the sensor are in mm, X to the right and Y up from the image's centre, and the distortion acts about

@@ -1,4 +1,4 @@
-"""Cameras as points: each line has X Y Z and the pixels x1 y1 x2 y2 ... of all cameras.
+"""Cameras as lists of points: X Y Z and the pixels x1 y1 x2 y2 ... of all.
 
 It is the layout of the challenges on Lagrangian particle tracking. Pixel (0, 0) is the centre of
 the first pixel. The reader fits a model to each camera; a camera that does not see a point has NaN.
@@ -88,7 +88,7 @@ def fit_camera(
 
 
 def _pinhole(camera: Projective, where: str) -> CameraModel | None:
-    """Decompose a projective camera into a pinhole; None if its pixels are not square."""
+    """Decompose a projective camera into a pinhole; None without square pixels."""
     matrix = np.asarray(camera.matrix)
     upper, turn = rq(matrix[:, :3])
     signs = np.diag(np.sign(np.diag(upper)))

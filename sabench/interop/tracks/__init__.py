@@ -70,7 +70,7 @@ def read_tracks(
 
 
 def write_tracks(folder: Path, table: TrackTable, form: TrackFormat, recording: Recording) -> None:
-    """Write particles into a folder that is there, and say what the format cannot carry.
+    """Write particles into a folder, and say what the format cannot carry.
 
     The particles are in the world of the files.
     """

@@ -1,4 +1,4 @@
-"""Particle files of the challenges on Lagrangian particle tracking and data assimilation.
+"""Particle files of the challenges on Lagrangian particle tracking.
 
 One file for each frame, whose number ends its name. Three lines of Tecplot's head (title,
 variables, zone) come before X Y Z in mm and, where particles are tracked, their number. Files

@@ -1,4 +1,4 @@
-"""Tracks as MATLAB 7.3 files: HDF5 with a header, one column vector for each quantity.
+"""Tracks as MATLAB 7.3 files: one column vector for each quantity.
 
 MATLAB loads them with `load tracks.mat`. Files of versions 4 to 7 are read too.
 """

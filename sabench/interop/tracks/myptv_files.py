@@ -33,7 +33,7 @@ _SIDE = 3.0  # of blobs, whose size is not known
 
 
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
-    """Read a file of particles, trajectories or smoothed trajectories, or a folder with one.
+    """Read particles, trajectories or smoothed trajectories of a file or folder.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def _values(file: Path) -> F64:
 
 
 def _is_smoothed(values: F64) -> bool:
-    """Tell velocities from blobs of cameras, which are whole numbers, in as many columns."""
+    """Tell velocities from blobs of cameras, which are whole numbers."""
     return values.shape[1] == _SMOOTHED and not _is_whole(values[:, 4:9])
 
 
@@ -94,7 +94,7 @@ def _whole(file: Path, values: F64, what: str) -> I64:
 
 
 def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
-    """Write blobs, particles, and trajectories, smoothed ones if there are velocities."""
+    """Write blobs, particles and trajectories; smoothed ones with velocities."""
     interval_s = recording.interval_s
     blobs = _write_blobs(folder, table, recording.cameras)
     tail = np.column_stack([blobs, np.zeros(len(table)), table.frame])
@@ -121,7 +121,7 @@ def _write(path: Path, rows: F64) -> None:
 
 
 def _write_blobs(folder: Path, table: TrackTable, cameras: Sequence[CameraModel]) -> F64:
-    """Write the projections of particles as blobs; return each particle's (n, camera).
+    """Write projections of particles as blobs; return each one's (n, camera).
 
     Blobs count from 0 in each frame; -1 where a camera does not see the particle.
     """

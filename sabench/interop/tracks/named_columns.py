@@ -104,7 +104,7 @@ def _vector(
     unit: str | None,
     kind: str,
 ) -> F64 | None:
-    """Return the three components of a vector (n, 3) in mm, mm/s or mm/s2; None without them."""
+    """Return a vector's components (n, 3) in mm, mm/s or mm/s2; None if missing."""
     for family in families:
         axes = "uvw" if family is _VELOCITY_UVW else _AXES
         names = [find(tuple(form.format(axis) for form in family)) for axis in axes]
@@ -120,7 +120,7 @@ def _vector(
 
 
 def _factor(where: str, name: str, column: Array, unit: str | None, kind: str) -> float:
-    """Return the unit of a column in mm, mm/s or mm/s2: the given one, its own, else mm."""
+    """Return a column's unit in mm, mm/s or mm/s2: the given one, its own, or mm."""
     ending = re.search(r"_(mm_s2|mm_s|mm|m)$", name.lower())
     own = column.unit or (_UNITS[f"_{ending[1]}"] if ending else None)
     if kind == "velocity" and own and unit is None:
@@ -155,7 +155,7 @@ def _finite(where: str, name: str, values: npt.NDArray[Any]) -> F64:
 
 
 def columns_of_table(table: TrackTable, times_s: tuple[float, ...]) -> dict[str, npt.NDArray[Any]]:
-    """List the columns of a table, and the times of frames, by the names that this module reads."""
+    """List the columns of a table, and times, by the names that are read."""
     times = np.asarray(times_s, dtype=np.float64)
     found: dict[str, npt.NDArray[Any]] = {"frame": table.frame, "time_s": times[table.frame]}
     if table.trajectory is not None:

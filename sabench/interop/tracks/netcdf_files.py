@@ -1,4 +1,4 @@
-"""Tracks as NetCDF: variables over one dimension `obs`, with the attribute `units`.
+"""Tracks as NetCDF: variables with units over one dimension, `obs`.
 
 Written is the classic format (NetCDF 3), which every reader takes; read are NetCDF 3 and 4. Arrays
 (trajectory, obs), padded with NaN, are read too.
@@ -57,7 +57,7 @@ def _read_classic(path: Path) -> dict[str, Array]:
 
 
 def read_hdf5_arrays(path: Path) -> dict[str, Array]:
-    """Read the arrays of numbers at the root of an HDF5 file, of one or two dimensions."""
+    """Read the arrays of numbers at the root of an HDF5 file."""
     found = {}
     with open_hdf5(path) as file:
         for name in list(file):
@@ -75,7 +75,7 @@ def _text(value: Any) -> str | None:
 
 
 def _observations(path: Path, variables: dict[str, Array]) -> dict[str, Array]:
-    """Keep the variables with the shape of x, and drop padding of two-dimensional ones."""
+    """Keep the variables with the shape of x, and drop their padding."""
     shape = next((one.values.shape for name, one in variables.items() if name[:1] in "xX"), ())
     kept = {name: one for name, one in variables.items() if one.values.shape == shape}
     if len(shape) == 2:
@@ -90,7 +90,7 @@ def _observations(path: Path, variables: dict[str, Array]) -> dict[str, Array]:
 
 
 def _spread(shape: tuple[int, ...], variables: dict[str, Array]) -> dict[str, Array]:
-    """Repeat the variables of trajectories over their observations; number what has no number."""
+    """Repeat variables of trajectories, or their numbers, over observations."""
     own = {name: one for name, one in variables.items() if one.values.shape == shape[:1]}
     number = own or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
     return {

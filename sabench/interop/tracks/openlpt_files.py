@@ -1,4 +1,4 @@
-"""Tracks of OpenLPT: CSV files below ConvergeTrack, whose numbers of tracks begin anew in each."""
+"""Tracks of OpenLPT: CSV files, in each of which their numbers begin anew."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOST = (
 
 
 def track_files(path: Path) -> list[Path]:
-    """List the files of tracks of a result folder, of the folder above it, or one file."""
+    """List the files of tracks of a result folder or of the folder above it."""
     if not path.is_dir():
         return [path]
     places = (path / "results" / "ConvergeTrack", path / "ConvergeTrack", path)
@@ -65,7 +65,7 @@ def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
 
 
 def _read_file(file: Path, unit: str | None) -> TrackTable:
-    """Read columns by names; pixels of cameras, which follow, are left out without a word."""
+    """Read columns by names; pixels of cameras, which follow, are left out."""
     table = read_table(file, 5)
     there = [name.strip() for name in table.names]
     if not len(table.values):
@@ -80,7 +80,7 @@ def _read_file(file: Path, unit: str | None) -> TrackTable:
 
 
 def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
-    """Write all tracks into results/ConvergeTrack/LongTrackActive_N.csv, N the last frame."""
+    """Write all tracks into LongTrackActive_N.csv, N the last frame."""
     place = folder / "results" / "ConvergeTrack"
     place.mkdir(parents=True)
     number = np.arange(len(table)) if table.trajectory is None else table.trajectory

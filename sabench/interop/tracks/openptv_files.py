@@ -1,4 +1,4 @@
-"""Results of OpenPTV: ptv_is.N with links, rt_is.N with correspondences, and target files.
+"""Results of OpenPTV: links, correspondences and targets of each frame.
 
 ptv_is: the number of particles, then for each the rows in the frame before (-1: none) and after
 (-2: none), and X Y Z. rt_is: the number, then a count from 1, X Y Z and the targets of four
@@ -96,7 +96,7 @@ def _join(numbers: Sequence[int], tables: Sequence[F64]) -> I64:
 
 
 def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
-    """Write res/rt_is.N and res/ptv_is.N of all frames, and the targets of the cameras.
+    """Write rt_is.N and ptv_is.N of all frames, and the targets of the cameras.
 
     Cameras and particles are in one world, which is that of the files.
     """
@@ -145,7 +145,7 @@ def _rows_in(own: TrackTable, other: TrackTable) -> I64:
 def _write_targets(
     folder: Path, own: TrackTable, cameras: Sequence[CameraModel], number: int
 ) -> I64:
-    """Write the projections of particles as targets, sorted by row as OpenPTV needs them.
+    """Write projections of particles as targets, sorted by row as OpenPTV needs.
 
     Returns each particle's target in each camera (n, camera); -1 where the camera does not see it.
     """

@@ -1,4 +1,4 @@
-"""Particles of all frames as one table, by which all formats of tracks are read and written."""
+"""Table of the particles of all frames, between all formats of tracks."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class TrackTable:
 
 @dataclass(frozen=True)
 class Recording:
-    """What some formats store next to the particles.
+    """Cameras and times, which some formats store next to the particles.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ def of_estimates(found: Sequence[FoundParticles]) -> TrackTable:
 
 
 def number_strangers(trajectory: I64) -> I64:
-    """Give particles without a trajectory, whose number is negative, numbers of their own."""
+    """Give particles without a trajectory (below zero) numbers of their own."""
     out, lone = trajectory.copy(), trajectory < 0
     out[lone] = trajectory.max(initial=-1) + 1 + np.arange(lone.sum())
     return out
