@@ -26,9 +26,9 @@ from sabench.interop.cameras.lenses import (
     center_of,
 )
 from sabench.interop.foreign_world import ForeignWorld, note
-from sabench.interop.text_tables import read_text
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from sabench.utils.text_tables import read_text
 
 LOST = ("f-numbers and focal lengths in mm", "the pixel pitch")
 _SUFFIXES = (".yml", ".yaml", ".xml", ".json")

@@ -24,9 +24,9 @@ from sabench.interop.cameras.lenses import (
     check_positive,
 )
 from sabench.interop.foreign_world import ForeignWorld
-from sabench.interop.text_tables import content_lines, split_numbers
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
+from sabench.utils.text_tables import content_lines, split_numbers
 
 LOST = ("f-numbers and focal lengths", "the pixel pitch", "the depth of the tank")
 _COUNTS = (2, 3, 3, 3, None, 3, 3, 3, 3, 3, 3, 3, 3, 3)  # numbers on the lines of a pinhole

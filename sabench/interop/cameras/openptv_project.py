@@ -27,9 +27,9 @@ from sabench.interop.cameras.lenses import (
     plain_camera,
 )
 from sabench.interop.foreign_world import ForeignWorld, note
-from sabench.interop.text_tables import content_lines, split_numbers
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
+from sabench.utils.text_tables import content_lines, split_numbers
 
 _SUFFIXES = (".ori", ".addpar")
 LOST = (

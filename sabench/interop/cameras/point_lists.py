@@ -20,9 +20,9 @@ from sabench.geometry.polynomial_cameras import fit_soloff
 from sabench.geometry.projective_camera import Projective, fit_projective
 from sabench.interop.cameras.lenses import PIXEL_MM, Extent, Pose, plain_camera
 from sabench.interop.foreign_world import ForeignWorld, note
-from sabench.interop.text_tables import read_table
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from sabench.utils.text_tables import read_table
 
 LOST = ("f-numbers and focal lengths", "the pixel pitch", "walls: the points show their effect")
 FILE = "CalibPoints.txt"

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from sabench.interop.foreign_world import note, unit_mm
-from sabench.interop.text_tables import content_lines, numbered_files, split_numbers
 from sabench.interop.tracks.named_columns import table_of_columns
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from sabench.utils.text_tables import content_lines, numbered_files, split_numbers
 from sabench.worlds.library.field_formats import Array
 
 LOST = (

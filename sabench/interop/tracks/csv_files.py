@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sabench.interop.text_tables import read_table
 from sabench.interop.tracks.named_columns import columns_of_table, table_of_columns
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.errors import InputError
+from sabench.utils.text_tables import read_table
 from sabench.worlds.library.field_formats import Array
 
 FILE = "tracks.csv"

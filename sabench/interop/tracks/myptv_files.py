@@ -17,10 +17,10 @@ import numpy as np
 from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.geometry.camera_model import CameraModel
 from sabench.interop.foreign_world import note, unit_mm
-from sabench.interop.text_tables import read_table
 from sabench.interop.tracks.track_table import Recording, TrackTable, number_strangers
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
+from sabench.utils.text_tables import read_table
 
 LOST = (
     "intensities of particles",

@@ -17,10 +17,10 @@ import numpy as np
 from sabench.geometry.camera_model import CameraModel
 from sabench.interop.foreign_world import note, unit_mm
 from sabench.interop.openptv import join_links
-from sabench.interop.text_tables import content_lines, numbered_files, split_numbers
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
+from sabench.utils.text_tables import content_lines, numbered_files, split_numbers
 
 FIRST = 10001  # number of our frame 0 in the names of files
 LOST = (

@@ -142,6 +142,8 @@ STRANGE = {
     "metres": b"Frame\tParticle\tX (m)\tY (m)\tZ (m)\n0\t1\t.0015\t.002\t.003\n"
     b"1\t1\t.0016\t.002\t.003\n",
     "comment": b"# made by hand\n# frame particle x y z\n0 1 1.5 2 3\n1 1 1.6 2 3\n",
+    "text": b"LABEL;FRAME;TRACK_ID;X;Y;Z\nLabel;Frame;Track ID;X;Y;Z\n;(frame);;(mm);(mm);(mm)\n"
+    b"spot a;0;1;1.5;2;3\nspot b;1;1;1.6;2;3\n",
     "order": b"z,particle,frame,x,extra,y\n3,1,1,1.6,9,2\n3,1,0,1.5,9,2\n",
 }
 
@@ -166,7 +168,7 @@ BROKEN = [
     ("csv", "0,1,2,3,4\n", "expected a first line with the names of its columns"),
     ("csv", HEAD + "0,1,2,3\n", "line 2: expected 4 or more columns|expected"),
     ("csv", HEAD + "0,1,2,3,4\n0,1,2,3\n", r"line 3: expected 5 columns, got 4: '0,1,2,3'"),
-    ("csv", HEAD + "0,1,2,x,4\n", "line 2, column 4: expected a finite number, got 'x'"),
+    ("csv", HEAD + "0,1,2,x,4\n0,1,2,3,4\n", "line 2, column 4: expected a finite number, got 'x'"),
     ("csv", HEAD + "0,1,2,nan,4\n", "line 2, column 4: expected a finite number, got 'nan'"),
     ("csv", HEAD + "0,1.5,2,3,4\n", "particle: expected whole numbers, got 1.5 in row 1"),
     ("csv", "frame,a,b,c\n0,1,2,3\n", "expected columns x, y and z, found frame, a, b, c"),

@@ -91,57 +91,80 @@ def split_numbers(line: str, where: str, count: int | None = None) -> list[float
     return found
 
 
-def read_table(path: Path, least: int, *, missing: bool = False) -> Table:
+def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int = 0) -> Table:
     """Read a table of numbers below an optional line of names.
 
     Lines that begin with # or % are comments; the last of them before the numbers is the header if
-    it has as many words as there are columns. Columns behind the last name are `column_N`.
+    it has as many words as there are columns. Of several lines without a number, the first with as
+    many words as columns is the header. Columns behind the last name are `column_N`. Columns of
+    text, where there are names, are left out.
 
     Parameters
     ----------
     least : smallest number of columns.
     missing : whether values may be NaN or empty.
+    skip_lines : lines at the top of the file that are left out.
 
     Raises
     ------
     InputError
         A line of another number of columns, or a word that is no number, with the line's number.
     """
-    lines = content_lines(path)
+    lines = [line for line in content_lines(path) if line[0] > skip_lines]
     mark = _separator(lines)
-    header, comment = list[str](), list[str]()
-    rows, numbers = list[list[float]](), list[int]()
-    for number, line in lines:
-        words = _split(line.lstrip("#%").strip(), mark)
-        if line[0] in "#%":
-            comment = comment if rows else words
-            continue
-        if not rows and _is_header(words):
-            header = words
-            continue
-        rows.append(_row(path, number, words, mark, missing))
-        numbers.append(number)
-        if len(words) < least or len(rows[-1]) != len(rows[0]):
-            expected = f"{len(rows[0])}" if len(rows[0]) >= least else f"{least} or more"
-            raise InputError(
-                f"{path}: line {number}: expected {expected} columns, got {len(words)}: "
-                f"{line[:60]!r}"
-            )
-    columns = len(rows[0]) if rows else max(least, len(header))
-    named = _names(header or (comment if len(comment) == columns else []), columns)
+    heads, body = _split_head(lines, mark)
+    ends = [_split(line, mark) for _, line in (body[:1] + body[-1:])]
+    columns = len(ends[0]) if body else max([least, *(len(words) for words in heads)])
+    if columns < least:
+        raise InputError(
+            f"{path}: line {body[0][0]}: expected {least} or more columns, got {columns}: "
+            f"{body[0][1][:60]!r}"
+        )
+    names = _names(heads, columns)
+    kept = [i for i in range(columns) if not names or not _is_text(ends, i)]
+    values = _read_fast(body, mark, kept, columns) if body else np.zeros((0, columns))
+    if values is None or not (missing or np.isfinite(values).all()):
+        values = _read_slowly(path, body, mark, kept, columns, missing=missing)
+    named = [names[i] for i in kept] if names else []
     return Table(
         path,
         tuple(name for name, _ in named),
         tuple(unit for _, unit in named),
-        np.array(rows, dtype=np.float64).reshape(len(rows), columns),
-        tuple(numbers),
+        values,
+        tuple(number for number, _ in body),
     )
 
 
-def _names(header: Sequence[str], columns: int) -> list[tuple[str, str]]:
-    """Split names from units, and name the columns behind the last name."""
-    if not header:
+def _split_head(
+    lines: Sequence[tuple[int, str]], mark: str | None
+) -> tuple[list[list[str]], list[tuple[int, str]]]:
+    """Split lines of names, as words, from lines of numbers; comments in between are dropped.
+
+    The last comment before the numbers comes last, behind the lines of names.
+    """
+    heads, comment, body = list[list[str]](), list[list[str]](), list[tuple[int, str]]()
+    for number, line in lines:
+        if line[0] in "#%":
+            comment = comment if body else [_split(line.lstrip("#%").strip(), mark)]
+        elif body or not _is_header(words := _split(line, mark)):
+            body.append((number, line))
+        else:
+            heads.append(words)
+    return [*heads, *comment] if heads or not body else _comments(comment, body, mark), body
+
+
+def _comments(
+    comment: list[list[str]], body: Sequence[tuple[int, str]], mark: str | None
+) -> list[list[str]]:
+    """Keep a comment as header if it has as many words as there are columns."""
+    return [words for words in comment if len(words) == len(_split(body[0][1], mark))]
+
+
+def _names(heads: Sequence[Sequence[str]], columns: int) -> list[tuple[str, str]]:
+    """Choose the header, split names from units, and name the columns behind the last name."""
+    if not heads:
         return []
+    header = next((words for words in heads if len(words) == columns), heads[-1])
     rest = [f"column_{number}" for number in range(len(header) + 1, columns + 1)]
     return [_unit_of(word) for word in [*header, *rest][:columns]]
 
@@ -159,28 +182,60 @@ def _split(line: str, mark: str | None) -> list[str]:
     return [word.strip().strip('"') for word in words]
 
 
+def _is_text(rows: Sequence[Sequence[str]], column: int) -> bool:
+    """Tell a column of text, by its words in some rows."""
+    words = [row[column] for row in rows if column < len(row)]
+    return bool(words) and all(word and not _NUMBER.match(word) for word in words)
+
+
 def _is_header(words: Sequence[str]) -> bool:
     """Tell a line of names, in which no word is a number."""
     return not any(_NUMBER.match(word) for word in words if word)
 
 
-def _row(
-    path: Path, line: int, words: Sequence[str], mark: str | None, missing: bool
-) -> list[float]:
-    """Read one row; with semicolons, a comma is a decimal point."""
-    found = []
-    for column, word in enumerate(words, 1):
-        text = word.replace(",", ".") if mark == ";" else word
-        try:
-            value = float(text) if text or not missing else float("nan")
-        except ValueError:
-            value = None
-        if value is None or not (missing or np.isfinite(value)):
+def _read_fast(
+    body: Sequence[tuple[int, str]], mark: str | None, kept: Sequence[int], columns: int
+) -> F64 | None:
+    """Read a plain table; None for one that is not."""
+    try:
+        values = np.loadtxt([line for _, line in body], delimiter=mark, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return np.asarray(values) if values.shape[1] == columns == len(kept) else None
+
+
+def _read_slowly(
+    path: Path,
+    body: Sequence[tuple[int, str]],
+    mark: str | None,
+    kept: Sequence[int],
+    columns: int,
+    *,
+    missing: bool,
+) -> F64:
+    """Read a table word by word, and name the line of a fault."""
+    rows = []
+    for number, line in body:
+        words = _split(line, mark)
+        if len(words) != columns:
             raise InputError(
-                f"{path}: line {line}, column {column}: expected a finite number, got {word[:40]!r}"
+                f"{path}: line {number}: expected {columns} columns, got {len(words)}: "
+                f"{line[:60]!r}"
             )
-        found.append(value)
-    return found
+        where = f"{path}: line {number}, column"
+        rows.append([_value(f"{where} {i + 1}", words[i], mark, missing=missing) for i in kept])
+    return np.array(rows, dtype=np.float64).reshape(len(rows), len(kept))
+
+
+def _value(where: str, word: str, mark: str | None, *, missing: bool) -> float:
+    """Read one word; with semicolons, a comma is a decimal point."""
+    try:
+        value = float(word.replace(",", ".") if mark == ";" else word or "nan")
+    except ValueError:
+        value = np.inf
+    if not np.isfinite(value) and not (missing and np.isnan(value)):
+        raise InputError(f"{where}: expected a finite number, got {word[:40]!r}")
+    return value
 
 
 def _unit_of(word: str) -> tuple[str, str]:
