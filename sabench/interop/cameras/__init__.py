@@ -23,8 +23,10 @@ from sabench.interop.cameras import (
     point_lists,
     sabench_files,
 )
+from sabench.interop.cameras.exchanged_indices import choose_indices
 from sabench.interop.cameras.lenses import Extent, check_unit, scaled_camera
 from sabench.interop.foreign_world import ForeignWorld, note, unit_mm
+from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
 
@@ -59,6 +61,7 @@ def read_cameras(
     unit: str | None = None,
     size: tuple[int, int] | None = None,
     grid: Grid | None = None,
+    points: tuple[F64, F64] | None = None,
 ) -> tuple[CameraModel, ...]:
     """Read the cameras of another program.
 
@@ -72,6 +75,9 @@ def read_cameras(
     unit : of the file's lengths; None: mm, and lengths that cannot be mm are refused.
     size : rows and columns of the images, for formats that leave them out.
     grid : measured volume, which polynomial cameras need.
+    points : known points (n, 3) in the file's world and their pixels (camera, n, 2), by which
+        refractive indices that the file has exchanged are recognised. Without points, indices that
+        look exchanged are said and kept.
 
     Raises
     ------
@@ -88,6 +94,8 @@ def read_cameras(
     else:
         cameras = _WITH_EXTENT[form](file, _extent(size, grid))
     _check_names(file, cameras)
+    if points is not None:
+        cameras = choose_indices(file, cameras, *points)
     check_unit(file, cameras, unit)
     factor = 1.0 if unit is None else unit_mm(unit)
     return tuple(scaled_camera(camera, factor) for camera in cameras)

@@ -188,6 +188,26 @@ def test_exchanged_indices_are_said(tmp_path: Path) -> None:
         read_cameras(root, "openptv")
 
 
+def test_points_tell_exchanged_indices(tmp_path: Path) -> None:
+    root = openptv_project(tmp_path / "out")
+    points = read_world(root).into(POINTS)
+    pixels = np.stack([camera.project(POINTS)[0] for camera in CAMERAS])
+    pixels[1, 3:9] = np.nan
+    with pytest.warns(ForeignFormatWarning, match=r"the points fit to .* px \(to"):
+        found = read_cameras(root, "openptv", points=(points, pixels))
+    assert difference_px(found, CAMERAS, read_world(root)) < NEAR_PX
+    wall = CAMERAS[0].wall
+    assert wall is not None
+    glass, water = wall.layers[0].index, wall.fluid_index
+    edit(root / "parameters" / "ptv.par", f"{glass}\n{water}", f"{water}\n{glass}")
+    with pytest.warns(ForeignFormatWarning) as said:
+        found = read_cameras(root, "openptv", points=(points, pixels))
+    assert "wall and fluid were exchanged: the points then fit to" in str(said[1].message)
+    assert difference_px(found, CAMERAS, read_world(root)) < NEAR_PX
+    with pytest.raises(InputError, match=r"expected \(n, 3\) and pixels \(4, 200, 2\)"):
+        read_quietly(root, "openptv", points=(points, pixels[:2]))
+
+
 BROKEN = [
     ("parameters/ptv.par", None, "expected an OpenPTV project with parameters/ptv.par"),
     ("parameters/ptv.par", "many\n", r"ptv.par: line 1: expected 1 numbers, got 'many'"),
