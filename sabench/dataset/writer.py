@@ -144,7 +144,7 @@ def _with_copies(scene: Scene, root: Path) -> Scene:
 
 
 def _copy_given(root: Path, table: str, path: Path) -> Path:
-    """Copy a file, or a series of files into a folder of their own; return the new path."""
+    """Copy a file, or a series into a folder of its own; return the new path."""
     files = file_series(path)
     if files == [path]:
         copy = Path(schema.GIVEN) / f"{table}{path.suffix}"

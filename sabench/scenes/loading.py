@@ -95,7 +95,7 @@ def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]
 
 
 def _find_file(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]:
-    """Find a generator's file or series of files: its absolute path and the hash of its content."""
+    """Find a generator's file or series: its absolute path and its hash."""
     path = (folder / made["file"]).resolve()
     if not file_series(path):
         raise InputError(f"{table}.file: expected a file, but there is none at {path}")

@@ -132,7 +132,7 @@ def _flush(path: Path) -> None:
 
 
 def file_series(path: Path) -> list[Path]:
-    """List the files that a path names: one, or a series whose names match a * in its last part.
+    """List the files of a path: one, or a series if its last part has a *.
 
     They are sorted by the last number in their names, then by name.
     """
@@ -143,7 +143,7 @@ def file_series(path: Path) -> list[Path]:
 
 
 def last_number(path: Path) -> int:
-    """Return the last whole number in a file's name without its ending; -1 without one."""
+    """Return the last number in a file's name, without its ending; -1: none."""
     numbers = re.findall(r"\d+", path.stem)
     return int(numbers[-1]) if numbers else -1
 

@@ -138,7 +138,7 @@ def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int
 def _split_head(
     lines: Sequence[tuple[int, str]], mark: str | None
 ) -> tuple[list[list[str]], list[tuple[int, str]]]:
-    """Split lines of names, as words, from lines of numbers; comments in between are dropped.
+    """Split lines of names, as words, from lines of numbers; drop comments.
 
     The last comment before the numbers comes last, behind the lines of names.
     """
@@ -161,7 +161,7 @@ def _comments(
 
 
 def _names(heads: Sequence[Sequence[str]], columns: int) -> list[tuple[str, str]]:
-    """Choose the header, split names from units, and name the columns behind the last name."""
+    """Choose the header, split names from units, and name further columns."""
     if not heads:
         return []
     header = next((words for words in heads if len(words) == columns), heads[-1])

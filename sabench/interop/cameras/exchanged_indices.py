@@ -1,4 +1,4 @@
-"""Refractive indices of wall and fluid that a file has exchanged, recognised by known points."""
+"""Exchanged refractive indices of wall and fluid, recognised by known points."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CLEARLY = 0.5  # largest ratio of residuals at which the exchanged indices are 
 def choose_indices(
     path: Path, cameras: Sequence[CameraModel], points_mm: F64, pixels: F64
 ) -> list[CameraModel]:
-    """Exchange the indices of wall and fluid if points then fit at least twice as well.
+    """Exchange the indices of wall and fluid if points then fit twice as well.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def _exchanged(camera: CameraModel) -> CameraModel:
 
 
 def _residual_px(cameras: Sequence[CameraModel], points_mm: F64, pixels: F64) -> float:
-    """Compute the root mean square distance of projections from pixels; infinite without any."""
+    """Compute the root mean square reprojection error; infinite without a point."""
     pairs = zip(cameras, pixels, strict=True)
     miss = np.concatenate([camera.project(points_mm)[0] - own for camera, own in pairs])
     seen = miss[np.isfinite(miss).all(axis=1)]

@@ -43,7 +43,7 @@ Unit = str | float | None
 
 
 def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[str, Array]:
-    """Read arrays of a file, or of a series of files one after the other, by their names.
+    """Read arrays of a file, or of a series joined to one, by their names.
 
     A path whose last part has a * names a series; `file_number` is then the last number in the name
     of each value's file.
