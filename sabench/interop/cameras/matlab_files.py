@@ -65,7 +65,8 @@ def _structures_of_hdf5(path: Path) -> dict[str, Structure]:
     """Read the structures of version 7.3, whose arrays are stored transposed."""
     found = {}
     with open_hdf5(path) as file:
-        for name, node in file.items():
+        for name in list(file):
+            node = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
             if isinstance(node, h5py.Group):
                 fields = [field for field in _FIELDS if field in node]
                 found[name] = {

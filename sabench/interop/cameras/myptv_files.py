@@ -9,6 +9,7 @@ of its lines of sight, the file's own approximation is not used.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeGuard
@@ -35,6 +36,7 @@ from sabench.utils.text_tables import content_lines, split_numbers
 
 LOST = ("f-numbers and focal lengths", "the pixel pitch")
 _TSAI, _ZOLOF = "tsai", "extendedzolof"
+_OLD_NAME = re.compile(r"cam(era)?_?\d+")  # of files without a line of the model
 # powers of X, Y, Z of the coefficients A; older files have the first 17
 _POWERS = (
     (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (0, 2, 0), (0, 0, 2),
@@ -51,8 +53,9 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     InputError
         No camera file, or a broken one.
     """
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
-    found = [file for file in files if path.is_file() or _is_camera(file)]
+    files = sorted(path.iterdir()) if path.is_dir() else []
+    old = [file for file in files if _OLD_NAME.fullmatch(file.name) and file.is_file()]
+    found = [file for file in files if _is_camera(file)] or old if path.is_dir() else [path]
     if not found:
         raise InputError(f"{path}: expected camera files of MyPTV, found none")
     return [_read_camera(file, extent) for file in found]

@@ -100,10 +100,10 @@ def _read_nodes(path: Path) -> dict[str, Any]:
         root = storage.root()
         return {name: _value(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
     except (cv2.error, SystemError) as error:
-        words = str(error).strip().splitlines() or ["no reason given"]
+        reason = str(error.__cause__ or error).strip().splitlines()
         raise InputError(
             f"{path}: expected a file of OpenCV's FileStorage, which begins with %YAML:1.0, "
-            f"<?xml or a brace, got one that it cannot read: {words[-1]}"
+            f"<?xml or a brace, got one that it cannot read: {reason[-1]}"
         ) from error
 
 

@@ -75,7 +75,7 @@ def fit_camera(
         except InputError as error:
             fault = error
     if not errors:
-        raise fault
+        raise InputError(f"{where}: {fault}")
     best = min(errors.values())
     chosen = next(fit for fit, error in errors.items() if error <= _NO_WORSE * best + 1e-9)
     fitted = chosen(name, *size, points, image)

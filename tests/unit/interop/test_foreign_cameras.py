@@ -297,6 +297,11 @@ def test_myptvs_correction_bends_lines_of_sight(tmp_path: Path) -> None:
     along = np.array([*(np.array([column, row]) - middle + table @ terms), one.focal_px])
     direction = along @ np.asarray(one.rotation) / np.linalg.norm(along)
     np.testing.assert_allclose(camera.directions([[column, row]])[0][0], direction, atol=1e-10)
+    (tmp_path / "old").mkdir()  # files of the first versions have no model and no size
+    older = "\n".join([lines[1], *lines[3:]]) + "\n"
+    (tmp_path / "old" / "cam1").write_text(older, encoding="utf-8")
+    (same,) = read_quietly(tmp_path / "old", "myptv", size=SIZE)
+    np.testing.assert_allclose(same.project(POINTS)[0], camera.project(POINTS)[0], atol=1e-9)
 
 
 def test_a_zolof_camera_needs_its_volume(tmp_path: Path) -> None:
