@@ -97,7 +97,7 @@ def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int
     Lines that begin with # or % are comments; the last of them before the numbers is the header if
     it has as many words as there are columns. Of several lines without a number, the first with as
     many words as columns is the header. Columns behind the last name are `column_N`. Columns of
-    text, where there are names, are left out.
+    text, where there are names, are NaN.
 
     Parameters
     ----------
@@ -125,11 +125,10 @@ def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int
     values = _read_fast(body, mark, kept, columns) if body else np.zeros((0, columns))
     if values is None or not (missing or np.isfinite(values).all()):
         values = _read_slowly(path, body, mark, kept, columns, missing=missing)
-    named = [names[i] for i in kept] if names else []
     return Table(
         path,
-        tuple(name for name, _ in named),
-        tuple(unit for _, unit in named),
+        tuple(name for name, _ in names),
+        tuple(unit for _, unit in names),
         values,
         tuple(number for number, _ in body),
     )
@@ -224,7 +223,9 @@ def _read_slowly(
             )
         where = f"{path}: line {number}, column"
         rows.append([_value(f"{where} {i + 1}", words[i], mark, missing=missing) for i in kept])
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(kept))
+    values = np.full((len(body), columns), np.nan)
+    values[:, kept] = np.array(rows, dtype=np.float64).reshape(len(body), len(kept))
+    return values
 
 
 def _value(where: str, word: str, mark: str | None, *, missing: bool) -> float:

@@ -272,7 +272,8 @@ def test_what_cannot_be_exported_is_named(
     moving: Dataset, tmp_path: Path, command: Command
 ) -> None:
     done = command("export", moving.root, "--to", "tecplot")
-    assert (done.returncode, done.stderr) == (2, "sabench: to: expected vtk, got 'tecplot'\n")
+    assert done.returncode == 2
+    assert done.stderr.startswith("sabench: to: expected one of vtk, openptv, myptv, ")
     done = command("export", moving.root, tmp_path / "none.h5")
     assert done.returncode == 2
     assert "none.h5: expected an HDF5 file, found none" in done.stderr
