@@ -188,14 +188,21 @@ def write_cameras(
     InputError
         A camera that needs the volume, which is not given.
     """
+    errors: dict[str, tuple[float, float]] = {}
     for camera in cameras:
         if _is_tsai(camera):
             text = _tsai_text(camera.upright())
         elif points_mm is None:
             raise InputError(f"{camera.name}: MyPTV has polynomials for it: give the volume (grid)")
         else:
-            text = _zolof_text(camera, points_mm)
+            text, errors[camera.name] = _zolof_text(camera, points_mm)
         (folder / camera.name).write_text(text, encoding="utf-8")
+    if errors:
+        error_px, error_mm = (max(column) for column in zip(*errors.values(), strict=True))
+        note(
+            f"myptv: polynomials replace {', '.join(errors)} in the volume; they differ by up to "
+            f"{error_px:.2g} px, and their lines of sight by up to {error_mm:.2g} mm"
+        )
 
 
 def _is_tsai(camera: CameraModel) -> TypeGuard[Camera]:
@@ -217,8 +224,11 @@ def _tsai_text(camera: Camera) -> str:
     return "\n".join(["Tsai model camera", camera.name, *text]) + "\n"
 
 
-def _zolof_text(camera: CameraModel, points_mm: F64) -> str:
-    """Fit the polynomials of pixels A, and of lines of sight B through a point O."""
+def _zolof_text(camera: CameraModel, points_mm: F64) -> tuple[str, tuple[float, float]]:
+    """Fit the polynomials of pixels A, and of lines of sight B through a point O.
+
+    Also returns the largest errors of both, in px and mm.
+    """
     pixels, valid = camera.project(points_mm)
     points, pixels = points_mm[valid], pixels[valid]
     table, error_px = _least_squares(_monomials(points), pixels)
@@ -230,17 +240,14 @@ def _zolof_text(camera: CameraModel, points_mm: F64) -> str:
     away = towards / np.linalg.norm(towards, axis=1, keepdims=True)
     lines, error = _least_squares(_pixel_terms(pixels), away)
     reach = float(np.linalg.norm(towards, axis=1).max())
-    note(
-        f"myptv: {camera.name}: polynomials replace the camera in the volume; they differ from it "
-        f"by up to {error_px:.2g} px, and their lines of sight by {error * reach:.2g} mm"
-    )
     parts = [("O", origin[:, None]), ("A", table), ("B", lines)]
     rows = [
         f"{letter} {' '.join(map(str, index[: 1 if letter == 'O' else 2]))} \t {value!r} "
         for letter, values in parts
         for index, value in zip(np.ndindex(values.shape), values.ravel().tolist(), strict=True)
     ]
-    return "\n".join(["extendedZolof model camera", camera.name, *rows]) + "\n"
+    text = "\n".join(["extendedZolof model camera", camera.name, *rows]) + "\n"
+    return text, (error_px, error * reach)
 
 
 def _least_squares(terms: F64, values: F64) -> tuple[F64, float]:

@@ -196,6 +196,8 @@ def unfit(cameras: Sequence[CameraModel]) -> str | None:
     if odd:
         return f"{odd}: OpenPTV has pinholes with Brown-Conrady's distortion only"
     plain = [one for one in cameras if isinstance(one, Camera)]
+    if len(plain) > openptv.MOST_CAMERAS:
+        return f"OpenPTV has {openptv.MOST_CAMERAS} cameras at most, got {len(plain)}"
     own = next((f"{one.name}: {why}" for one in plain if (why := openptv.unfit(one))), None)
     sizes = {(one.rows, one.columns) for one in plain}
     if own is None and len(sizes) > 1:

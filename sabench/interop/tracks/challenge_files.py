@@ -17,7 +17,7 @@ from sabench.interop.tracks.named_columns import table_of_columns
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import content_lines, numbered_files, split_numbers
+from sabench.utils.text_tables import content_lines, numbered_files, read_table
 from sabench.worlds.library.field_formats import Array
 
 LOST = (
@@ -53,31 +53,19 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
 
 
 def _read_frame(file: Path, number: int, unit: str | None) -> TrackTable:
-    names: list[str] = []
-    rows: list[list[float]] = []
-    for line, text in content_lines(file):
-        head = _HEAD.match(text)
-        if head and head[1].lower() == "variables":
-            names = [a or b for a, b in _WORD.findall(text.partition("=")[2])]
-        if head or text[0] in "#%":
-            continue
-        rows.append(split_numbers(text, f"{file}: line {line}"))
-        if len(rows[-1]) != len(rows[0]) or len(rows[0]) < 3:
-            raise InputError(
-                f"{file}: line {line}: expected X Y Z and {max(len(rows[0]) - 3, 0)} more numbers, "
-                f"got {len(rows[-1])}"
-            )
-    values = np.array(rows, dtype=np.float64).reshape(len(rows), len(rows[0]) if rows else 4)
-    if names and rows and len(names) != values.shape[1]:
+    """Read one file; its head may be missing."""
+    heads = [(line, text) for line, text in content_lines(file) if _HEAD.match(text)]
+    values = read_table(file, 3, skip_lines=heads[-1][0] if heads else 0).values
+    variables = next((text for _, text in heads if text.lower().startswith("variables")), "")
+    names = [a or b for a, b in _WORD.findall(variables.partition("=")[2])]
+    if not names or not len(values):
+        return _plain(number, values, unit)
+    if len(names) != values.shape[1]:
         raise InputError(
             f"{file}: variables: expected as many names as columns, {values.shape[1]}, got "
             f"{len(names)}"
         )
-    return (
-        _named(file, number, names, values, unit)
-        if names and rows
-        else _plain(number, values, unit)
-    )
+    return _named(file, number, names, values, unit)
 
 
 def _named(file: Path, number: int, names: list[str], values: F64, unit: str | None) -> TrackTable:

@@ -20,7 +20,7 @@ from sabench.interop.openptv import join_links
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import content_lines, numbered_files, split_numbers
+from sabench.utils.text_tables import content_lines, numbered_files, read_table, split_numbers
 
 FIRST = 10001  # number of our frame 0 in the names of files
 LOST = (
@@ -67,23 +67,17 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
 
 def _read_frame(path: Path, least: int) -> F64:
     """Read one file; columns beyond the known ones are left out."""
-    lines = content_lines(path)
-    if not lines:
+    head = next(iter(content_lines(path)), None)
+    if head is None:
         raise InputError(f"{path}: expected the number of particles, got an empty file")
-    (count,) = split_numbers(lines[0][1], f"{path}: line {lines[0][0]}", 1)
-    if count != len(lines) - 1:
+    (count,) = split_numbers(head[1], f"{path}: line {head[0]}", 1)
+    values = read_table(path, least, skip_lines=head[0]).values
+    if count != len(values):
         raise InputError(
-            f"{path}: line 1: expected {len(lines) - 1}, the number of lines below, got {count:g}"
+            f"{path}: line {head[0]}: expected {len(values)}, the number of lines below, got "
+            f"{count:g}"
         )
-    rows = []
-    for number, text in lines[1:]:
-        row = split_numbers(text, f"{path}: line {number}")
-        if len(row) < least:
-            raise InputError(
-                f"{path}: line {number}: expected {least} or more columns, got {len(row)}"
-            )
-        rows.append(row[:least])
-    return np.array(rows, dtype=np.float64).reshape(-1, least)
+    return values[:, :least]
 
 
 def _join(numbers: Sequence[int], tables: Sequence[F64]) -> I64:

@@ -105,6 +105,7 @@ REFUSED = [
     ("opencv", {}, "camera_00: OpenCV has no walls"),
     ("openptv", ASIDE | {"distortion": LENS}, "distortion about the centre of the image"),
     ("openlpt", {"distortion": Distortion(k1=-0.1)}, "without a positive coefficient"),
+    ("matlab", {}, "matlab: expected a format that cameras can be written in"),
     ("nonsense", {}, "cameras: expected a format of openptv, myptv"),
 ]
 
@@ -116,6 +117,12 @@ def test_what_would_project_elsewhere_is_refused(
     with pytest.raises(InputError, match=sentence):
         write_cameras(tmp_path / "out", changed(**fields), form)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_fifth_camera_is_refused(tmp_path: Path) -> None:
+    five = [*CAMERAS, dataclasses.replace(CAMERAS[0], name="camera_04")]
+    with pytest.raises(InputError, match="openptv: OpenPTV has 4 cameras at most, got 5"):
+        write_cameras(tmp_path / "out", five, "openptv", grid=GRID)
 
 
 def openptv_project(folder: Path, fields: dict[str, object] | None = None) -> Path:
@@ -351,6 +358,8 @@ def test_matlabs_structures_are_read(old: bool, tmp_path: Path) -> None:
 def test_polynomials_replace_cameras_behind_a_wall(tmp_path: Path) -> None:
     with pytest.warns(ForeignFormatWarning) as said:
         write_cameras(tmp_path / "out", CAMERAS, "myptv", grid=GRID)
-    assert "camera_00: polynomials replace the camera in the volume" in str(said[0].message)
+    assert "polynomials replace camera_00, camera_01, camera_02, camera_03 in the volume" in str(
+        said[0].message
+    )
     found = read_quietly(tmp_path / "out", "myptv", size=SIZE, grid=GRID)
     assert difference_px(found, CAMERAS, ForeignWorld()) < 1e-3
