@@ -18,10 +18,12 @@ from sabench.geometry.central_camera import (
     invert_lens,
 )
 from sabench.geometry.lens_distortion import Distortion, distort
+from sabench.geometry.polynomial_cameras import Soloff
+from sabench.geometry.projective_camera import Projective
 from sabench.geometry.refraction import Wall
 from sabench.geometry.wall_records import WallRecord
 from sabench.interop.foreign_world import note
-from sabench.utils.arrays import F64, triple
+from sabench.utils.arrays import F64, nested, triple
 from sabench.utils.errors import InputError
 
 PIXEL_MM = 0.01  # where a file gives focal lengths in pixels; no projection depends on it
@@ -233,8 +235,16 @@ def scaled_camera(camera: CameraModel, factor: float) -> CameraModel:
     """Scale the world of a camera; the sensor keeps its size."""
     if factor == 1.0:
         return camera
+    if isinstance(camera, Soloff):
+        middle, half = (
+            triple(factor * np.asarray(one)) for one in (camera.middle_mm, camera.half_mm)
+        )
+        return replace(camera, middle_mm=middle, half_mm=half)
+    if isinstance(camera, Projective):
+        scale = np.array([1.0, 1.0, 1.0, factor])
+        return replace(camera, matrix=nested(np.asarray(camera.matrix) * scale))
     if not isinstance(camera, Camera | CentralCamera):
-        raise InputError(f"{camera.name}: expected a unit of mm for a fitted camera")
+        raise InputError(f"{camera.name}: expected a unit of mm for a camera of this model")
     center = triple(np.asarray(camera.center_mm) * factor)
     return replace(camera, center_mm=center, wall=_scaled_wall(camera.wall, factor))
 

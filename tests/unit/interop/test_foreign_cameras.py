@@ -249,6 +249,21 @@ def test_metres_are_recognised(tmp_path: Path) -> None:
     assert difference_px(found, far, ForeignWorld()) < NEAR_PX
 
 
+@pytest.mark.parametrize("kind", ["pinhole", "projective", "soloff"])
+def test_points_in_metres_are_scaled(kind: str, tmp_path: Path) -> None:
+    true = CAMERAS if kind == "soloff" else changed(wall=None)
+    wide = np.array([1.01, 1.0]) if kind == "projective" else np.ones(2)
+    pixels = [camera.project(POINTS)[0] * wide for camera in true]
+    np.savetxt(tmp_path / "points.txt", np.hstack([POINTS / 1e3, *pixels]), fmt="%.17g")
+    with pytest.raises(InputError, match="the file seems to be in metres"):
+        read_quietly(tmp_path / "points.txt", "lpt-challenge", size=SIZE)
+    found = read_quietly(tmp_path / "points.txt", "lpt-challenge", size=SIZE, unit="m")
+    names = {"pinhole": "Camera", "projective": "Projective", "soloff": "Soloff"}
+    assert {type(one).__name__ for one in found} == {names[kind]}
+    for camera, seen in zip(found, pixels, strict=True):
+        assert np.abs(camera.project(POINTS)[0] - seen).max() < 1e-3
+
+
 def write_opencv(path: Path, bent: F64, matrix: F64) -> tuple[F64, F64]:
     rotation, move = rotation_matrices(np.array([0.1, -0.2, 0.05])), np.array([3.0, -4.0, 500.0])
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
