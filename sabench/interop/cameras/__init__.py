@@ -33,24 +33,14 @@ from sabench.utils.files import complete_or_nothing
 CameraFormat = Literal[
     "openptv", "myptv", "openlpt", "opencv", "matlab", "lpt-challenge", "sabench-calibration"
 ]
-_WITH_EXTENT = {
-    "myptv": myptv_files.read_cameras,
-    "opencv": opencv_files.read_cameras,
-    "matlab": matlab_files.read_cameras,
-    "lpt-challenge": point_lists.read_cameras,
-}
-_COMPLETE = {
-    "openptv": openptv_project.read_cameras,
-    "openlpt": openlpt_files.read_cameras,
-    "sabench-calibration": sabench_files.read_cameras,
-}
-_WRITERS: dict[str, ModuleType] = {
+_MODULES: dict[str, ModuleType] = {
     "openptv": openptv_project,
     "myptv": myptv_files,
     "openlpt": openlpt_files,
     "opencv": opencv_files,
-    "sabench-calibration": sabench_files,
+    "matlab": matlab_files,
     "lpt-challenge": point_lists,
+    "sabench-calibration": sabench_files,
 }
 
 
@@ -89,10 +79,7 @@ def read_cameras(
     file = Path(path)
     if not file.exists():
         raise InputError(f"{file}: expected a file or folder with cameras, found none")
-    if form in _COMPLETE:
-        cameras = _COMPLETE[form](file)
-    else:
-        cameras = _WITH_EXTENT[form](file, _extent(size, grid))
+    cameras: list[CameraModel] = _MODULES[form].read_cameras(file, _extent(size, grid))
     _check_names(file, cameras)
     if points is not None:
         cameras = choose_indices(file, cameras, *points)
@@ -135,7 +122,7 @@ def write_into(
     world = world_for(form, grid)
     points = None if grid is None else point_lists.lattice(grid)
     try:
-        _WRITERS[form].write_cameras(folder, cameras, world, points)
+        _MODULES[form].write_cameras(folder, cameras, world, points)
     except ValueError as error:
         raise InputError(f"{form}: {error}") from error
     if world != ForeignWorld():
@@ -148,16 +135,14 @@ def write_into(
 
 def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
     """Raise an InputError if a format cannot describe some cameras."""
-    if form == "matlab":
-        raise InputError("matlab: expected a format that cameras can be written in, as opencv")
-    reason = _WRITERS[form].unfit(cameras)
+    reason = _MODULES[form].unfit(cameras)
     if reason:
         raise InputError(f"{form}: {reason}")
 
 
 def losses(form: CameraFormat) -> tuple[str, ...]:
     """List what a format's camera files do not carry."""
-    return tuple(_WRITERS[form].LOST)
+    return tuple(_MODULES[form].LOST)
 
 
 def world_for(form: CameraFormat, grid: Grid | None) -> ForeignWorld:

@@ -9,6 +9,7 @@ Pixel (1, 1) is the centre of the first pixel.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens_distortion import Distortion
 from sabench.interop.cameras.lenses import Extent, Pose, camera_of_matrix, center_of
+from sabench.interop.foreign_world import ForeignWorld
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 
@@ -34,6 +36,7 @@ _FIELDS = (
     "RotationMatrix",
     "TranslationVector",
 )
+LOST: tuple[str, ...] = ()
 Structure = dict[str, F64]
 
 
@@ -130,3 +133,15 @@ def _shaped(where: str, fields: Structure, name: str, size: int) -> F64:
         got = "none" if value is None else f"an array of shape {value.shape}"
         raise InputError(f"{where}: {name}: expected {size} finite numbers, got {got}")
     return value.ravel() if size == 3 else value
+
+
+def unfit(cameras: Sequence[CameraModel]) -> str | None:
+    """Say that cameras cannot be written: MATLAB's own objects are closed to others."""
+    return "expected a format that cameras can be written in, as opencv"
+
+
+def write_cameras(
+    folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
+) -> None:
+    """Refuse to write; see `unfit`."""
+    raise InputError(f"matlab: {unfit(cameras)}")

@@ -17,6 +17,7 @@ from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.interop import openlpt
 from sabench.interop.cameras.lenses import (
+    Extent,
     Pose,
     camera_of_matrix,
     center_of,
@@ -32,7 +33,7 @@ LOST = ("f-numbers and focal lengths", "the pixel pitch", "the depth of the tank
 _COUNTS = (2, 3, 3, 3, None, 3, 3, 3, 3, 3, 3, 3, 3, 3)  # numbers on the lines of a pinhole
 
 
-def read_cameras(path: Path) -> list[CameraModel]:
+def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read one camera file, or all of a folder (cam*.txt).
 
     Raises

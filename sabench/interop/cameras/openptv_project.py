@@ -20,6 +20,7 @@ from sabench.geometry.lens_distortion import Distortion, distort
 from sabench.geometry.refraction import Layer, Wall
 from sabench.interop import openptv
 from sabench.interop.cameras.lenses import (
+    Extent,
     Pose,
     camera_of_lens,
     check_media,
@@ -52,7 +53,7 @@ class _Control:
     thickness_mm: float
 
 
-def read_cameras(path: Path) -> list[CameraModel]:
+def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read the cameras of a project folder, or of a file ptv.par in it.
 
     Raises

@@ -15,6 +15,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import read_camera
 from sabench.geometry.wall_records import WallsRecord
+from sabench.interop.cameras.lenses import Extent
 from sabench.interop.foreign_world import ForeignWorld
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
@@ -24,7 +25,7 @@ LOST: tuple[str, ...] = ()
 _WALLS: TypeAdapter[Any] = TypeAdapter(WallsRecord | None)
 
 
-def read_cameras(path: Path) -> list[CameraModel]:
+def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read the cameras of a file cameras.json, or of the folder that holds it.
 
     Raises
