@@ -9,7 +9,17 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.api import F64, I64, Domain, FileParameters, Generator, InputError, Particles
+from sabench.api import (
+    F64,
+    I64,
+    Bool,
+    Domain,
+    FileParameters,
+    Generator,
+    InputError,
+    Particles,
+    stream,
+)
 from sabench.worlds.library.field_files import length_mm, read_arrays, speed_mm_s, time_s
 from sabench.worlds.library.field_formats import Array
 
@@ -17,7 +27,9 @@ from sabench.worlds.library.field_formats import Array
 class FromTracksParameters(FileParameters):
     """Names of the file's arrays, and the position of its coordinates in the world.
 
-    Each array has one value for each point of each trajectory.
+    Each array has one value for each point of each trajectory. A `file` with a * in its last part
+    is a series of files; `file_number` is then an array of the numbers in their names. Columns of
+    text without a line of names are "1", "2" and so on.
     """
 
     id: str = Field("particle", description="trajectory that a point belongs to")
@@ -47,6 +59,13 @@ class FromTracksParameters(FileParameters):
         None,
         description="time on the file's clock at which the first frame is taken; by default the "
         "first in the file",
+    )
+    skip_lines: int = Field(0, ge=0, description="lines left out at the top of each text file")
+    share: float = Field(
+        1.0, gt=0.0, le=1.0, description="of the trajectories that are kept, chosen by the seed"
+    )
+    scale: float = Field(
+        1.0, gt=0.0, description="factor of positions and velocities, about the origin"
     )
     center_mm: tuple[float, float, float] | None = Field(
         None, description="where the middle of all points is put; by default they stay"
@@ -86,6 +105,7 @@ class FromTracks(Generator):
         inside = (
             (position >= domain.low_mm) & (position <= domain.low_mm + np.asarray(domain.size_mm))
         ).all(axis=1)
+        inside &= tracks.chosen(seed, chosen.share)[points]
         if not inside.any():
             low, high = tracks.place_mm.min(axis=0), tracks.place_mm.max(axis=0)
             spans = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(low, high, strict=True))
@@ -112,6 +132,12 @@ class _Tracks:
     place_mm: F64
     velocity: F64
     diameter_mm: F64
+
+    def chosen(self, seed: int, share: float) -> Bool:
+        """Mark the points (n,) of a share of the trajectories, the same in all frames."""
+        number, which = np.unique(self.id, return_inverse=True)
+        kept: Bool = stream(seed, "from_tracks").random(len(number)) < share
+        return kept[which]
 
     def at(self, now: float) -> tuple[F64, F64, I64]:
         """Interpolate all trajectories that have begun and not ended.
@@ -185,7 +211,7 @@ def _read_columns(chosen: FromTracksParameters) -> dict[str, Array]:
         *(chosen.velocity or ()),
         *([chosen.diameter] if chosen.diameter else []),
     ]
-    arrays = read_arrays(Path(chosen.file), names)
+    arrays = read_arrays(Path(chosen.file), names, chosen.skip_lines)
     count = arrays[chosen.id].values.size
     for name in names:
         if arrays[name].values.shape != (count,) or count < 1:
@@ -215,7 +241,8 @@ def _lengths(chosen: FromTracksParameters, arrays: dict[str, Array], name: str) 
 
 def _positions(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
     """Return positions (n, 3), moved to where the file's middle is to be."""
-    position = np.stack([_lengths(chosen, arrays, name) for name in chosen.axes], axis=1)
+    lengths = [_lengths(chosen, arrays, name) for name in chosen.axes]
+    position = chosen.scale * np.stack(lengths, axis=1)
     if chosen.center_mm is not None:
         position += (
             np.asarray(chosen.center_mm) - (position.min(axis=0) + position.max(axis=0)) / 2.0
@@ -244,9 +271,8 @@ def _velocities(
         speed_mm_s(chosen.speed, arrays[name], _where(chosen, name), "particles.speed")
         for name in names
     ]
-    return np.stack(
-        [arrays[name].values * speed for name, speed in zip(names, speeds, strict=True)], axis=1
-    )
+    pairs = zip(names, speeds, strict=True)
+    return chosen.scale * np.stack([arrays[name].values * speed for name, speed in pairs], axis=1)
 
 
 def _check_times(chosen: FromTracksParameters, number: I64, time: F64) -> None:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from sabench.geometry.grid import Grid
     from sabench.geometry.refraction import Layer, Wall
     from sabench.interop.camera_sources import read_camera_source
-    from sabench.interop.vtkhdf import export
+    from sabench.interop.export import export
     from sabench.plugins import list_generators, list_scenes, list_solvers, list_suites
     from sabench.scenes import Scene, load_scene
     from sabench.simulation.in_memory import simulate
@@ -57,7 +57,7 @@ _HOMES = {
     "Wall": "geometry.refraction",
     "calibrate": "tasks.own_calibration",
     "check": "evaluation.gates.comparison:check_file",
-    "export": "interop.vtkhdf",
+    "export": "interop.export",
     "generate": "simulation.pipeline",
     "import_recording": "dataset.import_recording",
     "list_generators": "plugins",

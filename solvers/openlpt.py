@@ -17,7 +17,15 @@ from sabench.api import (
     progress_bar,
 )
 from sabench.interop.image_statistics import ImageStatistics, measure_statistics
-from sabench.interop.openlpt import Settings, missing, solve, unfit, write_frame, write_project
+from sabench.interop.openlpt import (
+    Settings,
+    derive_settings,
+    missing,
+    solve,
+    unfit,
+    write_frame,
+    write_project,
+)
 
 
 class OpenLptParameters(Parameters):
@@ -97,15 +105,11 @@ class OpenLpt(ParticleSolver):
     def _settings(self, seen: ImageStatistics) -> Settings:
         """Derive settings from the first frame."""
         chosen = self.parameters
-        return Settings(
-            threshold=round(160.0 * max(chosen.floor, seen.floor)),
-            radius_px=2.5 * seen.sigma_px,
-            move_mm=0.5 * chosen.displacement_px * seen.mm_per_px,
-            spacing_mm=seen.spacing_mm,
-            reach_mm=max(chosen.displacement_px * seen.mm_per_px, seen.spacing_mm),
-            tolerance_px=chosen.tolerance_px,
-            tolerance_mm=chosen.tolerance_px * seen.mm_per_px,
-            mm_per_px=seen.mm_per_px,
+        return derive_settings(
+            seen,
+            chosen.displacement_px,
+            chosen.tolerance_px,
+            chosen.floor,
             shake_px=chosen.shake_px,
             ghost=chosen.ghost,
             rounds=chosen.rounds,

@@ -18,7 +18,7 @@ from sabench.api import (
 from sabench.interop.image_statistics import measure_statistics
 from sabench.interop.openptv import (
     MOST_CAMERAS,
-    Settings,
+    derive_settings,
     missing,
     solve,
     unfit,
@@ -84,10 +84,13 @@ class Optv(ParticleSolver):
         chosen = self.parameters
         cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         seen = measure_statistics(case[0])
-        move = chosen.displacement_px * seen.mm_per_px
-        threshold, change = max(2, round(160.0 * seen.floor)), chosen.change * move
-        settings = Settings(
-            threshold, chosen.discontinuity, chosen.tolerance_px, move, change, chosen.angle_gon
+        settings = derive_settings(
+            seen,
+            chosen.displacement_px,
+            chosen.tolerance_px,
+            chosen.discontinuity,
+            chosen.change,
+            chosen.angle_gon,
         )
         with tempfile.TemporaryDirectory(prefix="optv-") as name:
             folder = Path(name)

@@ -27,7 +27,6 @@ from sabench.cli.options import (
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
-    from sabench.interop.vtkhdf import Format
     from sabench.plugins import Entry
     from sabench.simulation.renderer_choice import Renderer
 
@@ -222,25 +221,3 @@ def pack(
     copy(data, output, blind=blind, overwrite=overwrite)
     side = "observation side" if blind else "whole data set"
     say(f"{output}: {side} of {data.content_hash[:12]}")
-
-
-def export(
-    dataset: DataSet,
-    result: Annotated[
-        Path | None,
-        typer.Argument(metavar="[RESULT]", help="A result file; by default the truth is exported."),
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FOLDER", help="The folder to create.")
-    ] = Path("vtk"),
-    to: Annotated[
-        str, typer.Option(metavar="FORMAT", help="vtk: files that ParaView opens.")
-    ] = "vtk",
-    overwrite: Overwrite = False,
-) -> None:
-    """Write volumes, particles, velocities, bubbles and bodies for other programs."""
-    from sabench.interop.vtkhdf import export as write
-
-    kind = cast("Format", to)  # `write` checks the word
-    out = write(dataset, output, result, to=kind, overwrite=overwrite)
-    say(f"{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")

@@ -3,34 +3,56 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from sabench.cli import tables
+from sabench.cli.exchange import notes_shown
 from sabench.cli.options import AsJson, Overwrite, parse_parameters, say, say_json
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
     from sabench.dataset.import_recording import Box, Imported
+    from sabench.geometry.grid import Grid
     from sabench.images.image_reading import RawLayout
     from sabench.images.preprocessing import Step
+    from sabench.interop.cameras import CameraFormat
 
 
 def import_recording(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of images.")],
-    cameras: Annotated[
-        Path,
-        typer.Option(
-            metavar="PATH",
-            help="The calibration: a folder that `sabench calibrate` has written, a cameras.json, "
-            "or a data set.",
-        ),
-    ],
     output: Annotated[
         Path,
         typer.Option("-o", "--output", metavar="FOLDER", help="The data set folder to create."),
     ],
+    cameras: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="The calibration: a folder that `sabench calibrate` has written, a cameras.json, "
+            "a data set, or with --from another program's; by default FOLDER itself.",
+            show_default=False,
+        ),
+    ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="FORMAT",
+            help="The program whose calibration it is: openptv, myptv, openlpt, opencv, matlab or "
+            "lpt-challenge; by default sabench.",
+            show_default=False,
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT",
+            help="Unit of that program's lengths: mm, m, um ...; by default mm.",
+            show_default=False,
+        ),
+    ] = None,
     pattern: Annotated[
         str | None,
         typer.Option(
@@ -143,7 +165,12 @@ def import_recording(
         backlit=backlit,
         referenced=reference,
     )
-    source = read_camera_source(cameras)
+    size = _first_size(folder, pattern) if form else None
+    lit = None if options.volume_mm is None else _grid(options.volume_mm)
+    with notes_shown():  # the reader checks the word
+        source = read_camera_source(
+            cameras or folder, cast("CameraFormat | None", form), unit=unit, size=size, grid=lit
+        )
     made = make(folder, source.cameras, output, options, source.grid, overwrite=overwrite)
     if as_json:
         say_json(_import_record(made))
@@ -205,11 +232,30 @@ def _numbers(option: str, text: str, expected: str, count: int) -> list[float]:
     return values
 
 
+def _first_size(folder: Path, pattern: str | None) -> tuple[int, int] | None:
+    """Return rows and columns of the first image, which some calibrations leave out."""
+    from sabench.images.image_files import find_image_files
+    from sabench.images.image_reading import image_size
+
+    files = find_image_files(folder, [], pattern)
+    return image_size(next(iter(files.values()))[0])
+
+
 def _box(text: str | None) -> Box | None:
     if text is None:
         return None
     x0, x1, y0, y1, z0, z1 = _numbers("--volume", text, "x0,x1,y0,y1,z0,z1 in mm", 6)
     return x0, x1, y0, y1, z0, z1
+
+
+def _grid(box: Box) -> Grid:
+    """Make a grid of a box, of a thousand voxels or so."""
+    import numpy as np
+
+    from sabench.geometry.common_view import grid_of_box
+
+    low, high = np.array(box[::2]), np.array(box[1::2])
+    return grid_of_box(low, high, float(np.cbrt(np.prod(high - low) / 1000.0)))
 
 
 def _frames(text: str | None) -> slice:

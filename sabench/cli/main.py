@@ -13,7 +13,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from sabench.cli import data, evaluate, solve
+from sabench.cli import data, evaluate, exchange, solve
 from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.importing import import_recording
@@ -35,7 +35,8 @@ for _command in (
     solve.solve,
     solve.score,
     quality,
-    data.export,
+    exchange.export,
+    exchange.import_result,
     solve.conform,
     solve.calibrate,
     evaluate.run,

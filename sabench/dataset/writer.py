@@ -23,7 +23,7 @@ from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.files import canonical_json, complete_or_nothing, sha256
+from sabench.utils.files import canonical_json, complete_or_nothing, file_series, sha256
 from sabench.utils.version import SIMULATION, __version__
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
@@ -139,10 +139,23 @@ def _with_copies(scene: Scene, root: Path) -> Scene:
     """Copy the scene's files into the data set; the scene then names the copies."""
     copies = {}
     for table, path in scene.files.items():
-        copies[table] = Path(schema.GIVEN) / f"{table}{path.suffix}"
-        (root / schema.GIVEN).mkdir(exist_ok=True)
-        shutil.copyfile(path, root / copies[table])
+        copies[table] = _copy_given(root, table, path)
     return scene.with_files(copies)
+
+
+def _copy_given(root: Path, table: str, path: Path) -> Path:
+    """Copy a file, or a series into a folder of its own; return the new path."""
+    files = file_series(path)
+    if files == [path]:
+        copy = Path(schema.GIVEN) / f"{table}{path.suffix}"
+        (root / schema.GIVEN).mkdir(exist_ok=True)
+        shutil.copyfile(path, root / copy)
+        return copy
+    folder = Path(schema.GIVEN) / table
+    (root / folder).mkdir(parents=True)
+    for one in files:
+        shutil.copyfile(one, root / folder / one.name)
+    return folder / path.name
 
 
 def _observation(scene: Scene, cameras: int) -> dict[str, Any]:

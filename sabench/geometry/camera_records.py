@@ -20,6 +20,7 @@ from pydantic import (
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.central_camera import CentralCamera
 from sabench.geometry.polynomial_cameras import PlanePolynomials, Soloff
 from sabench.geometry.projective_camera import Projective
 from sabench.geometry.sensor_tilt import UPRIGHT
@@ -33,6 +34,7 @@ MODELS: dict[str, type[Any]] = {
     "projective": Projective,
     "soloff": Soloff,
     "polynomial_planes": PlanePolynomials,
+    "central": CentralCamera,
 }
 
 

@@ -104,6 +104,11 @@ class Soloff(_Fitted):
 
     coefficients: Rows
 
+    @staticmethod
+    def terms(unit: F64) -> F64:
+        """Compute the 19 terms (n, 19) at coordinates (n, 3) from -1 to 1."""
+        return _cubic(unit)
+
     def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
         """Project world points (n, 3) to pixels (n, 2) as (column, row).
 

@@ -126,16 +126,25 @@ def _in_one_folder(files: Sequence[Path], cameras: Sequence[str]) -> Files:
     each = len(files) == len(cameras) and len(stems) == len(files)
     found: dict[str, list[Path]] = {}
     for path in files:
-        own = each or path.stem in cameras or path.suffix.lower() in MOVIES
+        own = each or path.stem in cameras or path.suffix.lower() in MOVIES or _is_numbered(path)
         name = path.stem if own else _LAST_NUMBER.sub("", path.stem).strip(" ._-") or _ALONE
         found.setdefault(name, []).append(path)
     return {name: tuple(paths) for name, paths in found.items()}
 
 
 def _images_in(folder: Path) -> tuple[Path, ...]:
-    files = (one for one in folder.iterdir() if one.suffix.lower() in READABLE and one.is_file())
+    files = (one for one in folder.iterdir() if _is_readable(one) and one.is_file())
     shown = (one for one in files if not one.name.startswith("."))
     return tuple(sorted(shown, key=_order))
+
+
+def _is_readable(path: Path) -> bool:
+    return path.suffix.lower() in READABLE or _is_numbered(path)
+
+
+def _is_numbered(path: Path) -> bool:
+    """Say whether the suffix is a frame's number, as OpenPTV names images."""
+    return path.suffix[1:].isdigit()
 
 
 def _order(path: Path) -> list[tuple[int, str]]:

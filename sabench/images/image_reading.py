@@ -100,6 +100,13 @@ def read_page(path: Path, page: int, shape: tuple[int, int], raw: RawLayout | No
     raise InputError(f"{path}: expected image {page} in it, got fewer")
 
 
+def image_size(path: Path) -> tuple[int, int] | None:
+    """Read rows and columns of a file's first image; None for movies and raw."""
+    if _kind(path) != "still":
+        return None
+    return next((image.shape for _, image in _in_child(_store_stills, [path], 0, 1)), None)
+
+
 def _kind(path: Path) -> str:
     suffix = path.suffix.lower()
     return "raw" if suffix in RAW else "movie" if suffix in MOVIES else "still"

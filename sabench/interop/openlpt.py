@@ -9,7 +9,6 @@ listed from the fluid to the camera, with a point on the face to the fluid and t
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,8 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
+from sabench.interop.image_statistics import ImageStatistics
+from sabench.interop.tracks import openlpt_files
 from sabench.utils.arrays import F32, F64
 from sabench.utils.processes import child
 
@@ -30,8 +31,6 @@ _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through pl
 _SKIN_MM = 1e-3  # of fluid that stands for a plate where a wall has none
 # grey values of a bright particle's peak and of the brightest pixel: two particles may overlap
 _BRIGHT, _WHITE = 160.0, 255
-# files that OpenLPT's own programs read as the result
-_TRACKS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")
 
 
 @dataclass(frozen=True)
@@ -63,6 +62,35 @@ class Settings:
     rounds: int = 4
     fits: int = 4
     threads: int = 1
+
+
+def derive_settings(
+    seen: ImageStatistics,
+    displacement_px: float = 10.0,
+    tolerance_px: float = 0.8,
+    floor: float = 0.2,
+    **others: float | int,
+) -> Settings:
+    """Derive settings from the statistics of the first frame.
+
+    Parameters
+    ----------
+    displacement_px : largest displacement from frame to frame.
+    tolerance_px : largest distance of a particle image from its particle's projection.
+    floor : smallest peak of a particle image, over a bright particle's; more if noise demands it.
+    others : further settings by their names.
+    """
+    return Settings(
+        threshold=round(_BRIGHT * max(floor, seen.floor)),
+        radius_px=2.5 * seen.sigma_px,
+        move_mm=0.5 * displacement_px * seen.mm_per_px,
+        spacing_mm=seen.spacing_mm,
+        reach_mm=max(displacement_px * seen.mm_per_px, seen.spacing_mm),
+        tolerance_px=tolerance_px,
+        tolerance_mm=tolerance_px * seen.mm_per_px,
+        mm_per_px=seen.mm_per_px,
+        **others,  # type: ignore[arg-type]
+    )
 
 
 def camera_text(camera: Camera) -> str:
@@ -180,15 +208,21 @@ def write_frame(folder: Path, frame: int, images: F32) -> None:
 
 
 def write_project(
-    folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings
+    folder: Path,
+    cameras: tuple[Camera, ...],
+    grid: Grid,
+    frames: int,
+    settings: Settings,
+    home: Path | None = None,
 ) -> None:
     """Write cameras, lists of images and settings into the folder of the images.
 
-    `config.txt` names all of them.
+    `config.txt` names all of them, by their paths below `home`, where the folder will be.
     """
+    home = home or folder
     for number, camera in enumerate(cameras):
         (folder / f"cam{number}.txt").write_text(camera_text(camera), encoding="utf-8")
-        names = [f"{folder}/cam{number}/{frame:05d}.tif\n" for frame in range(frames)]
+        names = [f"{home}/cam{number}/{frame:05d}.tif\n" for frame in range(frames)]
         (folder / f"cam{number}ImageNames.txt").write_text("".join(names), encoding="utf-8")
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
     ends = np.column_stack([low - voxel, low + voxel * np.asarray(grid.shape[::-1])])
@@ -198,13 +232,13 @@ def write_project(
         "1",
         str(settings.threads),
         str(count),
-        *(f"{folder}/cam{number}.txt,{_WHITE}" for number in range(count)),
-        *(f"{folder}/cam{number}ImageNames.txt" for number in range(count)),
+        *(f"{home}/cam{number}.txt,{_WHITE}" for number in range(count)),
+        *(f"{home}/cam{number}ImageNames.txt" for number in range(count)),
         _row(ends.ravel()),
         repr(settings.mm_per_px),
-        f"{folder}/results/",
+        f"{home}/results/",
         "Tracer",
-        f"{folder}/tracer.txt",
+        f"{home}/tracer.txt",
         "0,0",
     ]
     (folder / "config.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -236,19 +270,8 @@ def _tracer(settings: Settings, ends: F64) -> list[str]:
 
 def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
     """Read the particles of every frame from OpenLPT's files of tracks."""
-    rows: list[list[float]] = []
-    for kind in _TRACKS:
-        for path in sorted((folder / "results" / "ConvergeTrack").glob(f"{kind}_*.csv")):
-            before = max((row[0] for row in rows), default=-1.0) + 1.0
-            with path.open(encoding="utf-8", newline="") as file:
-                rows += [
-                    [before + float(one[0]), *map(float, one[1:5])]
-                    for one in list(csv.reader(file))[1:]
-                    if one
-                ]
-    table = np.array(rows, dtype=np.float64).reshape(-1, 5)
-    parts = [table[table[:, 1] == frame] for frame in range(frames)]
-    return [FoundParticles(part[:, 2:].copy(), None, part[:, 0].astype(np.int64)) for part in parts]
+    table = openlpt_files.read_files(openlpt_files.track_files(folder), None)
+    return [table.estimate(frame) for frame in range(frames)]
 
 
 def read_particles(folder: Path, frames: int) -> list[FoundParticles]:

@@ -14,6 +14,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -24,12 +25,14 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
-from sabench.utils.arrays import F32, F64, I64
+from sabench.interop.foreign_world import ForeignWorld
+from sabench.interop.image_statistics import ImageStatistics
+from sabench.utils.arrays import F32, F64, I64, U8, triple
 from sabench.utils.files import read_json
 from sabench.utils.processes import child
 
 MOST_CAMERAS = 4
-_AXES = np.diag([1.0, -1.0, -1.0])  # rotation from our axes to OpenPTV's
+_AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # of OpenPTV's world in ours
 _BRIGHT, _WHITE = 160.0, 255  # grey values of a bright particle's peak and of the brightest pixel
 _BETWEEN = 0.5  # fraction of the distance to a camera where the glass stands if there is none
 
@@ -54,6 +57,27 @@ class Settings:
     move_mm: float
     change_mm: float
     angle_gon: float
+
+
+def derive_settings(
+    seen: ImageStatistics,
+    displacement_px: float = 10.0,
+    tolerance_px: float = 1.0,
+    discontinuity: int = 5,
+    change: float = 0.5,
+    angle_gon: float = 100.0,
+) -> Settings:
+    """Derive settings from the statistics of the first frame.
+
+    Parameters
+    ----------
+    displacement_px : largest displacement from frame to frame.
+    tolerance_px, discontinuity, angle_gon : as in `Settings`.
+    change : largest change of a displacement, over the largest displacement.
+    """
+    move = displacement_px * seen.mm_per_px
+    threshold = max(2, round(_BRIGHT * seen.floor))
+    return Settings(threshold, discontinuity, tolerance_px, move, change * move, angle_gon)
 
 
 def missing() -> str | None:
@@ -96,29 +120,13 @@ def unlike(cameras: Sequence[Camera]) -> str | None:
     return None
 
 
-def origin_mm(grid: Grid) -> F64:
-    """Compute the origin of OpenPTV's world: the centre of the grid."""
-    return np.asarray(
-        np.asarray(grid.low_mm)
-        + np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1) / 2.0
-    )
+def world_of(grid: Grid) -> ForeignWorld:
+    """Make OpenPTV's world for a volume: its origin is the centre of the grid."""
+    half = np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1) / 2.0
+    return ForeignWorld(triple(np.asarray(grid.low_mm) + half), _AXES)
 
 
-def to_its(points_mm: F64, grid: Grid) -> F64:
-    """Transform points (n, 3) from our world to OpenPTV's."""
-    return np.asarray((points_mm - origin_mm(grid)) @ _AXES)
-
-
-def from_its(points_mm: F64, grid: Grid) -> F64:
-    """Transform points (n, 3) from OpenPTV's world to ours.
-
-    The rotation is its own inverse.
-    """
-    rotated: F64 = points_mm @ _AXES
-    return rotated + origin_mm(grid)
-
-
-def orientation_text(camera: Camera, grid: Grid) -> str:
+def orientation_text(camera: Camera, world: ForeignWorld) -> str:
     """Format a camera's .ori file.
 
     Raises
@@ -129,14 +137,15 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
     if reason := unfit(camera):
         raise ValueError(f"{camera.name}: {reason}")
     camera = camera.upright()
-    right, down, forward = (_AXES @ row for row in np.asarray(camera.rotation))
+    axes = np.asarray(world.axes)
+    right, down, forward = (axes @ row for row in np.asarray(camera.rotation))
     rotation = np.column_stack([right, -down, -forward])
     angles = [
         np.arctan2(-rotation[1, 2], rotation[2, 2]),
         np.arcsin(rotation[0, 2]),
         np.arctan2(-rotation[0, 1], rotation[0, 0]),
     ]
-    position = to_its(np.asarray([camera.center_mm]), grid)[0]
+    position = world.into(np.asarray([camera.center_mm]))[0]
     across, above = (np.asarray(camera.principal_point_px) + 0.5) * camera.pixel_mm - np.array(
         [camera.columns, camera.rows]
     ) * camera.pixel_mm / 2.0
@@ -149,21 +158,30 @@ def orientation_text(camera: Camera, grid: Grid) -> str:
         [across, -above],
         [camera.principal_distance_mm],
         [],
-        _glass(camera, grid, position),
+        _glass(camera, world, position),
     ]
     return "\n".join(" ".join(repr(float(value)) for value in row) for row in rows) + "\n"
 
 
-def _glass(camera: Camera, grid: Grid, position: F64) -> F64:
-    """Compute the vector from the origin to the glass's inner face, along its normal."""
+def _glass(camera: Camera, world: ForeignWorld, position: F64) -> F64:
+    """Compute the vector from the origin to the glass's inner face, along its normal.
+
+    Raises
+    ------
+    ValueError
+        The origin does not lie in the fluid.
+    """
     if not isinstance(camera.wall, Wall):
-        return np.array([0.0, 0.0, _BETWEEN * position[2]])
-    normal, thick = (
-        np.asarray(camera.wall.normal),
-        sum(layer.thickness_mm for layer in camera.wall.layers),
-    )
-    depth = float((origin_mm(grid) - np.asarray(camera.wall.point_mm)) @ normal) - thick
-    return np.asarray(-depth * (_AXES @ normal))
+        axis = int(np.abs(position).argmax())
+        return np.asarray(_BETWEEN * np.eye(3)[axis] * position)
+    wall = camera.wall
+    depth = float(wall.depth_of(np.asarray(world.origin_mm))) - wall.thickness_mm
+    if depth <= 0.0:
+        raise ValueError(
+            f"{camera.name}: OpenPTV needs the origin of the world in the fluid, and it lies "
+            f"{-depth:.3g} mm before it"
+        )
+    return np.asarray(-depth * (np.asarray(world.axes) @ np.asarray(wall.normal)))
 
 
 def distortion_text(camera: Camera) -> str:
@@ -173,7 +191,7 @@ def distortion_text(camera: Camera) -> str:
     return " ".join(repr(value) for value in values) + "\n"
 
 
-def media_of(camera: Camera) -> dict[str, object]:
+def media_of(camera: Camera) -> dict[str, Any]:
     """List refractive indices and thicknesses of the media."""
     wall = camera.wall
     if wall is None:
@@ -183,31 +201,42 @@ def media_of(camera: Camera) -> dict[str, object]:
     return {"n1": wall.air_index, "n2": [index], "n3": wall.fluid_index, "d": [thick]}
 
 
+def to_8_bits(images: F32) -> U8:
+    """Scale images, in which a bright particle's peak is 1, to grey values."""
+    return np.asarray(np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8))
+
+
+def write_image(path: Path, image: U8) -> None:
+    """Write grey values (row, column) as an 8-bit TIFF file of any name."""
+    tifffile.imwrite(path, image, photometric="minisblack")
+
+
 def write_frame(folder: Path, frame: int, images: F32) -> None:
     """Write a frame's images (camera, row, column) as an 8-bit TIFF stack.
 
     A bright particle's peak is 1.
     """
-    tifffile.imwrite(
-        folder / f"frame_{frame:05d}.tif",
-        np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8),
-        photometric="minisblack",
-    )
+    path = folder / f"frame_{frame:05d}.tif"
+    tifffile.imwrite(path, to_8_bits(images), photometric="minisblack")
+
+
+def ends_mm(grid: Grid, world: ForeignWorld) -> F64:
+    """Compute opposite corners (2, 3) of a volume in OpenPTV's world."""
+    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
+    corners = np.stack([low - voxel, low + voxel * np.asarray(grid.shape[::-1])])
+    return np.sort(world.into(corners), axis=0)
 
 
 def write_project(
     folder: Path, cameras: tuple[Camera, ...], grid: Grid, frames: int, settings: Settings
 ) -> None:
     """Write orientations, distortions and settings into the folder of the images."""
+    world = world_of(grid)
     for number, camera in enumerate(cameras):
-        (folder / f"cam{number}.ori").write_text(orientation_text(camera, grid), encoding="utf-8")
+        (folder / f"cam{number}.ori").write_text(orientation_text(camera, world), encoding="utf-8")
         (folder / f"cam{number}.addpar").write_text(distortion_text(camera), encoding="utf-8")
     first = cameras[0]
-    low, high = (
-        np.asarray(grid.low_mm),
-        np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * np.asarray(grid.shape[::-1]),
-    )
-    ends = np.sort(to_its(np.stack([low - np.asarray(grid.voxel_mm), high]), grid), axis=0)
+    ends = ends_mm(grid, world)
     project = asdict(settings) | {
         "cameras": len(cameras),
         "frames": frames,
@@ -227,9 +256,10 @@ def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
         np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
         for frame in range(frames)
     ]
+    world = world_of(grid)
     tracks = join_links([len(one) for one in positions], read_json(folder / "links.json"))
     return [
-        FoundParticles(from_its(one, grid), None, number)
+        FoundParticles(world.back(one), None, number)
         for one, number in zip(positions, tracks, strict=True)
     ]
 

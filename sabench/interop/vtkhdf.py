@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,8 @@ from sabench.api import Detections, FoundParticles, Reconstruction, Velocity
 from sabench.api.estimates import Estimate
 from sabench.api.truth import Bubbles, Solid
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
-from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.results import Result, open_result
+from sabench.dataset.reader import Dataset
+from sabench.dataset.results import Result
 from sabench.geometry.vector_calculus import divergence, gradient, vorticity
 from sabench.metrics.bubble_detection import AnyBubbles, match
 from sabench.metrics.particle_detection import challenge_pairs
@@ -24,27 +24,18 @@ from sabench.scenes import BubbleWorld
 from sabench.tasks.velocimetry import true_velocity
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
-from sabench.utils.files import complete_or_nothing
 from sabench.utils.progress import progress_bar
 from sabench.worlds.library.overlaps import shapes_of
 from sabench.worlds.tracers import lattice
 
-Format = Literal["vtk"]
 _NODES = 50  # of the exact field along the volume's longest edge, where the scene names no lattice
 # of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 _VERSION = 2, 0
 Data = dict[str, npt.NDArray[Any]]
 
 
-def export(
-    dataset: Dataset | str | Path,
-    out: str | Path,
-    result: str | Path | None = None,
-    *,
-    to: Format = "vtk",
-    overwrite: bool = False,
-) -> Path:
-    """Write a data set's truth, or a result of it, into a folder.
+def write(root: Path, data: Dataset, found: Result | None) -> None:
+    """Write a data set's truth, or a result of it, into a folder that is there.
 
     There is one file for each frame and kind.
 
@@ -58,24 +49,12 @@ def export(
     Raises
     ------
     InputError
-        No data set or result, one of cameras, another format than vtk, or an existing folder.
+        A result of another kind.
     """
-    if to != "vtk":
-        raise InputError(f"to: expected vtk, got {to!r}")
-    data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    if data.shows_target:
-        raise InputError(
-            f"{data.root}: expected a data set with particles or bubbles, "
-            "got one with a calibration target"
-        )
-    found = open_result(result, data) if result is not None else None
-    with complete_or_nothing(Path(out), overwrite=overwrite) as root:
-        root.mkdir()
-        if found is None:
-            _export_truth(root, data)
-        else:
-            _export_result(root, data, found)
-    return Path(out)
+    if found is None:
+        _export_truth(root, data)
+    else:
+        _export_result(root, data, found)
 
 
 def _export_truth(root: Path, data: Dataset) -> None:

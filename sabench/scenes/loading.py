@@ -11,7 +11,7 @@ from sabench.scenes.build import build_rig
 from sabench.scenes.bundled import find
 from sabench.scenes.scene import WORLDS, Scene, plain
 from sabench.utils.errors import InputError
-from sabench.utils.files import sha256
+from sabench.utils.files import file_series, series_hash
 from sabench.utils.validation import Collector, validate
 
 
@@ -95,11 +95,11 @@ def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]
 
 
 def _find_file(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]:
-    """Find a generator's file: its absolute path and the hash of its content."""
+    """Find a generator's file or series: its absolute path and its hash."""
     path = (folder / made["file"]).resolve()
-    if not path.is_file():
+    if not file_series(path):
         raise InputError(f"{table}.file: expected a file, but there is none at {path}")
-    content = sha256(path)
+    content = series_hash(path)
     if made.get("sha256", content) != content:
         changed = f"{made['sha256'][:12]}... of {path}, got {content[:12]}..."
         raise InputError(f"{table}.sha256: expected {changed}: the file has changed")

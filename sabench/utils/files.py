@@ -131,6 +131,29 @@ def _flush(path: Path) -> None:
             os.fsync(handle.fileno())
 
 
+def file_series(path: Path) -> list[Path]:
+    """List the files of a path: one, or a series if its last part has a *.
+
+    They are sorted by the last number in their names, then by name.
+    """
+    if "*" not in path.name:
+        return [path] if is_file(path) else []
+    found = path.parent.glob(path.name) if path.parent.is_dir() else ()
+    return sorted((one for one in found if one.is_file()), key=lambda one: (last_number(one), one))
+
+
+def last_number(path: Path) -> int:
+    """Return the last number in a file's name, without its ending; -1: none."""
+    numbers = re.findall(r"\d+", path.stem)
+    return int(numbers[-1]) if numbers else -1
+
+
+def series_hash(path: Path) -> str:
+    """Hash a file, or the names and contents of a series of files."""
+    files = file_series(path)
+    return sha256(path) if files == [path] else digest({one.name: sha256(one) for one in files})
+
+
 def is_file(path: Path) -> bool:
     """Return whether there is a file of this name.
 

@@ -462,7 +462,7 @@ def _fast_solver(root: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _exported(root: Path, out: Path) -> None:
-    from sabench.interop.vtkhdf import export
+    from sabench.interop.export import export
 
     export(root, out / "vtk")
 
@@ -491,7 +491,7 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         adopt(path, root, out / "adopted.h5", Account("program", {}, True, 1.0, 2.0), False)
 
     def exported(root: Path, out: Path) -> None:
-        from sabench.interop.vtkhdf import export
+        from sabench.interop.export import export
 
         export(root, out / "vtk", path)
 

@@ -15,7 +15,7 @@ from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.evaluation.suite_loading import override
-from sabench.interop.vtkhdf import export
+from sabench.interop.export import export
 from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.simulation.pipeline import generate

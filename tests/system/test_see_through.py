@@ -15,7 +15,7 @@ import pytest
 from sabench.api.truth import NOTHING
 from sabench.dataset.reader import Dataset
 from sabench.dataset.verification import verify
-from sabench.interop.vtkhdf import export
+from sabench.interop.export import export
 from sabench.metrics.code_reading import single_views
 from sabench.plugins import load
 from sabench.scenes import Scene

@@ -79,7 +79,7 @@ def follow_lines(maps: VolumePolynomials, cameras: range, step_px: float) -> tup
 
 @numba.njit(cache=True)
 def move_to_pixel(maps: Any, pixel: Any, position: Any, along: int, here: Any, slope: Any) -> bool:
-    """Move a position, but not along an axis, so that the first camera sees it at a pixel."""
+    """Move a position across an axis to where the first camera sees a pixel."""
     a, b = (along + 1) % 3, (along + 2) % 3
     for _ in range(10):
         project_point(maps, 0, position, here, slope)

@@ -1,4 +1,4 @@
-"""Cameras that see planes of constant Z edge-on, and so cannot be refocused on them."""
+"""Cameras that see planes of constant Z edge-on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _FLATTEST_DEGREES = 15.0  # between a line of sight and the planes
 
 
 def find_edge_on(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
-    """Say which camera sees the planes of a grid edge-on; None if all see them openly.
+    """Say which camera sees a grid's planes edge-on; None if none does.
 
     The angle is that of a distant camera which shortens directions in the plane as much, in the
     middle of the grid: the ratio of the singular values of pixels' derivatives by X and Y is its

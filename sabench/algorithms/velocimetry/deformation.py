@@ -188,7 +188,7 @@ def _read_edge(
 
 @numba.njit(cache=True)
 def _is_beyond(voxel: int, part: Any, count: int) -> bool:
-    """Say whether a point, a part of a step after a voxel, is not between the first and last."""
+    """Say whether a point, a part of a step after a voxel, is outside."""
     return voxel < 0 or voxel >= count or (voxel == count - 1 and part > 0.0)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sabench.utils.errors import InputError
+from sabench.utils.files import file_series
 from sabench.utils.processes.isolated_reading import read_isolated
 from sabench.worlds.library.field_formats import Array, load_arrays, store_arrays
 
@@ -41,23 +42,34 @@ _WORDS = {
 Unit = str | float | None
 
 
-def read_arrays(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Read arrays of a file by their names.
+def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[str, Array]:
+    """Read arrays of a file, or of a series joined to one, by their names.
 
-    CSV: columns under a header line; the unit may stand behind a name, as in `x [mm]`. HDF5 and
+    A path whose last part has a * names a series; `file_number` is then the last number in the name
+    of each value's file.
+
+    CSV and other text (txt, dat): columns under a header line, or by their numbers from 1 without
+    one; the unit may stand behind a name, as in `x [mm]`. HDF5 and
     NetCDF: datasets, with the attribute `units`. VTK (vti, vtr, vtk, vtkhdf; with the package vtk):
     `x`, `y`, `z` are the lattice's coordinates, other names its point data, (z, y, x) or (z, y, x,
     3). A limited child process reads the file, which the libraries may not survive.
+
+    Parameters
+    ----------
+    skip_lines : lines at the top of each text file that are left out.
 
     Raises
     ------
     InputError
         No such file or array, another format, or numbers that are not finite.
     """
-    if not path.is_file():
+    files = file_series(path)
+    if not files:
         raise InputError(f"{path}: expected a file, found none")
+    size = sum(file.stat().st_size for file in files)
     with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
-        read_isolated(store_arrays, path, tuple(names), Path(folder))
+        arguments = (tuple(names), Path(folder), tuple(files))
+        read_isolated(store_arrays, path, *arguments, skip_lines, size_bytes=size)
         found = load_arrays(names, Path(folder))
     for name in names:
         values = found[name].values

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +12,12 @@ import numpy as np
 
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from sabench.utils.files import last_number
+from sabench.utils.text_tables import read_table
 
 _UNITS = "units.json"
-_HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")  # x [mm], x (mm)
+_TEXT = (".csv", ".txt", ".dat")
+FILE_NUMBER = "file_number"  # array of the number in the name of each value's file
 
 
 @dataclass(frozen=True)
@@ -27,16 +28,29 @@ class Array:
     unit: str | None
 
 
-def store_arrays(path: Path, names: Sequence[str], folder: Path) -> None:
-    """Read arrays of a file and store them in a folder for `load_arrays`.
+def store_arrays(
+    path: Path, names: Sequence[str], folder: Path, files: Sequence[Path], skip_lines: int
+) -> None:
+    """Read arrays of a file or a series and store them in a folder for `load_arrays`.
 
-    Raises InputError as `read_arrays` does.
+    Raises InputError as `read_arrays` does; `path` is that of the series.
     """
-    found = _read(path, names)
+    parts = [_read_one(file, names, skip_lines) for file in files]
     for number, name in enumerate(names):
-        np.save(folder / f"{number}.npy", found[name].values)
-    units = [found[name].unit for name in names]
+        arrays = [part[name].values for part in parts]
+        joined = arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+        np.save(folder / f"{number}.npy", joined)
+    units = [parts[0][name].unit for name in names]
     (folder / _UNITS).write_text(json.dumps(units), encoding="utf-8")
+
+
+def _read_one(file: Path, names: Sequence[str], skip_lines: int) -> dict[str, Array]:
+    """Read arrays of one file, with the number in its name."""
+    found = _read(file, [name for name in names if name != FILE_NUMBER], skip_lines)
+    if FILE_NUMBER in names:
+        count = max((array.values.size for array in found.values()), default=0)
+        found[FILE_NUMBER] = Array(np.full(count, float(last_number(file))), None)
+    return found
 
 
 def load_arrays(names: Sequence[str], folder: Path) -> dict[str, Array]:
@@ -48,56 +62,28 @@ def load_arrays(names: Sequence[str], folder: Path) -> dict[str, Array]:
     }
 
 
-def _read(path: Path, names: Sequence[str]) -> dict[str, Array]:
+def _read(path: Path, names: Sequence[str], skip_lines: int) -> dict[str, Array]:
     suffix = path.suffix.lower()
-    readers = (
-        dict.fromkeys((".csv", ".txt"), _from_csv)
-        | dict.fromkeys((".vti", ".vtr", ".vtk", ".vtkhdf"), _from_vtk)
-        | {".nc": _from_netcdf}
-    )
+    readers = dict.fromkeys((".vti", ".vtr", ".vtk", ".vtkhdf"), _from_vtk) | {".nc": _from_netcdf}
     readers |= dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc4", ".mat"), _from_hdf5)
+    if suffix in _TEXT:
+        return _from_text(path, names, skip_lines)
     if suffix not in readers:
         raise InputError(
-            f"{path}: expected a file that ends in {', '.join(sorted(readers))}, got "
+            f"{path}: expected a file that ends in {', '.join(sorted({*readers, *_TEXT}))}, got "
             f"{suffix or 'no ending'}"
         )
     return readers[suffix](path, names)
 
 
-def _from_csv(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        header = file.readline().strip().lstrip("#").strip()
-    separator = next((mark for mark in (",", ";", "\t") if mark in header), None)
-    columns = [_split_header(part.strip().strip('"')) for part in header.split(separator)]
-    columns_of = _column_indices(path, names, [name for name, _ in columns])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", UserWarning
-            )  # of a file without data, which is said below
-            values = np.loadtxt(
-                path,
-                delimiter=separator,
-                skiprows=1,
-                usecols=list(columns_of.values()),
-                ndmin=2,
-                encoding="utf-8-sig",
-            )
-    except ValueError as error:
-        raise InputError(
-            f"{path}: expected numbers below a line of names, got {str(error).split(';')[0]}"
-        ) from error
-    if not len(values):
+def _from_text(path: Path, names: Sequence[str], skip_lines: int) -> dict[str, Array]:
+    table = read_table(path, 1, missing=True, skip_lines=skip_lines)
+    if not len(table.values):
         raise InputError(f"{path}: expected numbers below a line of names, got none")
-    return {
-        name: Array(values[:, number], columns[columns_of[name]][1])
-        for number, name in enumerate(columns_of)
-    }
-
-
-def _split_header(text: str) -> tuple[str, str | None]:
-    match = _HEADER.match(text)
-    return (match["name"], match["unit"]) if match else (text, None)
+    there = table.names or tuple(str(number + 1) for number in range(table.values.shape[1]))
+    units = table.units or ("",) * len(there)
+    columns = _column_indices(path, names, there)
+    return {name: Array(table.values[:, i], units[i] or None) for name, i in columns.items()}
 
 
 def _column_indices(path: Path, names: Sequence[str], there: Sequence[str]) -> dict[str, int]:

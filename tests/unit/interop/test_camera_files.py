@@ -110,7 +110,7 @@ def test_openptv_projects_as_we_do(
         tmp_path, json.loads((tmp_path / "project.json").read_text(encoding="utf-8"))
     )
     for camera, other in zip(own, theirs, strict=True):
-        there = np.ascontiguousarray(openptv.to_its(points, grid))
+        there = np.ascontiguousarray(openptv.world_of(grid).into(points))
         pixels = (
             convert_arr_metric_to_pixel(
                 image_coordinates(there, other, control.get_multimedia_params()), control
@@ -127,7 +127,7 @@ def test_what_a_format_cannot_say_is_said() -> None:
     beside = dataclasses.replace(cameras[0], distortion=LENS, principal_point_px=(121.3, 117.8))
     assert "about the centre of the image" in str(openptv.unfit(beside))
     with pytest.raises(ValueError, match="camera_00: OpenPTV supports one layer of glass"):
-        openptv.orientation_text(two, grid)
+        openptv.orientation_text(two, openptv.world_of(grid))
     barrel = dataclasses.replace(cameras[0], distortion=Distortion(k1=-0.1))
     assert "without a positive coefficient" in str(openlpt.unfit(barrel))
     leaning = dataclasses.replace(cameras[0], distortion=LENS, tilt_deg=TILT)
@@ -143,9 +143,8 @@ def test_what_a_format_cannot_say_is_said() -> None:
 
 def test_points_come_back_from_openptvs_world() -> None:
     _, grid, points = rig("particle-tracking")
-    np.testing.assert_allclose(
-        openptv.from_its(openptv.to_its(points, grid), grid), points, atol=1e-12
-    )
+    world = openptv.world_of(grid)
+    np.testing.assert_allclose(world.back(world.into(points)), points, atol=1e-12)
 
 
 def test_links_make_tracks() -> None:

@@ -490,3 +490,79 @@ def test_what_trackpy_linked_is_read() -> None:
         np.testing.assert_allclose(
             particles.velocity_mm_s, np.tile([2.0, frame - 0.5, 0.0], (25, 1)), atol=1e-3
         )
+
+
+def series_of(folder: Path, head: str = "") -> Path:
+    """Write a file of X Y Z and number for each of 11 frames, as the LPT challenge does."""
+    folder.mkdir()
+    for frame in range(11):
+        rows = [(*path_of(number, np.array(frame / 20.0)), number) for number in range(3)]
+        lines = [" ".join(f"{value:.17g}" for value in row) for row in rows]
+        text = head + "\n".join(lines) + "\n"
+        (folder / f"part_{frame}.dat").write_text(text, encoding="latin-1", newline="\r\n")
+    return folder / "part_*.dat"
+
+
+COLUMNS = {"id": "4", "time": "file_number", "axes": ("1", "2", "3"), "length": "mm"}
+
+
+@pytest.mark.parametrize(
+    "head", ["", 'Title = "größe 1"\n"X" "Y" "Z" "PartID"\nZone I=3, F=POINT\n']
+)
+def test_a_series_of_files_is_one(head: str, tmp_path: Path) -> None:
+    one = tracks_of(tracks_file(tmp_path), seconds=0.05)
+    skip = head.count("\n")
+    path = series_of(tmp_path / "series", head)
+    many = tracks_of(path, seconds=0.05, skip_lines=skip, **COLUMNS)
+    for time in (0.1, 0.17):
+        seen, expected = many.particles(DOMAIN, 0, 0, time), one.particles(DOMAIN, 0, 0, time)
+        order, other = np.argsort(seen.id), np.argsort(expected.id)
+        np.testing.assert_array_equal(seen.id[order], expected.id[other])
+        np.testing.assert_allclose(seen.position_mm[order], expected.position_mm[other], atol=1e-9)
+    (tmp_path / "series" / "part_10.dat").write_text(head + "1 2\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"part_10\.dat: expected '4' in it, got '1', '2'"):
+        tracks_of(path, seconds=0.05, skip_lines=skip, **COLUMNS).particles(DOMAIN, 0, 0, 0.1)
+
+
+def test_a_share_of_the_tracks_is_kept_in_all_frames(tmp_path: Path) -> None:
+    rows = [
+        (number, frame, number / 100.0, 0.0, frame) for number in range(1000) for frame in (0, 1)
+    ]
+    path = as_csv(tmp_path / "tracks.csv", "particle,frame,x,y,z", rows)
+    tracks = tracks_of(path, length="mm", seconds=1.0, share=0.3)
+    first, later = (tracks.particles(DOMAIN, 5, frame, float(frame)) for frame in (0, 1))
+    np.testing.assert_array_equal(first.id, later.id)
+    assert 240 < len(first) < 360
+    assert set(first.id) != set(tracks.particles(DOMAIN, 6, 0, 0.0).id)
+
+
+def test_positions_and_velocities_are_scaled(tmp_path: Path) -> None:
+    rows = [(1, 0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)]
+    path = as_csv(tmp_path / "tracks.csv", "particle,frame,x,y,z,u,v,w", rows)
+    units = {"length": "mm", "speed": "mm/s", "seconds": 1.0, "velocity": ("u", "v", "w")}
+    seen = tracks_of(path, scale=2.0, **units).particles(DOMAIN, 0, 0, 0.0)
+    np.testing.assert_allclose(seen.position_mm, [[2.0, 4.0, 6.0]])
+    np.testing.assert_allclose(seen.velocity_mm_s, [[8.0, 10.0, 12.0]])
+
+
+def test_a_data_set_keeps_a_series(tmp_path: Path) -> None:
+    """A data set of a series is complete, and its scene generates it again elsewhere."""
+    from sabench.scenes import load_scene
+
+    path = series_of(tmp_path / "series")
+    given = {"generator": "from_tracks", "file": str(path), "seconds": 0.05, **COLUMNS}
+    given["center_mm"] = [0.0, 0.0, 30.0]
+    values = moving_scene(frames=2, interval_s=0.05).to_dict()
+    rest = {key: value for key, value in values.items() if key not in ("flow", "particles")}
+    scene = parse_scene(rest | {"particles": given}, "series")
+    first = generate(scene, tmp_path / "one", seed=1, backend="splat")
+    assert verify(first.root) == []
+    assert len(list((first.root / "given/particles").iterdir())) == 11
+    shutil.rmtree(tmp_path / "series")
+    again = generate(
+        load_scene(first.root / "scene.toml"), tmp_path / "two", seed=1, backend="splat"
+    )
+    assert again.content_hash == first.content_hash
+    (first.root / "given/particles/part_3.dat").unlink()
+    with pytest.raises(InputError, match="the file has changed"):
+        load_scene(first.root / "scene.toml")

@@ -1,0 +1,129 @@
+"""Subcommands that exchange data with other programs: export and import-result."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from sabench.cli.options import DataSet, Overwrite, say
+
+if TYPE_CHECKING:
+    from sabench.interop.export import Format
+    from sabench.interop.tracks import TrackFormat
+
+_SHOWN = 12  # files that `export` lists
+
+
+def export(
+    dataset: DataSet,
+    result: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RESULT]", help="A result file; by default none."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FOLDER",
+            help="The folder to create. [default: the name of the format]",
+            show_default=False,
+        ),
+    ] = None,
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="vtk, netcdf, mat or csv: the truth or a result; openptv, myptv, openlpt or "
+            "lpt-challenge: cameras and images, or cameras and a result.",
+        ),
+    ] = "vtk",
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a data set or a result for other programs.
+
+    It says what the format cannot carry.
+    """
+    from sabench.interop.export import export as write
+
+    with notes_shown():  # `write` checks the word
+        out = write(dataset, output or Path(to), result, to=cast("Format", to), overwrite=overwrite)
+    names = sorted(path.name for path in out.iterdir())
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    say(f"{out}: {', '.join(names[:_SHOWN])}{more}")
+
+
+def import_result(
+    dataset: DataSet,
+    found: Annotated[
+        Path, typer.Argument(metavar="FOUND", help="The file or folder that the program wrote.")
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="RESULT", help="The result file to create.")
+    ],
+    form: Annotated[
+        str,
+        typer.Option(
+            "--from",
+            metavar="FORMAT",
+            help="openptv, myptv, openlpt, lpt-challenge, netcdf, mat or csv.",
+        ),
+    ],
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT", help="Unit of lengths, mm, m, um ... [default: as the files say, or mm]"
+        ),
+    ] = None,
+    first: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Number of the data set's frame 0 in the files. [default: the smallest]",
+        ),
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Name of the solver. [default: the format]"),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a result file of particles that another program found.
+
+    `sabench score` and all other commands take it.
+    """
+    from sabench.interop.import_results import import_result as make
+
+    with notes_shown():
+        made = make(
+            dataset,
+            found,
+            output,
+            cast("TrackFormat", form),  # `make` checks the word
+            unit=unit,
+            first=first,
+            solver=name,
+            overwrite=overwrite,
+        )
+    tracks = "no" if made.trajectories is None else str(made.trajectories)
+    say(f"{made.path}: {made.particles} particles in {made.frames} frames, {tracks} trajectories")
+
+
+@contextlib.contextmanager
+def notes_shown() -> Iterator[None]:
+    """Print the warnings about foreign formats, each as one line on standard error."""
+    from sabench.interop.foreign_world import ForeignFormatWarning
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ForeignFormatWarning)
+        try:
+            yield
+        finally:
+            for one in caught:
+                print(f"note: {one.message}", file=sys.stderr)

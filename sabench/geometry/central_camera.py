@@ -1,0 +1,242 @@
+"""Central cameras with a polynomial lens: pinholes that no `Camera` describes.
+
+Pixels that are not square, shear, distortion about another point than the principal point, and
+other models of distortion than Brown and Conrady's are all maps from ideal image coordinates to
+pixels. `fit_central_camera` fits a polynomial to such a map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.plane_polynomials import slopes, terms
+from sabench.geometry.refraction import Rays, trace_into_fluid, trace_to_points
+from sabench.geometry.wall_records import WallRecord
+from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of
+from sabench.utils.errors import InputError
+
+Lens = Callable[[F64], F64]  # pixels (n, 2) at ideal image coordinates (n, 2)
+_DEGREES = range(1, 14)
+_EXACT_PX, _ENOUGH_PX = 1e-9, 1e-7  # a residual below the first is rounding; the second must be met
+_NODES = 41  # of the fit along each side of the image
+_MARGIN = 0.05  # of the image's size beyond its borders
+_REACH = 1.2  # coordinates of the fitted box beyond which the polynomial is not evaluated
+_STEPS, _NEAR_PX = 30, 1e-10
+
+
+@dataclass(frozen=True)
+class CentralCamera:
+    """Pinhole with a polynomial in place of focal length and distortion.
+
+    Attributes
+    ----------
+    name : used in file names.
+    rows, columns : image size, px.
+    center_mm : pinhole, world frame.
+    rotation : 3x3, world to camera, as `Camera.rotation`.
+    wall : wall that the camera looks through; None for plain air.
+    middle, half : centre and half edges of the fitted box of ideal image coordinates x/z, y/z;
+        the polynomial's variables run from -1 to 1 in it.
+    degree : total degree of the polynomial.
+    coefficients : two rows, of column and row, in the order of `plane_polynomials.terms`.
+
+    Raises
+    ------
+    ValueError
+        Another number of coefficients than of terms, or an empty box.
+    """
+
+    name: str
+    rows: int
+    columns: int
+    center_mm: tuple[float, float, float]
+    rotation: tuple[
+        tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]
+    ]
+    middle: tuple[float, float]
+    half: tuple[float, float]
+    degree: int
+    coefficients: Rows
+    wall: WallRecord | None = None
+
+    def __post_init__(self) -> None:
+        """Check the sizes of the box and of the polynomial."""
+        count = (self.degree + 1) * (self.degree + 2) // 2
+        got = [len(row) for row in self.coefficients]
+        if self.degree not in _DEGREES or got != [count, count]:
+            raise ValueError(
+                f"coefficients: expected twice {count} of degree {self.degree}, got {got}"
+            )
+        if not min(self.half) > 0.0:
+            raise ValueError(f"half: expected positive lengths, got {self.half}")
+
+    def project(self, points_mm: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Project world points (n, 3) to pixels (n, 2) as (column, row).
+
+        Also returns whether each point has a pixel. Points far outside the image have none.
+        """
+        points = rows_of(points_mm, 3, "points_mm")
+        paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
+        local = paths.leaving @ np.asarray(self.rotation).T
+        valid = paths.valid & (local[:, 2] > 1e-9)
+        ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
+        unit = (ideal - self.middle) / self.half
+        valid &= (np.abs(unit) <= _REACH).all(axis=1)
+        pixels = self._lens(np.where(valid[:, None], unit, 0.0))
+        pixels[~valid] = np.nan
+        return pixels, np.asarray(valid)
+
+    def directions(self, pixels: npt.ArrayLike) -> tuple[F64, Bool]:
+        """Compute unit world directions (n, 3) in the camera's medium of pixels (n, 2)."""
+        unit, valid = self._unit(rows_of(pixels, 2, "pixels"))
+        ideal = np.asarray(self.middle) + unit * self.half
+        local = np.column_stack([ideal, np.ones(len(ideal))])
+        local /= np.linalg.norm(local, axis=1, keepdims=True)
+        return local @ np.asarray(self.rotation), valid
+
+    def back_project(self, pixels: npt.ArrayLike) -> Rays:
+        """Return the rays in the fluid that pixels (n, 2) see.
+
+        `valid` is false on total reflection, and far outside the image.
+        """
+        directions, valid = self.directions(pixels)
+        rays = trace_into_fluid(self.wall, np.asarray(self.center_mm), directions)
+        return Rays(rays.origins_mm, rays.directions, rays.valid & valid)
+
+    def carry(self, points_mm: F64, z_mm: float) -> F64:
+        """Intersect lines of sight through points (n, 3) with the plane at `z_mm`.
+
+        The points lie in the fluid. Returns (n, 2); NaN for points without a line of sight.
+        """
+        arriving = trace_to_points(self.wall, np.asarray(self.center_mm), points_mm).arriving
+        return np.asarray(
+            points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
+        )
+
+    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
+        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
+        return on_sensor(self.rows, self.columns, pixels, margin_px)
+
+    def _lens(self, unit: F64) -> F64:
+        return np.asarray(terms(unit, self.degree) @ np.asarray(self.coefficients).T)
+
+    def _unit(self, pixels: F64) -> tuple[F64, Bool]:
+        """Invert the polynomial by Newton's iteration from the box's middle."""
+        unit, table = np.zeros_like(pixels), np.asarray(self.coefficients).T
+        miss = np.full_like(pixels, np.inf)
+        with np.errstate(all="ignore"):
+            for _ in range(_STEPS):
+                miss = pixels - self._lens(unit)
+                if np.nanmax(np.abs(miss), initial=0.0) < _NEAR_PX:
+                    break
+                along_u, along_v = (part @ table for part in slopes(unit, self.degree))
+                unit = unit + solve_pairs(along_u, along_v, miss)
+        near, inside = np.abs(miss).max(axis=1) < 1e-6, np.abs(unit).max(axis=1) <= _REACH
+        valid: Bool = np.asarray(near & inside)
+        return np.where(valid[:, None], unit, 0.0), valid
+
+
+def solve_pairs(across: F64, along: F64, miss: F64) -> F64:
+    """Solve s across + t along = miss for pairs s, t; all arrays are (n, 2)."""
+    determinant = across[:, 0] * along[:, 1] - along[:, 0] * across[:, 1]
+    s = along[:, 1] * miss[:, 0] - along[:, 0] * miss[:, 1]
+    t = across[:, 0] * miss[:, 1] - across[:, 1] * miss[:, 0]
+    return np.asarray(np.column_stack([s, t]) / determinant[:, None])
+
+
+def image_lattice(rows: int, columns: int) -> F64:
+    """Make a lattice of pixels (n, 2) over an image and a margin around it."""
+    column, row = (
+        np.linspace(-0.5 - _MARGIN * size, size - 0.5 + _MARGIN * size, _NODES)
+        for size in (columns, rows)
+    )
+    return np.stack(np.meshgrid(column, row), axis=-1).reshape(-1, 2)
+
+
+def invert_lens(lens: Lens, pixels: F64, guess: F64) -> F64:
+    """Find ideal coordinates (n, 2) of pixels by Newton's iteration from a guess.
+
+    NaN where it does not converge.
+    """
+    ideal, delta = guess.copy(), 1e-6
+    with np.errstate(all="ignore"):
+        for _ in range(_STEPS):
+            miss = pixels - lens(ideal)
+            if np.nanmax(np.abs(miss), initial=0.0) < _NEAR_PX:
+                break
+            across, along = (
+                (lens(ideal + step) - lens(ideal - step)) / (2.0 * delta)
+                for step in delta * np.eye(2)
+            )
+            ideal = ideal + solve_pairs(across, along, miss)
+        ideal[~(np.abs(pixels - lens(ideal)).max(axis=1) < 1e-6)] = np.nan
+    return ideal
+
+
+def fit_central_camera(
+    name: str,
+    size: tuple[int, int],
+    pose: tuple[npt.ArrayLike, npt.ArrayLike],
+    wall: WallRecord | None,
+    ideal: F64,
+    pixels: F64,
+) -> CentralCamera:
+    """Fit the polynomial of the lowest degree that maps ideal coordinates to pixels.
+
+    Parameters
+    ----------
+    size : rows and columns of the image.
+    pose : pinhole (3,) in mm, and rotation (3, 3) from the world to the camera.
+    ideal, pixels : (n, 2) pairs over the image; NaN where there is none.
+
+    Raises
+    ------
+    InputError
+        A map that no polynomial of degree 13 fits to 1e-7 px.
+    """
+    there: Bool = np.asarray(np.isfinite(np.hstack([ideal, pixels])).all(axis=1))
+    if there.sum() < 100:
+        raise InputError(
+            f"{name}: expected a lens that maps the image one to one, got one that maps "
+            f"{there.sum()} of {len(there)} of its pixels"
+        )
+    ideal, pixels = ideal[there], pixels[there]
+    low, high = ideal.min(axis=0), ideal.max(axis=0)
+    middle, half = (low + high) / 2.0, (high - low) / 2.0
+    degree, coefficients = _fit((ideal - middle) / half, pixels, name)
+    center, rotation = (np.asarray(part, dtype=np.float64) for part in pose)
+    x, y, z = (tuple(row) for row in rotation.tolist())
+    return CentralCamera(
+        name,
+        *size,
+        tuple(center.tolist()),
+        (x, y, z),
+        tuple(middle.tolist()),
+        tuple(half.tolist()),
+        degree,
+        nested(coefficients.T),
+        wall,
+    )
+
+
+def _fit(unit: F64, pixels: F64, name: str) -> tuple[int, F64]:
+    """Raise the degree until the residual is rounding or no longer falls."""
+    best: tuple[float, int, F64] = (np.inf, 0, np.zeros((1, 2)))
+    for degree in _DEGREES:
+        columns = terms(unit, degree)
+        found = np.asarray(np.linalg.lstsq(columns, pixels, rcond=None)[0], dtype=np.float64)
+        worst = float(np.abs(columns @ found - pixels).max())
+        best = min(best, (worst, degree, found), key=lambda one: one[0])
+        if worst < _EXACT_PX:
+            break
+    if best[0] > _ENOUGH_PX:
+        raise InputError(
+            f"{name}: expected a lens that a polynomial of degree {_DEGREES[-1]} describes, got "
+            f"one that differs by {best[0]:.2g} px"
+        )
+    return best[1], best[2]

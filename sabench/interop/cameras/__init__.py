@@ -1,0 +1,173 @@
+"""Readers and writers of cameras in the formats of other programs.
+
+docs/formats/foreign.md lists what each format carries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Literal, get_args
+
+import numpy as np
+
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.interop.cameras import (
+    matlab_files,
+    myptv_files,
+    opencv_files,
+    openlpt_files,
+    openptv_project,
+    point_lists,
+    sabench_files,
+)
+from sabench.interop.cameras.exchanged_indices import choose_indices
+from sabench.interop.cameras.lenses import Extent, check_unit, scaled_camera
+from sabench.interop.foreign_world import ForeignWorld, note, unit_mm
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.files import complete_or_nothing
+
+CameraFormat = Literal[
+    "openptv", "myptv", "openlpt", "opencv", "matlab", "lpt-challenge", "sabench-calibration"
+]
+_MODULES: dict[str, ModuleType] = {
+    "openptv": openptv_project,
+    "myptv": myptv_files,
+    "openlpt": openlpt_files,
+    "opencv": opencv_files,
+    "matlab": matlab_files,
+    "lpt-challenge": point_lists,
+    "sabench-calibration": sabench_files,
+}
+
+
+def read_cameras(
+    path: str | Path,
+    form: CameraFormat,
+    *,
+    unit: str | None = None,
+    size: tuple[int, int] | None = None,
+    grid: Grid | None = None,
+    points: tuple[F64, F64] | None = None,
+) -> tuple[CameraModel, ...]:
+    """Read the cameras of another program.
+
+    The world is that of the files. What had to be changed or assumed is said by warnings of the
+    class `ForeignFormatWarning`.
+
+    Parameters
+    ----------
+    path : folder or file; a folder holds all cameras of a project.
+    form : name of the format.
+    unit : of the file's lengths; None: mm, and lengths that cannot be mm are refused.
+    size : rows and columns of the images, for formats that leave them out.
+    grid : measured volume, which polynomial cameras need.
+    points : known points (n, 3) in the file's world and their pixels (camera, n, 2), by which
+        refractive indices that the file has exchanged are recognised. Without points, indices that
+        look exchanged are said and kept.
+
+    Raises
+    ------
+    InputError
+        An unknown format or unit, a file that is missing or broken, a camera that is missing, or
+        lengths in another unit.
+    """
+    _check_form(form)
+    file = Path(path)
+    if not file.exists():
+        raise InputError(f"{file}: expected a file or folder with cameras, found none")
+    cameras: list[CameraModel] = _MODULES[form].read_cameras(file, _extent(size, grid))
+    _check_names(file, cameras)
+    if points is not None:
+        cameras = choose_indices(file, cameras, *points)
+    check_unit(file, cameras, unit)
+    factor = 1.0 if unit is None else unit_mm(unit)
+    return tuple(scaled_camera(camera, factor) for camera in cameras)
+
+
+def write_cameras(
+    folder: str | Path,
+    cameras: Sequence[CameraModel],
+    form: CameraFormat,
+    *,
+    grid: Grid | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write cameras into a new folder, and say what the format cannot carry.
+
+    With a grid, OpenPTV's world has its origin in the grid's centre, its Y axis up and its Z axis
+    towards the cameras; `foreign_world.read_world` finds it. The point list needs the grid, and so
+    do MyPTV's polynomials.
+
+    Raises
+    ------
+    InputError
+        An unknown format, a camera that it cannot describe, or an existing folder.
+    """
+    _check_form(form)
+    check_writable(cameras, form)
+    with complete_or_nothing(Path(folder), overwrite=overwrite) as partial:
+        partial.mkdir()
+        write_into(partial, cameras, form, grid)
+    return Path(folder)
+
+
+def write_into(
+    folder: Path, cameras: Sequence[CameraModel], form: CameraFormat, grid: Grid | None
+) -> ForeignWorld:
+    """Write cameras into a folder that is there; return the world of its files."""
+    world = world_for(form, grid)
+    points = None if grid is None else point_lists.lattice(grid)
+    try:
+        _MODULES[form].write_cameras(folder, cameras, world, points)
+    except ValueError as error:
+        raise InputError(f"{form}: {error}") from error
+    if world != ForeignWorld():
+        world.write(folder)
+    lost = losses(form)
+    if lost:
+        note(f"{form}: its camera files do not carry {'; '.join(lost)}")
+    return world
+
+
+def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
+    """Raise an InputError if a format cannot describe some cameras."""
+    reason = _MODULES[form].unfit(cameras)
+    if reason:
+        raise InputError(f"{form}: {reason}")
+
+
+def losses(form: CameraFormat) -> tuple[str, ...]:
+    """List what a format's camera files do not carry."""
+    return tuple(_MODULES[form].LOST)
+
+
+def world_for(form: CameraFormat, grid: Grid | None) -> ForeignWorld:
+    """Return the world in which a format's files are written."""
+    from sabench.interop.openptv import world_of
+
+    return world_of(grid) if form == "openptv" and grid is not None else ForeignWorld()
+
+
+def _check_form(form: str) -> None:
+    if form not in get_args(CameraFormat):
+        known = ", ".join(get_args(CameraFormat))
+        raise InputError(f"cameras: expected a format of {known}, got {form!r}")
+
+
+def _extent(size: tuple[int, int] | None, grid: Grid | None) -> Extent:
+    if grid is None:
+        return Extent(size)
+    low = np.asarray(grid.low_mm)
+    high = low + np.asarray(grid.voxel_mm) * (np.asarray(grid.shape[::-1]) - 1)
+    return Extent(size, grid.low_mm, tuple(high.tolist()))
+
+
+def _check_names(path: Path, cameras: Sequence[CameraModel]) -> None:
+    names = [camera.name for camera in cameras]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: expected cameras of different names, got {twice} twice")

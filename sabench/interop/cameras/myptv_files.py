@@ -1,0 +1,264 @@
+"""Camera files of MyPTV: Tsai's model, and extended Zolof polynomials.
+
+Source: the formats as MyPTV 1.3 documents and writes them. The camera's axes are the rows of
+R = Rx Ry Rz. A pixel (column, row) of a Tsai camera sees along ((c, r, f) + E Z) R, where c and r
+count from the image's centre and Z are column, row, column^2, row^2 and column row. Pixel (0, 0) is
+the centre of the first pixel. A Zolof camera gives column and row as cubic polynomials of X, Y, Z;
+of its lines of sight, the file's own approximation is not used.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeGuard
+
+import numpy as np
+
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.central_camera import image_lattice
+from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.polynomial_cameras import Soloff
+from sabench.interop.cameras.lenses import (
+    PIXEL_MM,
+    Extent,
+    Pose,
+    camera_of_pairs,
+    check_positive,
+    plain_camera,
+)
+from sabench.interop.foreign_world import ForeignWorld, note
+from sabench.utils.arrays import F64, nested
+from sabench.utils.errors import InputError
+from sabench.utils.text_tables import content_lines, split_numbers
+
+LOST = ("f-numbers and focal lengths", "the pixel pitch")
+_TSAI, _ZOLOF = "tsai", "extendedzolof"
+_OLD_NAME = re.compile(r"cam(era)?_?\d+")  # of files without a line of the model
+# powers of X, Y, Z of the coefficients A; older files have the first 17
+_POWERS = (
+    (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (0, 2, 0), (0, 0, 2),
+    (1, 1, 0), (0, 1, 1), (1, 0, 1), (1, 1, 1), (1, 2, 0), (1, 0, 2), (2, 1, 0),
+    (0, 1, 2), (2, 0, 1), (0, 2, 1), (3, 0, 0), (0, 3, 0),
+)  # fmt: skip
+
+
+def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
+    """Read one camera file, or all files of a folder that begin as camera files do.
+
+    Raises
+    ------
+    InputError
+        No camera file, or a broken one.
+    """
+    files = sorted(path.iterdir()) if path.is_dir() else []
+    old = [file for file in files if _OLD_NAME.fullmatch(file.name) and file.is_file()]
+    found = [file for file in files if _is_camera(file)] or old if path.is_dir() else [path]
+    if not found:
+        raise InputError(f"{path}: expected camera files of MyPTV, found none")
+    return [_read_camera(file, extent) for file in found]
+
+
+def _is_camera(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(40).decode("latin-1").lower()
+    return head.startswith((_TSAI, _ZOLOF))
+
+
+def _read_camera(path: Path, extent: Extent) -> CameraModel:
+    lines = content_lines(path)
+    model = lines[0][1].split()[0].lower() if lines else ""
+    if model == _ZOLOF:
+        return _read_zolof(path, lines[1:], extent)
+    first = 1 if model == _TSAI else 0  # files before 1.0 have no line of the model
+    return _read_tsai(path, lines[first:], extent, has_size=model == _TSAI)
+
+
+def _read_tsai(
+    path: Path, lines: Sequence[tuple[int, str]], extent: Extent, *, has_size: bool
+) -> CameraModel:
+    counts = (2,) * has_size + (3, 3, 1, 2, 5, 5, 5)
+    if len(lines) < len(counts) + 1:
+        raise InputError(
+            f"{path}: expected a name and {len(counts)} lines of numbers, got {len(lines)} lines"
+        )
+    rows = [
+        np.array(split_numbers(text, f"{path}: line {number}", count))
+        for (number, text), count in zip(lines[1:], counts, strict=False)
+    ]
+    columns, height = rows.pop(0).astype(int) if has_size else extent.image(str(path))[::-1]
+    center, angles, (focal,), offset = rows[:4]
+    check_positive(str(path), "image size and focal length", columns, height, focal)
+    pose = Pose(_name(lines[0][1]), int(height), int(columns), center, _rotation(angles), str(path))
+    middle = np.array([columns, height]) / 2.0 + offset
+    correction = np.stack(rows[4:7])
+    if not correction.any():
+        column, row = middle
+        return plain_camera(pose, focal, (float(column), float(row)), Distortion(), PIXEL_MM)
+    pixels = image_lattice(pose.rows, pose.columns)
+    return camera_of_pairs(pose, _ideal(pixels, middle, focal, correction), pixels, focal)
+
+
+def _name(text: str) -> str:
+    return "".join(mark if mark.isalnum() else "_" for mark in text) or "camera"
+
+
+def _ideal(pixels: F64, middle: F64, focal: float, correction: F64) -> F64:
+    """Compute ideal image coordinates of pixels (n, 2) with the correction E (3, 5)."""
+    column, row = pixels.T
+    terms = np.stack([column, row, column**2, row**2, column * row], axis=1)
+    along = np.column_stack([pixels - middle, np.full(len(pixels), focal)]) + terms @ correction.T
+    return np.asarray(along[:, :2] / along[:, 2:])
+
+
+def _rotation(angles: F64) -> F64:
+    """Compute Rx Ry Rz of angles in rad."""
+    (a, b, c), (d, e, f) = np.cos(angles), np.sin(angles)
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, a, -d], [0.0, d, a]])
+    about_y = np.array([[b, 0.0, e], [0.0, 1.0, 0.0], [-e, 0.0, b]])
+    about_z = np.array([[c, -f, 0.0], [f, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(about_x @ about_y @ about_z)
+
+
+def _angles(rotation: F64) -> F64:
+    """Invert `_rotation`."""
+    return np.array(
+        [
+            np.arctan2(-rotation[1, 2], rotation[2, 2]),
+            np.arcsin(np.clip(rotation[0, 2], -1.0, 1.0)),
+            np.arctan2(-rotation[0, 1], rotation[0, 0]),
+        ]
+    )
+
+
+def _read_zolof(path: Path, lines: Sequence[tuple[int, str]], extent: Extent) -> CameraModel:
+    """Read the polynomials of column and row, which are a Soloff camera's."""
+    table = np.full((len(_POWERS), 2), np.nan)
+    for number, text in lines[1:]:
+        words = text.split()
+        if words[0] == "A":
+            term, side, value = split_numbers(" ".join(words[1:]), f"{path}: line {number}", 3)
+            if not (0 <= term < len(_POWERS) and side in (0, 1)):
+                raise InputError(f"{path}: line {number}: expected A of 0 to 18 and 0 or 1")
+            table[int(term), int(side)] = value
+    if np.isnan(table[:17]).any():
+        raise InputError(f"{path}: expected 17 or 19 coefficients A of column and row")
+    return _soloff(path, _name(lines[0][1]), np.nan_to_num(table), extent)
+
+
+def _soloff(path: Path, name: str, table: F64, extent: Extent) -> Soloff:
+    """Expand the polynomials in the coordinates of the volume's box."""
+    rows, columns = extent.image(str(path))
+    if extent.low_mm is None or extent.high_mm is None:
+        raise InputError(
+            f"{path}: a polynomial camera needs the measured volume: give its corners (--volume)"
+        )
+    low, high = np.asarray(extent.low_mm), np.asarray(extent.high_mm)
+    middle, half = (low + high) / 2.0, (high - low) / 2.0
+    unit = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 4)] * 3), axis=-1).reshape(-1, 3)
+    terms = _monomials(middle + unit * half)
+    solution = np.linalg.lstsq(Soloff.terms(unit), terms @ table, rcond=None)[0]
+    coefficients = np.asarray(solution, dtype=np.float64)
+    x, y, z = middle.tolist()
+    a, b, c = half.tolist()
+    return Soloff(name, rows, columns, (x, y, z), (a, b, c), nested(coefficients.T))
+
+
+def _monomials(points: F64) -> F64:
+    return np.stack([np.prod(points**power, axis=1) for power in _POWERS], axis=1)
+
+
+def unfit(cameras: Sequence[CameraModel]) -> str | None:
+    """Return None: what Tsai's model cannot describe gets polynomials."""
+    return None
+
+
+def write_cameras(
+    folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
+) -> None:
+    """Write a file for each camera, named as the camera.
+
+    A pinhole in air without distortion has Tsai's model. Other cameras have polynomials, fitted
+    over points (n, 3) of the volume; the error is said.
+
+    Raises
+    ------
+    InputError
+        A camera that needs the volume, which is not given.
+    """
+    errors: dict[str, tuple[float, float]] = {}
+    for camera in cameras:
+        if _is_tsai(camera):
+            text = _tsai_text(camera.upright())
+        elif points_mm is None:
+            raise InputError(f"{camera.name}: MyPTV has polynomials for it: give the volume (grid)")
+        else:
+            text, errors[camera.name] = _zolof_text(camera, points_mm)
+        (folder / camera.name).write_text(text, encoding="utf-8")
+    if errors:
+        error_px, error_mm = (max(column) for column in zip(*errors.values(), strict=True))
+        note(
+            f"myptv: polynomials replace {', '.join(errors)} in the volume; they differ by up to "
+            f"{error_px:.2g} px, and their lines of sight by up to {error_mm:.2g} mm"
+        )
+
+
+def _is_tsai(camera: CameraModel) -> TypeGuard[Camera]:
+    return isinstance(camera, Camera) and camera.wall is None and camera.distortion == Distortion()
+
+
+def _tsai_text(camera: Camera) -> str:
+    offset = np.asarray(camera.principal_point_px) - [camera.columns / 2.0, camera.rows / 2.0]
+    rows = [
+        (camera.columns, camera.rows),
+        camera.center_mm,
+        _angles(np.asarray(camera.rotation)).tolist(),
+        (camera.focal_px,),
+        offset.tolist(),
+        *[[0.0] * 5] * 3,
+    ]
+    # its own reader drops the last two characters of a line
+    text = [" ".join(repr(value) for value in row) + " " for row in rows]
+    return "\n".join(["Tsai model camera", camera.name, *text]) + "\n"
+
+
+def _zolof_text(camera: CameraModel, points_mm: F64) -> tuple[str, tuple[float, float]]:
+    """Fit the polynomials of pixels A, and of lines of sight B through a point O.
+
+    Also returns the largest errors of both, in px and mm.
+    """
+    pixels, valid = camera.project(points_mm)
+    points, pixels = points_mm[valid], pixels[valid]
+    table, error_px = _least_squares(_monomials(points), pixels)
+    rays = camera.back_project(pixels)
+    across = np.eye(3) - rays.directions[:, :, None] * rays.directions[:, None, :]
+    beside = np.einsum("nij,nj->i", across, rays.origins_mm)
+    origin = np.linalg.solve(across.sum(axis=0), beside)
+    towards = points - origin
+    away = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    lines, error = _least_squares(_pixel_terms(pixels), away)
+    reach = float(np.linalg.norm(towards, axis=1).max())
+    parts = [("O", origin[:, None]), ("A", table), ("B", lines)]
+    rows = [
+        f"{letter} {' '.join(map(str, index[: 1 if letter == 'O' else 2]))} \t {value!r} "
+        for letter, values in parts
+        for index, value in zip(np.ndindex(values.shape), values.ravel().tolist(), strict=True)
+    ]
+    text = "\n".join(["extendedZolof model camera", camera.name, *rows]) + "\n"
+    return text, (error_px, error * reach)
+
+
+def _least_squares(terms: F64, values: F64) -> tuple[F64, float]:
+    """Solve for coefficients; also return the largest error."""
+    scale = np.abs(terms).max(axis=0)
+    solution = np.linalg.lstsq(terms / scale, values, rcond=None)[0] / scale[:, None]
+    return np.asarray(solution), float(np.abs(terms @ solution - values).max())
+
+
+def _pixel_terms(pixels: F64) -> F64:
+    x, y = pixels.T
+    return np.stack([x**0, x, y, x**2, y**2, x * y, x**2 * y, x * y**2, x**3, y**3], axis=1)

@@ -1,0 +1,280 @@
+"""Cameras of an OpenPTV project: ptv.par, .ori and .addpar files.
+
+Source: the formats as the library optv 0.3.2 reads them. Its world is kept as it is. Positions on
+the sensor are in mm, X to the right and Y up from the image's centre, and the distortion acts about
+that centre. The wall is one plane-parallel layer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.geometry.lens_distortion import Distortion, distort
+from sabench.geometry.refraction import Layer, Wall
+from sabench.interop import openptv
+from sabench.interop.cameras.lenses import (
+    Extent,
+    Pose,
+    camera_of_lens,
+    check_media,
+    check_positive,
+    plain_camera,
+)
+from sabench.interop.foreign_world import ForeignWorld, note
+from sabench.utils.arrays import F64, triple
+from sabench.utils.errors import InputError
+from sabench.utils.text_tables import content_lines, split_numbers
+
+_SUFFIXES = (".ori", ".addpar")
+LOST = (
+    "f-numbers and focal lengths",
+    "the depth of the tank",
+    "names of cameras (they are cam1, cam2 ...)",
+)
+
+
+@dataclass(frozen=True)
+class _Control:
+    """Contents of ptv.par."""
+
+    path: Path
+    names: tuple[str, ...]
+    columns: int
+    rows: int
+    pixel_mm: tuple[float, float]
+    indices: tuple[float, float, float]  # air, glass, fluid
+    thickness_mm: float
+
+
+def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
+    """Read the cameras of a project folder, or of a file ptv.par in it.
+
+    Raises
+    ------
+    InputError
+        A file that is missing or broken.
+    """
+    control = _read_control(_find_control(path))
+    folder = control.path.parent
+    root = folder.parent if folder.name.startswith("parameters") else folder
+    check_media(str(control.path), control.indices)
+    return [_read_camera(root, name, control) for name in control.names]
+
+
+def _find_control(path: Path) -> Path:
+    if path.is_file():
+        return path
+    places = [path / "parameters" / "ptv.par", path / "ptv.par"]
+    found = next((place for place in places if place.is_file()), None)
+    if found is None:
+        raise InputError(f"{path}: expected an OpenPTV project with parameters/ptv.par, found none")
+    return found
+
+
+def _read_control(path: Path) -> _Control:
+    """Read ptv.par: the number of cameras, names, sizes and media, one on each line."""
+    lines = content_lines(path)
+    count = int(_number(path, lines, 0))
+    if not 1 <= count <= 64 or len(lines) < 2 * count + 12:
+        raise InputError(
+            f"{path}: line 1: expected the number of cameras and {2 * count + 11} lines more, got "
+            f"{lines[0][1] if lines else 'nothing'!r} and {len(lines) - 1}"
+        )
+    names = tuple(lines[2 + 2 * i][1] for i in range(count))
+    first = 2 * count + 4
+    columns, rows, across, along, _, air, glass, fluid, thick = (
+        _number(path, lines, first + i) for i in range(9)
+    )
+    check_positive(str(path), "image size and pixel pitch", columns, rows, across, along)
+    check_positive(str(path), "refractive index", air, glass, fluid)
+    return _Control(
+        path, names, int(columns), int(rows), (across, along), (air, glass, fluid), thick
+    )
+
+
+def _number(path: Path, lines: Sequence[tuple[int, str]], index: int) -> float:
+    if index >= len(lines):
+        raise InputError(f"{path}: expected {index + 1} lines or more, got {len(lines)}")
+    number, text = lines[index]
+    return split_numbers(text.split()[0], f"{path}: line {number}", 1)[0]
+
+
+def _read_camera(root: Path, name: str, control: _Control) -> CameraModel:
+    path = root / f"{name}.ori"
+    if not path.is_file():
+        raise InputError(f"{path}: expected the orientation of the camera {name}, found no file")
+    lines = content_lines(path)
+    counts = (3, 3, 3, 3, 3, 2, 1, 3)
+    if len(lines) < len(counts):
+        raise InputError(f"{path}: expected {len(counts)} lines with numbers, got {len(lines)}")
+    rows = [
+        np.array(split_numbers(text, f"{path}: line {number}", count))
+        for (number, text), count in zip(lines, counts, strict=False)
+    ]
+    position, turned, (across, above), (distance,), glass = (
+        rows[0],
+        np.stack(rows[2:5]),
+        rows[5],
+        rows[6],
+        rows[7],
+    )
+    check_positive(str(path), "principal distance", distance)
+    rotation = np.stack([turned[:, 0], -turned[:, 1], -turned[:, 2]])
+    wall = _wall(path, control, glass, position)
+    plain = Path(name).name.split(".")[0]
+    pose = Pose(plain, control.rows, control.columns, position, rotation, str(path), wall)
+    addpar = _read_distortion(root / f"{name}.addpar")
+    return _camera(pose, control, distance, np.array([across, above]), addpar)
+
+
+def _read_distortion(path: Path) -> F64:
+    """Read k1 k2 k3 p1 p2, scale and shear; without a file there is none."""
+    if not path.is_file():
+        note(f"{path}: found no file, so that the camera has no distortion")
+        return np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
+    text = " ".join(line for _, line in content_lines(path))
+    return np.array(split_numbers(text, str(path), 7))
+
+
+def _wall(path: Path, control: _Control, glass: F64, position: F64) -> Wall | None:
+    """Make the wall of the vector from the origin to the glass's inner face."""
+    air, index, fluid = control.indices
+    if air == index == fluid:
+        return None
+    distance = float(np.linalg.norm(glass))
+    if not distance > 0.0:
+        raise InputError(f"{path}: glass: expected a vector to the glass, got one of length 0")
+    out = glass / distance
+    if control.thickness_mm < 0.0 or position @ out <= distance + control.thickness_mm:
+        raise InputError(
+            f"{path}: glass: expected the camera before its glass, which begins "
+            f"{distance + control.thickness_mm:g} mm from the origin, got it at "
+            f"{position @ out:g} mm"
+        )
+    layers = (Layer("glass", index, control.thickness_mm),) if control.thickness_mm else ()
+    point = glass + out * control.thickness_mm
+    return Wall(triple(point), triple(-out), air, layers, fluid)
+
+
+def _camera(
+    pose: Pose, control: _Control, distance: float, offset: F64, addpar: F64
+) -> CameraModel:
+    """Make a `Camera` if it has such a lens, else a central camera."""
+    k1, k2, k3, p1, p2, scale, shear = addpar.tolist()
+    b, (across, along) = distance, control.pixel_mm
+    middle = np.array([control.columns - 1, control.rows - 1]) / 2.0
+    lens = Distortion(k1 * b**2, k2 * b**4, -p2 * b, p1 * b, k3 * b**6)
+    plain = lens == Distortion() or not offset.any()
+    if plain and across == along and shear == 0.0:
+        column, row = middle + scale * offset * [1.0, -1.0] / across
+        focal = scale * b / across
+        return plain_camera(pose, focal, (float(column), float(row)), lens, across)
+
+    def project(ideal: F64) -> F64:
+        start = ideal * [1.0, -1.0] * b + offset
+        bent, _, _ = distort(lens, start * [1.0, -1.0] / b)
+        x, y = (bent * [1.0, -1.0] * b).T
+        turned = scale * np.column_stack([x - np.sin(shear) * y, np.cos(shear) * y])
+        return np.asarray(middle + turned * [1.0, -1.0] / control.pixel_mm)
+
+    note(
+        f"{pose.where}: its distortion about the image's centre, or its pixels, are not those of a "
+        "camera of the kind `pinhole`: it is `central`"
+    )
+    return camera_of_lens(pose, project, b / across)
+
+
+def unfit(cameras: Sequence[CameraModel]) -> str | None:
+    """Say why OpenPTV cannot describe cameras; None if it can."""
+    odd = next((one.name for one in cameras if not isinstance(one, Camera)), None)
+    if odd:
+        return f"{odd}: OpenPTV has pinholes with Brown-Conrady's distortion only"
+    plain = [one for one in cameras if isinstance(one, Camera)]
+    if len(plain) > openptv.MOST_CAMERAS:
+        return f"OpenPTV has {openptv.MOST_CAMERAS} cameras at most, got {len(plain)}"
+    own = next((f"{one.name}: {why}" for one in plain if (why := openptv.unfit(one))), None)
+    sizes = {(one.rows, one.columns) for one in plain}
+    if own is None and len(sizes) > 1:
+        return f"OpenPTV has one size of images, and the cameras have {sorted(sizes)}"
+    return own or openptv.unlike(plain)
+
+
+def write_cameras(
+    folder: Path, cameras: Sequence[Camera], world: ForeignWorld, points_mm: F64 | None
+) -> None:
+    """Write parameters/ptv.par and cal/cam1.ori, cal/cam1.addpar and so on."""
+    (folder / "cal").mkdir()
+    (folder / "parameters").mkdir()
+    for number, camera in enumerate(cameras, 1):
+        texts = (openptv.orientation_text(camera, world), openptv.distortion_text(camera))
+        for suffix, text in zip(_SUFFIXES, texts, strict=True):
+            path = folder / "cal" / f"cam{number}.tif{suffix}"
+            path.write_text(text, encoding="utf-8")
+    text = _control_text(cameras)
+    (folder / "parameters" / "ptv.par").write_text(text, encoding="utf-8")
+
+
+def _control_text(cameras: Sequence[Camera]) -> str:
+    first, media = cameras[0], openptv.media_of(cameras[0])
+    names = [
+        name
+        for number in range(1, len(cameras) + 1)
+        for name in (f"img/cam{number}.10001", f"cal/cam{number}.tif")
+    ]
+    lines: list[object] = [
+        len(cameras),
+        *names,
+        0,  # no high-pass filter
+        0,  # particles that fewer than all cameras see, too
+        1,  # images are TIFF files
+        first.columns,
+        first.rows,
+        first.pixel_mm,
+        first.pixel_mm,
+        0,  # no field: full frames
+        media["n1"],
+        media["n2"][0],
+        media["n3"],
+        media["d"][0],
+    ]
+    return "\n".join(str(line) for line in lines) + "\n"
+
+
+def write_parameters(
+    folder: Path,
+    grid: Grid,
+    cameras: Sequence[Camera],
+    frames: Sequence[int],
+    settings: openptv.Settings,
+) -> None:
+    """Write the files sequence, criteria, targ_rec and track.par of a project.
+
+    They are of OpenPTV's world for the volume of a grid. `frames` are the first and last numbers.
+    """
+    low, high = openptv.ends_mm(grid, openptv.world_of(grid))
+    band_mm = settings.tolerance_px * cameras[0].pixel_mm
+    move, change = settings.move_mm, settings.change_mm
+    files = {
+        "sequence": [*(f"img/cam{number}." for number in range(1, len(cameras) + 1)), *frames],
+        # the volume at its left and right ends, similarity of targets, band on the sensor
+        "criteria": [low[0], low[2], high[2], high[0], low[2], high[2], *4 * [0.01], 0, band_mm],
+        # thresholds, discontinuity, least and most pixels in all, along X and Y, sum of grey
+        "targ_rec": [
+            *4 * [settings.threshold],
+            settings.discontinuity,
+            *(2, 400, 1, 40, 1, 40),
+            settings.threshold,
+            2,
+        ],
+        "track": [*3 * [-move, move], settings.angle_gon, change, 0],
+    }
+    for name, lines in files.items():
+        text = "".join(f"{line}\n" for line in lines)
+        (folder / "parameters" / f"{name}.par").write_text(text, encoding="utf-8")

@@ -1,0 +1,73 @@
+"""Cameras in sabench's own cameras.json, of a data set or of a calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from sabench.dataset.camera_files import write_cameras as write_file
+from sabench.dataset.schema import CAMERAS
+from sabench.dataset.wall_entries import behind, check_walls, wall_entry
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.camera_records import read_camera
+from sabench.geometry.wall_records import WallsRecord
+from sabench.interop.cameras.lenses import Extent
+from sabench.interop.foreign_world import ForeignWorld
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.files import read_json
+
+LOST: tuple[str, ...] = ()
+_WALLS: TypeAdapter[Any] = TypeAdapter(WallsRecord | None)
+
+
+def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
+    """Read the cameras of a file cameras.json, or of the folder that holds it.
+
+    Raises
+    ------
+    InputError
+        No such file, or a broken one.
+    """
+    file = path / CAMERAS if path.is_dir() else path
+    record = read_json(file)
+    entries = record.get("cameras") if isinstance(record, dict) else None
+    if not isinstance(entries, list) or not entries:
+        raise InputError(f"{file}: cameras: expected a list of cameras, got {entries!r}")
+    cameras = [
+        read_camera({"model": "pinhole"} | entry, f"{file}: cameras: {number}")
+        if isinstance(entry, dict)
+        else read_camera(entry, f"{file}: cameras: {number}")
+        for number, entry in enumerate(entries)
+    ]
+    return _behind_walls(file, record.get("wall"), cameras)
+
+
+def _behind_walls(file: Path, record: Any, cameras: list[CameraModel]) -> list[CameraModel]:
+    try:
+        wall = _WALLS.validate_python(record)
+    except ValidationError as error:
+        raise InputError(f"{file}: wall: {error.errors()[0]['msg']}") from error
+    walls = wall if isinstance(wall, tuple) else (wall,) * len(cameras)
+    check_walls(file, walls, len(cameras))
+    pairs = zip(walls, cameras, strict=True)
+    return [
+        behind([one], [camera])[0] if isinstance(camera, Camera) else camera
+        for one, camera in pairs
+    ]
+
+
+def unfit(cameras: Sequence[CameraModel]) -> str | None:
+    """Return None: every camera has a record."""
+    return None
+
+
+def write_cameras(
+    folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
+) -> None:
+    """Write cameras.json."""
+    write_file(folder / CAMERAS, cameras, wall=wall_entry(cameras))

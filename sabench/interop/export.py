@@ -1,0 +1,176 @@
+"""Export of data sets and results to other programs.
+
+Formats of data (vtk, netcdf, mat, csv) take the truth or a result. Those of tracking programs take
+what a program needs to solve the data set, without the truth; with a result, cameras and particles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from sabench import tasks
+from sabench.api import FoundParticles, Reconstruction
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import Result, open_result
+from sabench.geometry.camera import Camera
+from sabench.geometry.camera_model import CameraModel
+from sabench.images.tiff_exr import write_tiff
+from sabench.interop import openlpt, openptv, vtkhdf
+from sabench.interop.cameras import check_writable, openptv_project, read_cameras, write_into
+from sabench.interop.foreign_world import ForeignWorld, note
+from sabench.interop.image_statistics import measure_statistics
+from sabench.interop.tracks import TrackFormat, write_tracks
+from sabench.interop.tracks.openptv_files import FIRST
+from sabench.interop.tracks.track_table import Recording, of_estimates
+from sabench.utils.errors import InputError
+from sabench.utils.files import complete_or_nothing
+from sabench.utils.progress import progress_bar
+
+Format = Literal["vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"]
+ProgramFormat = Literal["openptv", "myptv", "openlpt", "lpt-challenge"]
+_PROGRAMS: dict[str, ProgramFormat] = {name: name for name in get_args(ProgramFormat)}
+_GREY = "grey values are scaled to 8 bits, so that the peak of a bright particle has 160"
+
+
+def export(
+    dataset: Dataset | str | Path,
+    out: str | Path,
+    result: str | Path | None = None,
+    *,
+    to: Format = "vtk",
+    overwrite: bool = False,
+) -> Path:
+    """Write a data set or a result of it into a folder for another program.
+
+    What the format cannot carry is said by warnings of the class `ForeignFormatWarning`.
+
+    Parameters
+    ----------
+    to : vtk: one file for each frame and kind (see `vtkhdf`), of the truth or of the result.
+        netcdf, mat, csv: one table of particles, true or found. openptv, myptv, openlpt,
+        lpt-challenge: cameras and images; with a result, cameras and particles.
+
+    Raises
+    ------
+    InputError
+        No data set or result, one without particles, an unknown format, cameras that the format
+        cannot describe, or an existing folder.
+    """
+    if to not in get_args(Format):
+        raise InputError(f"to: expected one of {', '.join(get_args(Format))}, got {to!r}")
+    data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    if data.shows_target:
+        raise InputError(
+            f"{data.root}: expected a data set with particles or bubbles, "
+            "got one with a calibration target"
+        )
+    found = open_result(result, data) if result is not None else None
+    program = _PROGRAMS.get(to)
+    if program:
+        check_writable(data.setup.cameras, program)
+    with complete_or_nothing(Path(out), overwrite=overwrite) as root:
+        root.mkdir()
+        if to == "vtk":
+            vtkhdf.write(root, data, found)
+        elif program and found is None:
+            _write_observation(root, data, program, Path(out).absolute())
+        else:
+            _write_particles(root, data, found, to)
+    return Path(out)
+
+
+def _write_particles(
+    root: Path, data: Dataset, found: Result | None, to: TrackFormat | ProgramFormat
+) -> None:
+    """Write the particles of all frames, and for a program its cameras."""
+    setup, world = data.setup, ForeignWorld()
+    table = of_estimates(_particles(data, found))
+    cameras: Sequence[CameraModel] = setup.cameras
+    program = _PROGRAMS.get(to)
+    if program:
+        world = write_into(root, cameras, program, setup.grid)
+    if program and world != ForeignWorld():
+        cameras = read_cameras(root, program)  # the same cameras in its world
+    recording = Recording(cameras, tuple(setup.time_s(i) for i in range(setup.frames)))
+    write_tracks(root, table.into(world), to, recording)
+
+
+def _particles(data: Dataset, found: Result | None) -> list[FoundParticles]:
+    """List the particles of all frames, of a result or the true ones."""
+    frames = progress_bar(range(data.setup.frames), "export")
+    if found is None:
+        if "particles" not in data.shows:
+            raise InputError(f"{data.root}: expected a data set with particles, or a result")
+        true = (data.particles(frame) for frame in frames)
+        return [
+            FoundParticles(
+                one.position_mm,
+                trajectory=one.id.astype(np.int64),
+                velocity_mm_s=np.asarray(one.velocity_mm_s, dtype=np.float64),
+            )
+            for one in true
+        ]
+    task = tasks.of(found.task)
+    if task.estimate not in (FoundParticles, Reconstruction):
+        raise InputError(
+            f"{found.path}: expected a result with particles, got one of {task.estimate.__name__}"
+        )
+    estimates = [task.read(data, found, frame) for frame in frames]
+    return [one if isinstance(one, FoundParticles) else _of_volume(found, one) for one in estimates]
+
+
+def _of_volume(found: Result, one: Reconstruction) -> FoundParticles:
+    if one.particles_mm is None:
+        raise InputError(f"{found.path}: expected a result with particles_mm, got a volume alone")
+    return FoundParticles(one.particles_mm)
+
+
+def _write_observation(root: Path, data: Dataset, to: ProgramFormat, home: Path) -> None:
+    """Write cameras, images and, where the program has them, settings."""
+    write_into(root, data.setup.cameras, to, data.setup.grid)
+    _OBSERVATIONS[to](root, data, home)
+
+
+def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:
+    note(f"openptv: {_GREY}")
+    (root / "img").mkdir()
+    frames = progress_bar(range(data.setup.frames), "images")
+    for frame in frames:
+        images = openptv.to_8_bits(data.observation(frame).normalised_images())
+        for number, image in enumerate(images, 1):
+            openptv.write_image(root / "img" / f"cam{number}.{FIRST + frame}", image)
+    settings = openptv.derive_settings(measure_statistics(data.observation(0)))
+    setup = data.setup
+    span = (FIRST, FIRST + setup.frames - 1)
+    cameras = tuple(camera for camera in setup.cameras if isinstance(camera, Camera))
+    openptv_project.write_parameters(root, setup.grid, cameras, span, settings)
+
+
+def _write_for_openlpt(root: Path, data: Dataset, home: Path) -> None:
+    note(f"openlpt: {_GREY}; config.txt names files below {home}")
+    setup = data.setup
+    for frame in progress_bar(range(setup.frames), "images"):
+        openlpt.write_frame(root, frame, data.observation(frame).normalised_images())
+    settings = openlpt.derive_settings(measure_statistics(data.observation(0)))
+    cameras = tuple(camera for camera in setup.cameras if isinstance(camera, Camera))
+    openlpt.write_project(root, cameras, setup.grid, setup.frames, settings, home)
+
+
+def _write_raw_images(root: Path, data: Dataset, home: Path) -> None:
+    for number, camera in enumerate(data.setup.cameras):
+        (root / f"images_{camera.name}").mkdir()
+        for frame in range(data.setup.frames):
+            image = data.raw_image(number, frame)
+            write_tiff(root / f"images_{camera.name}" / f"{frame:04d}.tif", image)
+
+
+_OBSERVATIONS: dict[str, Callable[[Path, Dataset, Path], None]] = {
+    "openptv": _write_for_openptv,
+    "openlpt": _write_for_openlpt,
+    "myptv": _write_raw_images,
+    "lpt-challenge": _write_raw_images,
+}

@@ -1,0 +1,138 @@
+"""Table of the particles of all frames, between all formats of tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sabench.api import FoundParticles
+from sabench.geometry.camera_model import CameraModel
+from sabench.interop.foreign_world import ForeignWorld
+from sabench.utils.arrays import F64, I64, Bool
+
+_OPTIONAL = ("trajectory", "intensity", "velocity_mm_s", "acceleration_mm_s2")
+
+
+@dataclass(frozen=True)
+class TrackTable:
+    """Particles, one row each; frames in rising order.
+
+    Attributes
+    ----------
+    frame : (n,) numbers of frames as the files count them.
+    position_mm : (n, 3).
+    trajectory : (n,) numbers of trajectories; None where particles are not linked.
+    intensity : (n,), of any scale.
+    velocity_mm_s, acceleration_mm_s2 : (n, 3).
+    """
+
+    frame: I64
+    position_mm: F64
+    trajectory: I64 | None = None
+    intensity: F64 | None = None
+    velocity_mm_s: F64 | None = None
+    acceleration_mm_s2: F64 | None = None
+
+    def __len__(self) -> int:
+        """Return the number of particles."""
+        return len(self.frame)
+
+    def rows(self, chosen: Bool | I64) -> TrackTable:
+        """Return some of the particles."""
+        kept = {
+            name: None if getattr(self, name) is None else getattr(self, name)[chosen]
+            for name in _OPTIONAL
+        }
+        return TrackTable(self.frame[chosen], self.position_mm[chosen], **kept)
+
+    def sorted(self) -> TrackTable:
+        """Sort the particles by frame, those of a frame as they were."""
+        return self.rows(np.argsort(self.frame, kind="stable"))
+
+    def of_frame(self, frame: int) -> TrackTable:
+        """Return the particles of a frame."""
+        low, high = np.searchsorted(self.frame, [frame, frame + 1])
+        return self.rows(np.arange(low, high))
+
+    def into(self, world: ForeignWorld) -> TrackTable:
+        """Transform positions, velocities and accelerations from our world to another."""
+        return self._turned(world.into(self.position_mm), np.asarray(world.axes).T)
+
+    def back(self, world: ForeignWorld) -> TrackTable:
+        """Transform positions, velocities and accelerations from another world to ours."""
+        return self._turned(world.back(self.position_mm), np.asarray(world.axes))
+
+    def _turned(self, position: F64, axes: F64) -> TrackTable:
+        velocity, acceleration = (
+            None if one is None else one @ axes
+            for one in (self.velocity_mm_s, self.acceleration_mm_s2)
+        )
+        return replace(
+            self, position_mm=position, velocity_mm_s=velocity, acceleration_mm_s2=acceleration
+        )
+
+    def estimate(self, frame: int) -> FoundParticles:
+        """Return the particles of a frame as an estimate.
+
+        Raises
+        ------
+        InputError
+            Two particles of one trajectory.
+        """
+        one = self.of_frame(frame)
+        return FoundParticles(
+            one.position_mm,
+            one.intensity,
+            one.trajectory,
+            velocity_mm_s=one.velocity_mm_s,
+            acceleration_mm_s2=one.acceleration_mm_s2,
+        )
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Cameras and times, which some formats store next to the particles.
+
+    Attributes
+    ----------
+    cameras : in the world of the particles.
+    times_s : time of each frame; some frames may have no particle.
+    """
+
+    cameras: Sequence[CameraModel]
+    times_s: tuple[float, ...]
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.times_s)
+
+    @property
+    def interval_s(self) -> float:
+        """Mean time between frames; 1 for a single frame."""
+        steps = self.frames - 1
+        return (self.times_s[-1] - self.times_s[0]) / steps if steps else 1.0
+
+
+def of_estimates(found: Sequence[FoundParticles]) -> TrackTable:
+    """Make the table of the estimates of frames 0, 1, ...
+
+    What some frames lack is left out of all.
+    """
+    counts = [len(one.position_mm) for one in found]
+    parts = {
+        name: [getattr(one, name) for one in found]
+        for name in ("position_mm", *_OPTIONAL)
+        if all(getattr(one, name) is not None for one in found)
+    }
+    joined = {name: np.concatenate(part) for name, part in parts.items()}
+    return TrackTable(np.repeat(np.arange(len(found)), counts), **joined)
+
+
+def number_strangers(trajectory: I64) -> I64:
+    """Give particles without a trajectory (below zero) numbers of their own."""
+    out, lone = trajectory.copy(), trajectory < 0
+    out[lone] = trajectory.max(initial=-1) + 1 + np.arange(lone.sum())
+    return out

@@ -1,0 +1,252 @@
+"""Text files of other programs: encodings, separators and numbers as they come.
+
+UTF-8 with or without a mark, UTF-16 with one, and Latin-1 are read; so are line ends of all
+systems, columns apart by commas, semicolons, tabs or spaces, and decimal commas between semicolons.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+
+_LARGEST = 2_000_000_000  # bytes of a text file
+_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")  # x [mm], x (mm)
+_NUMBER = re.compile(r"^[-+]?(?:\d|[.,]\d|nan$|inf)", re.IGNORECASE)  # begins as a number does
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers of a text file.
+
+    Attributes
+    ----------
+    path : of the file.
+    names, units : of the columns by the header, "" where it names no unit; empty without one.
+    values : (rows, columns).
+    lines : (rows,) numbers of the lines, from 1.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: F64
+    lines: tuple[int, ...]
+
+
+def read_text(path: Path) -> str:
+    """Read a text file of any usual encoding.
+
+    Raises
+    ------
+    InputError
+        No file, a binary one, or one of more than 2 GB.
+    """
+    if not path.is_file():
+        raise InputError(
+            f"{path}: expected a file, found {'a folder' if path.is_dir() else 'none'}"
+        )
+    if path.stat().st_size > _LARGEST:
+        raise InputError(f"{path}: expected at most {_LARGEST / 1e9:g} GB, got more")
+    raw = path.read_bytes()
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return raw.decode("utf-16", "replace")
+    if b"\0" in raw[:4096]:
+        raise InputError(f"{path}: expected a text file, got a binary one")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
+
+
+def content_lines(path: Path) -> list[tuple[int, str]]:
+    """List the lines that hold something, with their numbers from 1."""
+    numbered = enumerate(read_text(path).splitlines(), 1)
+    return [(number, line.strip()) for number, line in numbered if line.strip()]
+
+
+def split_numbers(line: str, where: str, count: int | None = None) -> list[float]:
+    """Read the numbers of a line, apart by commas or spaces.
+
+    Raises
+    ------
+    InputError
+        A word that is no finite number, or another number of them; `where` opens the sentence.
+    """
+    words = [word for word in re.split(r"[,;\s]+", line.strip()) if word]
+    try:
+        found = [float(word) for word in words]
+    except ValueError:
+        found = []
+    expected = "numbers" if count is None else f"{count} numbers"
+    wrong = len(found) != len(words) or (count is not None and len(found) != count)
+    if wrong or not np.isfinite(found).all():
+        raise InputError(f"{where}: expected {expected}, got {line[:80]!r}")
+    return found
+
+
+def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int = 0) -> Table:
+    """Read a table of numbers below an optional line of names.
+
+    Lines that begin with # or % are comments; the last of them before the numbers is the header if
+    it has as many words as there are columns. Of several lines without a number, the first with as
+    many words as columns is the header. Columns behind the last name are `column_N`. Columns of
+    text, where there are names, are NaN.
+
+    Parameters
+    ----------
+    least : smallest number of columns.
+    missing : whether values may be NaN or empty.
+    skip_lines : lines at the top of the file that are left out.
+
+    Raises
+    ------
+    InputError
+        A line of another number of columns, or a word that is no number, with the line's number.
+    """
+    lines = [line for line in content_lines(path) if line[0] > skip_lines]
+    mark = _separator(lines)
+    heads, body = _split_head(lines, mark)
+    ends = [_split(line, mark) for _, line in (body[:1] + body[-1:])]
+    columns = len(ends[0]) if body else max([least, *(len(words) for words in heads)])
+    if columns < least:
+        raise InputError(
+            f"{path}: line {body[0][0]}: expected {least} or more columns, got {columns}: "
+            f"{body[0][1][:60]!r}"
+        )
+    names = _names(heads, columns)
+    kept = [i for i in range(columns) if not names or not _is_text(ends, i)]
+    values = _read_fast(body, mark, kept, columns) if body else np.zeros((0, columns))
+    if values is None or not (missing or np.isfinite(values).all()):
+        values = _read_slowly(path, body, mark, kept, columns, missing=missing)
+    return Table(
+        path,
+        tuple(name for name, _ in names),
+        tuple(unit for _, unit in names),
+        values,
+        tuple(number for number, _ in body),
+    )
+
+
+def _split_head(
+    lines: Sequence[tuple[int, str]], mark: str | None
+) -> tuple[list[list[str]], list[tuple[int, str]]]:
+    """Split lines of names, as words, from lines of numbers; drop comments.
+
+    The last comment before the numbers comes last, behind the lines of names.
+    """
+    heads, comment, body = list[list[str]](), list[list[str]](), list[tuple[int, str]]()
+    for number, line in lines:
+        if line[0] in "#%":
+            comment = comment if body else [_split(line.lstrip("#%").strip(), mark)]
+        elif body or not _is_header(words := _split(line, mark)):
+            body.append((number, line))
+        else:
+            heads.append(words)
+    return [*heads, *comment] if heads or not body else _comments(comment, body, mark), body
+
+
+def _comments(
+    comment: list[list[str]], body: Sequence[tuple[int, str]], mark: str | None
+) -> list[list[str]]:
+    """Keep a comment as header if it has as many words as there are columns."""
+    return [words for words in comment if len(words) == len(_split(body[0][1], mark))]
+
+
+def _names(heads: Sequence[Sequence[str]], columns: int) -> list[tuple[str, str]]:
+    """Choose the header, split names from units, and name further columns."""
+    if not heads:
+        return []
+    header = next((words for words in heads if len(words) == columns), heads[-1])
+    rest = [f"column_{number}" for number in range(len(header) + 1, columns + 1)]
+    return [_unit_of(word) for word in [*header, *rest][:columns]]
+
+
+def _separator(lines: Sequence[tuple[int, str]]) -> str | None:
+    """Find the separator of the columns: the one in the last line; None for spaces."""
+    last = next((line for _, line in reversed(lines) if line[0] not in "#%"), "")
+    return next((mark for mark in (";", "\t", ",") if mark in last), None)
+
+
+def _split(line: str, mark: str | None) -> list[str]:
+    words = line.split(mark)
+    if mark and len(words) > 1 and not words[-1].strip():
+        words = words[:-1]  # a separator at the end of the line
+    return [word.strip().strip('"') for word in words]
+
+
+def _is_text(rows: Sequence[Sequence[str]], column: int) -> bool:
+    """Tell a column of text, by its words in some rows."""
+    words = [row[column] for row in rows if column < len(row)]
+    return bool(words) and all(word and not _NUMBER.match(word) for word in words)
+
+
+def _is_header(words: Sequence[str]) -> bool:
+    """Tell a line of names, in which no word is a number."""
+    return not any(_NUMBER.match(word) for word in words if word)
+
+
+def _read_fast(
+    body: Sequence[tuple[int, str]], mark: str | None, kept: Sequence[int], columns: int
+) -> F64 | None:
+    """Read a plain table; None for one that is not."""
+    try:
+        values = np.loadtxt([line for _, line in body], delimiter=mark, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    return np.asarray(values) if values.shape[1] == columns == len(kept) else None
+
+
+def _read_slowly(
+    path: Path,
+    body: Sequence[tuple[int, str]],
+    mark: str | None,
+    kept: Sequence[int],
+    columns: int,
+    *,
+    missing: bool,
+) -> F64:
+    """Read a table word by word, and name the line of a fault."""
+    rows = []
+    for number, line in body:
+        words = _split(line, mark)
+        if len(words) != columns:
+            raise InputError(
+                f"{path}: line {number}: expected {columns} columns, got {len(words)}: "
+                f"{line[:60]!r}"
+            )
+        where = f"{path}: line {number}, column"
+        rows.append([_value(f"{where} {i + 1}", words[i], mark, missing=missing) for i in kept])
+    values = np.full((len(body), columns), np.nan)
+    values[:, kept] = np.array(rows, dtype=np.float64).reshape(len(body), len(kept))
+    return values
+
+
+def _value(where: str, word: str, mark: str | None, *, missing: bool) -> float:
+    """Read one word; with semicolons, a comma is a decimal point."""
+    try:
+        value = float(word.replace(",", ".") if mark == ";" else word or "nan")
+    except ValueError:
+        value = np.inf
+    if not np.isfinite(value) and not (missing and np.isnan(value)):
+        raise InputError(f"{where}: expected a finite number, got {word[:40]!r}")
+    return value
+
+
+def _unit_of(word: str) -> tuple[str, str]:
+    match = _UNIT.match(word)
+    return (match["name"].strip(), match["unit"].strip()) if match else (word, "")
+
+
+def numbered_files(folder: Path, pattern: str) -> Iterator[tuple[int, Path]]:
+    """Yield the files whose names match, with the number in the group `frame`."""
+    compiled = re.compile(pattern)
+    matches = ((compiled.fullmatch(path.name), path) for path in folder.iterdir())
+    found = [(int(match["frame"]), path) for match, path in matches if match]
+    return iter(sorted(found))

@@ -1,0 +1,201 @@
+"""Data sets exported, solved by other programs outside, imported and scored here."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sabench.api import FoundParticles
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result, result_writer
+from sabench.interop.export import Format, export
+from sabench.interop.foreign_world import ForeignFormatWarning, read_world
+from sabench.interop.import_results import import_result
+from sabench.interop.tracks import TrackFormat
+from sabench.scenes import load_scene
+from sabench.tasks import of
+from sabench.tasks.solve_and_score import score
+from sabench.utils.errors import InputError
+from tests.conftest import Command
+
+TRACKS: tuple[TrackFormat, ...] = (
+    "openptv",
+    "myptv",
+    "openlpt",
+    "lpt-challenge",
+    "netcdf",
+    "mat",
+    "csv",
+)
+
+
+@pytest.fixture(scope="module")
+def tank(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    from sabench.simulation.pipeline import generate
+
+    scene = load_scene("particle-tracking").with_frames(6)
+    return generate(scene, tmp_path_factory.mktemp("tank") / "data", seed=1, backend="splat")
+
+
+@pytest.fixture(scope="module")
+def truth(tank: Dataset) -> Path:
+    """Result file of the true particles."""
+    path, task = tank.root.parent / "truth.h5", of("particles")
+    with result_writer(path, tank, "truth", "particles", {}) as writer:
+        for frame in range(tank.setup.frames):
+            writer.add(task.truth(tank, frame), frame)
+    return path
+
+
+def export_quietly(tank: Dataset, out: Path, result: Path | None, to: Format) -> Path:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ForeignFormatWarning)
+        return export(tank, out, result, to=to)
+
+
+@pytest.mark.parametrize("form", TRACKS)
+def test_a_result_comes_back(form: TrackFormat, tank: Dataset, truth: Path, tmp_path: Path) -> None:
+    folder = export_quietly(tank, tmp_path / "out", truth, form)
+    import_result(tank, folder, tmp_path / "back.h5", form, solver="someone")
+    result = open_result(tmp_path / "back.h5", tank)
+    assert result.solver == "someone"
+    task = of("particles")
+    for frame in range(tank.setup.frames):
+        found, true = task.read(tank, result, frame), task.truth(tank, frame)
+        np.testing.assert_allclose(found.position_mm, true.position_mm, atol=1e-12)
+    figures = score(tank, tmp_path / "back.h5")
+    assert [figures[key] for key in ("f1", "link_recall", "link_precision")] == [1.0, 1.0, 1.0]
+
+
+def test_optv_solves_an_exported_project(tank: Dataset, tmp_path: Path) -> None:
+    pytest.importorskip("optv", reason="needs the package optv")
+    folder = export_quietly(tank, tmp_path / "out", None, "openptv")
+    script = Path(__file__).parents[1] / "helpers" / "outside_optv.py"
+    subprocess.run([sys.executable, script, folder], check=True, capture_output=True, timeout=60)
+    import_result(tank, folder, tmp_path / "found.h5", "openptv", solver="optv")
+    figures = score(tank, tmp_path / "found.h5")
+    assert figures["precision"] > 0.99
+    assert figures["recall"] > 0.85
+    assert figures["link_precision"] > 0.99
+    assert figures["rms_mm"] < 0.02
+
+
+def test_openlpt_solves_an_exported_project(tank: Dataset, tmp_path: Path) -> None:
+    pytest.importorskip("pyopenlpt", reason="needs the package openlpt")
+    folder = export_quietly(tank, tmp_path / "out", None, "openlpt")
+    code = f"import pyopenlpt; pyopenlpt.run({str(folder / 'config.txt')!r})"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=60)
+    import_result(tank, folder, tmp_path / "found.h5", "openlpt", solver="openlpt")
+    figures = score(tank, tmp_path / "found.h5")
+    assert figures["precision"] > 0.9
+    assert figures["recall"] > 0.6
+    assert figures["link_precision"] > 0.9
+
+
+@pytest.mark.parametrize("form", ["openptv", "openlpt", "myptv", "lpt-challenge"])
+def test_what_a_program_gets_has_no_truth(form: Format, tank: Dataset, tmp_path: Path) -> None:
+    folder = export_quietly(tank, tmp_path / "out", None, form)
+    names = {path.name for path in folder.rglob("*") if path.is_file()}
+    images = len(tank.setup.cameras) * tank.setup.frames
+    assert len(names) >= tank.setup.frames
+    assert sum(path.stat().st_size > 50_000 for path in folder.rglob("*")) >= images
+    banned = ("ptv_is", "rt_is", "particles", "trajectories", "tracks", "ConvergeTrack", "truth")
+    assert not [name for name in names if name.startswith(banned)]
+
+
+def test_the_command_exports_and_imports(
+    tank: Dataset, truth: Path, tmp_path: Path, command: Command
+) -> None:
+    done = command("export", tank.root, truth, "--to", "openptv", "-o", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "note: openptv: its camera files do not carry f-numbers" in done.stderr
+    found = tmp_path / "found.h5"
+    done = command("import-result", tank.root, tmp_path / "out", "--from", "openptv", "-o", found)
+    assert done.returncode == 0, done.stderr
+    assert f"{found}: " in done.stdout
+    assert "particles in 6 frames" in done.stdout
+    done = command("score", tank.root, found, "--json")
+    assert done.returncode == 0, done.stderr
+
+
+CSV = "frame,particle,x,y,z\n"
+
+
+def refused(tank: Dataset, text: str, folder: Path, **more: int | str) -> str:
+    (folder / "found.csv").write_text(text, encoding="utf-8")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ForeignFormatWarning)
+        with pytest.raises(InputError) as error:
+            import_result(tank, folder / "found.csv", folder / "out.h5", "csv", **more)  # type: ignore[arg-type]
+    assert not (folder / "out.h5").exists()
+    return str(error.value)
+
+
+def test_wrong_results_are_one_sentence(tank: Dataset, tmp_path: Path) -> None:
+    metres = "".join(f"{frame},{frame},0.001,0.002,0.030\n" for frame in range(3))
+    said = refused(tank, CSV + metres, tmp_path)
+    assert "0 % of them in the volume, and 100 % if they are in m: give the unit" in said
+    said = refused(tank, CSV + "3,1,1,2,30\n9,1,1,2,30\n", tmp_path)
+    assert "expected the 6 frames of the data set, from 3 on, got frames 3 to 9" in said
+    said = refused(tank, CSV + "3,1,1,2,30\n", tmp_path, first=4)
+    assert "expected the 6 frames of the data set, from 4 on, got frames 3 to 3" in said
+    said = refused(tank, CSV + "0,1,1,2,30\n0,1,1,1,30\n", tmp_path)
+    assert "frame 0: trajectory: expected different numbers, got 1 2 times" in said
+    assert "expected particles, found none" in refused(tank, CSV, tmp_path)
+
+
+def test_missing_frames_and_other_axes_are_said(tank: Dataset, tmp_path: Path) -> None:
+    text = CSV + "0,1,1,2,30\n1,1,1,2,30\n3,1,1,2,30\n"
+    (tmp_path / "found.csv").write_text(text, encoding="utf-8")
+    with pytest.warns(ForeignFormatWarning, match="no particles in the frames 2, 4, 5"):
+        import_result(tank, tmp_path / "found.csv", tmp_path / "out.h5", "csv")
+    rows = "".join(f"{frame},1,1,-2,-30\n" for frame in range(6))
+    (tmp_path / "found.csv").write_text(CSV + rows, encoding="utf-8")
+    with pytest.warns(ForeignFormatWarning, match="0 % of the particles lie in the volume"):
+        import_result(tank, tmp_path / "found.csv", tmp_path / "two.h5", "csv")
+
+
+def test_metres_are_taken_if_told(tank: Dataset, tmp_path: Path) -> None:
+    rows = "".join(f"{frame},1,0.001,0.002,0.030\n" for frame in range(6))
+    (tmp_path / "found.csv").write_text(CSV + rows, encoding="utf-8")
+    made = import_result(tank, tmp_path / "found.csv", tmp_path / "out.h5", "csv", unit="m")
+    assert (made.particles, made.trajectories) == (6, 1)
+    found = open_result(made.path, tank).read(FoundParticles)
+    assert found.position_mm.round(9).tolist() == [[1.0, 2.0, 30.0]]
+
+
+def test_an_export_that_cannot_be_is_one_sentence(
+    tank: Dataset, truth: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="to: expected one of vtk, openptv"):
+        export(tank, tmp_path / "out", to="davis")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="exists already"):
+        export(tank, tank.root, truth, to="csv")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("program", ["openptv", "openlpt", "myptv", "lpt-challenge"])
+def test_a_project_of_another_program_is_imported(
+    tank: Dataset, tmp_path: Path, command: Command, program: Format
+) -> None:
+    """Images and calibration of one folder become a data set whose cameras see the same."""
+    project = export_quietly(tank, tmp_path / "project", None, program)
+    box = ("--volume=-6,6,-6,6,24,36",) if program == "myptv" else ()
+    done = command("import", project, "--from", program, "-o", tmp_path / "back", *box)
+    assert done.returncode == 0, done.stderr
+    back = open_dataset(tmp_path / "back")
+    assert back.setup.frames == tank.setup.frames
+    grid = tank.setup.grid
+    middle = np.array([(axis[0] + axis[-1]) / 2.0 for axis in grid.axes_mm])
+    points = np.random.default_rng(1).uniform(-2.0, 2.0, (20, 3)) + middle
+    world = read_world(project)
+    for number, (own, other) in enumerate(zip(tank.setup.cameras, back.setup.cameras, strict=True)):
+        there = other.project(world.into(points))[0]
+        np.testing.assert_allclose(there, own.project(points)[0], atol=1e-3)
+        first, again = (one.raw_image(number, 2).astype(float).ravel() for one in (tank, back))
+        assert np.corrcoef(first, again)[0, 1] > 0.98
