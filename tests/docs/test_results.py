@@ -1,0 +1,17 @@
+"""Figures in the pages of results are those of the records."""
+
+from __future__ import annotations
+
+import runpy
+from typing import Any
+
+from tests.docs.pages import ROOT
+
+
+def test_tables_over_the_density_are_those_of_the_records() -> None:
+    script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_density.py"))
+    text = script["PAGE"].read_text(encoding="utf-8")
+    assert script["filled"](text) == text, "run python docs/results/fill_density.py"
+    first_cells = {line.split("|")[1].strip() for line in text.split("\n") if line.startswith("| ")}
+    assert {words for words, _ in script["CASES"]} - first_cells <= {"equal light, 0.50 ppp"}
+    assert set(script["PARTS"]) <= first_cells
