@@ -246,4 +246,4 @@ def test_a_target_that_a_known_height_puts_into_the_wall_is_one_sentence(
     (tmp_path / "mine" / "calibration.toml").write_text(tomli_w.dumps(values | {"known": known}))
     done = command("calibrate", "mine")
     assert done.returncode == 2
-    assert ": expected the target in the fluid, but" in " ".join(done.stderr.split())
+    assert "frame 0: expected its points in the fluid, but" in " ".join(done.stderr.split())

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         upgrade_to_euclidean,
     )
     from sabench.algorithms.calibration.input_checks import check_fit
+    from sabench.algorithms.calibration.joint_fit import fit_jointly
     from sabench.algorithms.calibration.parameters import FreeParameters, State
     from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
     from sabench.algorithms.calibration.robust import adjust
@@ -45,6 +46,7 @@ __all__ = [
     "check_fit",
     "check_plane_wall",
     "factorise",
+    "fit_jointly",
     "fit_planes",
     "fit_projective",
     "fit_similarity",
@@ -73,6 +75,7 @@ _HOMES = {
     "check_fit": "input_checks",
     "check_plane_wall": "wall_frame",
     "factorise": "factorisation",
+    "fit_jointly": "joint_fit",
     "fit_planes": "sabench.geometry.polynomial_cameras",
     "fit_projective": "sabench.geometry.projective_camera",
     "fit_similarity": "wall_frame",

@@ -10,7 +10,7 @@ of the cameras' unknowns only. Source: Triggs et al. (2000), Bundle adjustment -
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -42,6 +42,7 @@ class BoardImages:
     pixels : (M, K, m, 2) column and row; anything where the weight is 0.
     weights : (M, K, m).
     anchors : known positions; empty for none.
+    prior : what is known of the unknowns that all cameras share; None for nothing.
     frame : of cameras that are not behind one plane wall, see `Frame.beyond_kernels`.
     """
 
@@ -50,6 +51,7 @@ class BoardImages:
     weights: F64
     anchors: tuple[Anchor, ...] = ()
     frame: Frame | None = None
+    prior: Prior | None = None
 
     @cached_property
     def anchored(self) -> tuple[I64, I64, F64, F64, F64, F64]:
@@ -83,7 +85,7 @@ class Anchor:
     position_mm : (3,) in the world's frame; anything along axes without precision.
     precision : (3,) inverse variance along the world's axes, 1 / mm^2, times the variance of a
         pixel coordinate; 0 where the position is not known.
-    world : from the wall's frame to the world's.
+    world : from the nominal wall's frame to the world's.
     """
 
     board: int
@@ -91,6 +93,20 @@ class Anchor:
     position_mm: F64
     precision: F64
     world: RigidMotion
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Nominal values of what all cameras share, in the order of `State.shared`.
+
+    Attributes
+    ----------
+    mean : (n,) values.
+    precision : (n,) inverse variances, times the variance of a pixel coordinate.
+    """
+
+    mean: F64
+    precision: F64
 
 
 @dataclass(frozen=True)
@@ -122,23 +138,44 @@ def normal_equations(
     state: State, seen: BoardImages, free: FreeParameters, scale: float = 0.0
 ) -> Normal:
     """Compute the equations of one Gauss-Newton step."""
-    cost, aa, ab, bb, a, d = _equations(state, seen, free, scale)
+    normal = Normal(*_equations(state, seen, free, scale))
     if seen.anchors:
-        board, point, position_mm, precision, rotations, shifts = seen.anchored
-        arms = np.einsum("nij,nj->ni", state.board_rotations[board], seen.board[point])
-        miss = (
-            position_mm
-            - np.einsum("nij,nj->ni", rotations, arms + state.board_positions[board])
-            - shifts
+        normal = _with_anchors(normal, state, seen, free)
+    return normal if seen.prior is None else _with_prior(normal, state, seen.prior, free)
+
+
+def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreeParameters) -> Normal:
+    """Add the known places to the equations, and their part of the wall's unknowns."""
+    board, point, position_mm, precision, rotations, shifts = seen.anchored
+    arms = np.einsum("nij,nj->ni", state.board_rotations[board], seen.board[point])
+    turned = (arms + state.board_positions[board]) @ state.wall.rotation.T
+    nominal = turned + state.wall.shift
+    miss = position_mm - np.einsum("nij,nj->ni", rotations, nominal) - shifts
+    levers = np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2)
+    slopes = rotations @ state.wall.rotation @ levers
+    weighted = slopes * precision[:, :, None]
+    np.add.at(normal.bb, board, weighted.transpose(0, 2, 1) @ slopes)
+    np.add.at(normal.d, board, np.einsum("nij,ni->nj", weighted, miss))
+    if free.wall:
+        by_wall = rotations @ np.concatenate(
+            [-skew(turned)[:, :, :2], np.broadcast_to(np.eye(3)[:, 2:], (len(arms), 3, 1))], axis=2
         )
-        slopes = rotations @ np.concatenate(
-            [-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2
-        )
-        weighted = slopes * precision[:, :, None]
-        cost += float(np.sum(precision * miss**2))
-        np.add.at(bb, board, weighted.transpose(0, 2, 1) @ slopes)
-        np.add.at(d, board, np.einsum("nij,ni->nj", weighted, miss))
-    return Normal(cost, aa, ab, bb, a, d)
+        heavy = by_wall * precision[:, :, None]
+        own = slice(len(normal.aa) - by_wall.shape[2], None)
+        normal.aa[own, own] += np.einsum("nip,niq->pq", heavy, by_wall)
+        normal.a[own] += np.einsum("nip,ni->p", heavy, miss)
+        np.add.at(normal.ab[:, own], board, heavy.transpose(0, 2, 1) @ slopes)
+    return replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
+
+
+def _with_prior(normal: Normal, state: State, prior: Prior, free: FreeParameters) -> Normal:
+    """Add what is known of the shared unknowns to the equations."""
+    _, shared = free.columns(len(state.indices))
+    own = np.arange(len(normal.aa) - len(shared), len(normal.aa))
+    miss, precision = (prior.mean - state.shared)[shared], prior.precision[shared]
+    normal.aa[own, own] += precision
+    normal.a[own] += precision * miss
+    return replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
 
 
 def _equations(

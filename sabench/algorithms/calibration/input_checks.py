@@ -10,6 +10,7 @@ import itertools
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, residuals
+from sabench.algorithms.calibration.end_state import list_faults
 from sabench.algorithms.calibration.parameters import Frame, State
 from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import CalibrationCase
@@ -22,6 +23,7 @@ _SUSPECT = 0.5  # share of an image's points that fit, below which something is 
 _WRONG = 0.01  # of an image's width: noise that no detection has
 _FITS = 6.0  # times the noise below which a guess explains the points
 _FLAT = 1e-3  # thickness over width of points that lie in one plane
+_SEVERAL = 3  # points that an image needs to be told from another
 _GLASS = 1.4  # index that solids exceed and most fluids do not
 
 
@@ -61,25 +63,35 @@ def _check_indices(wall: Wall) -> None:
 def _check_duplicates(case: CalibrationCase) -> None:
     """Refuse equal pixels of two images.
 
-    Noise never repeats: equal pixels are one image under two names.
+    Noise never repeats: equal pixels of several points are one image under two names.
     """
-    for i, j in itertools.combinations(range(len(case.cameras)), 2):
-        if _same(case.pixels[i], case.pixels[j]):
-            raise InputError(
-                f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their "
-                "own, but all their points are the same"
-            )
+    if case.pixels.shape[2] < _SEVERAL:
+        return
+    whole = _twins(case.pixels)
+    if whole:
+        i, j = whole
+        raise InputError(
+            f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their "
+            "own, but all their points are the same"
+        )
     for camera, frames in zip(case.cameras, case.pixels, strict=True):
-        for i, j in itertools.combinations(range(len(frames)), 2):
-            if _same(frames[i], frames[j]):
-                raise InputError(
-                    f"{camera.name}: expected different images in frames {i} and {j}, but all "
-                    "their points are the same"
-                )
+        if twins := _twins(frames):
+            i, j = twins
+            raise InputError(
+                f"{camera.name}: expected different images in frames {i} and {j}, but all "
+                "their points are the same"
+            )
 
 
-def _same(one: F64, other: F64) -> bool:
-    return bool(np.isfinite(one).any() and np.array_equal(one, other, equal_nan=True))
+def _twins(images: F64) -> tuple[int, int] | None:
+    """Find two images (n, ...) with the same points, if there are any."""
+    first: dict[bytes, int] = {}
+    for number, image in enumerate(images):
+        if np.isfinite(image).any():
+            other = first.setdefault(np.nan_to_num(image, nan=-1e9).tobytes(), number)
+            if other != number:
+                return other, number
+    return None
 
 
 def check_fit(
@@ -92,8 +104,8 @@ def check_fit(
 ) -> None:
     """Refuse a fit that contradicts the input.
 
-    Such a fit contradicts the nominal positions, leaves out an image because of its order, or rests
-    on one plane.
+    Such a fit cannot be (see `end_state.list_faults`), contradicts the nominal positions, leaves
+    out an image because of its order, or rests on one plane.
 
     Images through a wall show neither the first corner of a board nor the names of cameras. Only
     the nominal positions show that a board's corners are counted from another corner in all
@@ -110,6 +122,8 @@ def check_fit(
             f"expected points that one array can see, got some that miss by {noise_px:.3g} px at "
             "best: are they the target's, in its order?"
         )
+    if faults := list_faults(state, seen, frame):
+        raise InputError(faults[0])
     _check_views(case, state, seen, used, there, noise_px)
     points = state.points(seen.board)
     _check_corners(case, points, frame.motion(case.initial_mm), there)

@@ -109,7 +109,8 @@ def observe(
     lever : (3,) the rotated point of the board; a small rotation d acts as exp(d) lever.
     position : (3,) the board's origin.
     row : columns in the order of `lens` after rotation and centre, then the board's rotation and
-        position, then indices and thicknesses.
+        position, then indices and thicknesses. Three more, of the wall's tilt and shift, stay 0:
+        they move known places and no image.
     work : depths, by_depth and by_index (3, m).
 
     Not ok: the path would not reach forward, or the point is behind the camera.

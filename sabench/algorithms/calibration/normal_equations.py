@@ -71,7 +71,7 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
         np.zeros((count, BOARD, BOARD)),
     )
     a, d = np.zeros(size), np.zeros((count, BOARD))
-    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m + 1)), np.zeros((3, m)), np.zeros(3)
     pick = _columns(own, shared)
     part, slope, chosen = np.zeros((local, local)), np.zeros(local), np.zeros((2, local))
     cost = 0.0
@@ -146,7 +146,7 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
     board_rotations, positions, points = boards
     pixels, _ = seen
     out, m = np.full(pixels.shape, math.nan), len(media[0])
-    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m + 1)), np.zeros((3, m)), np.zeros(3)
     for c in range(pixels.shape[0]):
         for k in range(pixels.shape[1]):
             for i in range(pixels.shape[2]):
@@ -175,7 +175,7 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
     cameras, count, dots = weights.shape
     f, s, m = len(own), len(shared), len(media[0])
     local, base = f + s + BOARD, cameras * f + s
-    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m + 1)), np.zeros((3, m)), np.zeros(3)
     out = np.full((cameras, count, dots, 3), math.nan)
     part, pick, there = (
         np.zeros((local, local)),

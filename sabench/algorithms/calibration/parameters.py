@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64, I64, triple
 
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+_WALL = 3  # rotations about X and Y, shift along Z
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class FreeParameters:
     tilt : of every sensor.
     indices : numbers of media along the way of light from a camera, 0 for the cameras' own.
     thicknesses : numbers of layers.
+    wall : tilt and position of the wall, which only known places in the world show.
     """
 
     principal_point: bool = False
@@ -41,16 +43,25 @@ class FreeParameters:
     indices: tuple[int, ...] = ()
     thicknesses: tuple[int, ...] = ()
     tilt: bool = False
+    wall: bool = False
 
     @classmethod
-    def from_names(cls, unknown: Iterable[str]) -> FreeParameters:
-        """Make from the names of a case's unknowns of the lenses."""
+    def from_names(cls, unknown: Iterable[str], layers: int = 0) -> FreeParameters:
+        """Make from the names of a case's unknowns, with a wall of some layers."""
         names = set(unknown)
         return cls(
             "principal_point" in names,
             tuple(name for name in _DISTORTION if name in names),
-            tilt="tilt" in names,
+            (layers + 1,) if "fluid_index" in names else (),
+            tuple(range(layers)) if "thickness" in names else (),
+            "tilt" in names,
+            "wall" in names,
         )
+
+    @property
+    def of_lenses(self) -> FreeParameters:
+        """The unknowns of the lenses alone."""
+        return replace(self, indices=(), thicknesses=(), wall=False)
 
     @property
     def per_camera(self) -> int:
@@ -66,6 +77,7 @@ class FreeParameters:
             + [14, 15] * self.tilt
         )
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
+        shared += [2 * media - 2 + number for number in range(_WALL)] * self.wall
         return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
 
 
@@ -78,6 +90,7 @@ class State:
     rotations, centers, lenses : (M, 3, 3), (M, 3), (M, 10) as in `kernels.observe`.
     indices, thicknesses : of the media (m,) and layers (m - 2,).
     board_rotations, board_positions : (K, 3, 3), (K, 3).
+    wall : from the frame of the wall as it is to that of the nominal wall.
     """
 
     rotations: F64
@@ -87,6 +100,14 @@ class State:
     thicknesses: F64
     board_rotations: F64
     board_positions: F64
+    wall: RigidMotion = field(default_factory=RigidMotion.none)
+
+    @property
+    def shared(self) -> F64:
+        """What all cameras share: indices, thicknesses, tilt (rad) and shift of the wall."""
+        turn = self.wall.rotation
+        tilt = [turn[2, 1], -turn[2, 0], self.wall.shift[2]]
+        return np.concatenate([self.indices, self.thicknesses, tilt])
 
     def array(self) -> tuple[F64, F64, F64, tuple[F64, F64]]:
         """Return the cameras as arrays for the kernels."""
@@ -106,17 +127,19 @@ class State:
         own, common = free.columns(len(self.indices))
         full = np.zeros((len(self.rotations), CAMERA))
         full[:, own] = cameras
-        media = np.concatenate([self.indices, self.thicknesses])
+        media = np.concatenate([self.indices, self.thicknesses, np.zeros(_WALL)])
         media[common] += shared
         count = len(self.indices)
+        tilt, shift = np.append(media[-_WALL:-1], 0.0), np.array([0.0, 0.0, media[-1]])
         return State(
             np.ascontiguousarray(rotation_matrices(full[:, :3]) @ self.rotations),
             self.centers + full[:, 3:6],
             self.lenses + full[:, 6:],
             media[:count].copy(),
-            media[count:].copy(),
+            media[count:-_WALL].copy(),
             np.ascontiguousarray(rotation_matrices(boards[:, :3]) @ self.board_rotations),
             self.board_positions + boards[:, 3:],
+            RigidMotion(rotation_matrices(tilt) @ self.wall.rotation, self.wall.shift + shift),
         )
 
     def move(self, motion: RigidMotion) -> State:
@@ -194,6 +217,10 @@ class Frame:
             np.stack([p.shift for p in poses]),
         )
 
+    def to_wall(self, state: State) -> RigidMotion:
+        """Return the motion from the world to the frame of the wall of a state."""
+        return state.wall.inverse().after(self.motion)
+
     def build_cameras(self, state: State) -> tuple[Camera, ...]:
         """Make the cameras of a state, in the world's frame."""
         wall = self._wall(state)
@@ -201,7 +228,7 @@ class Frame:
 
     def points(self, state: State, board: F64) -> F64:
         """Return world points (K, m, 3) of a state's boards."""
-        return self.motion.inverse()(state.points(board))
+        return self.to_wall(state).inverse()(state.points(board))
 
     def _wall(self, state: State) -> Wall | None:
         if self.wall is None:
@@ -211,14 +238,18 @@ class Frame:
             Layer(layer.name, n, d)
             for layer, n, d in zip(self.wall.layers, inner, state.thicknesses.tolist(), strict=True)
         )
-        return replace(self.wall, air_index=first, layers=layers, fluid_index=last)
+        wall = replace(self.wall, air_index=first, layers=layers, fluid_index=last)
+        if state.wall.is_none:
+            return wall
+        own = self.to_wall(state)
+        face = self.motion(np.asarray(wall.point_mm)) * np.array([1.0, 1.0, 0.0])
+        return replace(wall, point_mm=triple(own.inverse()(face)), normal=triple(own.rotation[2]))
 
     def _camera(self, number: int, state: State, wall: Wall | None) -> Camera:
         camera, lens = self.cameras[number], state.lenses[number].tolist()
-        turn, center = (
-            state.rotations[number] @ self.motion.rotation,
-            self.motion.inverse()(state.centers[number]),
-        )
+        motion = self.to_wall(state)
+        turn = state.rotations[number] @ motion.rotation
+        center = motion.inverse()(state.centers[number])
         return replace(
             camera,
             center_mm=triple(center),

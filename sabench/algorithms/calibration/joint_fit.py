@@ -1,0 +1,133 @@
+"""Joint fit of cameras, boards and wall, from an initial guess to a state that can be.
+
+Lenses and boards come first. What images hardly show, or not at all, follows: the known places fix
+the world and the depth, and nominal values hold the wall.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, Prior, refine
+from sabench.algorithms.calibration.end_state import depths_of, list_faults, mirror_boards
+from sabench.algorithms.calibration.parameters import FreeParameters, State
+from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
+from sabench.algorithms.calibration.robust import Robust, adjust
+from sabench.geometry.rigid_motion import RigidMotion
+from sabench.utils.arrays import F64
+
+_FIRST_NOISE_PX = 0.1  # with which known places are weighed before the noise is known
+_ROUNDS = 3  # of weighing what is known against the noise, where it changes much
+_SAME_NOISE = 0.1  # relative change of the noise below which weights stay
+_THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
+_INDEX = 0.05  # of a nominal index
+_WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
+_HELD = 0.5  # standard deviation of a depth that no image shows, part of it
+
+
+def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
+    """Adjust cameras, boards and what they share, robustly.
+
+    An end state that cannot be is left by other starts, see `end_state.list_faults`. If all of them
+    fail, the last one is returned: `input_checks.check_fit` refuses it.
+    """
+    seen = problem.seen
+    if fixes_world(problem):
+        seen = replace(seen, anchors=make_anchors(problem.case, problem.frame, _FIRST_NOISE_PX))
+        placed = adjust(problem.start, seen, free.of_lenses, moving="cameras").fit.state
+        problem = replace(problem, start=placed)
+    found = _fit_soundly(problem, seen, free.of_lenses)
+    if make_anchors(problem.case, problem.frame, 1.0) or free != free.of_lenses:
+        found = _weigh(problem, found, free)
+    return found
+
+
+def fixes_world(problem: CalibrationProblem) -> bool:
+    """Return whether known places determine the world's frame and every board's place."""
+    known = np.isfinite(problem.case.known_mm).all(axis=-1)
+    used = problem.seen.weights.sum(axis=0) > 0.0
+    enough = min(3, known.shape[1])
+    return bool((known.sum(axis=1) >= enough)[used.any(axis=1)].all() and known.sum() >= 3)
+
+
+def _weigh(problem: CalibrationProblem, found: Robust, free: FreeParameters) -> Robust:
+    """Fit with the known places and nominal values, weighed against the noise."""
+    for _ in range(_ROUNDS):
+        noise = found.noise_px
+        anchors = make_anchors(problem.case, problem.frame, noise)
+        prior = make_prior(problem.start, noise)
+        seen = replace(problem.seen, anchors=anchors, prior=prior)
+        found = adjust(problem.align_to_nominal(found.fit.state), seen, free)
+        if list_faults(found.fit.state, seen, problem.frame):
+            found = _fit_soundly(replace(problem, start=found.fit.state), seen, free)
+        if free == free.of_lenses or abs(found.noise_px - noise) <= _SAME_NOISE * noise:
+            break
+    return found
+
+
+def make_prior(nominal: State, noise_px: float) -> Prior:
+    """Weigh nominal thicknesses, indices and the wall's place against the noise."""
+    thick = _THICKNESS * np.maximum(nominal.thicknesses, 1e-3)
+    index = np.full(len(nominal.indices), _INDEX)
+    sigma = np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM]])
+    return Prior(nominal.shared, (noise_px / sigma) ** 2)
+
+
+def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParameters) -> Robust:
+    """Fit from the start, and again from other states while the end cannot be.
+
+    The last fit is returned if none ends well.
+    """
+    found = adjust(problem.start, seen, free)
+    if not list_faults(found.fit.state, seen, problem.frame):
+        return found
+    ends = [adjust(start, seen, free) for start in _other_starts(problem, found.fit.state, seen)]
+    sound = [end for end in ends if not list_faults(end.fit.state, seen, problem.frame)]
+    if sound:
+        return min(sound, key=lambda end: end.noise_px)
+    return adjust(_staged(problem.start, seen, free), hold_depth(problem, seen, found), free)
+
+
+def _other_starts(problem: CalibrationProblem, end: State, seen: BoardImages) -> Iterator[State]:
+    """Give the mirrored ends, and the start with boards placed before the cameras."""
+    if problem.frame.wall is not None and np.isfinite(end.board_positions).all():
+        yield mirror_boards(end, seen, turned=False)
+        yield mirror_boards(end, seen, turned=True)
+    yield _staged(problem.start, seen, FreeParameters())
+
+
+def _staged(start: State, seen: BoardImages, free: FreeParameters) -> State:
+    """Adjust boards, then cameras: slower than both together, and less prone to leap."""
+    return refine(
+        refine(start, seen, free, moving="boards").state, seen, free, moving="cameras"
+    ).state
+
+
+def hold_depth(problem: CalibrationProblem, seen: BoardImages, found: Robust) -> BoardImages:
+    """Add that boards are about as deep in the fluid as at the start.
+
+    Through a plane wall images hardly show the depth of all boards together. Where their noise
+    would put boards into the wall, the nominal depth says more.
+    """
+    if problem.frame.wall is None or not np.isfinite(found.noise_px):
+        return seen
+    start, depths = problem.start, depths_of(problem.start, seen)
+    there = np.flatnonzero(np.isfinite(depths).any(axis=1))
+    sigma = _HELD * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(there))
+    precision = np.array([0.0, 0.0, (max(found.noise_px, 1e-6) / sigma) ** 2])
+    middle = int(np.argmin(np.linalg.norm(seen.board, axis=1)))
+    places = start.points(seen.board)[:, middle]
+    held = tuple(
+        Anchor(board, middle, places[board], precision, RigidMotion.none())
+        for board in there.tolist()
+    )
+    return replace(seen, anchors=(*seen.anchors, *held))
+
+
+def depth_scale_mm(state: State, seen: BoardImages) -> float:
+    """Average the depth of all points behind the wall's inner face."""
+    depths: F64 = depths_of(state, seen)
+    return float(np.nanmean(depths))
