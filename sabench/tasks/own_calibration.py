@@ -65,7 +65,7 @@ def calibrate(
     InputError
         Anything missing or wrong in the folder, or a calibration that its data do not support.
     """
-    case = read_case(folder)
+    case = read_case(folder).case
     algorithm: Any = make_algorithm(solver, parameters)
     if getattr(algorithm, "sees", "") != "target":
         raise InputError(f"solver {solver}: expected one that calibrates by a target")

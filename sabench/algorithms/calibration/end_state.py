@@ -63,7 +63,8 @@ def _wall_faults(state: State, seen: BoardImages, names: list[str], wall: Wall) 
     depths = depths_of(state, seen)
     return faults + [
         f"frame {number}: expected its points in the fluid, but the fit puts {np.sum(own <= 0.0)} "
-        f"of {np.isfinite(own).sum()} up to {-np.nanmin(own):.4g} mm in front of the inner face; check target_mm, wall and known"
+        f"of {np.isfinite(own).sum()} up to {-np.nanmin(own):.4g} mm in front of the inner face; "
+        "check target_mm, wall and known"
         for number, own in enumerate(depths)
         if (own <= 0.0).any()
     ]

@@ -131,8 +131,10 @@ def check_fit(
         case, state.centers, frame.motion(np.array([camera.center_mm for camera in case.cameras]))
     )
     found = points[there.any(axis=0)]
+    if case.target.pattern == "wand":
+        return
     spread = np.linalg.svd(found - found.mean(axis=0), compute_uv=False)
-    if spread[2] < _FLAT * spread[0] and case.target.pattern != "wand":
+    if spread[2] < _FLAT * spread[0]:
         raise InputError(
             "expected a target at different depths or tilts, but all frames show it in one "
             "plane, which leaves focal lengths open"
@@ -164,8 +166,10 @@ def _check_views(
 def list_relabellings(target: Target) -> list[tuple[int, I64]]:
     """List rotations, in degrees, under which a target's grid maps onto itself.
 
-    Each comes with the order of the points under it.
+    Each comes with the order of the points under it. Points in any places have none.
     """
+    if target.places_mm:
+        return []
     grid = np.arange(target.columns * target.rows).reshape(target.rows, target.columns)
     rotated = [(90 * quarters, np.rot90(grid, quarters)) for quarters in (2, 1, 3)]
     return [(degrees, grids.ravel()) for degrees, grids in rotated if grids.shape == grid.shape]
