@@ -19,6 +19,7 @@ from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64
 
 _LEAST = 4  # points of a frame in all cameras, below which its images show no pose
+_NEAR = 0.5  # part of the nominal depth behind a wall that all boards keep
 _FLAT = 1e-6  # width over length of points on a line
 _QUARTERS = np.arange(4) * np.pi / 2.0
 
@@ -61,10 +62,27 @@ def place_boards(case: CalibrationCase) -> F64:
     flip = ahead @ np.diag([1.0, 1.0, -1.0]) @ ahead.T
     mirrored = flip @ best.board_rotations @ np.diag([1.0, 1.0, -1.0])
     best = _better(best, _fit(replace(best, board_rotations=mirrored), seen), seen)
-    fitted = frame.points(best, board)
+    fitted = _off_the_wall(case, frame.points(best, board))
     enough = case.found.sum(axis=(0, 2)) >= _LEAST
     fitted = np.where(enough[:, None, None], fitted, case.initial_mm)
     return np.where(np.isfinite(places), places, fitted)
+
+
+def _off_the_wall(case: CalibrationCase, fitted: F64) -> F64:
+    """Move all boards together away from the wall, if one of them touches it.
+
+    Nominal cameras put boards too near, and a fit that starts in the wall does not move.
+    """
+    least = min(_depth(case, fitted), _NEAR * _depth(case, case.initial_mm))
+    deeper = _NEAR * _depth(case, case.initial_mm) - least
+    return fitted + deeper * upright_axes(case.cameras)[:, 2]
+
+
+def _depth(case: CalibrationCase, points_mm: F64) -> float:
+    """Compute the smallest depth of points (frame, point, 3) behind any inner face, mm."""
+    walls = {camera.wall for camera in case.cameras} - {None}
+    depths = [wall.depth_of(points_mm) - wall.thickness_mm for wall in walls if wall]
+    return float(np.nanmin(depths)) if depths else 0.0
 
 
 def known_places(case: CalibrationCase) -> F64:

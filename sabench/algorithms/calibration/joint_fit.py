@@ -11,15 +11,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, Prior, refine
+from sabench.algorithms.calibration.bundle_adjustment import (
+    Anchor,
+    BoardImages,
+    Prior,
+    refine,
+    residuals,
+)
 from sabench.algorithms.calibration.end_state import depths_of, list_faults, mirror_boards
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
-from sabench.algorithms.calibration.robust import Robust, adjust
+from sabench.algorithms.calibration.robust import Robust, adjust, median_noise
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.utils.arrays import F64
 
-_FIRST_NOISE_PX = 0.1  # with which known places are weighed before the noise is known
+_LEAST_NOISE_PX = 1e-3  # with which known places are weighed
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
 _SAME_NOISE = 0.1  # relative change of the noise below which weights stay
 _THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
@@ -34,15 +40,20 @@ def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
     An end state that cannot be is left by other starts, see `end_state.list_faults`. If all of them
     fail, the last one is returned: `input_checks.check_fit` refuses it.
     """
-    seen = problem.seen
     if fixes_world(problem):
-        seen = replace(seen, anchors=make_anchors(problem.case, problem.frame, _FIRST_NOISE_PX))
-        placed = adjust(problem.start, seen, free.of_lenses, moving="cameras").fit.state
-        problem = replace(problem, start=placed)
-    found = _fit_soundly(problem, seen, free.of_lenses)
-    if make_anchors(problem.case, problem.frame, 1.0) or free != free.of_lenses:
-        found = _weigh(problem, found, free)
-    return found
+        return _weigh(problem, _place_cameras(problem, free), free)
+    found = _fit_soundly(problem, problem.seen, free.of_lenses)
+    if free == free.of_lenses and not make_anchors(problem.case, problem.frame, 1.0):
+        return found
+    return _weigh(problem, found, free)
+
+
+def _place_cameras(problem: CalibrationProblem, free: FreeParameters) -> Robust:
+    """Fit the cameras to known places, taken as exact."""
+    fit = refine(problem.start, problem.seen, free.of_lenses, moving="cameras")
+    used = np.asarray(problem.seen.weights > 0.0)
+    lengths = np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[used]
+    return Robust(fit, used, max(median_noise(lengths), _LEAST_NOISE_PX))
 
 
 def fixes_world(problem: CalibrationProblem) -> bool:
@@ -56,12 +67,12 @@ def fixes_world(problem: CalibrationProblem) -> bool:
 def _weigh(problem: CalibrationProblem, found: Robust, free: FreeParameters) -> Robust:
     """Fit with the known places and nominal values, weighed against the noise."""
     for _ in range(_ROUNDS):
-        noise = found.noise_px
+        noise = max(found.noise_px, _LEAST_NOISE_PX)
         anchors = make_anchors(problem.case, problem.frame, noise)
         prior = make_prior(problem.start, noise)
         seen = replace(problem.seen, anchors=anchors, prior=prior)
         found = adjust(problem.align_to_nominal(found.fit.state), seen, free)
-        if list_faults(found.fit.state, seen, problem.frame):
+        if not _is_sound(found, seen, problem):
             found = _fit_soundly(replace(problem, start=found.fit.state), seen, free)
         if free == free.of_lenses or abs(found.noise_px - noise) <= _SAME_NOISE * noise:
             break
@@ -82,13 +93,17 @@ def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParam
     The last fit is returned if none ends well.
     """
     found = adjust(problem.start, seen, free)
-    if not list_faults(found.fit.state, seen, problem.frame):
+    if _is_sound(found, seen, problem):
         return found
     ends = [adjust(start, seen, free) for start in _other_starts(problem, found.fit.state, seen)]
-    sound = [end for end in ends if not list_faults(end.fit.state, seen, problem.frame)]
-    if sound:
+    if sound := [end for end in ends if _is_sound(end, seen, problem)]:
         return min(sound, key=lambda end: end.noise_px)
     return adjust(_staged(problem.start, seen, free), hold_depth(problem, seen, found), free)
+
+
+def _is_sound(found: Robust, seen: BoardImages, problem: CalibrationProblem) -> bool:
+    faults = list_faults(found.fit.state, seen, problem.frame)
+    return np.isfinite(found.fit.cost) and not faults
 
 
 def _other_starts(problem: CalibrationProblem, end: State, seen: BoardImages) -> Iterator[State]:
