@@ -58,13 +58,13 @@ class Errors:
 
 TANKS = {
     "ideal": Errors(),
-    "k3": Errors(k3=40.0),
+    "k3": Errors(k3=400.0),
     "tilted sensor": Errors(tilt_deg=0.7),
     "board bent by 0.2 mm": Errors(bend_mm=0.2),
-    "all of these": Errors(40.0, 0.7, 0.0, 0.2),
+    "all of these": Errors(400.0, 0.7, 0.0, 0.2),
     "known places": Errors(places=True),
     "known places, wall off by 50 mm": Errors(wall_mm=50.0, places=True),
-    "known places, all of these": Errors(40.0, 0.7, 50.0, 0.2, places=True),
+    "known places, all of these": Errors(400.0, 0.7, 50.0, 0.2, places=True),
 }
 
 

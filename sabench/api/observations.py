@@ -186,7 +186,7 @@ class CalibrationCase:
     known_sigma_mm : the same shape, their standard deviations.
     unknown : parameters that were not measured, besides the focal lengths: "principal_point",
         names of coefficients of distortion and "tilt" of the lenses; "wall" (its place and tilt),
-        "thickness" of its layers and "fluid_index".
+        "thickness" of its layers, "fluid_index", and the "bend" of a board.
 
     Raises
     ------

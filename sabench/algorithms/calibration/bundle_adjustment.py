@@ -18,14 +18,22 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sabench.algorithms.calibration import any_wall
+from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.normal_equations import equations, misses
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State, steps_of
+from sabench.algorithms.calibration.parameters import (
+    Frame,
+    FreeParameters,
+    State,
+    bend_lifts,
+    steps_of,
+)
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.geometry.rotations import skew
 from sabench.utils.arrays import F64, I64
 
 _STEPS = 200
 _GAIN = 1e-9  # a step that promises to lower the cost by less than this fraction is the last
+_HARDLY = 1e-9  # damping that changes no step of what the images determine
 _EXACT = 1e-18  # square pixels per observation: nothing is left to gain below
 
 
@@ -145,24 +153,30 @@ def normal_equations(
 
 
 def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreeParameters) -> Normal:
-    """Add the known places to the equations, and their part of the wall's unknowns."""
+    """Add the known places to the equations, also those of the wall's place and the bend."""
     board, point, position_mm, precision, rotations, shifts = seen.anchored
-    arms = np.einsum("nij,nj->ni", state.board_rotations[board], seen.board[point])
+    bent = state.bend_board(seen.board)
+    arms = np.einsum("nij,nj->ni", state.board_rotations[board], bent[point])
     turned = (arms + state.board_positions[board]) @ state.wall.rotation.T
     nominal = turned + state.wall.shift
     miss = position_mm - np.einsum("nij,nj->ni", rotations, nominal) - shifts
-    levers = np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2)
-    slopes = rotations @ state.wall.rotation @ levers
+    by_board = np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2)
+    slopes = rotations @ state.wall.rotation @ by_board
     weighted = slopes * precision[:, :, None]
     np.add.at(normal.bb, board, weighted.transpose(0, 2, 1) @ slopes)
     np.add.at(normal.d, board, np.einsum("nij,ni->nj", weighted, miss))
-    if free.wall:
-        by_wall = rotations @ np.concatenate(
-            [-skew(turned)[:, :, :2], np.broadcast_to(np.eye(3)[:, 2:], (len(arms), 3, 1))], axis=2
-        )
-        heavy = by_wall * precision[:, :, None]
-        own = slice(len(normal.aa) - by_wall.shape[2], None)
-        normal.aa[own, own] += np.einsum("nip,niq->pq", heavy, by_wall)
+    if free.wall or free.bend:
+        levers = [
+            -skew(turned)[:, :, :2],
+            np.broadcast_to(np.eye(3)[:, 2:], (len(arms), 3, 1)),
+            (state.wall.rotation @ state.board_rotations[board])[:, :, 2:]
+            * bend_lifts(seen.board)[point][:, None],
+        ]
+        chosen = np.repeat([free.wall, free.wall, free.bend], [2, 1, BEND])
+        by_shared = (rotations @ np.concatenate(levers, axis=2))[:, :, chosen]
+        heavy = by_shared * precision[:, :, None]
+        own = slice(len(normal.aa) - by_shared.shape[2], None)
+        normal.aa[own, own] += np.einsum("nip,niq->pq", heavy, by_shared)
         normal.a[own] += np.einsum("nip,ni->p", heavy, miss)
         np.add.at(normal.ab[:, own], board, heavy.transpose(0, 2, 1) @ slopes)
     return replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
@@ -185,7 +199,7 @@ def _equations(
     pair = seen.pixels, seen.weights
     if seen.frame is not None:
         return any_wall.equations(seen.frame, state, seen.board, pair, free, scale)
-    boards = state.board_rotations, state.board_positions, seen.board
+    boards = state.boards(seen.board)
     made: any_wall.Equations = equations(
         state.array(), boards, pair, free.columns(len(state.indices)), scale
     )
@@ -230,6 +244,11 @@ def refine(
         else:
             return Fit(state, here.cost, step, False)
     return Fit(state, here.cost, _STEPS, False)
+
+
+def promised_gain(normal: Normal) -> float:
+    """Compute by how much one step of all unknowns lowers the cost, if it is quadratic."""
+    return _step(normal, _HARDLY, "all")[2]
 
 
 def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, float]:
@@ -291,7 +310,5 @@ def residuals(state: State, seen: BoardImages) -> F64:
     pair = seen.pixels, seen.weights
     if seen.frame is not None:
         return any_wall.misses(seen.frame, state, seen.board, pair)
-    out: F64 = misses(
-        state.array(), (state.board_rotations, state.board_positions, seen.board), pair
-    )
+    out: F64 = misses(state.array(), state.boards(seen.board), pair)
     return out

@@ -73,7 +73,7 @@ def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: 
     pair = seen.pixels, seen.weights
     if seen.frame is not None:
         return any_wall.spreads(seen.frame, state, seen.board, pair, free, covariance)
-    boards = state.board_rotations, state.board_positions, seen.board
+    boards = state.boards(seen.board)
     columns = free.columns(len(state.indices))
     return np.asarray(spreads(state.array(), boards, pair, columns, covariance))
 

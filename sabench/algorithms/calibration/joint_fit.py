@@ -19,6 +19,7 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     residuals,
 )
 from sabench.algorithms.calibration.end_state import depths_of, list_faults, mirror_boards
+from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.algorithms.calibration.robust import Robust, adjust, median_noise
@@ -31,6 +32,7 @@ _SAME_NOISE = 0.1  # relative change of the noise below which weights stay
 _THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
 _INDEX = 0.05  # of a nominal index
 _WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
+_BEND_MM = 1.0  # of a board that is nominally flat
 _HELD = 0.5  # standard deviation of a depth that no image shows, part of it
 
 
@@ -80,10 +82,11 @@ def _weigh(problem: CalibrationProblem, found: Robust, free: FreeParameters) -> 
 
 
 def make_prior(nominal: State, noise_px: float) -> Prior:
-    """Weigh nominal thicknesses, indices and the wall's place against the noise."""
+    """Weigh nominal thicknesses, indices, wall and flat boards against the noise."""
     thick = _THICKNESS * np.maximum(nominal.thicknesses, 1e-3)
     index = np.full(len(nominal.indices), _INDEX)
-    sigma = np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM]])
+    bend = np.full(BEND, _BEND_MM)
+    sigma = np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM], bend])
     return Prior(nominal.shared, (noise_px / sigma) ** 2)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.kernels import CAMERA
+from sabench.algorithms.calibration.kernels import BEND, CAMERA
 from sabench.algorithms.calibration.wall_frame import common_plane, has_plane_wall, wall_frame
 from sabench.geometry.camera import Camera
 from sabench.geometry.lens_distortion import Distortion
@@ -36,6 +36,7 @@ class FreeParameters:
     indices : numbers of media along the way of light from a camera, 0 for the cameras' own.
     thicknesses : numbers of layers.
     wall : tilt and position of the wall, which only known places in the world show.
+    bend : of the board, the same in all frames: a quadratic of three terms.
     """
 
     principal_point: bool = False
@@ -44,6 +45,7 @@ class FreeParameters:
     thicknesses: tuple[int, ...] = ()
     tilt: bool = False
     wall: bool = False
+    bend: bool = False
 
     @classmethod
     def from_names(cls, unknown: Iterable[str], layers: int = 0) -> FreeParameters:
@@ -56,12 +58,13 @@ class FreeParameters:
             tuple(range(layers)) if "thickness" in names else (),
             "tilt" in names,
             "wall" in names,
+            "bend" in names,
         )
 
     @property
     def of_lenses(self) -> FreeParameters:
         """The unknowns of the lenses alone."""
-        return replace(self, indices=(), thicknesses=(), wall=False)
+        return replace(self, indices=(), thicknesses=(), wall=False, bend=False)
 
     @property
     def per_camera(self) -> int:
@@ -78,6 +81,7 @@ class FreeParameters:
         )
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
         shared += [2 * media - 2 + number for number in range(_WALL)] * self.wall
+        shared += [2 * media + 1 + number for number in range(BEND)] * self.bend
         return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
 
 
@@ -91,6 +95,7 @@ class State:
     indices, thicknesses : of the media (m,) and layers (m - 2,).
     board_rotations, board_positions : (K, 3, 3), (K, 3).
     wall : from the frame of the wall as it is to that of the nominal wall.
+    bend : (BEND,) lifts of the board's edges along its normal, mm: see `bend_lifts`.
     """
 
     rotations: F64
@@ -101,13 +106,14 @@ class State:
     board_rotations: F64
     board_positions: F64
     wall: RigidMotion = field(default_factory=RigidMotion.none)
+    bend: F64 = field(default_factory=lambda: np.zeros(BEND))
 
     @property
     def shared(self) -> F64:
-        """What all cameras share: indices, thicknesses, tilt (rad) and shift of the wall."""
+        """Indices, thicknesses, tilt (rad) and shift of the wall, and the board's bend."""
         turn = self.wall.rotation
         tilt = [turn[2, 1], -turn[2, 0], self.wall.shift[2]]
-        return np.concatenate([self.indices, self.thicknesses, tilt])
+        return np.concatenate([self.indices, self.thicknesses, tilt, self.bend])
 
     def array(self) -> tuple[F64, F64, F64, tuple[F64, F64]]:
         """Return the cameras as arrays for the kernels."""
@@ -115,9 +121,21 @@ class State:
 
     def points(self, board: F64) -> F64:
         """Return a board's points (m, 3) as world points (K, m, 3), in the wall's frame."""
+        bent = self.bend_board(board)
         return np.asarray(
-            np.einsum("kij,mj->kmi", self.board_rotations, board) + self.board_positions[:, None]
+            np.einsum("kij,mj->kmi", self.board_rotations, bent) + self.board_positions[:, None]
         )
+
+    def bend_board(self, board: F64) -> F64:
+        """Bend a board's points (m, 3) in its own frame."""
+        if not self.bend.any():
+            return board
+        return np.asarray(board + np.outer(bend_lifts(board) @ self.bend, [0.0, 0.0, 1.0]))
+
+    def boards(self, board: F64) -> tuple[F64, F64, F64, F64]:
+        """Return the boards as arrays for the kernels."""
+        lifts = bend_lifts(board)
+        return self.board_rotations, self.board_positions, self.bend_board(board), lifts
 
     def apply_steps(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
         """Apply steps of the cameras' unknowns (M, f), the shared (s,) and the boards'.
@@ -127,19 +145,22 @@ class State:
         own, common = free.columns(len(self.indices))
         full = np.zeros((len(self.rotations), CAMERA))
         full[:, own] = cameras
-        media = np.concatenate([self.indices, self.thicknesses, np.zeros(_WALL)])
+        media = np.concatenate([self.indices, self.thicknesses, np.zeros(_WALL), self.bend])
         media[common] += shared
         count = len(self.indices)
-        tilt, shift = np.append(media[-_WALL:-1], 0.0), np.array([0.0, 0.0, media[-1]])
+        media, (right, down, along), bend = np.split(media, [2 * count - 2, 2 * count + 1])
+        turn = rotation_matrices(np.array([right, down, 0.0]))
+        shift = self.wall.shift + np.array([0.0, 0.0, along])
         return State(
             np.ascontiguousarray(rotation_matrices(full[:, :3]) @ self.rotations),
             self.centers + full[:, 3:6],
             self.lenses + full[:, 6:],
             media[:count].copy(),
-            media[count:-_WALL].copy(),
+            media[count:].copy(),
             np.ascontiguousarray(rotation_matrices(boards[:, :3]) @ self.board_rotations),
             self.board_positions + boards[:, 3:],
-            RigidMotion(rotation_matrices(tilt) @ self.wall.rotation, self.wall.shift + shift),
+            RigidMotion(turn @ self.wall.rotation, shift),
+            bend,
         )
 
     def move(self, motion: RigidMotion) -> State:
@@ -260,6 +281,15 @@ class Frame:
             distortion=Distortion(**dict(zip(_DISTORTION, lens[3:8], strict=True))),
             tilt_deg=(math.degrees(lens[8]), math.degrees(lens[9])),
         )
+
+
+def bend_lifts(board: F64) -> F64:
+    """Compute by how much a bend of 1 mm at the edges lifts a board's points (m, 3): (m, BEND).
+
+    The terms are X^2, X Y and Y^2 in its own frame, scaled to its farthest coordinate.
+    """
+    x, y = board[:, :2].T / max(float(np.abs(board[:, :2]).max()), 1e-300)
+    return np.column_stack([x * x, x * y, y * y])
 
 
 def _pose(board: F64, points: F64) -> RigidMotion:

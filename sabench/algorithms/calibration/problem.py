@@ -121,6 +121,8 @@ def check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> N
                 f"{name}: expected numbers from 0 and below {count}, for a wall of {layers} "
                 f"layers, got {wrong[0]}"
             )
+    if free.bend and (np.ptp(case.target.points_mm, axis=0)[:2].min() <= 0.0):
+        raise InputError("bend: expected a board, got a target whose points are on a line")
     if free.wall and (frame.wall is None or np.isfinite(case.known_mm).all(axis=-1).sum() < 3):
         raise InputError(
             "wall: expected a wall and three points or more with known x, y and z, since images "
