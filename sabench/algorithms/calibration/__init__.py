@@ -13,6 +13,7 @@ from sabench.utils.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from sabench.algorithms.calibration.alternating import alternate, mean_rotation, select_cameras
+    from sabench.algorithms.calibration.end_state import check_end
     from sabench.algorithms.calibration.factorisation import (
         adjust_factors,
         factorise,
@@ -43,6 +44,7 @@ __all__ = [
     "adjust_cameras",
     "adjust_factors",
     "alternate",
+    "check_end",
     "check_fit",
     "check_plane_wall",
     "factorise",
@@ -72,6 +74,7 @@ _HOMES = {
     "adjust_cameras": "self_calibration",
     "adjust_factors": "factorisation",
     "alternate": "alternating",
+    "check_end": "end_state",
     "check_fit": "input_checks",
     "check_plane_wall": "wall_frame",
     "factorise": "factorisation",

@@ -10,6 +10,7 @@ from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.parameters import Frame, State
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
 
 _LEAST_INDEX = 0.99  # of any medium
 _MIRROR = np.diag([1.0, 1.0, -1.0])
@@ -30,6 +31,18 @@ def list_faults(state: State, seen: BoardImages, frame: Frame) -> list[str]:
         if focal <= 0.0
     ]
     return faults if frame.wall is None else faults + _wall_faults(state, seen, names, frame.wall)
+
+
+def check_end(state: State, seen: BoardImages, frame: Frame) -> None:
+    """Refuse a state that cannot be.
+
+    Raises
+    ------
+    InputError
+        The first sentence of `list_faults`.
+    """
+    if faults := list_faults(state, seen, frame):
+        raise InputError(faults[0])
 
 
 def _not_finite(state: State) -> str | None:

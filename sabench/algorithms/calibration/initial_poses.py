@@ -86,7 +86,10 @@ def _depth(case: CalibrationCase, points_mm: F64) -> float:
 
 
 def known_places(case: CalibrationCase) -> F64:
-    """Place the target (frame, point, 3) by its known points; NaN where they are too few."""
+    """Place the target (frame, point, 3) by its known points, which stay where they are.
+
+    NaN where they are too few.
+    """
     board = case.target.points_mm
     known = np.asarray(np.isfinite(case.known_mm).all(axis=-1))
     places = np.full(case.known_mm.shape, np.nan)
@@ -94,6 +97,7 @@ def known_places(case: CalibrationCase) -> F64:
         motion = _motion(board[there], case.known_mm[number, there], len(board))
         if motion is not None:
             places[number] = motion(board)
+            places[number, there] = case.known_mm[number, there]
     return places
 
 

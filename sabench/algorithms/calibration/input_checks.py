@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, residuals
-from sabench.algorithms.calibration.end_state import list_faults
+from sabench.algorithms.calibration.end_state import check_end
 from sabench.algorithms.calibration.parameters import Frame, State
 from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import CalibrationCase
@@ -122,8 +122,7 @@ def check_fit(
             f"expected points that one array can see, got some that miss by {noise_px:.3g} px at "
             "best: are they the target's, in its order?"
         )
-    if faults := list_faults(state, seen, frame):
-        raise InputError(faults[0])
+    check_end(state, seen, frame)
     _check_views(case, state, seen, used, there, noise_px)
     points = state.points(seen.board)
     _check_corners(case, points, frame.motion(case.initial_mm), there)
