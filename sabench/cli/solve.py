@@ -247,7 +247,10 @@ def _show_calibration(report: Report, out: Path) -> None:
             (f"off a rigid target {held.rigidity_mm or 0.0:.4f} mm", held.rigidity_mm),
             (f"off known places {held.known_mm or 0.0:.4f} mm", held.known_mm),
         ]
-        say(f"{held.frames} frames held out: {', '.join(text for text, it in figures if it)}")
+        what = "frames" if held.frames <= len(report.frames) else "points"
+        lost = f" ({held.failed} fits failed)" if held.failed else ""
+        good = ", ".join(text for text, there in figures if there)
+        say(f"{held.frames} {what} held out{lost}: {good}")
     _show_expected(report)
     say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
 
@@ -259,4 +262,4 @@ def _show_expected(report: Report) -> None:
             x, y, z = std
             say(f"expected scatter of points {where}, {name}: {x:.4f}, {y:.4f}, {z:.4f} mm")
     if report.depth_mm is not None:
-        say(f"expected error of the depth of all points together: {report.depth_mm:.3g} mm")
+        say(f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,12 +11,14 @@ import numpy.typing as npt
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.cramer_rao import Limit, limit
+from sabench.algorithms.calibration.joint_fit import INDEX, THICKNESS
 from sabench.algorithms.calibration.misfit import correlated_part, neighbours
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import make_anchors
 from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
+from sabench.geometry.refraction import Wall
 from sabench.tasks.calibration_folder import Recording
 from sabench.tasks.held_out_calibration import (
     HeldOut,
@@ -100,7 +103,7 @@ def report_on(
     depths += [] if held_out is None else [held_out.depth_mm]
     depth = max((value for value in depths if np.isfinite(value)), default=None)
     report = Report(
-        _summarise(case, points, depth, misfit, noise),
+        (*_warn_of_depth(case, points, depth), *_warn_of_model(case, answer, misfit, noise)),
         case.unknown,
         noise,
         misfit,
@@ -176,25 +179,50 @@ def _expected_mm(
     return triple(np.hypot(spread, held_out.bend_mm))
 
 
-def _summarise(
-    case: CalibrationCase, points: F64, depth: float | None, misfit: float, noise: float
-) -> tuple[str, ...]:
-    lines = []
+def _warn_of_depth(case: CalibrationCase, points: F64, depth: float | None) -> Iterator[str]:
+    """Say that the boards do not show the depth, where they do not, and how to measure it."""
     wall = common_plane(case.cameras)
-    if wall is not None and depth is not None:
-        behind = float(np.nanmean(wall.depth_of(points))) - wall.thickness_mm
-        if depth > _SHALLOW * abs(behind):
-            lines.append(
-                f"The boards do not show how far they are from the wall: all points together are "
-                f"uncertain by {depth:.3g} mm along its normal. Measure the distance of one point "
-                "of the target from the outer face of the wall and enter it in [[known]]."
-            )
-    if misfit > _MISFIT * noise:
-        lines.append(
-            f"Neighbouring points share {misfit:.3g} px of their residuals of {noise:.3g} px, "
-            "which is no noise: the model lacks something. Try --unknowns auto."
+    if wall is None or depth is None:
+        return
+    behind = float(np.nanmean(wall.depth_of(points))) - wall.thickness_mm
+    if depth > _SHALLOW * abs(behind):
+        yield (
+            f"The boards do not show how far they are from the wall: all points together are "
+            f"uncertain by {depth:.3g} mm along its normal. Measure the distance of one point "
+            "of the target from the outer face of the wall and enter it in [[known]]."
         )
-    return tuple(lines)
+
+
+def _warn_of_model(
+    case: CalibrationCase, answer: Calibration, misfit: float, noise: float
+) -> Iterator[str]:
+    """Say what residuals that are no noise, and figures far from nominal ones, show."""
+    pinholes = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
+    if pinholes and misfit > _MISFIT * noise:
+        yield (
+            f"Neighbouring points share {misfit:.3g} px of their residuals of {noise:.3g} px, "
+            "which is no noise: the model lacks something. Compare with --unknowns auto."
+        )
+    nominal, found = common_plane(case.cameras), common_plane(pinholes) if pinholes else None
+    if nominal is None or found is None:
+        return
+    for before, after in zip(nominal.layers, found.layers, strict=True):
+        if abs(after.thickness_mm - before.thickness_mm) > THICKNESS * before.thickness_mm:
+            yield (
+                f"The fit gives {before.name} a thickness of {after.thickness_mm:.3g} mm where "
+                f"{before.thickness_mm:.3g} mm is nominal: measure it, and take it out of the "
+                "unknowns."
+            )
+    for name, old, new in zip(_media(nominal), nominal.indices, found.indices, strict=True):
+        if abs(new - old) > INDEX:
+            yield (
+                f"The fit gives {name} an index of {new:.4g} where {old:.4g} is nominal: measure "
+                "it, and take it out of the unknowns."
+            )
+
+
+def _media(wall: Wall) -> tuple[str, ...]:
+    return "the cameras' medium", *(layer.name for layer in wall.layers), "the fluid"
 
 
 def _line(

@@ -33,7 +33,8 @@ class HeldOut:
 
     Attributes
     ----------
-    frames : number of frames that were left out once.
+    frames : number of frames that were left out once; without a target, of points.
+    failed : number of fits, of five, that failed without their frames.
     reprojection_px : root mean square error of a pixel coordinate, of rigid targets placed by the
         cameras, or of single points at their known places.
     rigidity_mm : root mean square distance of points that the cameras triangulate one by one from
@@ -46,6 +47,7 @@ class HeldOut:
     """
 
     frames: int
+    failed: int
     reprojection_px: float | None
     rigidity_mm: float | None
     known_mm: float | None
@@ -57,45 +59,44 @@ class HeldOut:
 def hold_out(algorithm: Any, case: CalibrationCase, whole: Calibration) -> HeldOut | None:
     """Calibrate without each fold of frames, and measure the frames left out.
 
-    None where there are fewer than three frames to leave out, or where a solver cannot do without
-    some of them.
+    None where there are fewer than three frames to leave out, or where all these fits fail.
 
     Parameters
     ----------
     whole : the calibration by all frames.
     """
-    folds = split_frames(case)
+    rigid, shape = places_rigidly(whole.cameras, whole), case.initial_mm.shape
     points = target_places(whole.cameras, case, whole)
-    shape = points[int(np.argmax(case.found.any(axis=(0, 2))))]  # with its bend
-    single = points.shape[1] == 1
-    reference = _triangulated(whole.cameras, case) if single else points
-    errors, loose = np.full(case.pixels.shape, np.nan), np.full(points.shape, np.nan)
-    known, moved, unknowns = np.full(points.shape, np.nan), [], 0
-    for fold in folds:
+    reference = points if rigid else _triangulated(whole.cameras, case)
+    board = reference[int(np.argmax(case.found.any(axis=(0, 2))))]  # with its bend
+    errors, loose = np.full(case.pixels.shape, np.nan), np.full(shape, np.nan)
+    known, moved, failed = np.full(shape, np.nan), [], 0
+    for fold in split_frames(case):
         cameras = _without(algorithm, case, whole, fold)
         if cameras is None:
-            return None
-        placed = target_places(cameras, case, whole)
-        unknowns = unknowns_of(cameras, case, whole)
+            failed += 1
+            continue
+        placed, free = target_places(cameras, case, whole), _triangulated(cameras, case)
+        own = placed if rigid else free
         errors[:, fold] = residuals_of(cameras, case, placed)[:, fold]
-        free = _triangulated(cameras, case)
-        own = free if single else placed
         known[fold] = (own - case.known_mm)[fold]
-        loose[fold] = _off_rigid(free, shape)[fold]
+        loose[fold] = _off_rigid(free, board)[fold]
         moved.append(_aligned(own, reference, case))
-    return _summary(case, errors, unknowns, loose, known, np.array(moved)) if folds else None
+    unknowns = unknowns_of(whole.cameras, case, whole)
+    return _summary(case, errors, unknowns, loose, known, moved, failed) if moved else None
 
 
 def _without(
     algorithm: Any, case: CalibrationCase, whole: Calibration, fold: Any
 ) -> tuple[CameraModel, ...] | None:
-    """Calibrate without some frames, beginning where the whole calibration ended."""
+    """Calibrate without some frames, from the whole calibration and the nominal wall."""
     pixels = case.pixels.copy()
     pixels[:, fold] = np.nan
-    cameras = tuple(camera for camera in whole.cameras if isinstance(camera, Camera))
+    pairs = zip(whole.cameras, case.cameras, strict=True)
+    cameras = tuple(replace(c, wall=own.wall) for c, own in pairs if isinstance(c, Camera))
     try:
         part = replace(case, pixels=pixels)
-        if len(cameras) == len(case.cameras) and whole.points_mm is not None:
+        if places_rigidly(whole.cameras, whole) and whole.points_mm is not None:
             part = replace(part, cameras=cameras, initial_mm=whole.points_mm)
         return solve_case(algorithm, part).cameras
     except InputError:
@@ -201,7 +202,13 @@ def _aligned(placed: F64, points: F64, case: CalibrationCase) -> F64:
 
 
 def _summary(
-    case: CalibrationCase, errors: F64, unknowns: int, loose: F64, known: F64, moved: F64
+    case: CalibrationCase,
+    errors: F64,
+    unknowns: int,
+    loose: F64,
+    known: F64,
+    moved: list[F64],
+    failed: int,
 ) -> HeldOut:
     axes = Frame.from_cameras(case.cameras, case.initial_mm).motion.rotation
     frames = np.isfinite(errors).any(axis=(0, 2, 3)).sum()
@@ -211,9 +218,10 @@ def _summary(
         loose, known = loose.transpose(1, 0, 2), known.transpose(1, 0, 2)
     parts = [correlated_part(_inliers(one) @ axes.T, pairs) for one in (loose, known)]
     bend = np.nan_to_num(np.fmax(*parts))
-    spread, depth = _jackknife(moved)
+    spread, depth = _jackknife(np.array(moved))
     return HeldOut(
         int(frames),
+        failed,
         rms_px(errors, unknowns),
         _rms(_inliers(loose)),
         _rms(known),
@@ -255,8 +263,8 @@ def rms_px(errors: F64, unknowns: int) -> float | None:
     Outliers are left out, and `unknowns` of every frame are allowed for.
     """
     own = _inliers(errors)
-    there = np.isfinite(own[..., 0])
-    left = 2 * there.sum() - unknowns * there.any(axis=(0, 2)).sum()
+    there = np.asarray(np.isfinite(own[..., 0]))
+    left = 2 * int(there.sum()) - unknowns * int(np.sum(there.any(axis=(0, 2))))
     return float(np.sqrt(np.nansum(own**2) / left)) if left > 0 else None
 
 

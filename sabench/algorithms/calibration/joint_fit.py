@@ -29,8 +29,8 @@ from sabench.utils.arrays import F64
 _LEAST_NOISE_PX = 1e-3  # with which known places are weighed
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
 _SAME_NOISE = 0.1  # relative change of the noise below which weights stay
-_THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
-_INDEX = 0.05  # of a nominal index
+THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
+INDEX = 0.05  # of a nominal index
 _WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
 _BEND_MM = 1.0  # of a board that is nominally flat
 _HELD = 0.5  # standard deviation of a depth that no image shows, part of it
@@ -83,8 +83,8 @@ def _weigh(problem: CalibrationProblem, found: Robust, free: FreeParameters) -> 
 
 def make_prior(nominal: State, noise_px: float) -> Prior:
     """Weigh nominal thicknesses, indices, wall and flat boards against the noise."""
-    thick = _THICKNESS * np.maximum(nominal.thicknesses, 1e-3)
-    index = np.full(len(nominal.indices), _INDEX)
+    thick = THICKNESS * np.maximum(nominal.thicknesses, 1e-3)
+    index = np.full(len(nominal.indices), INDEX)
     bend = np.full(BEND, _BEND_MM)
     sigma = np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM], bend])
     return Prior(nominal.shared, (noise_px / sigma) ** 2)
