@@ -142,11 +142,11 @@ def _write_places(path: Path, recording: Recording, points: F64) -> None:
 
 
 def _draw(folder: Path, case: CalibrationCase, errors: F64) -> None:
-    """Draw the residuals over the images: all cameras small, and each one large."""
+    """Draw the residuals over the images: all cameras in one, and each one with cell means."""
     size = case.cameras[0].rows, case.cameras[0].columns
     (folder / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, *size))
     (folder / "residuals").mkdir()
-    for number, camera in enumerate(case.cameras):
-        own = slice(number, number + 1)
-        drawn = pictures.arrows(case.pixels[own], errors[own], *size)
+    for camera, own, off in zip(case.cameras, case.pixels, errors, strict=True):
+        both = pictures.with_cell_means(own.reshape(-1, 2), off.reshape(-1, 2), *size)
+        drawn = pictures.arrows(*both, *size)
         (folder / "residuals" / f"{camera.name}.png").write_bytes(drawn)
