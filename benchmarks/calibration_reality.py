@@ -1,12 +1,15 @@
-"""Calibrations of tanks whose lenses, walls and boards have errors that no model has.
+"""Calibrations of tanks whose lenses, walls and boards have errors that the model does not have.
 
-`python benchmarks/calibration_reality.py [starts] [record.json]` prints JSON, or writes it. Points
-are projected, not rendered: 0.05 px of noise, four cameras, ten boards of 11 x 11 points. Every
-start has an initial guess of its own, as of a ruler: cameras off by 30 mm and 1 degree, principal
-distances by 5 %, the target by 20 mm.
+`OPENBLAS_NUM_THREADS=1 python benchmarks/calibration_reality.py [starts] [tanks] [record.json]` prints JSON, or writes it.
+Points are projected, not rendered: four cameras of 1200 x 1200 pixels behind 10 mm of glass, ten
+boards of 7 x 7 points, 0.05 px of noise. Every start has a tank and an initial guess of its own,
+as of a ruler: cameras off by 30 mm along each axis and 1 degree, principal distances by 5 %, the
+target by up to 20 mm.
 
-For each tank: how often the end state is right, the error of held-out points beside that of the
-right model fitted to the same data, and the expected errors of the report beside the true one.
+- `starts`: how often the end state is right, with few unknowns and with many: the one of the same
+  fit from the true poses.
+- `tanks`: errors of held-out points with few unknowns, with those that held-out boards recommend
+  and with all; and the error that the report expects over the true one.
 """
 
 from __future__ import annotations
@@ -21,39 +24,55 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.calibration.initial_poses import place_boards
+from sabench.algorithms.calibration.unknown_selection import select_unknowns
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.api.truth import Target
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.rigid_motion import fit_lateral_motion, fit_rigid_motion
+from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.geometry.rotations import rotation_matrices
 from sabench.geometry.triangulation import triangulate
+from sabench.tasks.calibration_folder import Recording
+from sabench.tasks.calibration_report import report_on
+from sabench.tasks.held_out_calibration import hold_out
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
+from sabench.utils.fields import Unknown
 from sabench.utils.files import canonical_json
 from sabench.utils.progress import progress_bar
 
 _NOISE_PX = 0.05
 _BOARDS = 10
-_TARGET = Target("checkerboard", 11, 11, 6.0, 0.0)
+_TARGET = Target("checkerboard", 7, 7, 9.0, 0.0)
 _MIDDLE = np.array([0.0, 0.0, 80.0])
 _HALF = np.array([35.0, 35.0, 35.0])  # of the volume of held-out points
 _WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 10.0),), 1.333)
-_RIGHT = 2.0  # times the error of the same fit from the truth, below which an end state is right
-_TRUTH = ("principal_point", "k1", "k2", "p1", "p2", "k3", "tilt")
+_RIGHT = 1.5  # times the error of the same fit from the true poses: below, an end state is right
+_MANY: tuple[Unknown, ...] = ("k1", "k2", "p1", "p2", "tilt", "bend")
+_ALL: tuple[Unknown, ...] = (*_MANY, "principal_point", "k3")
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors that a tank has and a model may not have."""
+    """Errors that a tank has and a model may not have.
+
+    Attributes
+    ----------
+    k3, tilt_deg : of the lenses and sensors; signs are drawn.
+    wall_mm : by which the nominal wall is too near to the cameras.
+    bend_mm : of the middle of a board against its corners.
+    places : whether all places of the target are known to 0.01 mm; else one depth is, to 0.05 mm.
+    near_mm : by which boards are nearer to the wall, with no depth known.
+    """
 
     k3: float = 0.0
     tilt_deg: float = 0.0
     wall_mm: float = 0.0
     bend_mm: float = 0.0
     places: bool = False
+    near_mm: float = 0.0
 
 
 TANKS = {
@@ -62,6 +81,7 @@ TANKS = {
     "tilted sensor": Errors(tilt_deg=0.7),
     "board bent by 0.2 mm": Errors(bend_mm=0.2),
     "all of these": Errors(400.0, 0.7, 0.0, 0.2),
+    "all of these, near the wall, depth unknown": Errors(400.0, 0.7, 0.0, 0.2, near_mm=30.0),
     "known places": Errors(places=True),
     "known places, wall off by 50 mm": Errors(wall_mm=50.0, places=True),
     "known places, all of these": Errors(400.0, 0.7, 50.0, 0.2, places=True),
@@ -84,34 +104,43 @@ class Tank:
 
 
 def make_tank(errors: Errors, seed: int) -> Tank:
-    """Make a tank, its cameras and boards by chance."""
+    """Make a tank by chance: its cameras, its boards and their images."""
     rng = np.random.default_rng([seed, 1])
     cameras = tuple(_camera(number, errors, rng) for number in range(4))
-    board = _TARGET.points_mm.copy()
-    half = float(np.abs(board).max())
-    board[:, 2] = errors.bend_mm * (1.0 - (board[:, 0] ** 2 + board[:, 1] ** 2) / half**2 / 2.0)
-    depths = rng.permutation(np.linspace(-25.0, 25.0, _BOARDS))
-    places = []
-    for depth in depths.tolist():
-        turn = rotation_matrices(np.deg2rad([20.0, 20.0, 10.0]) * rng.uniform(-1.0, 1.0, 3))
-        shift = _MIDDLE + [*rng.uniform(-8.0, 8.0, 2), depth]
-        places.append(board @ turn.T + shift)
-    points = np.stack(places)
+    points = _place_boards(errors, rng)
     pixels = np.stack([camera.project(points.reshape(-1, 3))[0] for camera in cameras])
     pixels += _NOISE_PX * rng.standard_normal(pixels.shape)
     for camera, own in zip(cameras, pixels, strict=True):
         own[~camera.contains(own)] = np.nan
-    known, sigma = np.full(points.shape, np.nan), np.full(points.shape, np.nan)
-    if errors.places:
-        known, sigma = points + 0.01 * rng.standard_normal(points.shape), np.full(points.shape, 0.01)
-    else:
-        known[0, 60, 2] = points[0, 60, 2] + 0.05 * rng.standard_normal()
-        sigma[0, 60, 2] = 0.05
+    known, sigma = _measure_places(errors, points, rng)
     wall = replace(_WALL, point_mm=(0.0, 0.0, -errors.wall_mm))
-    nominal = tuple(_nominal(camera, wall, rng) for camera in cameras)
+    nominal = tuple(_nominal(camera, wall) for camera in cameras)
     shape = (len(cameras), *points.shape[:2], 2)
     case = CalibrationCase(_TARGET, pixels.reshape(shape), nominal, known, known, sigma)
     return Tank(cameras, points, case)
+
+
+def _place_boards(errors: Errors, rng: np.random.Generator) -> F64:
+    """Place bent boards at ten depths; returns their points (frame, point, 3)."""
+    board = _TARGET.points_mm.copy()
+    half = float(np.abs(board).max())
+    board[:, 2] = errors.bend_mm * (1.0 - (board[:, 0] ** 2 + board[:, 1] ** 2) / half**2 / 2.0)
+    places = []
+    for depth in rng.permutation(np.linspace(-25.0, 25.0, _BOARDS)).tolist():
+        turn = rotation_matrices(np.deg2rad([20.0, 20.0, 10.0]) * rng.uniform(-1.0, 1.0, 3))
+        shift = _MIDDLE + np.append(rng.uniform(-8.0, 8.0, 2), depth - errors.near_mm)
+        places.append(board @ turn.T + shift)
+    return np.stack(places)
+
+
+def _measure_places(errors: Errors, points: F64, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Measure all places, one depth, or nothing; also the standard deviations."""
+    known, sigma = np.full(points.shape, np.nan), np.full(points.shape, np.nan)
+    if errors.places:
+        return points + 0.01 * rng.standard_normal(points.shape), np.full(points.shape, 0.01)
+    if not errors.near_mm:
+        known[0, 24, 2], sigma[0, 24, 2] = points[0, 24, 2] + 0.05 * rng.standard_normal(), 0.05
+    return known, sigma
 
 
 def _camera(number: int, errors: Errors, rng: np.random.Generator) -> Camera:
@@ -142,8 +171,8 @@ def _camera(number: int, errors: Errors, rng: np.random.Generator) -> Camera:
     return aim(made, _MIDDLE + 5.0 * rng.standard_normal(3))
 
 
-def _nominal(camera: Camera, wall: Wall, rng: np.random.Generator) -> Camera:
-    """Give what an experimenter knows of a camera with a ruler: see `guess`."""
+def _nominal(camera: Camera, wall: Wall) -> Camera:
+    """Give what an experimenter knows of a camera before `guess` perturbs it."""
     bare = replace(
         camera,
         distortion=Distortion(),
@@ -174,9 +203,11 @@ def guess(case: CalibrationCase, seed: int) -> CalibrationCase:
 
 
 def from_truth(tank: Tank) -> CalibrationCase:
-    """Start from the true cameras and places: what a fit finds that cannot get lost."""
-    nominal = tank.case.cameras[0].wall
-    cameras = tuple(replace(camera, wall=nominal) for camera in tank.cameras)
+    """Start from the true poses, and nominal lenses and wall: a fit that cannot get lost."""
+    cameras = tuple(
+        replace(own, center_mm=true.center_mm, rotation=true.rotation)
+        for own, true in zip(tank.case.cameras, tank.cameras, strict=True)
+    )
     return replace(tank.case, cameras=cameras, initial_mm=tank.points_mm)
 
 
@@ -200,16 +231,23 @@ def held_out_mm(answer: Calibration, tank: Tank, *, world: bool) -> float:
     return float(np.sqrt(np.mean(np.sum((found - points) ** 2, axis=1))))
 
 
-def solve(case: CalibrationCase, unknown: tuple[Any, ...]) -> Calibration:
+def solve(case: CalibrationCase, unknown: tuple[Unknown, ...]) -> Calibration:
     """Calibrate with some unknowns."""
     solver: Any = make_algorithm("refractive_autocal", {})
     answer: Calibration = solver.solve(replace(case, unknown=unknown))
     return answer
 
 
-def measure(name: str, errors: Errors, starts: int, unknown: tuple[str, ...]) -> dict[str, Any]:
-    """Count right end states of a tank over random starts, each with a tank of its own."""
-    rows, refused, seconds = [], [], []
+def with_wall(unknown: tuple[Unknown, ...], errors: Errors) -> tuple[Unknown, ...]:
+    """Add the wall's place where known places show it."""
+    return (*unknown, "wall") if errors.places else unknown
+
+
+def count_right(
+    name: str, errors: Errors, starts: int, unknown: tuple[Unknown, ...]
+) -> dict[str, Any]:
+    """Count right end states over random starts."""
+    right, wrong, refused, seconds = 0, [], [], []
     for seed in progress_bar(range(starts), name):
         tank = make_tank(errors, seed)
         reference = held_out_mm(solve(from_truth(tank), unknown), tank, world=errors.places)
@@ -220,25 +258,78 @@ def measure(name: str, errors: Errors, starts: int, unknown: tuple[str, ...]) ->
             refused.append(f"{seed}: {error}")
             continue
         seconds.append(time.perf_counter() - begun)
-        rows.append((held_out_mm(answer, tank, world=errors.places), reference))
-    found = np.array(rows).reshape(-1, 2)
-    right = found[:, 0] <= _RIGHT * found[:, 1]
+        found = held_out_mm(answer, tank, world=errors.places)
+        if found <= _RIGHT * reference:
+            right += 1
+        else:
+            wrong.append([seed, round(found, 5), round(reference, 5)])
     return {
         "tank": name,
-        "unknown": unknown,
+        "unknown": list(unknown),
         "starts": starts,
-        "right": int(right.sum()),
+        "right": right,
+        "wrong": wrong,
         "refused": refused,
-        "held_out_mm": float(np.median(found[:, 0])),
-        "from_truth_mm": float(np.median(found[:, 1])),
-        "wrong": found[~right].tolist(),
-        "seconds": float(np.median(seconds)),
+        "median_s": round(float(np.median(seconds)), 2) if seconds else None,
     }
 
 
+def measure_errors(name: str, errors: Errors, tanks: int) -> dict[str, Any]:
+    """Measure errors of held-out points by the choice of unknowns, and those expected."""
+    rows: dict[str, list[float]] = {}
+    chosen: dict[str, int] = {}
+    for seed in progress_bar(range(tanks), name):
+        tank = make_tank(errors, seed)
+        case = guess(tank.case, seed)
+        auto, _ = select_unknowns(case)
+        for unknown in auto:
+            chosen[unknown] = chosen.get(unknown, 0) + 1
+        best = held_out_mm(
+            solve(from_truth(tank), with_wall(_ALL, errors)), tank, world=errors.places
+        )
+        rows.setdefault("best_mm", []).append(best)
+        for label, free in (("few", ()), ("auto", auto)):
+            true, expected, noise = _true_and_expected(tank, replace(case, unknown=free), errors)
+            rows.setdefault(f"{label}_mm", []).append(true)
+            rows.setdefault(f"{label}_expected_ratio", []).append(expected / true)
+            rows.setdefault(f"{label}_noise_alone_ratio", []).append(noise / true)
+    medians = {key: float(f"{np.median(values):.4g}") for key, values in rows.items()}
+    ratios = np.array(rows["few_expected_ratio"] + rows["auto_expected_ratio"])
+    within = float(np.mean((ratios > 0.5) & (ratios < 2.0)))
+    return {"tank": name, "tanks": tanks, **medians, "within_2": within, "chosen": chosen}
+
+
+def _true_and_expected(
+    tank: Tank, case: CalibrationCase, errors: Errors
+) -> tuple[float, float, float]:
+    """Measure the true error, that of the report and that of noise alone, mm."""
+    solver: Any = make_algorithm("refractive_autocal", {})
+    answer = solver.solve(case)
+    frames, points = case.pixels.shape[1:3]
+    recording = Recording(case, np.arange(frames), np.tile(np.arange(points), (frames, 1)))
+    report, _, _ = report_on(recording, answer, hold_out(solver, case, answer))
+    if report.std_mm is None or report.noise_std_mm is None:
+        raise ValueError("expected frames to hold out")
+    true = held_out_mm(answer, tank, world=errors.places)
+    lengths = [float(np.linalg.norm(std)) for std in (report.std_mm, report.noise_std_mm)]
+    return true, lengths[0], lengths[1]
+
+
+def measure(starts: int, tanks: int) -> dict[str, Any]:
+    """Measure all tanks."""
+    counts = [
+        count_right(name, errors, starts, with_wall(unknown, errors))
+        for name, errors in TANKS.items()
+        for unknown in ((), _MANY)
+    ]
+    errors = [measure_errors(name, errors, tanks) for name, errors in TANKS.items()]
+    return {"noise_px": _NOISE_PX, "starts": counts, "errors": errors}
+
+
 if __name__ == "__main__":
-    starts = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    for name, errors in TANKS.items():
-        for unknown in ((), ("principal_point", "k1"), ("principal_point","k1","k2","p1","p2")):
-            u = unknown + (("wall",) if errors.wall_mm else ())
-            print(json.dumps(measure(name, errors, starts, u)))
+    numbers = [int(value) for value in sys.argv[1:3]]
+    result = measure(*numbers, *[5, 2][len(numbers) :])
+    if len(sys.argv) > 3:
+        Path(sys.argv[3]).write_text(canonical_json(result), encoding="utf-8")
+    else:
+        print(json.dumps(result, indent=1))
