@@ -1,10 +1,10 @@
 """Calibrations of tanks whose lenses, walls and boards have errors that the model does not have.
 
-`OPENBLAS_NUM_THREADS=1 python benchmarks/calibration_reality.py [starts] [tanks] [record.json]` prints JSON, or writes it.
-Points are projected, not rendered: four cameras of 1200 x 1200 pixels behind 10 mm of glass, ten
-boards of 7 x 7 points, 0.05 px of noise. Every start has a tank and an initial guess of its own,
-as of a ruler: cameras off by 30 mm along each axis and 1 degree, principal distances by 5 %, the
-target by up to 20 mm.
+`OPENBLAS_NUM_THREADS=1 python benchmarks/calibration_reality.py [starts] [tanks] [record.json]`
+prints JSON, or writes it. Points are projected, not rendered: four cameras of 1200 x 1200 pixels
+behind 10 mm of glass, ten boards of 7 x 7 points, 0.05 px of noise. Every start has a tank and an
+initial guess of its own, as of a ruler: cameras off by 30 mm along each axis and 1 degree,
+principal distances by 5 %, the target by up to 20 mm.
 
 - `starts`: how often the end state is right, with few unknowns and with many: the one of the same
   fit from the true poses.
