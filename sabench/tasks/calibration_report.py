@@ -31,7 +31,7 @@ from sabench.tasks.held_out_calibration import (
 from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 
-_SHALLOW = 0.01  # error of the depth, part of the distance from the wall, that images leave open
+_SHALLOW = 0.002  # error of the depth, part of the distance from the wall, that images leave open
 _MISFIT = 0.5  # times the noise: residuals that neighbours share, above which a model is too simple
 
 

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sabench.api import CalibrationCase
+from sabench.algorithms.calibration.initial_poses import place_boards
+from sabench.api import Calibration, CalibrationCase
+from sabench.api.make import make_algorithm
 from sabench.api.truth import Target
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
@@ -63,6 +65,19 @@ def with_places(case: CalibrationCase, places: F64, sigma_mm: float = 0.01) -> C
     return replace(case, known_mm=places + noise, known_sigma_mm=np.full(places.shape, sigma_mm))
 
 
+def off_wall(case: CalibrationCase, shift_mm: float) -> CalibrationCase:
+    """Move the nominal wall of a case along Z."""
+    wall = replace(WALL, point_mm=(0.0, 0.0, shift_mm))
+    return replace(case, cameras=tuple(replace(camera, wall=wall) for camera in case.cameras))
+
+
+def solve(case: CalibrationCase, **parameters: Any) -> Calibration:
+    """Place the boards of a case and calibrate it by `refractive_autocal`."""
+    solver: Any = make_algorithm("refractive_autocal", parameters)
+    answer: Calibration = solver.solve(replace(case, initial_mm=place_boards(case)))
+    return answer
+
+
 def rotated(case: CalibrationCase, rotation: F64) -> CalibrationCase:
     """Rotate the world of a case about its origin."""
     return replace(
@@ -99,5 +114,5 @@ def _camera(number: int, center: tuple[float, float, float], k1: float) -> Camer
             f_number=11.0,
             wall=WALL,
         ),
-        MIDDLE + [3.0, -2.0, 5.0],
+        MIDDLE + np.array([3.0, -2.0, 5.0]),
     )

@@ -265,7 +265,10 @@ HEADER = b"camera,frame,point,column,row\n"
         (b"\xff,0,0,1.5,2.5", "points.csv: expected a CSV file in UTF-8, got 'utf-8' codec"),
         (b"a,1000000000000000000,0,1.5,2.5", "points.csv: expected frames counted from 0 and at"),
         (b"a,100000,0,1.5,2.5", "at most 1, for 1 points found, got frame 100000"),
-        (b"a,0,0,1e300,2.5", "points.csv: line 2: column: expected a number of -1e\\+06 to 1e\\+06"),
+        (
+            b"a,0,0,1e300,2.5",
+            "points.csv: line 2: column: expected a number of -1e\\+06 to 1e\\+06",
+        ),
     ],
 )
 def test_damaged_points_are_a_sentence(points: bytes, words: str, tmp_path: Path) -> None:

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from sabench.algorithms.calibration.end_state import list_faults, mirror_boards
-from sabench.algorithms.calibration.initial_poses import place_boards
 from sabench.algorithms.calibration.joint_fit import fit_jointly
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
-from sabench.api import Calibration
-from sabench.api.make import make_algorithm
 from sabench.utils.errors import InputError
-from tests.helpers.calibration_tanks import make_tank, with_places
+from tests.helpers.calibration_tanks import make_tank, off_wall, solve, with_places
 
 
-def problem_of(**changes: float) -> tuple[CalibrationProblem, State]:
+def problem_of() -> tuple[CalibrationProblem, State]:
     """Return the problem of a tank and its true state."""
-    case, cameras, places = make_tank(**changes)
+    case, cameras, places = make_tank()
     problem = CalibrationProblem.from_case(
         replace(case, cameras=cameras, initial_mm=places), FreeParameters()
     )
@@ -83,25 +81,18 @@ def test_a_start_through_the_wall_is_left() -> None:
     assert found.noise_px == pytest.approx(0.05, rel=0.1)
 
 
-def test_a_glass_is_never_negative() -> None:
-    """Distortion that the model lacks drives the thickness far below zero."""
-    case, _, places = make_tank(k1=-1.5)
-    solver = make_algorithm("refractive_autocal", {"thicknesses": [0]})
-    known = with_places(case, places)
-    try:
-        answer: Calibration = solver.solve(replace(known, initial_mm=place_boards(known)))
-    except InputError as error:
-        assert "glass: expected a positive thickness, but the fit gives -" in str(error)
-    else:
-        assert answer.cameras[0].wall.layers[0].thickness_mm > 0.0  # type: ignore[union-attr]
+def test_a_negative_glass_is_refused() -> None:
+    """A wall that is elsewhere drives the thickness of its glass far below zero."""
+    case, _, places = make_tank()
+    with pytest.raises(InputError, match="glass: expected a positive thickness, but the fit gives"):
+        solve(off_wall(with_places(case, places), -50.0), thicknesses=[0])
 
 
 def test_a_free_glass_stays_near_its_nominal_thickness() -> None:
     """Images without a model's error say little of it, which the prior shows."""
     case, _, _ = make_tank()
-    solver = make_algorithm("refractive_autocal", {"thicknesses": [0]})
-    answer: Calibration = solver.solve(replace(case, initial_mm=place_boards(case)))
-    assert answer.cameras[0].wall.layers[0].thickness_mm == pytest.approx(8.0, abs=6.0)
+    wall = solve(case, thicknesses=[0]).cameras[0].wall  # type: ignore[attr-defined]
+    assert wall.layers[0].thickness_mm == pytest.approx(8.0, abs=6.0)
 
 
 def test_unknown_layers_and_walls_are_a_sentence() -> None:
@@ -111,5 +102,6 @@ def test_unknown_layers_and_walls_are_a_sentence() -> None:
         ("indices", [-1], "indices: expected numbers from 0 and below 3"),
         ("wall", True, "wall: expected a wall and three points or more with known x, y and z"),
     ):
+        parameters: dict[str, Any] = {name: value}
         with pytest.raises(InputError, match=words):
-            make_algorithm("refractive_autocal", {name: value}).solve(case)
+            solve(case, **parameters)

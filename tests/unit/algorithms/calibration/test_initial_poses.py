@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.calibration.initial_poses import known_places, place_boards, upright_axes
-from sabench.api.make import make_algorithm
 from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64
-from tests.helpers.calibration_tanks import BOARD, MIDDLE, make_tank, rotated, with_places
+from tests.helpers.calibration_tanks import (
+    BOARD,
+    MIDDLE,
+    make_tank,
+    rotated,
+    solve,
+    with_places,
+)
 
 Y_UP = np.diag([1.0, -1.0, -1.0])  # Y up, Z towards the cameras
 ALONG_X = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -29,10 +35,7 @@ def test_boards_are_calibrated_in_any_world(rotation: F64) -> None:
     case, _, places = make_tank()
     case = rotated(case, rotation)
     plain = BOARD.points_mm @ upright_axes(case.cameras).T + rotation @ MIDDLE
-    case = replace(case, initial_mm=np.tile(plain, (6, 1, 1)))
-    case = replace(case, initial_mm=place_boards(case))
-    answer = make_algorithm("refractive_autocal", {}).solve(case)
-    found = answer.points_mm
+    found = solve(replace(case, initial_mm=np.tile(plain, (6, 1, 1)))).points_mm
     assert found is not None
     assert aligned_error(found.reshape(-1, 3)[::7], places.reshape(-1, 3)[::7]) < 0.02
 
