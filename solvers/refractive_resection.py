@@ -12,7 +12,7 @@ from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 
 
 class RefractiveResection(CalibrationSolver):
-    """Fit of pinholes behind the wall to known places of the target, robust against outliers.
+    """Robust fit of pinholes behind the wall to known places of the target.
 
     The target's nominal positions are taken as exact, so their errors pass to the cameras, and the
     wall is where the case says. `refractive_autocal` weighs both against the images.

@@ -34,7 +34,7 @@ class RigidMotion:
 
     @property
     def is_none(self) -> bool:
-        """Whether the motion moves nothing."""
+        """Truth of a motion that moves nothing."""
         return bool((self.rotation == np.eye(3)).all() and not self.shift.any())
 
     def after(self, first: RigidMotion) -> RigidMotion:

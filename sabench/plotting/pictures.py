@@ -193,7 +193,7 @@ def arrows(positions: F64, errors: F64, rows: int, columns: int) -> bytes:
 
 
 def with_cell_means(positions: F64, errors: F64, rows: int, columns: int) -> tuple[F64, F64]:
-    """Add a second image with the mean error in each cell of the first one, for `arrows`.
+    """Add a second image for `arrows`, with the mean error in each cell.
 
     Noise disappears in the means, and what a model lacks stays.
 

@@ -43,7 +43,7 @@ _SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 
 @dataclass(frozen=True)
 class Recording:
-    """Calibration case of a folder, and the numbers that its files give to frames and points.
+    """Calibration case of a folder, with the numbers of its frames and points.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ def read_case(folder: Path) -> Recording:
 
 
 def _target(configuration: Configuration, folder: Path) -> Target:
-    """Make the target; without one, a single point that stands for each of the points."""
+    """Make the target; without one, a single point for each of the points."""
     spec, points = configuration.target, configuration.target_points
     if spec is not None and points is not None:
         raise InputError(
@@ -111,7 +111,7 @@ def _target(configuration: Configuration, folder: Path) -> Target:
 
 
 def _middle(configuration: Configuration) -> Vector:
-    """Guess where the target is: where the configuration says, or where cameras are aimed."""
+    """Guess where the target is: as configured, or where cameras are aimed."""
     aims = [camera.aim_mm for camera in configuration.cameras]
     return configuration.target_mm or triple(np.mean(aims, axis=0))
 

@@ -60,7 +60,7 @@ class _Line:
 
 
 def unseen(pixels: F64) -> Sightings:
-    """Make sightings of pixels (camera, frame, point, 2) of which no place was measured."""
+    """Make sightings of pixels (camera, frame, point, 2) without known places."""
     frames, points = pixels.shape[1:3]
     nothing = np.full((frames, points, 3), np.nan)
     numbers = np.tile(np.arange(points), (frames, 1))
@@ -95,7 +95,7 @@ def read_sightings(path: Path, names: Sequence[str], count: int) -> Sightings:
 
 
 def read_loose_points(path: Path, names: Sequence[str]) -> Sightings:
-    """Read a points.csv with the measured place of every point, which no target holds together.
+    """Read a points.csv with measured places of points without a target.
 
     Each point of each frame is one of its own: the arrays have as many frames of one point.
     """

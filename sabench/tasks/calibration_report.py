@@ -180,7 +180,7 @@ def _expected_mm(
 
 
 def _warn_of_depth(case: CalibrationCase, points: F64, depth: float | None) -> Iterator[str]:
-    """Say that the boards do not show the depth, where they do not, and how to measure it."""
+    """Say where the boards do not show the depth, and how to measure it."""
     wall = common_plane(case.cameras)
     if wall is None or depth is None:
         return

@@ -1,4 +1,4 @@
-"""Calibrations without some of their frames: what they say of the frames left out.
+"""Calibrations without some frames, and their errors on these frames.
 
 Nothing here needs a truth. A solver is called again for each fold of frames.
 """
@@ -155,7 +155,7 @@ def has_places(case: CalibrationCase) -> bool:
 
 
 def _triangulated(cameras: tuple[CameraModel, ...], case: CalibrationCase) -> F64:
-    """Triangulate every point of every frame; NaN where fewer than two cameras see it."""
+    """Triangulate every point of every frame; NaN where one camera sees it."""
     places = triangulate(cameras, case.pixels.reshape(len(cameras), -1, 2))
     return places.reshape(case.initial_mm.shape)
 
@@ -232,7 +232,7 @@ def _summary(
 
 
 def _jackknife(moved: F64) -> tuple[tuple[float, float, float], float]:
-    """Estimate standard deviations from the motions (fold, frame, point, 3) without each fold.
+    """Estimate standard deviations from motions (fold, frame, point, 3).
 
     Those of points about their mean depth, and that of the mean depth.
     """
@@ -258,9 +258,10 @@ def _inliers(errors: F64) -> F64:
 
 
 def rms_px(errors: F64, unknowns: int) -> float | None:
-    """Compute the root mean square of a coordinate of errors (camera, frame, point, 2).
+    """Compute the root mean square coordinate of errors, px.
 
-    Outliers are left out, and `unknowns` of every frame are allowed for.
+    Errors are (camera, frame, point, 2). Outliers are left out, and `unknowns` of every frame are
+    allowed for.
     """
     own = _inliers(errors)
     there = np.asarray(np.isfinite(own[..., 0]))

@@ -127,7 +127,7 @@ def check_finite(answer: Calibration, solver: str) -> None:
 
 
 def _write_places(path: Path, recording: Recording, points: F64) -> None:
-    """Write the places of all points that a camera saw, and their distances from known ones."""
+    """Write the places of all points seen, and distances from known ones."""
     case = recording.case
     seen = case.found.sum(axis=0)
     apart = np.linalg.norm(points - case.known_mm, axis=-1)
@@ -142,7 +142,7 @@ def _write_places(path: Path, recording: Recording, points: F64) -> None:
 
 
 def _draw(folder: Path, case: CalibrationCase, errors: F64) -> None:
-    """Draw the residuals over the images: all cameras in one, and each one with cell means."""
+    """Draw the residuals over the images, for each camera with cell means."""
     size = case.cameras[0].rows, case.cameras[0].columns
     (folder / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, *size))
     (folder / "residuals").mkdir()

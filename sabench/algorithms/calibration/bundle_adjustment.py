@@ -153,7 +153,7 @@ def normal_equations(
 
 
 def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreeParameters) -> Normal:
-    """Add the known places to the equations, also those of the wall's place and the bend."""
+    """Add the known places to the equations."""
     board, point, position_mm, precision, rotations, shifts = seen.anchored
     bent = state.bend_board(seen.board)
     arms = np.einsum("nij,nj->ni", state.board_rotations[board], bent[point])
@@ -247,7 +247,7 @@ def refine(
 
 
 def promised_gain(normal: Normal) -> float:
-    """Compute by how much one step of all unknowns lowers the cost, if it is quadratic."""
+    """Compute by how much a step lowers the cost, if that is quadratic."""
     return _step(normal, _HARDLY, "all")[2]
 
 

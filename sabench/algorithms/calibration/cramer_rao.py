@@ -137,7 +137,7 @@ def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]
 
 
 def _root(covariance: F64) -> F64:
-    """Compute a root R of a covariance R R^T, whose smallest eigenvalues rounding may spoil."""
+    """Compute a root R of a covariance R R^T, in spite of rounding."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 

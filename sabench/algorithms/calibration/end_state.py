@@ -1,4 +1,4 @@
-"""Checks of the state in which a calibration ends, and the mirrored state behind a plane wall."""
+"""Checks of a calibration's end state, and its mirror image at a plane wall."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MIRROR = np.diag([1.0, 1.0, -1.0])
 
 
 def list_faults(state: State, seen: BoardImages, frame: Frame) -> list[str]:
-    """List what cannot be of a state, a sentence each, which names the camera or frame.
+    """List the faults of a state in sentences that name the camera or frame.
 
     Numbers must be finite, principal distances, thicknesses and indices positive, cameras in front
     of a plane wall and boards behind it.
@@ -84,7 +84,7 @@ def _wall_faults(state: State, seen: BoardImages, names: list[str], wall: Wall) 
 
 
 def depths_of(state: State, seen: BoardImages) -> F64:
-    """Compute depths (K, m) of points behind the wall's inner face, mm; NaN if not seen."""
+    """Compute depths (K, m) of seen points behind the wall's inner face, mm."""
     depths = state.points(seen.board)[..., 2] - state.thicknesses.sum()
     return np.where(seen.weights.sum(axis=0) > 0.0, depths, np.nan)
 

@@ -1,4 +1,4 @@
-"""Initial positions of a target's points: those measured, or fitted to the images.
+"""Initial positions of a target's points: measured, or fitted to the images.
 
 No axis of the world is preferred: a board starts upright in the cameras' images.
 """
@@ -79,16 +79,16 @@ def _off_the_wall(case: CalibrationCase, fitted: F64) -> F64:
 
 
 def _depth(case: CalibrationCase, points_mm: F64) -> float:
-    """Compute the smallest depth of points (frame, point, 3) behind any inner face, mm."""
+    """Compute the smallest depth of points behind any inner face, mm."""
     walls = {camera.wall for camera in case.cameras} - {None}
     depths = [wall.depth_of(points_mm) - wall.thickness_mm for wall in walls if wall]
     return float(np.nanmin(depths)) if depths else 0.0
 
 
 def known_places(case: CalibrationCase) -> F64:
-    """Place the target (frame, point, 3) by its known points, which stay where they are.
+    """Place the target (frame, point, 3) by its known points.
 
-    NaN where they are too few.
+    Known points stay where they are. NaN where they are too few.
     """
     board = case.target.points_mm
     known = np.asarray(np.isfinite(case.known_mm).all(axis=-1))
@@ -127,7 +127,7 @@ def _better(one: State, other: State, seen: BoardImages) -> State:
 
 
 def _costs(state: State, seen: BoardImages) -> F64:
-    """Sum the squared residuals of every board (K,); infinite where a point has no image."""
+    """Sum squared residuals of boards (K,); infinite where a point has no image."""
     squares = np.sum(residuals(state, seen) ** 2, axis=-1)
     used = np.where(seen.weights > 0.0, squares, 0.0).sum(axis=(0, 2))
     return np.asarray(np.where(np.isfinite(used), used, np.inf))

@@ -1,4 +1,4 @@
-"""Joint fit of cameras, boards and wall, from an initial guess to a state that can be.
+"""Joint fit of cameras, boards and wall that ends in a possible state.
 
 Lenses and boards come first. What images hardly show, or not at all, follows: the known places fix
 the world and the depth, and nominal values hold the wall.
@@ -59,7 +59,7 @@ def _place_cameras(problem: CalibrationProblem, free: FreeParameters) -> Robust:
 
 
 def fixes_world(problem: CalibrationProblem) -> bool:
-    """Return whether known places determine the world's frame and every board's place."""
+    """Return whether known places determine the place of every board."""
     known = np.isfinite(problem.case.known_mm).all(axis=-1)
     used = problem.seen.weights.sum(axis=0) > 0.0
     enough = min(3, known.shape[1])

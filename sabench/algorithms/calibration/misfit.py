@@ -15,7 +15,7 @@ _REACH = 1.5  # times the distance of the nearest one, beyond which a point is n
 
 
 def neighbours(points_mm: F64) -> I64:
-    """List pairs (n, 2) of neighbouring points (m, 3); none for fewer than two points."""
+    """List pairs (n, 2) of neighbouring points (m, 3)."""
     count = min(_NEAREST + 1, len(points_mm))
     if count < 2:
         return np.zeros((0, 2), dtype=np.int64)
@@ -27,7 +27,7 @@ def neighbours(points_mm: F64) -> I64:
 
 
 def correlated_part(errors: F64, pairs: I64) -> F64:
-    """Estimate the standard deviation (n,) of errors without what neighbours do not share.
+    """Estimate the standard deviation (n,) of errors that neighbours share.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ def _rotate(rotation: Any, point: Any, lever: Any) -> None:
 
 @numba.njit(cache=True)
 def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
-    """Fill in derivatives by the bend of the board, which lifts a point along its normal."""
+    """Fill in derivatives by the bend, which lifts a point along the normal."""
     for i in range(2):
         along = (
             row[i, CAMERA + 3] * rotation[0, 2]

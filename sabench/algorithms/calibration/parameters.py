@@ -284,7 +284,7 @@ class Frame:
 
 
 def bend_lifts(board: F64) -> F64:
-    """Compute by how much a bend of 1 mm at the edges lifts a board's points (m, 3): (m, BEND).
+    """Compute the lifts (m, BEND) of a board's points by bends of 1 mm.
 
     The terms are X^2, X Y and Y^2 in its own frame, scaled to its farthest coordinate.
     """

@@ -1,4 +1,4 @@
-"""Choice of a calibration's unknowns by nested fits, compared on boards that no fit saw.
+"""Choice of a calibration's unknowns by nested fits and held-out boards.
 
 Each unknown is freed in addition to those chosen before. It stays free if the held-out boards fit
 better by more than twice the standard error of that difference, over the boards.
