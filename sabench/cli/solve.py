@@ -22,7 +22,6 @@ from sabench.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from sabench.algorithms.calibration.unknown_selection import Nested
     from sabench.tasks.calibration_report import Report
 
 
@@ -194,30 +193,27 @@ def calibrate(
     from dataclasses import asdict
 
     from sabench.tasks.own_calibration import calibrate as make
-    from sabench.tasks.own_calibration import choose_unknowns, parse_unknowns
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
-    out, rows, chosen = output or folder / "result", None, None
-    if unknowns == "auto":
-        chosen, rows = choose_unknowns(folder)
-    elif unknowns is not None:
-        chosen = parse_unknowns(unknowns)
+    out = output or folder / "result"
     report = make(
-        folder, out, solver, parse_parameters(parameter), unknown=chosen, overwrite=overwrite
+        folder,
+        out,
+        solver,
+        parse_parameters(parameter),
+        unknowns=unknowns,
+        overwrite=overwrite,
     )
     if as_json:
-        also = {} if rows is None else {"unknowns": [asdict(row) for row in rows]}
-        say_json(asdict(report) | also)
-        return
-    if rows is not None:
-        _show_unknowns(rows, chosen or ())
-    _show_calibration(report, out)
+        say_json(asdict(report))
+    else:
+        _show_calibration(report, out)
 
 
-def _show_unknowns(rows: tuple[Nested, ...], chosen: tuple[str, ...]) -> None:
+def _show_unknowns(report: Report) -> None:
     lines = []
-    for row in rows:
+    for row in report.compared:
         name = f"+ {' and '.join(row.added)}" if row.added else "focal lengths"
         figures = [
             tables.format_number(value, 4)
@@ -225,13 +221,15 @@ def _show_unknowns(rows: tuple[Nested, ...], chosen: tuple[str, ...]) -> None:
         ]
         lines.append([name, *figures, row.remark or ("yes" if row.chosen else "no")])
     tables.show(["unknowns", "held-out px", "change", "standard error", "keep"], lines)
-    quoted = ", ".join(f'"{name}"' for name in chosen)
+    quoted = ", ".join(f'"{name}"' for name in report.unknown)
     say(f"recommended and used: unknown = [{quoted}]")
 
 
 def _show_calibration(report: Report, out: Path) -> None:
     for sentence in report.summary:
         say(sentence)
+    if report.compared:
+        _show_unknowns(report)
     rows = []
     for line in (*report.cameras, *report.frames):
         name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"

@@ -15,6 +15,7 @@ from sabench.algorithms.calibration.joint_fit import INDEX, THICKNESS
 from sabench.algorithms.calibration.misfit import correlated_part, neighbours
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import make_anchors
+from sabench.algorithms.calibration.unknown_selection import Nested
 from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
@@ -43,6 +44,7 @@ class Report:
     ----------
     summary : sentences that a reader must know, the most important one first.
     unknown : unknowns of lenses, wall and board.
+    compared : fits from which the unknowns were chosen; empty if they were given.
     noise_px : error of a pixel coordinate, from the residuals.
     misfit_px : the part of it that neighbouring points share: of the model and not of noise.
     true_px : expected mean error of the calibrated cameras, with the misfit; None for solvers
@@ -58,6 +60,7 @@ class Report:
 
     summary: tuple[str, ...]
     unknown: tuple[str, ...]
+    compared: tuple[Nested, ...]
     noise_px: float
     misfit_px: float
     true_px: float | None
@@ -70,7 +73,10 @@ class Report:
 
 
 def report_on(
-    recording: Recording, answer: Calibration, held_out: HeldOut | None
+    recording: Recording,
+    answer: Calibration,
+    held_out: HeldOut | None,
+    compared: tuple[Nested, ...] = (),
 ) -> tuple[Report, F64, F64]:
     """Report the quality of a calibration.
 
@@ -105,6 +111,7 @@ def report_on(
     report = Report(
         (*_warn_of_depth(case, points, depth), *_warn_of_model(case, answer, misfit, noise)),
         case.unknown,
+        compared,
         noise,
         misfit,
         None if bound is None else float(np.hypot(bound.reprojection_px, np.sqrt(2.0) * misfit)),

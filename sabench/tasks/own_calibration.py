@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -40,7 +39,7 @@ def calibrate(
     solver: str,
     parameters: dict[str, Any],
     *,
-    unknown: Sequence[Unknown] | None = None,
+    unknowns: str | None = None,
     overwrite: bool = False,
 ) -> Report:
     """Calibrate the cameras of a folder and write the files of the folder `out`.
@@ -49,7 +48,8 @@ def calibrate(
 
     Parameters
     ----------
-    unknown : unknowns in place of those of calibration.toml; see `choose_unknowns`.
+    unknowns : names that commas separate, in place of those of calibration.toml; or "auto", see
+        `unknown_selection.select_unknowns`.
 
     Raises
     ------
@@ -57,15 +57,15 @@ def calibrate(
         Anything missing or wrong in the folder, or a calibration that its data do not support.
     """
     recording = read_case(folder)
-    if unknown is not None:
-        recording = replace(recording, case=replace(recording.case, unknown=tuple(unknown)))
-    case = recording.case
+    chosen, compared = _choose_unknowns(recording.case, unknowns)
+    case = replace(recording.case, unknown=chosen)
+    recording = replace(recording, case=case)
     algorithm = _solver_of(solver, parameters, case)
     answer = solve_case(algorithm, case)
     check_finite(answer, solver)
     try:
         held_out = hold_out(algorithm, case, answer)
-        report, points, errors = report_on(recording, answer, held_out)
+        report, points, errors = report_on(recording, answer, held_out, compared)
     except InputError as error:
         raise InputError(f"solver {solver}: {error}") from error
     with complete_or_nothing(out, overwrite=overwrite) as partial:
@@ -77,12 +77,16 @@ def calibrate(
     return report
 
 
-def choose_unknowns(folder: Path) -> tuple[tuple[Unknown, ...], tuple[Nested, ...]]:
-    """Choose a folder's unknowns by fits that are compared on frames held out.
+def _choose_unknowns(
+    case: CalibrationCase, unknowns: str | None
+) -> tuple[tuple[Unknown, ...], tuple[Nested, ...]]:
+    """Take the case's unknowns, those named, or those that held-out frames recommend.
 
-    Also returns the table of the fits.
+    The latter come with the table of the fits.
     """
-    return select_unknowns(read_case(folder).case)
+    if unknowns == "auto":
+        return select_unknowns(case)
+    return case.unknown if unknowns is None else parse_unknowns(unknowns), ()
 
 
 def parse_unknowns(text: str) -> tuple[Unknown, ...]:
