@@ -250,9 +250,9 @@ def count_right(
     right, wrong, refused, seconds = 0, [], [], []
     for seed in progress_bar(range(starts), name):
         tank = make_tank(errors, seed)
-        reference = held_out_mm(solve(from_truth(tank), unknown), tank, world=errors.places)
-        begun = time.perf_counter()
         try:
+            reference = held_out_mm(solve(from_truth(tank), unknown), tank, world=errors.places)
+            begun = time.perf_counter()
             answer = solve(guess(tank.case, seed), unknown)
         except InputError as error:
             refused.append(f"{seed}: {error}")
@@ -317,13 +317,13 @@ def _true_and_expected(
 
 def measure(starts: int, tanks: int) -> dict[str, Any]:
     """Measure all tanks."""
-    counts = [
-        count_right(name, errors, starts, with_wall(unknown, errors))
-        for name, errors in TANKS.items()
-        for unknown in ((), _MANY)
-    ]
-    errors = [measure_errors(name, errors, tanks) for name, errors in TANKS.items()]
-    return {"noise_px": _NOISE_PX, "starts": counts, "errors": errors}
+    counts = []
+    for name, errors in TANKS.items():
+        for unknown in ((), _MANY):
+            counts.append(count_right(name, errors, starts, with_wall(unknown, errors)))
+            print(json.dumps(counts[-1]), file=sys.stderr)
+    rows = [measure_errors(name, errors, tanks) for name, errors in TANKS.items()]
+    return {"noise_px": _NOISE_PX, "starts": counts, "errors": rows}
 
 
 if __name__ == "__main__":

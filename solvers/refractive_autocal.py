@@ -15,6 +15,11 @@ from sabench.algorithms.calibration import (
 )
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
 
+HELD = (
+    "The images would put boards into the wall, so their depth was held near the initial guess: "
+    "measure the distance of one point of the target from the wall."
+)
+
 
 class RefractiveAutocalParameters(Parameters):
     """Unknowns besides rotation, centre and focal length of cameras, and the boards.
@@ -65,7 +70,8 @@ class RefractiveAutocal(CalibrationSolver):
         found = fit_jointly(problem, free)
         state = problem.align_to_nominal(found.fit.state)
         check_fit(case, state, problem.frame, problem.seen, found.used, found.noise_px)
-        return problem.answer(state, found.used)
+        answer = problem.answer(state, found.used)
+        return replace(answer, remarks=(HELD,)) if found.held else answer
 
     def _unknowns(self, case: CalibrationCase) -> FreeParameters:
         """Join the unknowns of the case and of the parameters."""

@@ -109,7 +109,11 @@ def report_on(
     depths += [] if held_out is None else [held_out.depth_mm]
     depth = max((value for value in depths if np.isfinite(value)), default=None)
     report = Report(
-        (*_warn_of_depth(case, points, depth), *_warn_of_model(case, answer, misfit, noise)),
+        (
+            *answer.remarks,
+            *_warn_of_depth(case, points, depth),
+            *_warn_of_model(case, answer, misfit, noise),
+        ),
         case.unknown,
         compared,
         noise,

@@ -24,7 +24,6 @@ from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.algorithms.calibration.robust import Robust, adjust, median_noise
 from sabench.geometry.rigid_motion import RigidMotion
-from sabench.utils.arrays import F64
 
 _LEAST_NOISE_PX = 1e-3  # with which known places are weighed
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
@@ -33,7 +32,7 @@ THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
 INDEX = 0.05  # of a nominal index
 _WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
 _BEND_MM = 1.0  # of a board that is nominally flat
-_HELD = 0.5  # standard deviation of a depth that no image shows, part of it
+_HELD = (0.5, 0.1, 0.02)  # standard deviations of a depth that no image shows, parts of it
 
 
 def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
@@ -101,7 +100,12 @@ def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParam
     ends = [adjust(start, seen, free) for start in _other_starts(problem, found.fit.state, seen)]
     if sound := [end for end in ends if _is_sound(end, seen, problem)]:
         return min(sound, key=lambda end: end.noise_px)
-    return adjust(_staged(problem.start, seen, free), hold_depth(problem, seen, found), free)
+    start = _staged(problem.start, seen, free)
+    for part in _HELD:
+        found = adjust(start, hold_depth(problem, seen, found.noise_px, part), free)
+        if _is_sound(found, seen, problem):
+            break
+    return replace(found, held=True)
 
 
 def _is_sound(found: Robust, seen: BoardImages, problem: CalibrationProblem) -> bool:
@@ -124,28 +128,28 @@ def _staged(start: State, seen: BoardImages, free: FreeParameters) -> State:
     ).state
 
 
-def hold_depth(problem: CalibrationProblem, seen: BoardImages, found: Robust) -> BoardImages:
+def hold_depth(
+    problem: CalibrationProblem, seen: BoardImages, noise_px: float, part: float
+) -> BoardImages:
     """Add that boards are about as deep in the fluid as at the start.
 
-    Through a plane wall images hardly show the depth of all boards together. Where their noise
-    would put boards into the wall, the nominal depth says more.
+    Through a plane wall images hardly show the depth of all boards together. Where noise, or what
+    a model lacks, would put boards into the wall, the nominal depth says more.
+
+    Parameters
+    ----------
+    part : standard deviation of the mean depth, as a part of it.
     """
-    if problem.frame.wall is None or not np.isfinite(found.noise_px):
+    if problem.frame.wall is None or not np.isfinite(noise_px):
         return seen
     start, depths = problem.start, depths_of(problem.start, seen)
     there = np.flatnonzero(np.isfinite(depths).any(axis=1))
-    sigma = _HELD * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(there))
-    precision = np.array([0.0, 0.0, (max(found.noise_px, 1e-6) / sigma) ** 2])
+    sigma = part * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(there))
+    weight = (max(noise_px, _LEAST_NOISE_PX) / sigma) ** 2
     middle = int(np.argmin(np.linalg.norm(seen.board, axis=1)))
     places = start.points(seen.board)[:, middle]
     held = tuple(
-        Anchor(board, middle, places[board], precision, RigidMotion.none())
+        Anchor(board, middle, places[board], np.array([0.0, 0.0, weight]), RigidMotion.none())
         for board in there.tolist()
     )
     return replace(seen, anchors=(*seen.anchors, *held))
-
-
-def depth_scale_mm(state: State, seen: BoardImages) -> float:
-    """Average the depth of all points behind the wall's inner face."""
-    depths: F64 = depths_of(state, seen)
-    return float(np.nanmean(depths))

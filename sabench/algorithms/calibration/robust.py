@@ -27,12 +27,14 @@ _CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
 class Robust:
     """Fit, the observations (camera, board, point) used, and their noise in px.
 
-    The noise is that of one coordinate.
+    The noise is that of one coordinate. `held` says that the depth of the boards had to be held
+    near the initial guess.
     """
 
     fit: Fit
     used: Bool
     noise_px: float
+    held: bool = False
 
 
 def adjust(

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sabench.algorithms.calibration import joint_fit
 from sabench.algorithms.calibration.end_state import list_faults, mirror_boards
+from sabench.algorithms.calibration.initial_poses import place_boards
 from sabench.algorithms.calibration.joint_fit import fit_jointly
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
@@ -105,3 +107,17 @@ def test_unknown_layers_and_walls_are_a_sentence() -> None:
         parameters: dict[str, Any] = {name: value}
         with pytest.raises(InputError, match=words):
             solve(case, **parameters)
+
+
+def test_a_depth_that_images_put_into_the_wall_is_held_and_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Images so coarse that their best depth is in the wall, from every start."""
+    case, _, _ = make_tank()
+    case = replace(case, initial_mm=place_boards(case))
+    problem = CalibrationProblem.from_case(case, FreeParameters())
+    monkeypatch.setattr(joint_fit, "_is_sound", lambda *_: False)
+    found = fit_jointly(problem, FreeParameters())
+    assert found.held
+    depths = problem.frame.points(found.fit.state, problem.seen.board)[..., 2].mean()
+    assert depths == pytest.approx(case.initial_mm[..., 2].mean(), rel=0.05)
