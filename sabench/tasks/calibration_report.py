@@ -52,7 +52,8 @@ class Report:
     std_mm : expected standard deviation of the target's points along the wall's X and Y and its
         normal, with the misfit; None without frames to hold out and without a bound.
     noise_std_mm : the same if there were only noise: the Cramer-Rao bound.
-    depth_mm : standard deviation of the depth of all points together.
+    depth_mm : standard deviation of the distance of all points together from the wall; None without
+        a wall.
     held_out : errors of frames that the fit did not see; None where there are too few.
     cameras, frames : for each its name or number, the numbers of points found and used, and the
         mean and largest residual of the used ones, px.
@@ -105,9 +106,8 @@ def report_on(
     noise = _noise_px(case, answer, seen)
     bound = _bound(case, answer, points, used, noise)
     std = _expected_mm(bound, held_out)
-    depths = [] if bound is None else [float(bound.point_mean_mm[2])]
-    depths += [] if held_out is None else [held_out.depth_mm]
-    depth = max((value for value in depths if np.isfinite(value)), default=None)
+    walled = any(camera.wall for camera in case.cameras)
+    depth = _depth_mm(bound, held_out) if walled else None
     report = Report(
         (
             *answer.remarks,
@@ -182,12 +182,19 @@ def _expected_mm(
 ) -> tuple[float, float, float] | None:
     """Join noise, scatter between fits and what neighbours share on frames held out."""
     noise = None if bound is None else bound.point_std_mm
-    if held_out is None:
+    if held_out is None or held_out.spread_mm is None:
         return None if noise is None else triple(noise)
-    spread = np.nan_to_num(np.asarray(held_out.spread_mm))
+    spread = np.asarray(held_out.spread_mm)
     if noise is not None:
         spread = np.maximum(spread, noise)
     return triple(np.hypot(spread, held_out.bend_mm))
+
+
+def _depth_mm(bound: Limit | None, held_out: HeldOut | None) -> float | None:
+    """Take the larger of the standard deviations by noise and between fits."""
+    depths = [None if bound is None else float(bound.point_mean_mm[2])]
+    depths.append(None if held_out is None else held_out.depth_mm)
+    return max((value for value in depths if value is not None), default=None)
 
 
 def _warn_of_depth(case: CalibrationCase, points: F64, depth: float | None) -> Iterator[str]:

@@ -42,8 +42,8 @@ class HeldOut:
     known_mm : the same from the known places; None without any.
     bend_mm : (3,) part of these distances that neighbours share, along the wall and its normal.
     spread_mm : (3,) standard deviations of the target's points over the folds (jackknife), in the
-        same frame.
-    depth_mm : that of the depth of all points together.
+        same frame; None where fewer than two cameras see the points.
+    depth_mm : that of the depth of all points together; None likewise.
     """
 
     frames: int
@@ -52,8 +52,8 @@ class HeldOut:
     rigidity_mm: float | None
     known_mm: float | None
     bend_mm: tuple[float, float, float]
-    spread_mm: tuple[float, float, float]
-    depth_mm: float
+    spread_mm: tuple[float, float, float] | None
+    depth_mm: float | None
 
 
 def hold_out(algorithm: Any, case: CalibrationCase, whole: Calibration) -> HeldOut | None:
@@ -65,14 +65,17 @@ def hold_out(algorithm: Any, case: CalibrationCase, whole: Calibration) -> HeldO
     ----------
     whole : the calibration by all frames.
     """
+    folds, everything = split_frames(case), case
+    if whole.used is not None:  # outliers are no errors of a calibration
+        case = replace(case, pixels=np.where(whole.used[..., None], case.pixels, np.nan))
     rigid, shape = places_rigidly(whole.cameras, whole), case.initial_mm.shape
     points = target_places(whole.cameras, case, whole)
     reference = points if rigid else _triangulated(whole.cameras, case)
     board = reference[int(np.argmax(case.found.any(axis=(0, 2))))]  # with its bend
     errors, loose = np.full(case.pixels.shape, np.nan), np.full(shape, np.nan)
     known, moved, failed = np.full(shape, np.nan), [], 0
-    for fold in split_frames(case):
-        cameras = _without(algorithm, case, whole, fold)
+    for fold in folds:
+        cameras = _without(algorithm, everything, whole, fold)
         if cameras is None:
             failed += 1
             continue
@@ -231,7 +234,7 @@ def _summary(
     )
 
 
-def _jackknife(moved: F64) -> tuple[tuple[float, float, float], float]:
+def _jackknife(moved: F64) -> tuple[tuple[float, float, float] | None, float | None]:
     """Estimate standard deviations from motions (fold, frame, point, 3).
 
     Those of points about their mean depth, and that of the mean depth.
@@ -240,7 +243,7 @@ def _jackknife(moved: F64) -> tuple[tuple[float, float, float], float]:
     flat = moved.reshape(folds, -1, 3)
     flat = flat[:, np.asarray(np.isfinite(flat).all(axis=(0, 2)))]
     if not flat.size:
-        return (np.nan, np.nan, np.nan), np.nan
+        return None, None
     flat = flat - flat.mean(axis=0)
     depth = flat[..., 2].mean(axis=1)
     flat[..., 2] -= depth[:, None]

@@ -186,3 +186,52 @@ def test_a_fault_is_one_sentence(
     assert "Traceback" not in done.stderr
     assert words in " ".join(done.stderr.split()), done.stderr
     assert not (tmp_path / "mine/result").exists()
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("flipped", "expected rows counted from the top of the images and columns from the left"),
+        ("swapped", "are two cameras swapped, images mirrored, or a length wrong?"),
+        ("inches", "expected points that one array can see, got some that miss by"),
+    ],
+)
+def test_images_that_contradict_the_guess_are_a_sentence(
+    command: Command, tmp_path: Path, what: str, words: str
+) -> None:
+    case, _, _ = make_tank()
+    target = dict(BOARD)
+    if what == "flipped":
+        case.pixels[..., 1] = 799.0 - case.pixels[..., 1]
+    elif what == "swapped":
+        case = replace(case, pixels=case.pixels[[1, 0, 2]])
+    else:
+        target["pitch_mm"] = 10.0 / 25.4
+    write(tmp_path / "mine", case, np.eye(3), target=target)
+    done = command("calibrate", "mine")
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split()), done.stderr
+
+
+def test_one_camera_and_loose_points(command: Command, tmp_path: Path) -> None:
+    """Points that one camera sees are not triangulated: there is no scatter to expect."""
+    case, _, places = make_tank()
+    case = with_places(case, places)
+    one = replace(case, pixels=case.pixels[:1], cameras=case.cameras[:1])
+    write(tmp_path / "mine", one, np.eye(3), target=None)
+    done = command("calibrate", "mine", "--json")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["noise_px"] == pytest.approx(0.06, rel=0.3)
+    assert report["std_mm"] is None
+
+
+def test_outliers_are_no_errors_of_held_out_frames(command: Command, tmp_path: Path) -> None:
+    case, _, _ = make_tank()
+    rng = np.random.default_rng(1)
+    bad = rng.random(case.pixels.shape[:3]) < 0.1
+    case.pixels[bad] += 30.0 * rng.standard_normal((int(bad.sum()), 2))
+    write(tmp_path / "mine", case, np.eye(3))
+    held_out = json.loads(command("calibrate", "mine", "--json").stdout)["held_out"]
+    assert held_out["reprojection_px"] == pytest.approx(0.05, rel=0.3)
+    assert held_out["rigidity_mm"] < 0.03

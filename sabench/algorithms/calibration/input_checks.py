@@ -24,6 +24,8 @@ _WRONG = 0.01  # of an image's width: noise that no detection has
 _FITS = 6.0  # times the noise below which a guess explains the points
 _FLAT = 1e-3  # thickness over width of points that lie in one plane
 _SEVERAL = 3  # points that an image needs to be told from another
+_MIRRORED = 0.25  # times its misfit below which the mirror image of an array fits better
+_FAR = 3.0  # times the nominal distance of a camera, beyond which no guess can be so wrong
 _GLASS = 1.4  # index that solids exceed and most fluids do not
 
 
@@ -126,9 +128,10 @@ def check_fit(
     _check_views(case, state, seen, used, there, noise_px)
     points = state.points(seen.board)
     _check_corners(case, points, frame.motion(case.initial_mm), there)
-    _check_names(
-        case, state.centers, frame.motion(np.array([camera.center_mm for camera in case.cameras]))
-    )
+    nominal = frame.motion(np.array([camera.center_mm for camera in case.cameras]))
+    _check_names(case, state.centers, nominal)
+    _check_mirror(state.centers, nominal)
+    _check_distances(case, state.centers - points[there.any(axis=0)].mean(axis=0))
     found = points[there.any(axis=0)]
     if case.target.pattern == "wand":
         return
@@ -200,6 +203,45 @@ def _check_names(case: CalibrationCase, centers: F64, initial: F64) -> None:
                 f"{case.cameras[i].name} and {case.cameras[j].name}: expected each one's own "
                 "images, but these two are swapped"
             )
+
+
+def _check_mirror(centers: F64, initial: F64) -> None:
+    """Refuse cameras that stand where the mirror image of their initial guess does.
+
+    A flat board looks the same in mirrored images, so that they show a mirrored array.
+    """
+    if len(centers) < _SEVERAL:
+        return
+    own, nominal = (one[:, :2] - one[:, :2].mean(axis=0) for one in (centers, initial))
+    left, _, right = np.linalg.svd(own.T @ nominal)
+    same, mirrored = (
+        _rms(own - nominal @ (left @ np.diag([1.0, sign * np.linalg.det(left @ right)]) @ right).T)
+        for sign in (1.0, -1.0)
+    )
+    if mirrored < _MIRRORED * same and same > _MIRRORED * _rms(nominal):
+        raise InputError(
+            "expected rows counted from the top of the images and columns from the left, but the "
+            "cameras stand as the mirror image of their initial guess"
+        )
+
+
+def _check_distances(case: CalibrationCase, apart: F64) -> None:
+    """Refuse a camera whose distance (3,) from the target is nothing like its nominal one."""
+    middle = np.nanmean(case.initial_mm.reshape(-1, 3), axis=0)
+    given = np.array([camera.center_mm for camera in case.cameras]) - middle
+    pairs = zip(case.cameras, _lengths(apart), _lengths(given), strict=True)
+    for camera, found, nominal in pairs:
+        if not nominal / _FAR < found < nominal * _FAR:
+            raise InputError(
+                f"{camera.name}: expected it about {nominal:.4g} mm from the target, as its "
+                f"initial guess is, but the fit puts it {found:.4g} mm away: are two cameras "
+                "swapped, images mirrored, or a length wrong?"
+            )
+
+
+def _lengths(vectors: F64) -> list[float]:
+    lengths: list[float] = np.linalg.norm(vectors, axis=-1).tolist()
+    return lengths
 
 
 def _rms(errors: F64) -> float:
