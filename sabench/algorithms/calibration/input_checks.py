@@ -226,7 +226,10 @@ def _check_mirror(centers: F64, initial: F64) -> None:
 
 
 def _check_distances(case: CalibrationCase, apart: F64) -> None:
-    """Refuse a camera whose distance (3,) from the target is nothing like its nominal one."""
+    """Refuse a camera whose distance from the target is not like its nominal one.
+
+    Vectors from the target to the cameras are (n, 3).
+    """
     middle = np.nanmean(case.initial_mm.reshape(-1, 3), axis=0)
     given = np.array([camera.center_mm for camera in case.cameras]) - middle
     pairs = zip(case.cameras, _lengths(apart), _lengths(given), strict=True)
