@@ -4,7 +4,8 @@
 prints JSON, or writes it. Points are projected, not rendered: four cameras of 1200 x 1200 pixels
 behind 10 mm of glass, ten boards of 7 x 7 points, 0.05 px of noise. Every start has a tank and an
 initial guess of its own, as of a ruler: cameras off by 30 mm along each axis and 1 degree,
-principal distances by 5 %, the target by up to 20 mm.
+principal distances by 5 %, the target by up to 20 mm. `tables record.json` prints the tables of the
+docs.
 
 - `starts`: how often the end state is right, with few unknowns and with many: the one of the same
   fit from the true poses.
@@ -17,6 +18,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -326,7 +328,26 @@ def measure(starts: int, tanks: int) -> dict[str, Any]:
     return {"noise_px": _NOISE_PX, "starts": counts, "errors": rows}
 
 
-if __name__ == "__main__":
+def tables(record: dict[str, Any]) -> Iterator[str]:
+    """Format a record as the tables of docs/results/by-suite.md."""
+    yield "| tank | few unknowns: right of 100 | many unknowns: right of 100 | refused |"
+    yield "|---|---|---|---|"
+    for few, many in zip(record["starts"][::2], record["starts"][1::2], strict=True):
+        refused = len(few["refused"]) + len(many["refused"])
+        yield f"| {few['tank']} | {few['right']} | {many['right']} | {refused} |"
+    yield ""
+    yield "| tank | best, mm | few, mm | auto, mm | expected over true, few | auto | noise, few |"
+    yield "|---|---|---|---|---|---|---|"
+    for row in record["errors"]:
+        errors = " | ".join(f"{row[key]:.4f}" for key in ("best_mm", "few_mm", "auto_mm"))
+        keys = ("few_expected_ratio", "auto_expected_ratio", "few_noise_alone_ratio")
+        ratios = " | ".join(f"{row[key]:.2f}" for key in keys)
+        yield f"| {row['tank']} | {errors} | {ratios} |"
+
+
+if __name__ == "__main__" and sys.argv[1:2] == ["tables"]:
+    print("\n".join(tables(json.loads(Path(sys.argv[2]).read_text(encoding="utf-8")))))
+elif __name__ == "__main__":
     numbers = [int(value) for value in sys.argv[1:3]]
     result = measure(*numbers, *[5, 2][len(numbers) :])
     if len(sys.argv) > 3:
