@@ -33,6 +33,7 @@ from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 
 _SHALLOW = 0.002  # error of the depth, part of the distance from the wall, that images leave open
+_LEAST_PX = 1e-3  # misfit that no data have reason to show
 _MISFIT = 0.5  # times the noise: residuals that neighbours share, above which a model is too simple
 
 
@@ -216,7 +217,7 @@ def _warn_of_model(
 ) -> Iterator[str]:
     """Say what residuals that are no noise, and figures far from nominal ones, show."""
     pinholes = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
-    if pinholes and misfit > _MISFIT * noise:
+    if pinholes and misfit > max(_MISFIT * noise, _LEAST_PX):
         yield (
             f"Neighbouring points share {misfit:.3g} px of their residuals of {noise:.3g} px, "
             "which is no noise: the model lacks something. Compare with --unknowns auto."

@@ -129,7 +129,8 @@ def _can_free(group: tuple[Unknown, ...], problem: CalibrationProblem) -> bool:
     if group == ("wall",):
         return wall is not None and fixes_world(problem)
     if group == ("bend",):
-        return problem.case.target.pattern not in ("wand", "points")
+        flat = problem.case.target.pattern not in ("wand", "points")
+        return flat and problem.frame.beyond_kernels is None
     if group == ("thickness",):
         return wall is not None and bool(wall.layers)
     return group != ("fluid_index",) or wall is not None

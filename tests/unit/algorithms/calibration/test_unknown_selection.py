@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
+from sabench.algorithms.calibration import unknown_selection
 from sabench.algorithms.calibration.initial_poses import place_boards
 from sabench.algorithms.calibration.misfit import correlated_part, neighbours
-from sabench.algorithms.calibration.unknown_selection import select_unknowns, split_frames
+from sabench.algorithms.calibration.parameters import FreeParameters
+from sabench.algorithms.calibration.problem import CalibrationProblem
+from sabench.algorithms.calibration.unknown_selection import (
+    _can_free,
+    select_unknowns,
+    split_frames,
+)
+from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.utils.errors import InputError
+from sabench.utils.fields import LensNumber
 from tests.helpers.calibration_tanks import BOARD, make_tank, with_places
 
 
@@ -44,6 +54,15 @@ def test_two_frames_are_too_few() -> None:
     case.pixels[:, 2:] = np.nan
     with pytest.raises(InputError, match="expected three frames or more"):
         select_unknowns(case)
+
+
+def test_behind_other_walls_only_lenses_are_tried() -> None:
+    case, _, _ = make_tank()
+    wall = CylinderWall((0.0, 0.0, 90.0), (0.0, 1.0, 0.0), 90.0, 1.0, (), 1.333)
+    faces = tuple(replace(camera, wall=wall) for camera in case.cameras)
+    problem = CalibrationProblem.from_case(replace(case, cameras=faces), FreeParameters())
+    tried = [group for group in unknown_selection._GROUPS if _can_free(group, problem)]
+    assert {name for group in tried for name in group} == set(get_args(LensNumber))
 
 
 def test_noise_is_not_shared_by_neighbours() -> None:
