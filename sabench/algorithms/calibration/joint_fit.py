@@ -42,7 +42,8 @@ def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
     fail, the last one is returned: `input_checks.check_fit` refuses it.
     """
     if fixes_world(problem):
-        return _weigh(problem, _place_cameras(problem, free), free)
+        placed = _place_cameras(problem, free)
+        return _weigh(replace(problem, start=placed.fit.state), placed, free)
     found = _fit_soundly(problem, problem.seen, free.of_lenses)
     if free == free.of_lenses and not make_anchors(problem.case, problem.frame, 1.0):
         return found
@@ -74,7 +75,7 @@ def _weigh(problem: CalibrationProblem, found: Robust, free: FreeParameters) -> 
         seen = replace(problem.seen, anchors=anchors, prior=prior)
         found = adjust(problem.align_to_nominal(found.fit.state), seen, free)
         if not _is_sound(found, seen, problem):
-            found = _fit_soundly(replace(problem, start=found.fit.state), seen, free)
+            found = _fit_soundly(problem, seen, free)
         if free == free.of_lenses or abs(found.noise_px - noise) <= _SAME_NOISE * noise:
             break
     return found
