@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from sabench.algorithms.calibration import (
     CalibrationProblem,
-    FreeParameters,
     adjust,
-    check_end,
+    lens_unknowns,
 )
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 
@@ -24,8 +23,7 @@ class RefractiveResection(CalibrationSolver):
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Adjust the cameras to the nominal positions."""
-        free = FreeParameters.from_names(case.unknown).of_lenses
+        free = lens_unknowns(case)
         problem = CalibrationProblem.from_case(case, free)
         found = adjust(problem.start, problem.seen, free, moving="cameras")
-        check_end(found.fit.state, problem.seen, problem.frame)
         return problem.answer(found.fit.state, found.used)

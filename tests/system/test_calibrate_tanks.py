@@ -169,6 +169,11 @@ def test_a_target_of_any_shape_moves(command: Command, tmp_path: Path) -> None:
         (["--solver", "soloff"], {}, "solver soloff: expected known places of the target in every"),
         (["--unknowns", "k9"], {}, "--unknowns: expected auto, or names of principal_point, k1"),
         (["--unknowns", "wall"], {}, "wall: expected a wall and three points or more with known"),
+        (
+            ["--solver", "refractive_autocal_alternating", "--unknowns", "k1,bend"],
+            {},
+            "unknown: expected parameters of lenses for this solver, got bend: use refractive",
+        ),
         (["-p", "thicknesses=[3]"], {}, "thicknesses: expected numbers from 0 and below 1"),
         ([], {"target": None}, "points.csv: line 2: expected x_mm, y_mm and z_mm of every point"),
         ([], {"target_points": "x.csv"}, "expected either target or target_points, got both"),

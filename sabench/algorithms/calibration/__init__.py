@@ -13,7 +13,6 @@ from sabench.utils.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from sabench.algorithms.calibration.alternating import alternate, mean_rotation, select_cameras
-    from sabench.algorithms.calibration.end_state import check_end
     from sabench.algorithms.calibration.factorisation import (
         adjust_factors,
         factorise,
@@ -22,7 +21,11 @@ if TYPE_CHECKING:
     from sabench.algorithms.calibration.input_checks import check_fit
     from sabench.algorithms.calibration.joint_fit import fit_jointly
     from sabench.algorithms.calibration.parameters import FreeParameters, State
-    from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
+    from sabench.algorithms.calibration.problem import (
+        CalibrationProblem,
+        lens_unknowns,
+        make_anchors,
+    )
     from sabench.algorithms.calibration.robust import adjust
     from sabench.algorithms.calibration.self_calibration import (
         Tracking,
@@ -44,7 +47,6 @@ __all__ = [
     "adjust_cameras",
     "adjust_factors",
     "alternate",
-    "check_end",
     "check_fit",
     "check_plane_wall",
     "factorise",
@@ -56,6 +58,7 @@ __all__ = [
     "follow_disparities",
     "known_frames",
     "known_points",
+    "lens_unknowns",
     "make_anchors",
     "match_particles",
     "mean_rotation",
@@ -74,7 +77,6 @@ _HOMES = {
     "adjust_cameras": "self_calibration",
     "adjust_factors": "factorisation",
     "alternate": "alternating",
-    "check_end": "end_state",
     "check_fit": "input_checks",
     "check_plane_wall": "wall_frame",
     "factorise": "factorisation",
@@ -84,6 +86,7 @@ _HOMES = {
     "fit_similarity": "wall_frame",
     "fit_soloff": "sabench.geometry.polynomial_cameras",
     "follow_disparities": "self_calibration",
+    "lens_unknowns": "problem",
     "make_anchors": "problem",
     "match_particles": "self_calibration",
     "mean_rotation": "alternating",

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages
+from sabench.algorithms.calibration.end_state import check_end
 from sabench.algorithms.calibration.free_motion import fit_free_motion
 from sabench.algorithms.calibration.input_checks import check_case
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
@@ -15,6 +17,7 @@ from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
 from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
+from sabench.utils.fields import LensNumber
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,14 @@ class CalibrationProblem:
         return state.move(motion)
 
     def answer(self, state: State, used: Bool | None = None) -> Calibration:
-        """Return cameras and points in the world's frame."""
+        """Return cameras and points in the world's frame.
+
+        Raises
+        ------
+        InputError
+            A state that cannot be: see `end_state.list_faults`.
+        """
+        check_end(state, self.seen, self.frame)
         return Calibration(
             self.frame.build_cameras(state), self.frame.points(state, self.seen.board), used
         )
@@ -102,6 +112,24 @@ def make_anchors(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[
         precision = np.where(there, (noise_px / np.where(there, sigma, 1.0)) ** 2, 0.0)
         anchors.append(Anchor(board, point, np.where(there, position, 0.0), precision, world))
     return tuple(anchors)
+
+
+def lens_unknowns(case: CalibrationCase) -> FreeParameters:
+    """Free the unknowns of a case for a solver that estimates cameras only.
+
+    Raises
+    ------
+    InputError
+        Unknowns of the wall or the board.
+    """
+    free = FreeParameters.from_names(case.unknown, layers=1)
+    if free != free.of_lenses:
+        others = [name for name in case.unknown if name not in get_args(LensNumber)]
+        raise InputError(
+            f"unknown: expected parameters of lenses for this solver, got {', '.join(others)}: use "
+            "refractive_autocal"
+        )
+    return free
 
 
 def check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> None:
