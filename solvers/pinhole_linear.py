@@ -13,6 +13,7 @@ class PinholeLinear(CalibrationSolver):
     """
 
     name = "pinhole_linear"
+    needs_places = True
     references = (
         "R. Hartley and A. Zisserman, Multiple View Geometry, chapter 7",
         "J. Belden, PhD thesis, MIT 2011, section 4.4 and figure 4-6",

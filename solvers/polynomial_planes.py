@@ -18,6 +18,7 @@ class PolynomialPlanes(CalibrationSolver):
     """
 
     name = "polynomial_planes"
+    needs_places = True
     references = ("J. Belden, PhD thesis, MIT 2011, section 2.3.2",)
 
     def skip(self, case: CalibrationCase) -> str | None:

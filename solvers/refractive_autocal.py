@@ -10,11 +10,15 @@ from pydantic import Field
 from sabench.algorithms.calibration import (
     CalibrationProblem,
     FreeParameters,
-    adjust,
     check_fit,
-    make_anchors,
+    fit_jointly,
 )
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
+
+HELD = (
+    "The images would put boards into the wall, so their depth was held near the initial guess: "
+    "measure the distance of one point of the target from the wall."
+)
 
 
 class RefractiveAutocalParameters(Parameters):
@@ -37,6 +41,9 @@ class RefractiveAutocalParameters(Parameters):
     thicknesses: tuple[int, ...] = Field(
         (), description="thicknesses of these layers of the wall, starting with 0"
     )
+    wall: bool = Field(
+        False, description="tilt and position of the wall, which known points of every frame show"
+    )
 
 
 class RefractiveAutocal(CalibrationSolver):
@@ -44,8 +51,9 @@ class RefractiveAutocal(CalibrationSolver):
 
     It is robust against outliers. The known points are observations.
 
-    A wall's position is not free: the images only show the positions of the cameras and boards
-    relative to it. The known points determine its position in the world.
+    Images only show the positions of the cameras and boards relative to the wall. Known points
+    determine its position in the world. Free indices, thicknesses and walls stay near their nominal
+    values where the data do not show them.
     """
 
     name = "refractive_autocal"
@@ -56,29 +64,25 @@ class RefractiveAutocal(CalibrationSolver):
     Parameters = RefractiveAutocalParameters
 
     def solve(self, case: CalibrationCase) -> Calibration:
-        """Adjust, then again with anchors.
-
-        The known coordinates are weighed against the measured noise.
-        """
-        chosen: RefractiveAutocalParameters = self.parameters
-        lenses = FreeParameters.from_names(
-            {
-                *case.unknown,
-                *chosen.distortion,
-                *["principal_point"] * chosen.principal_point,
-                *["tilt"] * chosen.tilt,
-            }
-        )
-        free = replace(lenses, indices=chosen.indices, thicknesses=chosen.thicknesses)
+        """Adjust, then again with what is known, weighed against the measured noise."""
+        free = self._unknowns(case)
         problem = CalibrationProblem.from_case(case, free)
-        found = adjust(problem.start, problem.seen, free)
-        anchors = make_anchors(case, problem.frame, found.noise_px)
-        if anchors:
-            found = adjust(
-                problem.align_to_nominal(found.fit.state),
-                replace(problem.seen, anchors=anchors),
-                free,
-            )
+        found = fit_jointly(problem, free)
         state = problem.align_to_nominal(found.fit.state)
         check_fit(case, state, problem.frame, problem.seen, found.used, found.noise_px)
-        return problem.answer(state, found.used)
+        answer = problem.answer(state, found.used)
+        return replace(answer, remarks=(HELD,)) if found.held else answer
+
+    def _unknowns(self, case: CalibrationCase) -> FreeParameters:
+        """Join the unknowns of the case and of the parameters."""
+        chosen: RefractiveAutocalParameters = self.parameters
+        flags = {"principal_point": chosen.principal_point, "tilt": chosen.tilt}
+        names = {*case.unknown, *chosen.distortion, *(name for name in flags if flags[name])}
+        wall = case.cameras[0].wall
+        free = FreeParameters.from_names(names, len(wall.layers) if wall else 0)
+        return replace(
+            free,
+            indices=tuple(sorted({*free.indices, *chosen.indices})),
+            thicknesses=tuple(sorted({*free.thicknesses, *chosen.thicknesses})),
+            wall=free.wall or chosen.wall,
+        )

@@ -6,9 +6,9 @@ from pydantic import Field
 
 from sabench.algorithms.calibration import (
     CalibrationProblem,
-    FreeParameters,
     alternate,
     check_plane_wall,
+    lens_unknowns,
 )
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
 
@@ -40,7 +40,7 @@ class RefractiveAutocalAlternating(CalibrationSolver):
         """Alternate, bring the points to the known reference points, and alternate again."""
         check_plane_wall(case.cameras)  # behind others thousands of small fits would take hours
         chosen: AlternatingParameters = self.parameters
-        free = FreeParameters.from_names(case.unknown)
+        free = lens_unknowns(case)
         problem = CalibrationProblem.from_case(case, free)
         state = problem.start
         for _ in range(2):

@@ -13,6 +13,7 @@ from sabench.algorithms.calibration import (
     State,
     alternate,
     check_plane_wall,
+    lens_unknowns,
     mean_rotation,
     select_cameras,
 )
@@ -60,7 +61,7 @@ class RefractiveAutocalRandomised(CalibrationSolver):
         """Draw and average until the subsets agree, or agree less than before."""
         check_plane_wall(case.cameras)  # behind others thousands of small fits would take hours
         chosen: RandomisedParameters = self.parameters
-        free, rng = FreeParameters.from_names(case.unknown), stream(self.parameters.seed, "subsets")
+        free, rng = lens_unknowns(case), stream(self.parameters.seed, "subsets")
         problem = CalibrationProblem.from_case(case, free)
         state, least = problem.start, np.inf
         for _ in range(chosen.iterations):

@@ -13,6 +13,7 @@ class SoloffCalibration(CalibrationSolver):
     """
 
     name = "soloff"
+    needs_places = True
     references = ("S. M. Soloff, R. J. Adrian and Z.-C. Liu, Meas. Sci. Technol. 8, 1441, 1997",)
 
     def skip(self, case: CalibrationCase) -> str | None:

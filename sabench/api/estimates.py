@@ -257,6 +257,7 @@ class Calibration(Estimate):
     points_mm : (frame, point, 3) positions of the target's points, world frame, if the algorithm
         estimates them itself, else None: the score then intersects the cameras' lines of sight.
     used : (camera, frame, point) observations that the algorithm accepted, None: all.
+    remarks : sentences for the user, such as on what the data did not determine; not stored.
     """
 
     GROUP = "calibration"
@@ -270,6 +271,7 @@ class Calibration(Estimate):
     cameras: tuple[CameraModel, ...]
     points_mm: F64 | None = None
     used: Bool | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from sabench.geometry.grid import Grid
 from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.fields import LensNumber
+from sabench.utils.fields import Unknown
 
 Shown = Literal["particles", "target", "bubbles", "code"]  # kinds of objects in a data set's frames
 
@@ -184,8 +184,9 @@ class CalibrationCase:
     known_mm : (frame, point, 3) coordinates that were measured by other means; NaN where they were
         not.
     known_sigma_mm : the same shape, their standard deviations.
-    unknown : parameters of the lenses that were not measured, besides their focal lengths:
-        "principal_point" and names of coefficients of distortion.
+    unknown : parameters that were not measured, besides the focal lengths: "principal_point",
+        names of coefficients of distortion and "tilt" of the lenses; "wall" (its place and tilt),
+        "thickness" of its layers, "fluid_index", and the "bend" of a board.
 
     Raises
     ------
@@ -199,7 +200,7 @@ class CalibrationCase:
     initial_mm: F64
     known_mm: F64
     known_sigma_mm: F64
-    unknown: tuple[LensNumber, ...] = ()
+    unknown: tuple[Unknown, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the shapes, and that every camera sees some of the target."""

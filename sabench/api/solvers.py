@@ -64,11 +64,13 @@ class ParticleSolver(PlugIn):
 class CalibrationSolver(PlugIn):
     """Base of a calibration algorithm.
 
-    `solve` turns all observations of a target into cameras.
+    `solve` turns all observations of a target into cameras. `needs_places` says that it takes the
+    target's nominal positions as exact, so that they must have been measured.
     """
 
     task: ClassVar[TaskName] = "calibration"
     sees: ClassVar[Shown] = "target"
+    needs_places: ClassVar[bool] = False
 
     def skip(self, case: CalibrationCase) -> str | None:
         """Give the reason why this algorithm cannot take the case; None if it can."""

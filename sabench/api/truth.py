@@ -11,7 +11,7 @@ import numpy.typing as npt
 from sabench.geometry.frames import Pose
 from sabench.utils.arrays import F32, F64, I32, I64, Bool
 
-Pattern = Literal["checkerboard", "circles", "charuco", "wand"]
+Pattern = Literal["checkerboard", "circles", "charuco", "wand", "points"]
 
 
 @dataclass(frozen=True)
@@ -160,12 +160,13 @@ class Target:
     Attributes
     ----------
     pattern : what it shows. The points of a checkerboard and of a ChArUco board are its inner
-        corners, those of the others are centres.
+        corners, those of the others are centres; "points" stands for points in any places.
     columns, rows : of points; they are counted row by row.
     pitch_mm : distance of neighbours.
     mark_mm : diameter of a circle or a ball, edge of a ChArUco marker; 0 for a checkerboard.
+    places_mm : places of the pattern "points"; empty for any other.
     points_mm : (columns x rows, 3), centred; a board lies in Z = 0, X along its rows, Y down its
-        columns, and shows its pattern towards -Z.
+        columns, and shows its pattern towards -Z. Or (n, 3), the places.
     """
 
     pattern: Pattern
@@ -173,10 +174,18 @@ class Target:
     rows: int
     pitch_mm: float
     mark_mm: float
+    places_mm: tuple[tuple[float, float, float], ...] = ()
+
+    @classmethod
+    def from_places(cls, places_mm: tuple[tuple[float, float, float], ...]) -> Target:
+        """Make a target of points in any places, not all in one plane perhaps."""
+        return cls("points", len(places_mm), 1, 0.0, 0.0, places_mm)
 
     @property
     def points_mm(self) -> F64:
         """The points, row by row."""
+        if self.places_mm:
+            return np.array(self.places_mm)
         across, down = (
             (np.arange(count) - (count - 1) / 2.0) * self.pitch_mm
             for count in (self.columns, self.rows)

@@ -22,7 +22,7 @@ from sabench.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from sabench.tasks.own_calibration import Report
+    from sabench.tasks.calibration_report import Report
 
 
 def solve(
@@ -177,6 +177,15 @@ def calibrate(
         ),
     ] = "refractive_autocal",
     parameter: ParameterPairs = None,
+    unknowns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Unknowns besides the focal lengths, separated by commas, in place of those of "
+            "calibration.toml; or auto: those that make held-out frames fit better.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -188,23 +197,67 @@ def calibrate(
 
     announce_compiling()
     out = output or folder / "result"
-    report = make(folder, out, solver, parse_parameters(parameter), overwrite=overwrite)
+    report = make(
+        folder,
+        out,
+        solver,
+        parse_parameters(parameter),
+        unknowns=unknowns,
+        overwrite=overwrite,
+    )
     if as_json:
         say_json(asdict(report))
     else:
         _show_calibration(report, out)
 
 
+def _show_unknowns(report: Report) -> None:
+    lines = []
+    for row in report.compared:
+        name = f"+ {' and '.join(row.added)}" if row.added else "focal lengths"
+        figures = [
+            tables.format_number(value, 4)
+            for value in (row.held_out_px, row.change_px, row.sigma_px)
+        ]
+        lines.append([name, *figures, row.remark or ("yes" if row.chosen else "no")])
+    tables.show(["unknowns", "held-out px", "change", "standard error", "keep"], lines)
+    quoted = ", ".join(f'"{name}"' for name in report.unknown)
+    say(f"recommended and used: unknown = [{quoted}]")
+
+
 def _show_calibration(report: Report, out: Path) -> None:
+    for sentence in report.summary:
+        say(sentence)
+    if report.compared:
+        _show_unknowns(report)
     rows = []
     for line in (*report.cameras, *report.frames):
         name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"
         errors = [tables.format_number(line[key], 3) for key in ("mean_px", "largest_px")]
         rows.append([name, str(line["found"]), str(line["used"]), *errors])
     tables.show(["camera or frame", "found", "used", "mean px", "largest px"], rows)
-    x, y, z = report.std_mm
-    say(f"noise of the detected points: {report.noise_px:.4f} px")
-    say(f"expected true error: {report.true_px:.4f} px")
-    say(f"expected scatter of points along X, Y, Z: {x:.4f}, {y:.4f}, {z:.4f} mm")
-    say(f"expected error of the depth of all points together: {report.depth_mm:.3f} mm")
-    say(f"{out}: cameras.json, report.json, errors.png")
+    say(f"residuals: {report.noise_px:.4f} px, of which neighbours share {report.misfit_px:.4f} px")
+    if report.true_px is not None:
+        say(f"expected true error, misfit included: {report.true_px:.4f} px")
+    if held := report.held_out:
+        figures = [
+            (f"reprojection {held.reprojection_px:.4f} px", held.reprojection_px),
+            (f"off a rigid target {held.rigidity_mm or 0.0:.4f} mm", held.rigidity_mm),
+            (f"off known places {held.known_mm or 0.0:.4f} mm", held.known_mm),
+        ]
+        what = "frames" if held.frames <= len(report.frames) else "points"
+        lost = f" ({held.failed} fits failed)" if held.failed else ""
+        good = ", ".join(text for text, there in figures if there)
+        say(f"{held.frames} {what} held out{lost}: {good}")
+    _show_expected(report)
+    say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
+
+
+def _show_expected(report: Report) -> None:
+    where = "along the wall's X and Y and its normal"
+    for name, std in (("misfit included", report.std_mm), ("noise alone", report.noise_std_mm)):
+        if std is not None:
+            x, y, z = std
+            say(f"expected scatter of points {where}, {name}: {x:.4f}, {y:.4f}, {z:.4f} mm")
+    if report.depth_mm is not None:
+        say(f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm")

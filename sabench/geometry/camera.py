@@ -276,10 +276,10 @@ def aimed_rotation(
     return triple(x), triple(cross(z, x)), triple(z)
 
 
-def aim(camera: Camera, target_mm: npt.ArrayLike) -> Camera:
+def aim(camera: Camera, target_mm: npt.ArrayLike, down: npt.ArrayLike = (0.0, 1.0, 0.0)) -> Camera:
     """Rotate a camera so that light from `target_mm` runs along its optical axis.
 
-    Refraction is included.
+    Refraction is included. Its Y axis is as near to `down` as it can be.
     """
     target = np.asarray(target_mm, dtype=np.float64)[None]
     paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), target)
@@ -287,4 +287,4 @@ def aim(camera: Camera, target_mm: npt.ArrayLike) -> Camera:
         raise ValueError(
             f"camera {camera.name}: no light path to its aim point {target[0].tolist()}"
         )
-    return replace(camera, rotation=aimed_rotation(paths.leaving[0]))
+    return replace(camera, rotation=aimed_rotation(paths.leaving[0], down))

@@ -27,6 +27,22 @@ class RigidMotion:
         """Move points (..., 3)."""
         return np.asarray(points_mm @ self.rotation.T + self.shift)
 
+    @classmethod
+    def none(cls) -> RigidMotion:
+        """Make the motion that moves nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @property
+    def is_none(self) -> bool:
+        """Truth of a motion that moves nothing."""
+        return bool((self.rotation == np.eye(3)).all() and not self.shift.any())
+
+    def after(self, first: RigidMotion) -> RigidMotion:
+        """Compose with a motion that comes first."""
+        if self.is_none:
+            return first
+        return RigidMotion(self.rotation @ first.rotation, self(first.shift))
+
     def inverse(self) -> RigidMotion:
         """Invert the motion."""
         return RigidMotion(self.rotation.T, -self.rotation.T @ self.shift)

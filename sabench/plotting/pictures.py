@@ -12,6 +12,7 @@ from sabench.utils.arrays import F32, F64, U16, Bool
 U8 = npt.NDArray[np.uint8]
 
 _MONTAGE_PX = 900  # widest mosaic
+_CELLS = 12  # along the longer side of an image
 _GAP_PX = 5  # between two cameras
 _GAP_GREY = 200  # stands out from sparse and from crowded images
 _GAMMA = 1.0 / 2.2  # a particle of 1 % of the brightest is shown at 12 %
@@ -186,9 +187,35 @@ def arrows(positions: F64, errors: F64, rows: int, columns: int) -> bytes:
         good = np.isfinite(at).all(axis=-1) & np.isfinite(off).all(axis=-1)
         places = at[good] * scale
         _lines(sheet, places, places + off[good] * scale * longer, 170, 1)
-        _lines(sheet, places, places, 255, 1)
+        _lines(sheet, places, places, 255, 2)
     _write(sheets[0], f"x {longer:g}")
     return _png(_mosaic(sheets, across))
+
+
+def with_cell_means(positions: F64, errors: F64, rows: int, columns: int) -> tuple[F64, F64]:
+    """Add a second image for `arrows`, with the mean error in each cell.
+
+    Noise disappears in the means, and what a model lacks stays.
+
+    Parameters
+    ----------
+    positions, errors : (n, 2) in px; NaN for none.
+
+    Returns
+    -------
+    Positions and errors (2, 1, n, 2), in cells of a twelfth of the longer side.
+    """
+    side = max(rows, columns) / _CELLS
+    there = np.isfinite(positions).all(axis=1) & np.isfinite(errors).all(axis=1)
+    cells, member = np.unique(np.floor(positions[there] / side), axis=0, return_inverse=True)
+    both = np.full((2, 2, 1, len(positions), 2), np.nan)
+    both[0, 0, 0], both[1, 0, 0] = positions, errors
+    counts = np.bincount(member.ravel(), minlength=len(cells))
+    both[0, 1, 0, : len(cells)] = (cells + 0.5) * side
+    for axis in range(2):
+        sums = np.bincount(member.ravel(), errors[there, axis], len(cells))
+        both[1, 1, 0, : len(cells), axis] = sums / counts
+    return both[0], both[1]
 
 
 def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:

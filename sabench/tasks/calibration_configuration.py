@@ -5,21 +5,22 @@ docs/using/calibrating.md describes it.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from sabench.api.truth import Pattern
 from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.scenes.cameras import DistortionSpec
 from sabench.scenes.wall import WallTable
-from sabench.utils.fields import LensNumber, Positive, Table, TiltAngle, Vector
+from sabench.utils.fields import Direction, Positive, Table, TiltAngle, Unknown, Vector
+
+_UP = (0.0, -1.0, 0.0)
 
 
 class TargetSpec(Table):
-    """Calibration target that the cameras see."""
+    """Calibration target with a regular pattern."""
 
-    pattern: Pattern
+    pattern: Literal["checkerboard", "circles", "charuco", "wand"]
     columns: Annotated[int, Field(ge=1, le=200)]
     rows: Annotated[int, Field(ge=1, le=200)]
     pitch_mm: Positive
@@ -45,6 +46,9 @@ class CameraSpec(Table):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]
     center_mm: Vector
     aim_mm: Vector
+    up: Direction | None = Field(
+        None, description="direction of the world that its images show upwards"
+    )
     pixel_mm: Positive | None = None
     focal_length_mm: Positive | None = None
     principal_distance_mm: Positive | None = None
@@ -58,13 +62,15 @@ class CameraSpec(Table):
 
 
 class KnownSpec(Table):
-    """Point of the target whose position was measured.
+    """Point of the target, or a whole frame, whose position was measured.
 
     Coordinates that were not measured are left out.
     """
 
     frame: Annotated[int, Field(ge=0)]
-    point: Annotated[int, Field(ge=0)]
+    point: Annotated[int, Field(ge=0)] | None = Field(
+        None, description="by default all points: the target stands in a plane of that coordinate"
+    )
     x_mm: float | None = None
     y_mm: float | None = None
     z_mm: float | None = None
@@ -74,12 +80,22 @@ class KnownSpec(Table):
 class Configuration(Table):
     """Content of calibration.toml."""
 
-    target: TargetSpec
+    target: TargetSpec | None = None
+    target_points: str | None = Field(
+        None,
+        min_length=1,
+        description="file of a rigid target of any shape: columns point,x_mm,y_mm,z_mm; without it "
+        "and without `target`, points.csv has the measured place of every point",
+    )
+    up: Direction = Field(_UP, description="direction of the world that images show upwards")
     array: ArraySpec
     wall: WallTable | None = None
-    cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=2)]
-    target_mm: Vector = Field(description="initial guess of the target's position")
+    cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=1)]
+    target_mm: Vector | None = Field(
+        None,
+        description="initial guess of the target's position; by default the mean of aim_mm",
+    )
     known: tuple[KnownSpec, ...] = ()
-    unknown: tuple[LensNumber, ...] = Field(
-        (), description="parameters of the lenses to be found besides their focal lengths"
+    unknown: tuple[Unknown, ...] = Field(
+        (), description="parameters of lenses and wall to be found besides the focal lengths"
     )

@@ -5,13 +5,13 @@ docs/using/calibrating.md describes it.
 
 from __future__ import annotations
 
-import csv
 import tomllib
-from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from sabench.algorithms.calibration.initial_poses import place_boards, upright_axes
 from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import CalibrationCase
 from sabench.api.truth import Target
@@ -21,57 +21,110 @@ from sabench.images.photographs import read_photographs
 from sabench.scenes.tank import build_walls, wall_towards
 from sabench.scenes.wall import CylinderSpec, wall_tables
 from sabench.tasks.calibration_configuration import Configuration
-from sabench.utils.arrays import F64
+from sabench.tasks.calibration_points import (
+    Sightings,
+    read_loose_points,
+    read_sightings,
+    read_target,
+    unseen,
+)
+from sabench.utils.arrays import F64, I64, triple
 from sabench.utils.errors import InputError
+from sabench.utils.fields import Vector
+from sabench.utils.files import inside
 from sabench.utils.progress import progress_bar
-from sabench.utils.validation import printable, validate
+from sabench.utils.validation import validate
 
 CONFIGURATION, IMAGES, POINTS = "calibration.toml", "images", "points.csv"
-_COLUMNS = ["camera", "frame", "point", "column", "row"]
 _FARTHEST_MM = 1e6  # a kilometre
-_FARTHEST_PX = 1e6  # of a point from the image's corner
-_MOST_PIXELS = 20_000_000  # pixels of points in all frames and cameras
+_ANY_ROTATION = aimed_rotation(np.array([0.0, 0.0, 1.0]))  # until a camera is aimed
 _SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 
 
-def read_case(folder: Path) -> CalibrationCase:
+@dataclass(frozen=True)
+class Recording:
+    """Calibration case of a folder, with the numbers of its frames and points.
+
+    Attributes
+    ----------
+    case : the case. Without a target each of its frames is one point.
+    frames, points : (frame,) and (frame, point) numbers.
+    """
+
+    case: CalibrationCase
+    frames: I64
+    points: I64
+
+
+def read_case(folder: Path) -> Recording:
     """Read a folder's calibration: its points.csv, or else points of its images."""
     path = folder / CONFIGURATION
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InputError(f"{path}: expected the description of a calibration, found none") from None
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a TOML file, got {error}") from error
     configuration = validate(Configuration, values, str(path))
     _check_lengths(configuration, str(path))
-    target = Target(**configuration.target.model_dump())
     cameras = _cameras(configuration, str(path))
-    plain = target.points_mm + np.asarray(configuration.target_mm)
-    pixels = (
-        _read_points(folder / POINTS, target, cameras)
-        if (folder / POINTS).is_file()
-        else _read_images(folder / IMAGES, target, cameras, plain)
-    )
-    initial = np.tile(plain, (pixels.shape[1], 1, 1))
-    return CalibrationCase(
+    target = _target(configuration, folder)
+    plain = target.points_mm @ upright_axes(cameras).T + np.asarray(_middle(configuration))
+    names = [camera.name for camera in cameras]
+    if len(plain) == 1 and target.pattern == "points":
+        seen = read_loose_points(folder / POINTS, names)
+    elif (folder / POINTS).is_file():
+        seen = read_sightings(folder / POINTS, names, len(plain))
+    elif target.pattern == "points":
+        raise InputError(
+            f"{folder / POINTS}: expected the points that cameras saw, since points of any places "
+            "are not detected in images, found none"
+        )
+    else:
+        seen = unseen(_read_images(folder / IMAGES, target, cameras, plain))
+    _enter_known(configuration, seen, str(path))
+    initial = np.tile(plain, (seen.pixels.shape[1], 1, 1))
+    case = CalibrationCase(
         target,
-        pixels,
+        seen.pixels,
         cameras,
         initial,
-        *_known_positions(configuration, initial.shape, str(path)),
+        seen.known_mm,
+        seen.sigma_mm,
         configuration.unknown,
     )
+    return Recording(replace(case, initial_mm=place_boards(case)), seen.frames, seen.points)
+
+
+def _target(configuration: Configuration, folder: Path) -> Target:
+    """Make the target; without one, a single point for each of the points."""
+    spec, points = configuration.target, configuration.target_points
+    if spec is not None and points is not None:
+        raise InputError(
+            f"{folder / CONFIGURATION}: expected either target or target_points, got both"
+        )
+    if spec is not None:
+        return Target(**spec.model_dump())
+    if points is not None:
+        return Target.from_places(read_target(inside(folder, points)))
+    return Target.from_places(((0.0, 0.0, 0.0),))
+
+
+def _middle(configuration: Configuration) -> Vector:
+    """Guess where the target is: as configured, or where cameras are aimed."""
+    aims = [camera.aim_mm for camera in configuration.cameras]
+    return configuration.target_mm or triple(np.mean(aims, axis=0))
 
 
 def _check_lengths(configuration: Configuration, source: str) -> None:
     """Check that lengths and coordinates are such as a laboratory has."""
     target, array = configuration.target, configuration.array
-    given = {
-        "target": (target.pitch_mm, target.mark_mm),
-        "target_mm": configuration.target_mm,
+    given: dict[str, tuple[float, ...]] = {
+        "target_mm": configuration.target_mm or (0.0,),
         "array": (array.pixel_mm, array.focal_length_mm, array.principal_distance_mm or 0.0),
     }
+    if target is not None:
+        given["target"] = (target.pitch_mm, target.mark_mm)
     for number, camera in enumerate(configuration.cameras):
         given[f"cameras.{number}"] = (*camera.center_mm, *camera.aim_mm)
     for number, point in enumerate(configuration.known):
@@ -101,7 +154,7 @@ def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
             rows=shared.rows,
             columns=shared.columns,
             center_mm=spec.center_mm,
-            rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+            rotation=_ANY_ROTATION,
             principal_distance_mm=distance_mm or focal_length_mm,
             pixel_mm=spec.pixel_mm or shared.pixel_mm,
             principal_point_px=spec.principal_point_px
@@ -113,7 +166,8 @@ def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
             wall=wall_towards(walls, np.asarray(spec.center_mm), np.asarray(spec.aim_mm)),
         )
         try:
-            cameras.append(aim(camera, spec.aim_mm))
+            down = -np.asarray(spec.up or configuration.up)
+            cameras.append(aim(camera, spec.aim_mm, down))
         except ValueError as error:
             raise InputError(
                 f"{source}: {error}: is the wall behind the camera, or the target in front of the "
@@ -122,88 +176,27 @@ def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
     return tuple(cameras)
 
 
-def _known_positions(
-    configuration: Configuration, shape: tuple[int, ...], source: str
-) -> tuple[F64, F64]:
-    positions, sigmas = np.full(shape, np.nan), np.full(shape, np.nan)
-    for number, point in enumerate(configuration.known):
-        if point.frame >= shape[0] or point.point >= shape[1]:
-            raise InputError(
-                f"{source}: known.{number}: expected one of {shape[0]} frames and of {shape[1]} "
-                f"points, got {point.frame} and {point.point}"
-            )
-        for axis, value in enumerate((point.x_mm, point.y_mm, point.z_mm)):
-            if value is not None:
-                (
-                    positions[point.frame, point.point, axis],
-                    sigmas[point.frame, point.point, axis],
-                ) = (
-                    value,
-                    point.sigma_mm,
-                )
-    return positions, sigmas
+def _enter_known(configuration: Configuration, seen: Sightings, source: str) -> None:
+    """Enter the measured coordinates of the configuration.
 
-
-def _read_points(path: Path, target: Target, cameras: tuple[Camera, ...]) -> F64:
-    """Read points.csv, which has the first line `camera,frame,point,column,row`.
-
-    Every further line is a point that was found.
+    A coordinate of a whole frame has one error, which is spread over its points.
     """
-    numbers, rows = {camera.name: i for i, camera in enumerate(cameras)}, list(_lines(path))
-    frames = 1 + max((row[1] for row in rows), default=-1)
-    count = len(target.points_mm)
-    most = min(len(rows), _MOST_PIXELS // (len(cameras) * count))
-    if frames > most:
-        raise InputError(
-            f"{path}: expected frames counted from 0 and at most {most}, for {len(rows)} points "
-            f"found, got frame {frames - 1}"
-        )
-    pixels = np.full((len(cameras), max(frames, 1), count, 2), np.nan)
-    for camera, frame, point, column, row in rows:
-        if camera not in numbers or not 0 <= point < count or frame < 0:
+    for number, known in enumerate(configuration.known):
+        chosen = seen.frames[:, None] == known.frame
+        if known.point is None:
+            chosen = chosen & np.ones_like(seen.points, dtype=np.bool_)
+        else:
+            chosen = chosen & (seen.points == known.point)
+        if not chosen.any():
+            frames, points = len(np.unique(seen.frames)), seen.points.max() + 1
             raise InputError(
-                f"{path}: expected cameras {', '.join(numbers)} and points 0 to {count - 1}, got "
-                f"{camera}, frame {frame}, point {point}"
+                f"{source}: known.{number}: expected one of {frames} frames and of {points} "
+                f"points, got {known.frame} and {known.point}"
             )
-        if np.isfinite(pixels[numbers[camera], frame, point, 0]):
-            raise InputError(
-                f"{path}: {camera}, frame {frame}: expected point {point} once, got it twice"
-            )
-        pixels[numbers[camera], frame, point] = column, row
-    return pixels
-
-
-def _lines(path: Path) -> Iterator[tuple[str, int, int, float, float]]:
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            if reader.fieldnames != _COLUMNS:
-                raise InputError(
-                    f"{path}: expected the first line {','.join(_COLUMNS)}, got "
-                    f"{printable(','.join(reader.fieldnames or ()))}"
-                )
-            for number, line in enumerate(reader, 2):
-                yield _point(path, number, line)
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: expected a CSV file in UTF-8, got {error}") from error
-
-
-def _point(path: Path, number: int, line: dict[str, str]) -> tuple[str, int, int, float, float]:
-    """Read a line: camera, frame and number of a point, and its pixel."""
-    where = f"{path}: line {number}"
-    try:
-        frame, point = int(line["frame"]), int(line["point"])
-        column, row = float(line["column"]), float(line["row"])
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{where}: expected a name, two whole numbers and two numbers, got {error}"
-        ) from error
-    if not (abs(column) <= _FARTHEST_PX and abs(row) <= _FARTHEST_PX):
-        raise InputError(
-            f"{where}: expected pixels of -{_FARTHEST_PX:g} to {_FARTHEST_PX:g}, got {column}, "
-            f"{row}"
-        )
-    return line["camera"], frame, point, column, row
+        sigma = known.sigma_mm * np.sqrt(chosen.sum())
+        for axis, value in enumerate((known.x_mm, known.y_mm, known.z_mm)):
+            if value is not None:
+                seen.known_mm[chosen, axis], seen.sigma_mm[chosen, axis] = value, sigma
 
 
 def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plain: F64) -> F64:

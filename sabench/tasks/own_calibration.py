@@ -6,18 +6,15 @@ docs/using/calibrating.md describes it. The output is cameras and a report.
 
 from __future__ import annotations
 
+import csv
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
-import numpy.typing as npt
 
-from sabench.algorithms.calibration.bundle_adjustment import BoardImages
-from sabench.algorithms.calibration.cramer_rao import limit
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters
-from sabench.algorithms.calibration.problem import make_anchors
+from sabench.algorithms.calibration.unknown_selection import Nested, select_unknowns
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.dataset.camera_files import write_cameras
@@ -25,158 +22,135 @@ from sabench.dataset.schema import CAMERAS
 from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
 from sabench.plotting import pictures
-from sabench.tasks.calibration_folder import read_case
-from sabench.utils.arrays import F64, triple
+from sabench.tasks.calibration_folder import Recording, read_case
+from sabench.tasks.calibration_report import Report, report_on
+from sabench.tasks.held_out_calibration import has_places, hold_out, solve_case
+from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from sabench.utils.fields import Unknown
 from sabench.utils.files import canonical_json, complete_or_nothing
 
-
-@dataclass(frozen=True)
-class Report:
-    """Quality of a calibration as far as its own data show it.
-
-    Attributes
-    ----------
-    noise_px : noise of a pixel coordinate, from the residuals.
-    true_px : expected mean error of the calibrated cameras under this noise.
-    std_mm : expected standard deviation of the target's points along X, Y, Z under this noise.
-    depth_mm : standard deviation of the depth of all points together.
-    cameras, frames : for each its name or number, the numbers of points found and used, and the
-        mean and largest residual of the used ones, px.
-    """
-
-    noise_px: float
-    true_px: float
-    std_mm: tuple[float, float, float]
-    depth_mm: float
-    cameras: tuple[dict[str, Any], ...]
-    frames: tuple[dict[str, Any], ...]
+_PLACES = ("frame", "point", "x_mm", "y_mm", "z_mm", "cameras", "from_known_mm")
 
 
 def calibrate(
-    folder: Path, out: Path, solver: str, parameters: dict[str, Any], *, overwrite: bool = False
+    folder: Path,
+    out: Path,
+    solver: str,
+    parameters: dict[str, Any],
+    *,
+    unknowns: str | None = None,
+    overwrite: bool = False,
 ) -> Report:
     """Calibrate the cameras of a folder and write the files of the folder `out`.
 
-    They are cameras.json, report.json and errors.png.
+    They are cameras.json, report.json, target.csv, errors.png and residuals/CAMERA.png.
+
+    Parameters
+    ----------
+    unknowns : names that commas separate, in place of those of calibration.toml; or "auto", see
+        `unknown_selection.select_unknowns`.
 
     Raises
     ------
     InputError
         Anything missing or wrong in the folder, or a calibration that its data do not support.
     """
-    case = read_case(folder)
-    algorithm: Any = make_algorithm(solver, parameters)
-    if getattr(algorithm, "sees", "") != "target":
-        raise InputError(f"solver {solver}: expected one that calibrates by a target")
-    reason = algorithm.skip(case)
-    if reason:
-        raise InputError(f"solver {solver} declines this case: {reason}")
-    answer, points = _solve(algorithm, solver, case)
-    if points is None or not all(isinstance(camera, Camera) for camera in answer.cameras):
-        raise InputError(
-            f"solver {solver}: expected one that returns pinhole cameras and the target's "
-            "positions, for the report"
-        )
-    report, errors = report_on(case, answer, points, solver)
-    check_finite(report, answer, solver)
+    recording = read_case(folder)
+    chosen, compared = _choose_unknowns(recording.case, unknowns)
+    case = replace(recording.case, unknown=chosen)
+    recording = replace(recording, case=case)
+    algorithm = _solver_of(solver, parameters, case)
+    answer = solve_case(algorithm, case)
+    check_finite(answer, solver)
+    try:
+        held_out = hold_out(algorithm, case, answer)
+        report, points, errors = report_on(recording, answer, held_out, compared)
+    except InputError as error:
+        raise InputError(f"solver {solver}: {error}") from error
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         partial.mkdir()
         write_cameras(partial / CAMERAS, answer.cameras, wall=wall_entry(answer.cameras))
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
-        (partial / "errors.png").write_bytes(
-            pictures.arrows(case.pixels, errors, case.cameras[0].rows, case.cameras[0].columns)
-        )
+        _write_places(partial / "target.csv", recording, points)
+        _draw(partial, case, errors)
     return report
 
 
-def _solve(algorithm: Any, solver: str, case: CalibrationCase) -> tuple[Calibration, F64 | None]:
-    """Call a solver, which may raise anything on a strange case."""
-    try:
-        answer: Calibration = algorithm.solve(case)
-    except InputError:
-        raise
-    except Exception as error:
-        failed = f"solver {solver} failed: {type(error).__name__}: {error}"
-        raise InputError(failed) from error
-    return answer, answer.points_mm
+def _choose_unknowns(
+    case: CalibrationCase, unknowns: str | None
+) -> tuple[tuple[Unknown, ...], tuple[Nested, ...]]:
+    """Take the case's unknowns, those named, or those that held-out frames recommend.
+
+    The latter come with the table of the fits.
+    """
+    if unknowns == "auto":
+        return select_unknowns(case)
+    return case.unknown if unknowns is None else parse_unknowns(unknowns), ()
 
 
-def check_finite(report: Report, answer: Calibration, solver: str) -> None:
+def parse_unknowns(text: str) -> tuple[Unknown, ...]:
+    """Read names of unknowns that commas separate."""
+    known = [name for part in get_args(Unknown) for name in (get_args(part) or (part,))]
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    for name in names:
+        if name not in known:
+            raise InputError(
+                f"--unknowns: expected auto, or names of {', '.join(known)}, got {name}"
+            )
+    chosen: tuple[Any, ...] = tuple(names)
+    return chosen
+
+
+def _solver_of(solver: str, parameters: dict[str, Any], case: CalibrationCase) -> Any:
+    """Make a solver that can take a case."""
+    algorithm: Any = make_algorithm(solver, parameters)
+    if getattr(algorithm, "sees", "") != "target":
+        raise InputError(f"solver {solver}: expected one that calibrates by a target")
+    if getattr(algorithm, "needs_places", False) and not has_places(case):
+        raise InputError(
+            f"solver {solver}: expected known places of the target in every frame (x_mm, y_mm and "
+            "z_mm in points.csv), since it takes them as exact, got none or too few"
+        )
+    reason = algorithm.skip(case)
+    if reason:
+        raise InputError(f"solver {solver} declines this case: {reason}")
+    return algorithm
+
+
+def check_finite(answer: Calibration, solver: str) -> None:
     """Raise an InputError for a calibration that the data do not determine."""
-    figures = (report.noise_px, report.true_px, *report.std_mm, report.depth_mm)
     records = [asdict(camera) for camera in answer.cameras if isinstance(camera, Camera)]
     try:
-        json.dumps([figures, records], allow_nan=False)
+        json.dumps(records, allow_nan=False)
     except ValueError as error:
         raise InputError(
-            f"solver {solver}: expected finite cameras and errors, got NaN or infinity: the data "
-            "do not determine the calibration, or calibration.toml has a wrong length"
+            f"solver {solver}: expected finite cameras, got NaN or infinity: the data do not "
+            "determine the calibration, or calibration.toml has a wrong length"
         ) from error
 
 
-def report_on(
-    case: CalibrationCase, answer: Calibration, points: F64, solver: str
-) -> tuple[Report, F64]:
-    """Report the quality of a calibration, and the residuals of all points found.
-
-    Residuals are (camera, frame, point, 2).
-
-    Raises
-    ------
-    InputError
-        Points found where the calibration lets no camera see them.
-    """
-    cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
-    flat = points.reshape(-1, 3)
-    errors = case.pixels - np.stack([camera.project(flat)[0] for camera in cameras]).reshape(
-        case.pixels.shape
-    )
-    used = case.found if answer.used is None else answer.used
-    if hidden := int(np.isnan(errors[used]).any(axis=-1).sum()):
-        raise InputError(
-            f"solver {solver}: expected the target in the fluid, but {hidden} of {int(used.sum())} "
-            "points found cannot be seen where the calibration puts them: in the wall or before "
-            "it; check target_mm, wall and known"
-        )
-    frame = Frame.from_cameras(cameras, points)
-    free = FreeParameters.from_names(case.unknown)
-    size, boards = free.per_camera * len(cameras), 6 * int(used.any(axis=(0, 2)).sum())
-    noise = float(np.sqrt(np.sum(errors[used] ** 2) / max(2 * used.sum() - size - boards, 1)))
-    seen = BoardImages(
-        case.target.points_mm,
-        np.nan_to_num(case.pixels),
-        used.astype(np.float64),
-        make_anchors(case, frame, noise),
-        frame.beyond_kernels,
-    )
-    bound = limit(frame.state(case.target.points_mm, points), seen, free, noise)
-    lengths = np.linalg.norm(errors, axis=-1)
-    by_camera = tuple(
-        _line(camera.name, lengths[i], case.found[i], used[i]) for i, camera in enumerate(cameras)
-    )
-    by_frame = tuple(
-        _line(k, lengths[:, k], case.found[:, k], used[:, k]) for k in range(points.shape[0])
-    )
-    return Report(
-        noise,
-        bound.reprojection_px,
-        triple(bound.point_std_mm),
-        float(bound.point_mean_mm[2]),
-        by_camera,
-        by_frame,
-    ), errors
+def _write_places(path: Path, recording: Recording, points: F64) -> None:
+    """Write the places of all points seen, and distances from known ones."""
+    case = recording.case
+    seen = case.found.sum(axis=0)
+    apart = np.linalg.norm(points - case.known_mm, axis=-1)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(_PLACES)
+        for k, i in np.argwhere((seen > 0) & np.isfinite(points).all(axis=-1)).tolist():
+            known = f"{apart[k, i]:.6g}" if np.isfinite(apart[k, i]) else ""
+            place = [f"{value:.6f}" for value in points[k, i].tolist()]
+            labels = [recording.frames[k], recording.points[k, i]]
+            writer.writerow([*labels, *place, seen[k, i], known])
 
 
-def _line(
-    name: str | int, lengths: F64, found: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_]
-) -> dict[str, Any]:
-    own = lengths[used]
-    figures = (float(own.mean()), float(own.max())) if len(own) else (None, None)
-    return {
-        "name": name,
-        "found": int(found.sum()),
-        "used": int(used.sum()),
-        "mean_px": figures[0],
-        "largest_px": figures[1],
-    }
+def _draw(folder: Path, case: CalibrationCase, errors: F64) -> None:
+    """Draw the residuals over the images, for each camera with cell means."""
+    size = case.cameras[0].rows, case.cameras[0].columns
+    (folder / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, *size))
+    (folder / "residuals").mkdir()
+    for camera, own, off in zip(case.cameras, case.pixels, errors, strict=True):
+        both = pictures.with_cell_means(own.reshape(-1, 2), off.reshape(-1, 2), *size)
+        drawn = pictures.arrows(*both, *size)
+        (folder / "residuals" / f"{camera.name}.png").write_bytes(drawn)

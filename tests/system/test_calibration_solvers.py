@@ -53,6 +53,7 @@ def level_case(**changes: Any) -> Any:
 MOST = {
     "refractive_autocal": 0.015,
     "refractive_autocal_alternating": 0.1,
+    "refractive_resection": 0.1,
     "refractive_autocal_randomised": 0.1,
     "soloff": 0.1,
     "polynomial_planes": 0.15,

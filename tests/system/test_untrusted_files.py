@@ -8,6 +8,7 @@ import shutil
 import time
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from sabench.evaluation.hidden_split import read_secret
 from sabench.geometry.grid import Grid, check_volume
 from sabench.images.tiff_exr import read_exr, read_tiff, write_exr
 from sabench.tasks.calibration_folder import read_case
-from sabench.tasks.own_calibration import Report, check_finite
+from sabench.tasks.own_calibration import check_finite
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, read_json
@@ -264,7 +265,10 @@ HEADER = b"camera,frame,point,column,row\n"
         (b"\xff,0,0,1.5,2.5", "points.csv: expected a CSV file in UTF-8, got 'utf-8' codec"),
         (b"a,1000000000000000000,0,1.5,2.5", "points.csv: expected frames counted from 0 and at"),
         (b"a,100000,0,1.5,2.5", "at most 1, for 1 points found, got frame 100000"),
-        (b"a,0,0,1e300,2.5", "points.csv: line 2: expected pixels of -1e\\+06 to 1e\\+06"),
+        (
+            b"a,0,0,1e300,2.5",
+            "points.csv: line 2: column: expected a number of -1e\\+06 to 1e\\+06",
+        ),
     ],
 )
 def test_damaged_points_are_a_sentence(points: bytes, words: str, tmp_path: Path) -> None:
@@ -307,9 +311,10 @@ def test_a_calibration_of_absurd_lengths(tmp_path: Path) -> None:
 
 
 def test_a_calibration_that_its_data_do_not_determine(quick: Dataset) -> None:
-    report = Report(0.1, 0.1, (0.1, np.nan, 0.1), 0.1, (), ())
-    with pytest.raises(InputError, match="solver mine: expected finite cameras and errors, got"):
-        check_finite(report, Calibration(quick.setup.cameras), "mine")
+    first, *others = quick.setup.cameras
+    lost = replace(first, center_mm=(0.0, np.nan, 0.0))
+    with pytest.raises(InputError, match="solver mine: expected finite cameras, got"):
+        check_finite(Calibration((lost, *others)), "mine")
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,13 @@ if TYPE_CHECKING:
         upgrade_to_euclidean,
     )
     from sabench.algorithms.calibration.input_checks import check_fit
+    from sabench.algorithms.calibration.joint_fit import fit_jointly
     from sabench.algorithms.calibration.parameters import FreeParameters, State
-    from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
+    from sabench.algorithms.calibration.problem import (
+        CalibrationProblem,
+        lens_unknowns,
+        make_anchors,
+    )
     from sabench.algorithms.calibration.robust import adjust
     from sabench.algorithms.calibration.self_calibration import (
         Tracking,
@@ -45,6 +50,7 @@ __all__ = [
     "check_fit",
     "check_plane_wall",
     "factorise",
+    "fit_jointly",
     "fit_planes",
     "fit_projective",
     "fit_similarity",
@@ -52,6 +58,7 @@ __all__ = [
     "follow_disparities",
     "known_frames",
     "known_points",
+    "lens_unknowns",
     "make_anchors",
     "match_particles",
     "mean_rotation",
@@ -73,11 +80,13 @@ _HOMES = {
     "check_fit": "input_checks",
     "check_plane_wall": "wall_frame",
     "factorise": "factorisation",
+    "fit_jointly": "joint_fit",
     "fit_planes": "sabench.geometry.polynomial_cameras",
     "fit_projective": "sabench.geometry.projective_camera",
     "fit_similarity": "wall_frame",
     "fit_soloff": "sabench.geometry.polynomial_cameras",
     "follow_disparities": "self_calibration",
+    "lens_unknowns": "problem",
     "make_anchors": "problem",
     "match_particles": "self_calibration",
     "mean_rotation": "alternating",

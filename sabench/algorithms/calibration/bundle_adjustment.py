@@ -10,7 +10,7 @@ of the cameras' unknowns only. Source: Triggs et al. (2000), Bundle adjustment -
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -18,14 +18,22 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sabench.algorithms.calibration import any_wall
+from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.normal_equations import equations, misses
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State, steps_of
+from sabench.algorithms.calibration.parameters import (
+    Frame,
+    FreeParameters,
+    State,
+    bend_lifts,
+    steps_of,
+)
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.geometry.rotations import skew
 from sabench.utils.arrays import F64, I64
 
 _STEPS = 200
 _GAIN = 1e-9  # a step that promises to lower the cost by less than this fraction is the last
+_HARDLY = 1e-9  # damping that changes no step of what the images determine
 _EXACT = 1e-18  # square pixels per observation: nothing is left to gain below
 
 
@@ -42,6 +50,7 @@ class BoardImages:
     pixels : (M, K, m, 2) column and row; anything where the weight is 0.
     weights : (M, K, m).
     anchors : known positions; empty for none.
+    prior : what is known of the unknowns that all cameras share; None for nothing.
     frame : of cameras that are not behind one plane wall, see `Frame.beyond_kernels`.
     """
 
@@ -50,6 +59,7 @@ class BoardImages:
     weights: F64
     anchors: tuple[Anchor, ...] = ()
     frame: Frame | None = None
+    prior: Prior | None = None
 
     @cached_property
     def anchored(self) -> tuple[I64, I64, F64, F64, F64, F64]:
@@ -83,7 +93,7 @@ class Anchor:
     position_mm : (3,) in the world's frame; anything along axes without precision.
     precision : (3,) inverse variance along the world's axes, 1 / mm^2, times the variance of a
         pixel coordinate; 0 where the position is not known.
-    world : from the wall's frame to the world's.
+    world : from the nominal wall's frame to the world's.
     """
 
     board: int
@@ -91,6 +101,20 @@ class Anchor:
     position_mm: F64
     precision: F64
     world: RigidMotion
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Nominal values of what all cameras share, in the order of `State.shared`.
+
+    Attributes
+    ----------
+    mean : (n,) values.
+    precision : (n,) inverse variances, times the variance of a pixel coordinate.
+    """
+
+    mean: F64
+    precision: F64
 
 
 @dataclass(frozen=True)
@@ -122,23 +146,50 @@ def normal_equations(
     state: State, seen: BoardImages, free: FreeParameters, scale: float = 0.0
 ) -> Normal:
     """Compute the equations of one Gauss-Newton step."""
-    cost, aa, ab, bb, a, d = _equations(state, seen, free, scale)
+    normal = Normal(*_equations(state, seen, free, scale))
     if seen.anchors:
-        board, point, position_mm, precision, rotations, shifts = seen.anchored
-        arms = np.einsum("nij,nj->ni", state.board_rotations[board], seen.board[point])
-        miss = (
-            position_mm
-            - np.einsum("nij,nj->ni", rotations, arms + state.board_positions[board])
-            - shifts
-        )
-        slopes = rotations @ np.concatenate(
-            [-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2
-        )
-        weighted = slopes * precision[:, :, None]
-        cost += float(np.sum(precision * miss**2))
-        np.add.at(bb, board, weighted.transpose(0, 2, 1) @ slopes)
-        np.add.at(d, board, np.einsum("nij,ni->nj", weighted, miss))
-    return Normal(cost, aa, ab, bb, a, d)
+        normal = _with_anchors(normal, state, seen, free)
+    return normal if seen.prior is None else _with_prior(normal, state, seen.prior, free)
+
+
+def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreeParameters) -> Normal:
+    """Add the known places to the equations."""
+    board, point, position_mm, precision, rotations, shifts = seen.anchored
+    bent = state.bend_board(seen.board)
+    arms = np.einsum("nij,nj->ni", state.board_rotations[board], bent[point])
+    turned = (arms + state.board_positions[board]) @ state.wall.rotation.T
+    nominal = turned + state.wall.shift
+    miss = position_mm - np.einsum("nij,nj->ni", rotations, nominal) - shifts
+    by_board = np.concatenate([-skew(arms), np.broadcast_to(np.eye(3), (len(arms), 3, 3))], axis=2)
+    slopes = rotations @ state.wall.rotation @ by_board
+    weighted = slopes * precision[:, :, None]
+    np.add.at(normal.bb, board, weighted.transpose(0, 2, 1) @ slopes)
+    np.add.at(normal.d, board, np.einsum("nij,ni->nj", weighted, miss))
+    if free.wall or free.bend:
+        levers = [
+            -skew(turned)[:, :, :2],
+            np.broadcast_to(np.eye(3)[:, 2:], (len(arms), 3, 1)),
+            (state.wall.rotation @ state.board_rotations[board])[:, :, 2:]
+            * bend_lifts(seen.board)[point][:, None],
+        ]
+        chosen = np.repeat([free.wall, free.wall, free.bend], [2, 1, BEND])
+        by_shared = (rotations @ np.concatenate(levers, axis=2))[:, :, chosen]
+        heavy = by_shared * precision[:, :, None]
+        own = slice(len(normal.aa) - by_shared.shape[2], None)
+        normal.aa[own, own] += np.einsum("nip,niq->pq", heavy, by_shared)
+        normal.a[own] += np.einsum("nip,ni->p", heavy, miss)
+        np.add.at(normal.ab[:, own], board, heavy.transpose(0, 2, 1) @ slopes)
+    return replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
+
+
+def _with_prior(normal: Normal, state: State, prior: Prior, free: FreeParameters) -> Normal:
+    """Add what is known of the shared unknowns to the equations."""
+    _, shared = free.columns(len(state.indices))
+    own = np.arange(len(normal.aa) - len(shared), len(normal.aa))
+    miss, precision = (prior.mean - state.shared)[shared], prior.precision[shared]
+    normal.aa[own, own] += precision
+    normal.a[own] += precision * miss
+    return replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
 
 
 def _equations(
@@ -148,7 +199,7 @@ def _equations(
     pair = seen.pixels, seen.weights
     if seen.frame is not None:
         return any_wall.equations(seen.frame, state, seen.board, pair, free, scale)
-    boards = state.board_rotations, state.board_positions, seen.board
+    boards = state.boards(seen.board)
     made: any_wall.Equations = equations(
         state.array(), boards, pair, free.columns(len(state.indices)), scale
     )
@@ -193,6 +244,11 @@ def refine(
         else:
             return Fit(state, here.cost, step, False)
     return Fit(state, here.cost, _STEPS, False)
+
+
+def promised_gain(normal: Normal) -> float:
+    """Compute by how much a step lowers the cost, if that is quadratic."""
+    return _step(normal, _HARDLY, "all")[2]
 
 
 def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, float]:
@@ -254,7 +310,5 @@ def residuals(state: State, seen: BoardImages) -> F64:
     pair = seen.pixels, seen.weights
     if seen.frame is not None:
         return any_wall.misses(seen.frame, state, seen.board, pair)
-    out: F64 = misses(
-        state.array(), (state.board_rotations, state.board_positions, seen.board), pair
-    )
+    out: F64 = misses(state.array(), state.boards(seen.board), pair)
     return out

@@ -73,7 +73,7 @@ def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: 
     pair = seen.pixels, seen.weights
     if seen.frame is not None:
         return any_wall.spreads(seen.frame, state, seen.board, pair, free, covariance)
-    boards = state.board_rotations, state.board_positions, seen.board
+    boards = state.boards(seen.board)
     columns = free.columns(len(state.indices))
     return np.asarray(spreads(state.array(), boards, pair, columns, covariance))
 
@@ -118,7 +118,7 @@ def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]
     boards = np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0)
     size = len(covariance) - BOARD * len(state.board_positions)
     own = (size + BOARD * boards[:, None] + np.arange(BOARD)).ravel()
-    root = np.linalg.cholesky(_positive(covariance[np.ix_(own, own)]))
+    root = _root(covariance[np.ix_(own, own)])
     points = state.points(seen.board)[boards]
     slopes = np.zeros((*points.shape, len(own)))  # of every coordinate by the boards' unknowns
     arms = points - state.board_positions[boards, None]
@@ -136,10 +136,10 @@ def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]
     return np.sqrt(((errors - mean) ** 2).sum(axis=2).mean(axis=0)), np.sqrt((mean**2).sum(axis=1))
 
 
-def _positive(covariance: F64) -> F64:
-    """Restore what rounding has taken from a covariance's smallest eigenvalues."""
+def _root(covariance: F64) -> F64:
+    """Compute a root R of a covariance R R^T, in spite of rounding."""
     values, vectors = np.linalg.eigh(covariance)
-    return np.asarray((vectors * np.maximum(values, 1e-14 * values[-1])) @ vectors.T)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _mean_length(uu: F64, vv: F64, uv: F64) -> F64:

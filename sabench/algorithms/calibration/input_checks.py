@@ -10,6 +10,7 @@ import itertools
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, residuals
+from sabench.algorithms.calibration.end_state import check_end
 from sabench.algorithms.calibration.parameters import Frame, State
 from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import CalibrationCase
@@ -22,6 +23,9 @@ _SUSPECT = 0.5  # share of an image's points that fit, below which something is 
 _WRONG = 0.01  # of an image's width: noise that no detection has
 _FITS = 6.0  # times the noise below which a guess explains the points
 _FLAT = 1e-3  # thickness over width of points that lie in one plane
+_SEVERAL = 3  # points that an image needs to be told from another
+_MIRRORED = 0.25  # times its misfit below which the mirror image of an array fits better
+_FAR = 3.0  # times the nominal distance of a camera, beyond which no guess can be so wrong
 _GLASS = 1.4  # index that solids exceed and most fluids do not
 
 
@@ -61,25 +65,35 @@ def _check_indices(wall: Wall) -> None:
 def _check_duplicates(case: CalibrationCase) -> None:
     """Refuse equal pixels of two images.
 
-    Noise never repeats: equal pixels are one image under two names.
+    Noise never repeats: equal pixels of several points are one image under two names.
     """
-    for i, j in itertools.combinations(range(len(case.cameras)), 2):
-        if _same(case.pixels[i], case.pixels[j]):
-            raise InputError(
-                f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their "
-                "own, but all their points are the same"
-            )
+    if case.pixels.shape[2] < _SEVERAL:
+        return
+    whole = _twins(case.pixels)
+    if whole:
+        i, j = whole
+        raise InputError(
+            f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their "
+            "own, but all their points are the same"
+        )
     for camera, frames in zip(case.cameras, case.pixels, strict=True):
-        for i, j in itertools.combinations(range(len(frames)), 2):
-            if _same(frames[i], frames[j]):
-                raise InputError(
-                    f"{camera.name}: expected different images in frames {i} and {j}, but all "
-                    "their points are the same"
-                )
+        if twins := _twins(frames):
+            i, j = twins
+            raise InputError(
+                f"{camera.name}: expected different images in frames {i} and {j}, but all "
+                "their points are the same"
+            )
 
 
-def _same(one: F64, other: F64) -> bool:
-    return bool(np.isfinite(one).any() and np.array_equal(one, other, equal_nan=True))
+def _twins(images: F64) -> tuple[int, int] | None:
+    """Find two images (n, ...) with the same points, if there are any."""
+    first: dict[bytes, int] = {}
+    for number, image in enumerate(images):
+        if np.isfinite(image).any():
+            other = first.setdefault(np.nan_to_num(image, nan=-1e9).tobytes(), number)
+            if other != number:
+                return other, number
+    return None
 
 
 def check_fit(
@@ -92,8 +106,8 @@ def check_fit(
 ) -> None:
     """Refuse a fit that contradicts the input.
 
-    Such a fit contradicts the nominal positions, leaves out an image because of its order, or rests
-    on one plane.
+    Such a fit cannot be (see `end_state.list_faults`), contradicts the nominal positions, leaves
+    out an image because of its order, or rests on one plane.
 
     Images through a wall show neither the first corner of a board nor the names of cameras. Only
     the nominal positions show that a board's corners are counted from another corner in all
@@ -110,15 +124,19 @@ def check_fit(
             f"expected points that one array can see, got some that miss by {noise_px:.3g} px at "
             "best: are they the target's, in its order?"
         )
+    check_end(state, seen, frame)
     _check_views(case, state, seen, used, there, noise_px)
     points = state.points(seen.board)
     _check_corners(case, points, frame.motion(case.initial_mm), there)
-    _check_names(
-        case, state.centers, frame.motion(np.array([camera.center_mm for camera in case.cameras]))
-    )
+    nominal = frame.motion(np.array([camera.center_mm for camera in case.cameras]))
+    _check_names(case, state.centers, nominal)
+    _check_mirror(state.centers, nominal)
+    _check_distances(case, state.centers - points[there.any(axis=0)].mean(axis=0))
     found = points[there.any(axis=0)]
+    if case.target.pattern == "wand":
+        return
     spread = np.linalg.svd(found - found.mean(axis=0), compute_uv=False)
-    if spread[2] < _FLAT * spread[0] and case.target.pattern != "wand":
+    if spread[2] < _FLAT * spread[0]:
         raise InputError(
             "expected a target at different depths or tilts, but all frames show it in one "
             "plane, which leaves focal lengths open"
@@ -150,8 +168,10 @@ def _check_views(
 def list_relabellings(target: Target) -> list[tuple[int, I64]]:
     """List rotations, in degrees, under which a target's grid maps onto itself.
 
-    Each comes with the order of the points under it.
+    Each comes with the order of the points under it. Points in any places have none.
     """
+    if target.places_mm:
+        return []
     grid = np.arange(target.columns * target.rows).reshape(target.rows, target.columns)
     rotated = [(90 * quarters, np.rot90(grid, quarters)) for quarters in (2, 1, 3)]
     return [(degrees, grids.ravel()) for degrees, grids in rotated if grids.shape == grid.shape]
@@ -183,6 +203,48 @@ def _check_names(case: CalibrationCase, centers: F64, initial: F64) -> None:
                 f"{case.cameras[i].name} and {case.cameras[j].name}: expected each one's own "
                 "images, but these two are swapped"
             )
+
+
+def _check_mirror(centers: F64, initial: F64) -> None:
+    """Refuse cameras that stand where the mirror image of their initial guess does.
+
+    A flat board looks the same in mirrored images, so that they show a mirrored array.
+    """
+    if len(centers) < _SEVERAL:
+        return
+    own, nominal = (one[:, :2] - one[:, :2].mean(axis=0) for one in (centers, initial))
+    left, _, right = np.linalg.svd(own.T @ nominal)
+    same, mirrored = (
+        _rms(own - nominal @ (left @ np.diag([1.0, sign * np.linalg.det(left @ right)]) @ right).T)
+        for sign in (1.0, -1.0)
+    )
+    if mirrored < _MIRRORED * same and same > _MIRRORED * _rms(nominal):
+        raise InputError(
+            "expected rows counted from the top of the images and columns from the left, but the "
+            "cameras stand as the mirror image of their initial guess"
+        )
+
+
+def _check_distances(case: CalibrationCase, apart: F64) -> None:
+    """Refuse a camera whose distance from the target is not like its nominal one.
+
+    Vectors from the target to the cameras are (n, 3).
+    """
+    middle = np.nanmean(case.initial_mm.reshape(-1, 3), axis=0)
+    given = np.array([camera.center_mm for camera in case.cameras]) - middle
+    pairs = zip(case.cameras, _lengths(apart), _lengths(given), strict=True)
+    for camera, found, nominal in pairs:
+        if not nominal / _FAR < found < nominal * _FAR:
+            raise InputError(
+                f"{camera.name}: expected it about {nominal:.4g} mm from the target, as its "
+                f"initial guess is, but the fit puts it {found:.4g} mm away: are two cameras "
+                "swapped, images mirrored, or a length wrong?"
+            )
+
+
+def _lengths(vectors: F64) -> list[float]:
+    lengths: list[float] = np.linalg.norm(vectors, axis=-1).tolist()
+    return lengths
 
 
 def _rms(errors: F64) -> float:

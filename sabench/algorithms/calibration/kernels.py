@@ -20,6 +20,7 @@ import numba
 # rotation 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3, tilt 2
 CAMERA = 16
 BOARD = 6  # rotation 3, position 3
+BEND = 3  # of a board: along its X, its twist, along its Y
 _STEPS = 60
 
 
@@ -109,7 +110,9 @@ def observe(
     lever : (3,) the rotated point of the board; a small rotation d acts as exp(d) lever.
     position : (3,) the board's origin.
     row : columns in the order of `lens` after rotation and centre, then the board's rotation and
-        position, then indices and thicknesses.
+        position, then indices and thicknesses. Three more, of the wall's tilt and shift, stay 0:
+        they move known places and no image. The last are those by the board's bend, which
+        `normal_equations` fills in.
     work : depths, by_depth and by_index (3, m).
 
     Not ok: the path would not reach forward, or the point is behind the camera.

@@ -8,7 +8,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.algorithms.calibration.kernels import BOARD, CAMERA, observe
+from sabench.algorithms.calibration.kernels import BEND, BOARD, CAMERA, observe
 
 
 @numba.njit(cache=True)
@@ -19,6 +19,19 @@ def _rotate(rotation: Any, point: Any, lever: Any) -> None:
             + rotation[axis, 1] * point[1]
             + rotation[axis, 2] * point[2]
         )
+
+
+@numba.njit(cache=True)
+def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
+    """Fill in derivatives by the bend, which lifts a point along the normal."""
+    for i in range(2):
+        along = (
+            row[i, CAMERA + 3] * rotation[0, 2]
+            + row[i, CAMERA + 4] * rotation[1, 2]
+            + row[i, CAMERA + 5] * rotation[2, 2]
+        )
+        for j in range(BEND):
+            row[i, start + j] = along * lift[j]
 
 
 @numba.njit(cache=True)
@@ -45,7 +58,8 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
     Parameters
     ----------
     array : rotations (M, 3, 3), centres (M, 3), lenses (M, 10), media.
-    boards : rotations (K, 3, 3), positions (K, 3), points on a board (m, 3).
+    boards : rotations (K, 3, 3), positions (K, 3), points on a board (m, 3), and how far each
+        unknown of its bend lifts them (m, BEND).
     seen : pixels (M, K, m, 2) and weights (M, K, m); what has no weight is not looked at.
     free : columns of a camera (f,) that are unknowns, and of what all cameras share, counted from 0
         (s,).
@@ -59,7 +73,7 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
     a, d : (M f + s,) and (K, BOARD), minus the gradients.
     """
     rotations, centers, lenses, media = array
-    board_rotations, positions, points = boards
+    board_rotations, positions, points, lifts = boards
     pixels, weights = seen
     own, shared = free
     cameras, count, dots = weights.shape
@@ -71,7 +85,11 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
         np.zeros((count, BOARD, BOARD)),
     )
     a, d = np.zeros(size), np.zeros((count, BOARD))
-    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = (
+        np.zeros((2, CAMERA + BOARD + 2 * m + 1 + BEND)),
+        np.zeros((3, m)),
+        np.zeros(3),
+    )
     pick = _columns(own, shared)
     part, slope, chosen = np.zeros((local, local)), np.zeros(local), np.zeros((2, local))
     cost = 0.0
@@ -88,6 +106,7 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
                 )
                 if not ok:
                     return math.inf, aa, ab, bb, a, d
+                _bend(row, board_rotations[k], lifts[i], CAMERA + BOARD + 2 * m + 1)
                 eu, ev = pixels[c, k, i, 0] - u, pixels[c, k, i, 1] - v
                 square = eu * eu + ev * ev
                 if scale > 0.0:
@@ -143,10 +162,14 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
     NaN where nothing was seen or there is no path.
     """
     rotations, centers, lenses, media = array
-    board_rotations, positions, points = boards
+    board_rotations, positions, points, _ = boards
     pixels, _ = seen
     out, m = np.full(pixels.shape, math.nan), len(media[0])
-    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = (
+        np.zeros((2, CAMERA + BOARD + 2 * m + 1 + BEND)),
+        np.zeros((3, m)),
+        np.zeros(3),
+    )
     for c in range(pixels.shape[0]):
         for k in range(pixels.shape[1]):
             for i in range(pixels.shape[2]):
@@ -169,13 +192,17 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
     They follow from that of the unknowns in the order cameras, shared, boards.
     """
     rotations, centers, lenses, media = array
-    board_rotations, positions, points = boards
+    board_rotations, positions, points, lifts = boards
     _, weights = seen
     own, shared = free
     cameras, count, dots = weights.shape
     f, s, m = len(own), len(shared), len(media[0])
     local, base = f + s + BOARD, cameras * f + s
-    row, work, lever = np.zeros((2, CAMERA + BOARD + 2 * m - 2)), np.zeros((3, m)), np.zeros(3)
+    row, work, lever = (
+        np.zeros((2, CAMERA + BOARD + 2 * m + 1 + BEND)),
+        np.zeros((3, m)),
+        np.zeros(3),
+    )
     out = np.full((cameras, count, dots, 3), math.nan)
     part, pick, there = (
         np.zeros((local, local)),
@@ -204,6 +231,7 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
                 )
                 if not ok:
                     continue
+                _bend(row, board_rotations[k], lifts[i], CAMERA + BOARD + 2 * m + 1)
                 uu, vv, uv = 0.0, 0.0, 0.0
                 for p in range(local):
                     u, v = 0.0, 0.0

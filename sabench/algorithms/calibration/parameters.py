@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.kernels import CAMERA
+from sabench.algorithms.calibration.kernels import BEND, CAMERA
 from sabench.algorithms.calibration.wall_frame import common_plane, has_plane_wall, wall_frame
 from sabench.geometry.camera import Camera
 from sabench.geometry.lens_distortion import Distortion
@@ -21,6 +21,7 @@ from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64, I64, triple
 
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+_WALL = 3  # rotations about X and Y, shift along Z
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,8 @@ class FreeParameters:
     tilt : of every sensor.
     indices : numbers of media along the way of light from a camera, 0 for the cameras' own.
     thicknesses : numbers of layers.
+    wall : tilt and position of the wall, which only known places in the world show.
+    bend : of the board, the same in all frames: a quadratic of three terms.
     """
 
     principal_point: bool = False
@@ -41,16 +44,27 @@ class FreeParameters:
     indices: tuple[int, ...] = ()
     thicknesses: tuple[int, ...] = ()
     tilt: bool = False
+    wall: bool = False
+    bend: bool = False
 
     @classmethod
-    def from_names(cls, unknown: Iterable[str]) -> FreeParameters:
-        """Make from the names of a case's unknowns of the lenses."""
+    def from_names(cls, unknown: Iterable[str], layers: int = 0) -> FreeParameters:
+        """Make from the names of a case's unknowns, with a wall of some layers."""
         names = set(unknown)
         return cls(
             "principal_point" in names,
             tuple(name for name in _DISTORTION if name in names),
-            tilt="tilt" in names,
+            (layers + 1,) if "fluid_index" in names else (),
+            tuple(range(layers)) if "thickness" in names else (),
+            "tilt" in names,
+            "wall" in names,
+            "bend" in names,
         )
+
+    @property
+    def of_lenses(self) -> FreeParameters:
+        """The unknowns of the lenses alone."""
+        return replace(self, indices=(), thicknesses=(), wall=False, bend=False)
 
     @property
     def per_camera(self) -> int:
@@ -66,6 +80,8 @@ class FreeParameters:
             + [14, 15] * self.tilt
         )
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
+        shared += [2 * media - 2 + number for number in range(_WALL)] * self.wall
+        shared += [2 * media + 1 + number for number in range(BEND)] * self.bend
         return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
 
 
@@ -78,6 +94,8 @@ class State:
     rotations, centers, lenses : (M, 3, 3), (M, 3), (M, 10) as in `kernels.observe`.
     indices, thicknesses : of the media (m,) and layers (m - 2,).
     board_rotations, board_positions : (K, 3, 3), (K, 3).
+    wall : from the frame of the wall as it is to that of the nominal wall.
+    bend : (BEND,) lifts of the board's edges along its normal, mm: see `bend_lifts`.
     """
 
     rotations: F64
@@ -87,6 +105,15 @@ class State:
     thicknesses: F64
     board_rotations: F64
     board_positions: F64
+    wall: RigidMotion = field(default_factory=RigidMotion.none)
+    bend: F64 = field(default_factory=lambda: np.zeros(BEND))
+
+    @property
+    def shared(self) -> F64:
+        """Indices, thicknesses, tilt (rad) and shift of the wall, and the board's bend."""
+        turn = self.wall.rotation
+        tilt = [turn[2, 1], -turn[2, 0], self.wall.shift[2]]
+        return np.concatenate([self.indices, self.thicknesses, tilt, self.bend])
 
     def array(self) -> tuple[F64, F64, F64, tuple[F64, F64]]:
         """Return the cameras as arrays for the kernels."""
@@ -94,9 +121,21 @@ class State:
 
     def points(self, board: F64) -> F64:
         """Return a board's points (m, 3) as world points (K, m, 3), in the wall's frame."""
+        bent = self.bend_board(board)
         return np.asarray(
-            np.einsum("kij,mj->kmi", self.board_rotations, board) + self.board_positions[:, None]
+            np.einsum("kij,mj->kmi", self.board_rotations, bent) + self.board_positions[:, None]
         )
+
+    def bend_board(self, board: F64) -> F64:
+        """Bend a board's points (m, 3) in its own frame."""
+        if not self.bend.any():
+            return board
+        return np.asarray(board + np.outer(bend_lifts(board) @ self.bend, [0.0, 0.0, 1.0]))
+
+    def boards(self, board: F64) -> tuple[F64, F64, F64, F64]:
+        """Return the boards as arrays for the kernels."""
+        lifts = bend_lifts(board)
+        return self.board_rotations, self.board_positions, self.bend_board(board), lifts
 
     def apply_steps(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
         """Apply steps of the cameras' unknowns (M, f), the shared (s,) and the boards'.
@@ -106,9 +145,12 @@ class State:
         own, common = free.columns(len(self.indices))
         full = np.zeros((len(self.rotations), CAMERA))
         full[:, own] = cameras
-        media = np.concatenate([self.indices, self.thicknesses])
+        media = np.concatenate([self.indices, self.thicknesses, np.zeros(_WALL), self.bend])
         media[common] += shared
         count = len(self.indices)
+        media, (right, down, along), bend = np.split(media, [2 * count - 2, 2 * count + 1])
+        turn = rotation_matrices(np.array([right, down, 0.0]))
+        shift = self.wall.shift + np.array([0.0, 0.0, along])
         return State(
             np.ascontiguousarray(rotation_matrices(full[:, :3]) @ self.rotations),
             self.centers + full[:, 3:6],
@@ -117,6 +159,8 @@ class State:
             media[count:].copy(),
             np.ascontiguousarray(rotation_matrices(boards[:, :3]) @ self.board_rotations),
             self.board_positions + boards[:, 3:],
+            RigidMotion(turn @ self.wall.rotation, shift),
+            bend,
         )
 
     def move(self, motion: RigidMotion) -> State:
@@ -194,6 +238,10 @@ class Frame:
             np.stack([p.shift for p in poses]),
         )
 
+    def to_wall(self, state: State) -> RigidMotion:
+        """Return the motion from the world to the frame of the wall of a state."""
+        return state.wall.inverse().after(self.motion)
+
     def build_cameras(self, state: State) -> tuple[Camera, ...]:
         """Make the cameras of a state, in the world's frame."""
         wall = self._wall(state)
@@ -201,7 +249,7 @@ class Frame:
 
     def points(self, state: State, board: F64) -> F64:
         """Return world points (K, m, 3) of a state's boards."""
-        return self.motion.inverse()(state.points(board))
+        return self.to_wall(state).inverse()(state.points(board))
 
     def _wall(self, state: State) -> Wall | None:
         if self.wall is None:
@@ -211,14 +259,18 @@ class Frame:
             Layer(layer.name, n, d)
             for layer, n, d in zip(self.wall.layers, inner, state.thicknesses.tolist(), strict=True)
         )
-        return replace(self.wall, air_index=first, layers=layers, fluid_index=last)
+        wall = replace(self.wall, air_index=first, layers=layers, fluid_index=last)
+        if state.wall.is_none:
+            return wall
+        own = self.to_wall(state)
+        face = self.motion(np.asarray(wall.point_mm)) * np.array([1.0, 1.0, 0.0])
+        return replace(wall, point_mm=triple(own.inverse()(face)), normal=triple(own.rotation[2]))
 
     def _camera(self, number: int, state: State, wall: Wall | None) -> Camera:
         camera, lens = self.cameras[number], state.lenses[number].tolist()
-        turn, center = (
-            state.rotations[number] @ self.motion.rotation,
-            self.motion.inverse()(state.centers[number]),
-        )
+        motion = self.to_wall(state)
+        turn = state.rotations[number] @ motion.rotation
+        center = motion.inverse()(state.centers[number])
         return replace(
             camera,
             center_mm=triple(center),
@@ -229,6 +281,15 @@ class Frame:
             distortion=Distortion(**dict(zip(_DISTORTION, lens[3:8], strict=True))),
             tilt_deg=(math.degrees(lens[8]), math.degrees(lens[9])),
         )
+
+
+def bend_lifts(board: F64) -> F64:
+    """Compute the lifts (m, BEND) of a board's points by bends of 1 mm.
+
+    The terms are X^2, X Y and Y^2 in its own frame, scaled to its farthest coordinate.
+    """
+    x, y = board[:, :2].T / max(float(np.abs(board[:, :2]).max()), 1e-300)
+    return np.column_stack([x * x, x * y, y * y])
 
 
 def _pose(board: F64, points: F64) -> RigidMotion:

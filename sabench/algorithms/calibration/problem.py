@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages
+from sabench.algorithms.calibration.end_state import check_end
 from sabench.algorithms.calibration.free_motion import fit_free_motion
 from sabench.algorithms.calibration.input_checks import check_case
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
@@ -15,6 +17,7 @@ from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
 from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
+from sabench.utils.fields import LensNumber
 
 
 @dataclass(frozen=True)
@@ -46,15 +49,17 @@ class CalibrationProblem:
         """
         check_case(case)
         check_count(case, free.per_camera)
+        enough = min(3, case.initial_mm.shape[1])
         for number, points in enumerate(case.initial_mm):
-            if np.isfinite(points).all(axis=1).sum() < 3 and case.found[:, number].any():
+            if np.isfinite(points).all(axis=1).sum() < enough and case.found[:, number].any():
                 raise InputError(
                     f"frame {number}: expected a nominal position of its target, got none"
                 )
         frame = Frame.from_cameras(case.cameras, case.initial_mm)
         found = case.found
-        if free.indices or free.thicknesses:
+        if free != free.of_lenses:
             check_plane_wall(case.cameras)
+            check_shared(case, frame, free)
         seen = BoardImages(
             case.target.points_mm,
             np.nan_to_num(case.pixels),
@@ -85,7 +90,14 @@ class CalibrationProblem:
         return state.move(motion)
 
     def answer(self, state: State, used: Bool | None = None) -> Calibration:
-        """Return cameras and points in the world's frame."""
+        """Return cameras and points in the world's frame.
+
+        Raises
+        ------
+        InputError
+            A state that cannot be: see `end_state.list_faults`.
+        """
+        check_end(state, self.seen, self.frame)
         return Calibration(
             self.frame.build_cameras(state), self.frame.points(state, self.seen.board), used
         )
@@ -102,19 +114,66 @@ def make_anchors(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[
     return tuple(anchors)
 
 
+def lens_unknowns(case: CalibrationCase) -> FreeParameters:
+    """Free the unknowns of a case for a solver that estimates cameras only.
+
+    Raises
+    ------
+    InputError
+        Unknowns of the wall or the board.
+    """
+    free = FreeParameters.from_names(case.unknown, layers=1)
+    if free != free.of_lenses:
+        others = [name for name in case.unknown if name not in get_args(LensNumber)]
+        raise InputError(
+            f"unknown: expected parameters of lenses for this solver, got {', '.join(others)}: use "
+            "refractive_autocal"
+        )
+    return free
+
+
+def check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> None:
+    """Refuse unknowns of a wall that is not there, or that nothing shows.
+
+    Raises
+    ------
+    InputError
+        A layer or medium that the wall does not have, or no known points to show the wall's place.
+    """
+    layers = len(frame.wall.layers) if frame.wall else 0
+    media = layers + 2 if frame.wall else 0
+    given = (("thicknesses", free.thicknesses, layers), ("indices", free.indices, media))
+    for name, numbers, count in given:
+        if wrong := [number for number in numbers if not 0 <= number < count]:
+            raise InputError(
+                f"{name}: expected numbers from 0 and below {count}, for a wall of {layers} "
+                f"layers, got {wrong[0]}"
+            )
+    if free.bend and (np.ptp(case.target.points_mm, axis=0)[:2].min() <= 0.0):
+        raise InputError("bend: expected a board, got a target whose points are on a line")
+    if free.wall and (frame.wall is None or np.isfinite(case.known_mm).all(axis=-1).sum() < 3):
+        raise InputError(
+            "wall: expected a wall and three points or more with known x, y and z, since images "
+            "do not show the wall's place in the world"
+        )
+
+
 def check_count(case: CalibrationCase, unknowns: int) -> None:
     """Refuse a case with fewer equations than unknowns.
 
-    With boards the thesis's equation 4.3 becomes 2 N >= b M + 6 K: N image points, M cameras with b
-    unknowns each, K placed boards.
+    With boards the thesis's equation 4.3 becomes 2 N + A >= b M + 6 K: N image points, A known
+    coordinates, M cameras with b unknowns each, K placed boards, or points of 3 unknowns.
     """
     boards = int(case.found.any(axis=(0, 2)).sum())
-    needed = unknowns * len(case.cameras) + 6 * boards
+    each = 6 if case.found.shape[2] > 1 else 3
+    known = int(np.isfinite(case.known_mm).sum())
+    needed = unknowns * len(case.cameras) + each * boards - known
     if 2 * int(case.found.sum()) < needed:
+        also = f" + {known} known coordinates" if known else ""
         raise InputError(
             f"expected at least {-(-needed // 2)} image points for {len(case.cameras)} cameras "
-            f"of {unknowns} unknowns and {boards} boards of 6 "
-            f"(2 N >= b M + 6 K), got {int(case.found.sum())}"
+            f"of {unknowns} unknowns and {boards} boards of {each} "
+            f"(2 N{also} >= b M + {each} K), got {int(case.found.sum())}"
         )
     for camera, found in zip(case.cameras, case.found.sum(axis=(1, 2)).tolist(), strict=True):
         if 2 * found < unknowns:

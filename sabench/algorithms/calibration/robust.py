@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import BoardImages, Fit, refine, residuals
+from sabench.algorithms.calibration.bundle_adjustment import (
+    BoardImages,
+    Fit,
+    Moving,
+    refine,
+    residuals,
+)
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.utils.arrays import F64, Bool
 
@@ -21,16 +27,23 @@ _CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
 class Robust:
     """Fit, the observations (camera, board, point) used, and their noise in px.
 
-    The noise is that of one coordinate.
+    The noise is that of one coordinate. `held` says that the depth of the boards had to be held
+    near the initial guess.
     """
 
     fit: Fit
     used: Bool
     noise_px: float
+    held: bool = False
 
 
 def adjust(
-    state: State, seen: BoardImages, free: FreeParameters, *, noise_px: float | None = None
+    state: State,
+    seen: BoardImages,
+    free: FreeParameters,
+    *,
+    noise_px: float | None = None,
+    moving: Moving = "all",
 ) -> Robust:
     """Fit by least squares, robustly if errors exceed normal noise.
 
@@ -40,13 +53,14 @@ def adjust(
     ----------
     noise_px : of the pixel coordinates, if it is known; by default it is estimated from the median
         error.
+    moving : what is adjusted, as for `refine`.
     """
     start = np.asarray(seen.weights > 0.0)
-    fit, used = refine(state, seen, free), start
+    fit, used = refine(state, seen, free, moving=moving), start
     noise = noise_px or _noise(_lengths(fit.state, seen), used)
     if _lengths(fit.state, seen)[used].max(initial=0.0) <= _NOTHING_ODD * max(noise, 1e-9):
         return Robust(fit, used, noise)
-    fit = _fit_cauchy(fit.state, seen, free)
+    fit = _fit_cauchy(fit.state, seen, free, moving)
     for _ in range(_ROUNDS):
         lengths = _lengths(fit.state, seen)
         noise = _noise(lengths, used)
@@ -54,11 +68,12 @@ def adjust(
         if np.array_equal(kept, used):
             break
         used = kept
-        fit = refine(fit.state, replace(seen, weights=np.where(used, seen.weights, 0.0)), free)
+        kept_only = replace(seen, weights=np.where(used, seen.weights, 0.0))
+        fit = refine(fit.state, kept_only, free, moving=moving)
     return Robust(fit, used, noise)
 
 
-def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters) -> Fit:
+def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters, moving: Moving) -> Fit:
     """Fit with Cauchy's loss, whose scale follows the errors down."""
     used = np.asarray(seen.weights > 0.0)
     scale = np.inf
@@ -67,7 +82,7 @@ def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters) -> Fit:
         if smaller > 0.9 * scale:
             break
         scale = smaller
-        fit = refine(state, seen, free, scale)
+        fit = refine(state, seen, free, scale, moving=moving)
         state = fit.state
     return fit
 

@@ -182,7 +182,7 @@ def test_covariances_of_pixels_are_those_of_a_dense_jacobian() -> None:
     root = np.random.default_rng(2).normal(0.0, 1e-3, 2 * (jacobian.shape[2],))
     found = spreads(
         state.array(),
-        (state.board_rotations, state.board_positions, seen.board),
+        state.boards(seen.board),
         (seen.pixels, seen.weights),
         free.columns(3),
         root @ root.T,
@@ -204,7 +204,7 @@ def test_the_kernel_of_covariances_reads_and_writes_nothing_beyond_its_arrays() 
     root = np.random.default_rng(3).normal(0.0, 1e-3, (size, 2))
     arguments = (
         state.array(),
-        (state.board_rotations, state.board_positions, seen.board[:2]),
+        state.boards(seen.board[:2]),
         (seen.pixels[:, :, :2], seen.weights[:, :, :2]),
         free,
         root @ root.T,

@@ -1,0 +1,123 @@
+"""End states of calibrations: those that cannot be are named, and left by other starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.calibration import joint_fit
+from sabench.algorithms.calibration.end_state import list_faults, mirror_boards
+from sabench.algorithms.calibration.initial_poses import place_boards
+from sabench.algorithms.calibration.joint_fit import fit_jointly
+from sabench.algorithms.calibration.parameters import FreeParameters, State
+from sabench.algorithms.calibration.problem import CalibrationProblem
+from sabench.utils.errors import InputError
+from tests.helpers.calibration_tanks import make_tank, off_wall, solve, with_places
+
+
+def problem_of() -> tuple[CalibrationProblem, State]:
+    """Return the problem of a tank and its true state."""
+    case, cameras, places = make_tank()
+    problem = CalibrationProblem.from_case(
+        replace(case, cameras=cameras, initial_mm=places), FreeParameters()
+    )
+    return problem, problem.start
+
+
+def test_a_state_that_can_be_has_no_fault() -> None:
+    problem, state = problem_of()
+    assert list_faults(state, problem.seen, problem.frame) == []
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ("thicknesses", "glass: expected a positive thickness, but the fit gives -279 mm"),
+        ("indices", "the fluid: expected a refractive index of 1 or more, but the fit gives 0.5"),
+        ("lenses", "camera_01: expected a positive principal distance, but the fit gives -"),
+        ("centers", "camera_01: expected it in front of the wall, but the fit puts it 40 mm"),
+        ("board_positions", "frame 2: expected its points in the fluid, but the fit puts 30 of 30"),
+        ("board_rotations", "board_rotations: expected finite numbers, but the fit did not"),
+    ],
+)
+def test_what_cannot_be_is_named(part: str, words: str) -> None:
+    problem, state = problem_of()
+    values = getattr(state, part).copy()
+    if part == "thicknesses":
+        values[0] = -279.0
+    elif part == "indices":
+        values[2] = 0.5
+    elif part == "lenses":
+        values[1, 0] *= -1.0
+    elif part == "centers":
+        values[1, 2] = 40.0
+    elif part == "board_positions":
+        values[2, 2] *= -1.0
+    else:
+        values[0, 0, 0] = np.nan
+    faults = list_faults(replace(state, **{part: values}), problem.seen, problem.frame)
+    assert len(faults) == 1
+    assert words in faults[0]
+
+
+def test_mirrored_boards_are_in_the_fluid() -> None:
+    problem, state = problem_of()
+    out = replace(state, board_positions=state.board_positions * [1.0, 1.0, -1.0])
+    for turned in (False, True):
+        back = mirror_boards(out, problem.seen, turned=turned)
+        assert list_faults(back, problem.seen, problem.frame) == []
+        turns = np.linalg.det(back.board_rotations)
+        np.testing.assert_allclose(turns, 1.0, rtol=1e-12)
+
+
+def test_a_start_through_the_wall_is_left() -> None:
+    case, _, places = make_tank()
+    through = places * [1.0, 1.0, -1.0] + [0.0, 0.0, 8.0]  # mirrored at the glass
+    problem = CalibrationProblem.from_case(replace(case, initial_mm=through), FreeParameters())
+    assert list_faults(problem.start, problem.seen, problem.frame)
+    found = fit_jointly(problem, FreeParameters())
+    assert list_faults(found.fit.state, problem.seen, problem.frame) == []
+    assert found.noise_px == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_negative_glass_is_refused() -> None:
+    """A wall that is elsewhere drives the thickness of its glass far below zero."""
+    case, _, places = make_tank()
+    with pytest.raises(InputError, match="glass: expected a positive thickness, but the fit gives"):
+        solve(off_wall(with_places(case, places), -50.0), thicknesses=[0])
+
+
+def test_a_free_glass_stays_near_its_nominal_thickness() -> None:
+    """Images without a model's error say little of it, which the prior shows."""
+    case, _, _ = make_tank()
+    wall = solve(case, thicknesses=[0]).cameras[0].wall  # type: ignore[attr-defined]
+    assert wall.layers[0].thickness_mm == pytest.approx(8.0, abs=6.0)
+
+
+def test_unknown_layers_and_walls_are_a_sentence() -> None:
+    case, _, _ = make_tank()
+    for name, value, words in (
+        ("thicknesses", [1], "thicknesses: expected numbers from 0 and below 1"),
+        ("indices", [-1], "indices: expected numbers from 0 and below 3"),
+        ("wall", True, "wall: expected a wall and three points or more with known x, y and z"),
+    ):
+        parameters: dict[str, Any] = {name: value}
+        with pytest.raises(InputError, match=words):
+            solve(case, **parameters)
+
+
+def test_a_depth_that_images_put_into_the_wall_is_held_and_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Images so coarse that their best depth is in the wall, from every start."""
+    case, _, _ = make_tank()
+    case = replace(case, initial_mm=place_boards(case))
+    problem = CalibrationProblem.from_case(case, FreeParameters())
+    monkeypatch.setattr(joint_fit, "_is_sound", lambda *_: False)
+    found = fit_jointly(problem, FreeParameters())
+    assert found.held
+    depths = problem.frame.points(found.fit.state, problem.seen.board)[..., 2].mean()
+    assert depths == pytest.approx(case.initial_mm[..., 2].mean(), rel=0.05)

@@ -1,0 +1,57 @@
+"""Initial poses of boards, in worlds with any axes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.calibration.initial_poses import known_places, place_boards, upright_axes
+from sabench.geometry.rotations import rotation_matrices
+from sabench.utils.arrays import F64
+from tests.helpers.calibration_tanks import (
+    BOARD,
+    MIDDLE,
+    make_tank,
+    rotated,
+    solve,
+    with_places,
+)
+
+Y_UP = np.diag([1.0, -1.0, -1.0])  # Y up, Z towards the cameras
+ALONG_X = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+ANY = rotation_matrices(np.array([0.7, -1.1, 0.4]))
+
+
+def aligned_error(found: F64, places: F64) -> float:
+    """Mean error of distances between points: no motion changes it."""
+    flat = [np.linalg.norm(one[:, None] - one[None], axis=-1) for one in (found, places)]
+    return float(np.abs(flat[0] - flat[1]).mean())
+
+
+@pytest.mark.parametrize("rotation", [np.eye(3), Y_UP, ALONG_X, ANY])
+def test_boards_are_calibrated_in_any_world(rotation: F64) -> None:
+    case, _, places = make_tank()
+    case = rotated(case, rotation)
+    plain = BOARD.points_mm @ upright_axes(case.cameras).T + rotation @ MIDDLE
+    found = solve(replace(case, initial_mm=np.tile(plain, (6, 1, 1)))).points_mm
+    assert found is not None
+    assert aligned_error(found.reshape(-1, 3)[::7], places.reshape(-1, 3)[::7]) < 0.02
+
+
+def test_a_board_upside_down_is_found() -> None:
+    case, _, _ = make_tank()
+    turned = replace(case, pixels=case.pixels[:, :, ::-1])
+    found = place_boards(turned)
+    right = place_boards(case)
+    np.testing.assert_allclose(found[:, ::-1].mean(axis=1), right.mean(axis=1), atol=0.5)
+    np.testing.assert_allclose(found[:, 0], right[:, -1], atol=2.0)
+
+
+def test_known_points_place_a_board() -> None:
+    case, _, places = make_tank()
+    assert np.isnan(known_places(case)).all()
+    some = with_places(case, places, 1e-6)
+    some.known_mm[:, 3:-1] = np.nan
+    np.testing.assert_allclose(known_places(some), places, atol=1e-3)
