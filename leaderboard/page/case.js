@@ -22,10 +22,11 @@ function caseView() {
   const own = data.cases.find(one => one.task === state.task && one.id === state.case);
   if (!own) return [nothing("This page has no such case in this task.")];
   const rows = byTask[state.task].filter(row => caseOf(row) === own);
-  const facts = [own.suite && `suite ${own.suite}`, `scene ${own.scene}`, own.difficulty, own.axis && `axis ${own.axis}`, own.axes, `renderer ${own.renderer}`, `scene hash ${own.hash.slice(0, 12)}`];
+  const facts = [own.suite && `suite ${own.suite}`, !own.recorded && `scene ${own.scene}`, own.difficulty, own.axis && `axis ${own.axis}`, own.axes, !own.recorded && `renderer ${own.renderer}`, `${own.recorded ? "data set" : "scene hash"} ${own.hash.slice(0, 12)}`];
   return [
     make("p", {}, make("a", { href: link({ view: "table", case: "", sort: "", page: "1", a: "", b: "" }) }, "Back to all cases")),
-    make("h2", { tabindex: "-1" }, own.name), own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
+    make("h2", { tabindex: "-1" }, own.name), own.recorded ? make("p", {}, make("span", { class: "chip" }, "recorded, no truth"), ` ${data.tasks[state.task].gate}`) : null,
+    own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
     make("p", { class: "quiet" }, listed(facts.filter(Boolean))),
     ...tableView(rows), ...comparison(rows, own), ...gallery(rows, own),
     make("h3", {}, "Accuracy against time"), timePlot(rows, accuracies()[0], own),

@@ -111,7 +111,7 @@ function timeView(rows) {
 
 function meant(column) {
   const { columns, larger } = data.tasks[state.task];
-  return `${column.heading}: ${column.meaning}${column.key === columns[0].key ? `; ${larger ? "larger" : "smaller"} is better` : ""}.`;
+  return `${column.heading}: ${column.meaning}${column.key === columns[0].key && larger !== null ? `; ${larger ? "larger" : "smaller"} is better` : ""}.`;
 }
 
 function accuracies() {
