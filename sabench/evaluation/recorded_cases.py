@@ -48,8 +48,8 @@ def _open(root: Path, source: str) -> Dataset:
     data = open_dataset(root)
     if data.has_truth:
         raise InputError(
-            f"{source}: expected a recorded data set, got one with truth, which `scenes` generates "
-            f"of the scene {data.manifest.scene} and the seed {data.manifest.seed}"
+            f"{source}: expected a recorded data set, got one with truth; name its scene in "
+            f"`scenes` and its seed, {data.manifest.seed}, in `seeds`"
         )
     if not data.recorded:
         raise InputError(

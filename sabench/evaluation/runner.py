@@ -270,9 +270,10 @@ def _picture_case(folder: Path, dataset: Dataset) -> None:
 def _picture_result(
     stem: Path, name: str, dataset: Dataset, out: Path, residuals: bytes | None
 ) -> None:
-    """Draw an estimate and, for tasks that have such a figure, its errors or residuals."""
+    """Draw an estimate and its errors or residuals, as far as there are such figures."""
     task, result = tasks.of(name), open_result(out, dataset)
-    _draw(stem.with_name(f"{stem.name}.png"), task.picture(dataset, result))
+    if dataset.has_truth or not task.picture_has_truth:
+        _draw(stem.with_name(f"{stem.name}.png"), task.picture(dataset, result))
     errors = task.error_picture(dataset, result) if dataset.has_truth else residuals
     if errors is not None:
         _draw(stem.with_name(f"{stem.name}.error.png"), errors)
