@@ -17,7 +17,7 @@ from sabench.tasks.task import Task
 from sabench.utils.confidence import CONFIDENCE, Mean
 
 _NO_RANK = "Recorded images have no truth: their results have no rank."
-_RESIDUALS = "The first frame's images, and below them what the particles leave of them."
+_RESIDUALS = "The first frame's images of all cameras, then what the particles leave of each."
 _MAIN = 3  # scores that are shown before all are asked for, and the two of cost
 _CASE = ("task", "recorded", "case", "scene_hash", "renderer", "split")
 _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")

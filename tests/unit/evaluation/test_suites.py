@@ -206,7 +206,7 @@ def test_a_case_without_solvers_is_named(tmp_path: Path) -> None:
 
 
 FAULTS = [
-    ("", "scenes, cases: expected at least one scene"),
+    ("", "scenes, cases, recordings: expected at least one of them"),
     ('scenes = ["quik"]\n', "did you mean quick?"),
     ('scenes = ["quick"]\nseeds = [-1]\n', "seeds.0"),
     ('scenes = ["quick"]\nkeep = false\n', "keep: unknown key"),
