@@ -29,7 +29,7 @@ function caseView() {
     own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
     make("p", { class: "quiet" }, listed(facts.filter(Boolean))),
     ...tableView(rows), ...comparison(rows, own), ...gallery(rows, own),
-    make("h3", {}, "Accuracy against time"), timePlot(rows, accuracies()[0], own),
+    make("h3", {}, "Accuracy against time"), timePlot(rows, firstKnown(rows), own),
   ].filter(Boolean);
 }
 
@@ -109,11 +109,11 @@ function differences(a, b) {
 function sideBySide(a, b, own) {
   const { heading: title, text, wide, errors } = data.tasks[state.task].pictured, album = albumOf(own);
   const both = (kind, word) => [a, b].filter(row => album[kind + row.place]).map(row => figure(album[kind + row.place], `${word}: ${solverOf(row)}`, make("b", {}, titleOf(row, [a, b]))));
-  const estimates = both("row", title), maps = both("error", "Error");
+  const estimates = both("row", title), maps = both("error", own.recorded ? "Residuals" : "Error");
   const grid = figures => make("div", { class: wide ? "pair wide" : "pair" }, figures);
   const out = [];
   if (album.truth && estimates.length) estimates.push(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
   if (estimates.length) out.push(make("h4", {}, title), make("p", { class: "quiet" }, text), grid(estimates));
-  if (maps.length) out.push(make("h4", {}, "Errors"), make("p", { class: "quiet" }, errors), grid(maps));
+  if (maps.length) out.push(make("h4", {}, own.recorded ? "Residuals" : "Errors"), make("p", { class: "quiet" }, errors), grid(maps));
   return out;
 }

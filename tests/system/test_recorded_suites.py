@@ -23,6 +23,7 @@ from sabench.tasks.quality_figures import FIGURES
 from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.recordings import import_exactly, make_scene_in_motion, write_pngs
+from tests.system.test_programs import WHOLE, write
 
 SUITE = """title = "t"
 backend = "splat"
@@ -164,6 +165,29 @@ def test_solvers_of_other_tasks_have_their_costs(folder: Path, command: Command)
     (record,) = lines(folder)
     assert (record["task"], record["quality"], record["error"]) == ("calibration", None, None)
     assert record["seconds"] > 0.0
+
+
+def test_programs_and_images_that_stay_elsewhere(
+    made: Path, folder: Path, command: Command
+) -> None:
+    data, images = open_dataset(made / "data"), folder / "images"
+    shutil.copytree(made / "images", images)
+    import_exactly(data, images, folder / "elsewhere", referenced=True)
+    write(folder / "mine.py", WHOLE)
+    program = '{ name = "./mine.py", task = "reconstruction" }'
+    (folder / "s.toml").write_text(
+        SUITE.replace('"tank"', '{ folder = "elsewhere", quality = { again = true } }').replace(
+            '{ name = "ray_triangulation" }', program
+        )
+    )
+    done = command("run", "s.toml", "--json")
+    (record,) = json.loads(done.stdout)
+    assert (record["solver"], record["error"], record["whole_process"]) == ("mine", None, True)
+    assert "expected a solver that sabench has, got mine" in " ".join(done.stderr.split())
+    (images / "camera_01/img_2.png").unlink()
+    done = command("run", "s.toml", "--fresh")
+    assert done.returncode == 2
+    assert "img_2.png: missing" in " ".join(done.stderr.split())
 
 
 def test_a_recording_that_has_changed(made: Path, folder: Path, command: Command) -> None:
