@@ -94,7 +94,7 @@ def _run_cases(
             f"data set {number} of {len(wanted)}: {case.name}, "
             f"{case.words}{'' if missing else ', known'}"
         )
-        _say_changed(case, known)
+        _say_changed(heads[0][1], known)
         if missing:
             records += _run_case(case, missing, suite, work, leaderboard, fresh=fresh, jobs=jobs)
     return records
@@ -129,13 +129,13 @@ def _run_case(
     return records
 
 
-def _say_changed(case: Case, known: dict[str, Record]) -> None:
+def _say_changed(head: Record, known: dict[str, Record]) -> None:
     """Say that a recording is not the one of earlier records, which stay on the page."""
-    for record in known.values():
-        there = record["recorded"] and record["case"] == case.name
-        if isinstance(case, RecordedCase) and there and record["dataset"] != case.data_hash:
+    same = ("suite", "case", "recorded")
+    for record in known.values() if head["recorded"] else ():
+        if key_of(record, same) == key_of(head, same) and record["dataset"] != head["scene_hash"]:
             _say(
-                f"recording {case.name}: it has changed since its record of {record['date']}, "
+                f"recording {head['case']}: it has changed since its record of {record['date']}, "
                 "which stays on the page"
             )
             return

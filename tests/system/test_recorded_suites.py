@@ -12,7 +12,9 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import tifffile
 
 import sabench
 from sabench.dataset.reader import open_dataset
@@ -165,6 +167,28 @@ def test_solvers_of_other_tasks_have_their_costs(folder: Path, command: Command)
     (record,) = lines(folder)
     assert (record["task"], record["quality"], record["error"]) == ("calibration", None, None)
     assert record["seconds"] > 0.0
+
+
+def test_images_without_particles(made: Path, folder: Path, command: Command) -> None:
+    """Results without particles have no figures, and are no fault."""
+    data, rng = open_dataset(made / "data"), np.random.default_rng(0)
+    stacks = folder / "dark"
+    stacks.mkdir()
+    for camera in data.setup.cameras:
+        shape = (3, camera.rows, camera.columns)
+        noise = rng.normal(100.0, 3.0, shape).astype(np.uint16)
+        tifffile.imwrite(stacks / f"{camera.name}.tif", noise, photometric="minisblack")
+    shutil.rmtree(folder / "tank")
+    import_exactly(data, stacks, folder / "tank")
+    asked = '[{ folder = "tank", quality = { frames = 9, again = true } }]'
+    solvers = '{ name = "bayesian_ipr" }, { name = "ray_triangulation" }'
+    suite = SUITE.replace('["tank"]', asked).replace('{ name = "ray_triangulation" }', solvers)
+    (folder / "s.toml").write_text(suite)
+    done = command("run", "s.toml")
+    assert done.returncode == 0, done.stderr
+    first, second = lines(folder)
+    assert (first["error"], second["error"]) == (None, None)
+    assert first["quality"]["figures"]["followed"] is None
 
 
 def test_programs_and_images_that_stay_elsewhere(
