@@ -63,7 +63,7 @@ def main() -> None:
         for name in dict.fromkeys(name for name, *_ in _TABLES)
     }
     for name, key, shown, digits in _TABLES:
-        scenes = {case.name: case.scene.hash for case in suites[name]}
+        scenes = {case.name: case.data_hash for case in suites[name]}
         own = [
             one
             for one in records

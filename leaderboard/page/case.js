@@ -22,13 +22,14 @@ function caseView() {
   const own = data.cases.find(one => one.task === state.task && one.id === state.case);
   if (!own) return [nothing("This page has no such case in this task.")];
   const rows = byTask[state.task].filter(row => caseOf(row) === own);
-  const facts = [own.suite && `suite ${own.suite}`, `scene ${own.scene}`, own.difficulty, own.axis && `axis ${own.axis}`, own.axes, `renderer ${own.renderer}`, `scene hash ${own.hash.slice(0, 12)}`];
+  const facts = [own.suite && `suite ${own.suite}`, !own.recorded && `scene ${own.scene}`, own.difficulty, own.axis && `axis ${own.axis}`, own.axes, !own.recorded && `renderer ${own.renderer}`, `${own.recorded ? "data set" : "scene hash"} ${own.hash.slice(0, 12)}`];
   return [
     make("p", {}, make("a", { href: link({ view: "table", case: "", sort: "", page: "1", a: "", b: "" }) }, "Back to all cases")),
-    make("h2", { tabindex: "-1" }, own.name), own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
+    make("h2", { tabindex: "-1" }, own.name), own.recorded ? make("p", {}, make("span", { class: "chip" }, "recorded, no truth"), ` ${data.tasks[state.task].gate}`) : null,
+    own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
     make("p", { class: "quiet" }, listed(facts.filter(Boolean))),
     ...tableView(rows), ...comparison(rows, own), ...gallery(rows, own),
-    make("h3", {}, "Accuracy against time"), timePlot(rows, accuracies()[0], own),
+    make("h3", {}, "Accuracy against time"), timePlot(rows, firstKnown(rows), own),
   ].filter(Boolean);
 }
 
@@ -108,11 +109,11 @@ function differences(a, b) {
 function sideBySide(a, b, own) {
   const { heading: title, text, wide, errors } = data.tasks[state.task].pictured, album = albumOf(own);
   const both = (kind, word) => [a, b].filter(row => album[kind + row.place]).map(row => figure(album[kind + row.place], `${word}: ${solverOf(row)}`, make("b", {}, titleOf(row, [a, b]))));
-  const estimates = both("row", title), maps = both("error", "Error");
+  const estimates = both("row", title), maps = both("error", own.recorded ? "Residuals" : "Error");
   const grid = figures => make("div", { class: wide ? "pair wide" : "pair" }, figures);
   const out = [];
   if (album.truth && estimates.length) estimates.push(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
   if (estimates.length) out.push(make("h4", {}, title), make("p", { class: "quiet" }, text), grid(estimates));
-  if (maps.length) out.push(make("h4", {}, "Errors"), make("p", { class: "quiet" }, errors), grid(maps));
+  if (maps.length) out.push(make("h4", {}, own.recorded ? "Residuals" : "Errors"), make("p", { class: "quiet" }, errors), grid(maps));
   return out;
 }

@@ -97,11 +97,13 @@ function scoreChoice(columns) {
 
 // Accuracy against time of one case.
 
+const NO_SCORES = "Without truth, results of this task have no figures but their costs.";
 const TIMES = { seconds: "seconds", kernels: "reference kernels" };
 
 function timeView(rows) {
   const cases = [...new Set(rows.map(row => row.case))].map(place => data.cases[place]);
   if (!cases.length) return [nothing()];
+  if (!accuracies().length) return [nothing(NO_SCORES)];
   const own = cases.find(one => one.id === state.case) ?? mostSolved(rows);
   const select = selector("Case", own.id, cases.map(one => [one.id, nameOf(one, cases)]), id => change({ case: id }));
   const columns = accuracies(), { key, select: second } = scoreChoice(columns);
@@ -111,7 +113,13 @@ function timeView(rows) {
 
 function meant(column) {
   const { columns, larger } = data.tasks[state.task];
-  return `${column.heading}: ${column.meaning}${column.key === columns[0].key ? `; ${larger ? "larger" : "smaller"} is better` : ""}.`;
+  return `${column.heading}: ${column.meaning}${column.key === columns[0].key && larger !== null ? `; ${larger ? "larger" : "smaller"} is better` : ""}.`;
+}
+
+// The first score that some row has.
+function firstKnown(rows) {
+  const columns = accuracies();
+  return columns.find(column => rows.some(row => scoreOf(row, column.key))) ?? columns[0];
 }
 
 function accuracies() {
@@ -126,6 +134,7 @@ function mostSolved(rows) {
 }
 
 function timePlot(rows, column, own) {
+  if (!column) return nothing(NO_SCORES);
   const inKernels = state.x === "kernels";
   const known = rows.filter(row => !row.error && scoreOf(row, column.key) && scoreOf(row, "seconds")?.[0] > 0 && (!inKernels || row.reference));
   if (!known.length) return nothing(`No solver of this case has both this score and a time${inKernels ? " in reference kernels" : ""}.`);

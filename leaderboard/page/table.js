@@ -1,11 +1,11 @@
 // The table: a page of rows at a time, so that ten thousand records make no more elements than fifty.
 const PAGE = 25;
-const MAIN = 3;  // scores that are shown before all are asked for, and the two of cost
 const open = new Set();  // ids of rows whose details are shown
 
 function columnsOf(rows) {
-  const columns = data.tasks[state.task].columns.map((column, place) => ({ ...column, place }));
-  const wanted = state.all || oneCase() ? columns : columns.filter((column, place) => place < MAIN || place >= columns.length - 2);
+  const { columns: all, main: first } = data.tasks[state.task];
+  const columns = all.map((column, place) => ({ ...column, place }));
+  const wanted = state.all || oneCase() ? columns : columns.filter((column, place) => place < first || place >= columns.length - 2);
   return wanted.filter(column => column.place === 0 || rows.some(row => row.scores[column.place]));  // not every case has every figure
 }
 
@@ -27,6 +27,7 @@ function heads(columns) {
 function chips(row) {
   const own = caseOf(row);
   return [
+    own.recorded && make("span", { class: "chip", title: "real cameras took the images: figures without truth judge the results, and none is ranked" }, "recorded, no truth"),
     own.split === "hidden" && make("span", { class: "chip hidden" }, "hidden split"),
     row.submission && make("span", { class: "chip" }, `by ${row.submission.name}`),
     row.open && make("span", { class: "chip", title: "the solver could have read the truth: this machine could not confine it" }, "not isolated"),
@@ -104,8 +105,8 @@ function detailsOf(row, line) {
     ["reproduce", row.commands.length ? row.commands.map(place => command(textOf(place))) : "this record does not say by which command it was made"],
     ["solver", textOf(row.name)], ["parameters", textOf(row.parameters) || "its defaults, unnamed"],
     ["submission", row.submission && `${row.submission.name}, ${row.submission.date}`],
-    ["case", listed([own.suite && `suite ${own.suite}`, `scene ${own.scene}`, own.axes, `renderer ${own.renderer}`, `${own.split} split`].filter(Boolean))],
-    ["scene hash", own.hash], ["machine", textOf(row.machineAll)], ["versions", textOf(row.versions)],
+    ["case", listed([own.suite && `suite ${own.suite}`, own.recorded ? "recorded" : `scene ${own.scene}`, own.axes, !own.recorded && `renderer ${own.renderer}`, `${own.split} split`].filter(Boolean))],
+    [own.recorded ? "data set" : "scene hash", own.hash], ["machine", textOf(row.machineAll)], ["versions", textOf(row.versions)],
     ["code hash", listed(row.codes.map(textOf), "")],
     ["reference kernel", row.reference && `${row.reference} s in the same run`], ["runs", make("ul", {}, runs)],
   ]);

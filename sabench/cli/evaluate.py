@@ -20,6 +20,7 @@ from sabench.cli.options import (
 
 if TYPE_CHECKING:
     from sabench.evaluation.gates.comparison import Report
+    from sabench.evaluation.leaderboard.score_columns import Table
     from sabench.evaluation.leaderboard.submissions import Standing
     from sabench.tasks.task import Score
 
@@ -86,23 +87,30 @@ def run(
 def _show_records(records: list[dict[str, Any]]) -> None:
     """Print mean and 95 % confidence interval over seeds.
 
-    There is a table for each task, with the best first.
+    There is a table for each task, with the best first, and one of its recorded data sets.
     """
-    from sabench import tasks
     from sabench.evaluation.leaderboard.page_content import rank_of
     from sabench.evaluation.leaderboard.rows import over_seeds
+    from sabench.evaluation.leaderboard.score_columns import every_table, table_of
 
     rows = over_seeds(records)
     cases = list(dict.fromkeys(row["case"] for row in rows))
-    for task in tasks.every():
-        columns = task.columns
+    for table in every_table():
         own = sorted(
-            (row for row in rows if row["task"] == task.name),
+            (row for row in rows if table_of(row).name == table.name),
             key=lambda row: (cases.index(row["case"]), *rank_of(row)),
         )
         if own:
+            columns = _shown_columns(table, own)
             headings = ["case", "solver", "seeds", *(column.key for column in columns)]
             tables.show(headings, [_record_cells(row, columns) for row in own], keys=3)
+
+
+def _shown_columns(table: Table, rows: list[dict[str, Any]]) -> tuple[Score, ...]:
+    """List the columns of a table: of figures without truth, those that a row has."""
+    if not table.recorded:
+        return table.columns
+    return tuple(one for one in table.columns if any(row[one.key] for row in rows))
 
 
 def _record_cells(row: dict[str, Any], columns: tuple[Score, ...]) -> list[str]:

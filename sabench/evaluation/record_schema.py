@@ -9,7 +9,7 @@ import datetime
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal
 
@@ -25,6 +25,7 @@ from pydantic import (
 
 from sabench import tasks
 from sabench.api.solvers import TaskName
+from sabench.tasks.quality_figures import FIGURES
 from sabench.tasks.task import Score
 from sabench.utils.errors import one_line
 from sabench.utils.files import LONGEST_PART
@@ -88,6 +89,23 @@ class Submission(_Part):
         return _check_year(text)
 
 
+class JudgedQuality(_Part):
+    """Figures of a result that need no truth, and the options that they depend on."""
+
+    frames: int = Field(ge=1, description="number that was compared with their images")
+    again: bool = Field(description="whether the solver ran again with fewer cameras")
+    figures: dict[str, Any]
+
+    @field_validator("figures")
+    @classmethod
+    def _check_figures(cls, values: dict[str, Any]) -> dict[str, Any]:
+        if unknown := [key for key in values if key not in FIGURES]:
+            raise ValueError(f"expected {', '.join(FIGURES)}, got {printable(unknown[0])!r}")
+        if faults := list(_faults(FIGURES.values(), values)):
+            raise ValueError("; ".join(faults))
+        return values
+
+
 class Head(_Part):
     """Record without its scores.
 
@@ -106,16 +124,22 @@ class Head(_Part):
         None, description="property that differs from the standard case: density, cameras, ..."
     )
     axes: dict[str, Any] = Field({}, description="dotted keys of the scene with this case's values")
-    scene_hash: Name = Field(description="the data set's hash if the scene is not disclosed")
+    scene_hash: Name = Field(
+        description="the data set's hash if the scene is not disclosed, or for a recording"
+    )
     dataset: Name = Field(description="content hash of the data set")
     identity: Name | None = Field(
         None, description="of the data set on every processor; missing for private test sets"
     )
     seed: int = Field(
-        ge=0, lt=2**63, description="of the data set; its number in a private test set"
+        ge=0,
+        lt=2**63,
+        description="of the data set; its number in a private test set; 0 for a recording",
     )
     split: Literal["public", "hidden"] = "public"
     renderer: Name
+    recorded: bool = Field(False, description="whether the data set is recorded: without truth")
+    quality: JudgedQuality | None = Field(None, description="of a recorded data set's result")
     task: TaskName = "reconstruction"
     solver: Name
     label: Name | None = Field(None, description="shown in place of the solver's name")
@@ -167,9 +191,18 @@ class Head(_Part):
     @model_validator(mode="after")
     def _check_scores(self) -> Head:
         values = self.model_extra or {}
-        if faults := [*score_faults(self.task, values), *_other_faults(self.task, values)]:
+        faults = [*score_faults(self.task, values), *_other_faults(self.task, values)]
+        if faults := [*faults, *self._truth_faults(values)]:
             raise ValueError("; ".join(faults))
         return self
+
+    def _truth_faults(self, values: Record) -> Iterator[str]:
+        """Find scores that need truth where there is none, and the opposite."""
+        if self.quality is not None and not self.recorded:
+            yield "quality: expected none of a data set that is not recorded"
+        for score in tasks.of(self.task).scores if self.recorded else ():
+            if values.get(score.key) is not None:
+                yield f"{score.key}: expected no score of a recorded data set, which has no truth"
 
 
 def parse(line: bytes) -> Record:
@@ -200,7 +233,11 @@ def parse(line: bytes) -> Record:
 
 def score_faults(task: str, values: Record) -> Iterator[str]:
     """Find values that scores of a task cannot have, one sentence each."""
-    for score in tasks.of(task).all_scores:
+    yield from _faults(tasks.of(task).all_scores, values)
+
+
+def _faults(scores: Iterable[Score], values: Record) -> Iterator[str]:
+    for score in scores:
         value = values.get(score.key)
         low, high = range_of(score)
         if value is None:

@@ -17,12 +17,14 @@ from sabench.dataset.results import open_result
 from sabench.dataset.verification import verify
 from sabench.evaluation.environment import machine, version_of, versions
 from sabench.evaluation.hidden_split import read_secret
+from sabench.evaluation.judged_without_truth import Judged, judge
 from sabench.evaluation.leaderboard import rows
 from sabench.evaluation.record_schema import Record, score_faults
+from sabench.evaluation.recorded_cases import check_intact
 from sabench.evaluation.records import append, key_of, latest, now, read_records
 from sabench.evaluation.selection import WHOLE, Only
 from sabench.evaluation.suite_loading import load_suite
-from sabench.evaluation.suites import Case, SolverEntry, Suite
+from sabench.evaluation.suites import Case, RecordedCase, SceneCase, SolverEntry, Suite
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
@@ -88,12 +90,11 @@ def _run_cases(
         ]
         missing = [pair for pair in heads if key_of(pair[1], _COMPUTED) not in known]
         records += [known[key] for _, head in heads if (key := key_of(head, _COMPUTED)) in known]
-        console.print(
+        _say(
             f"data set {number} of {len(wanted)}: {case.name}, "
-            f"{_seed(case)}{'' if missing else ', known'}",
-            markup=False,
-            highlight=False,
+            f"{case.words}{'' if missing else ', known'}"
         )
+        _say_changed(heads[0][1], known)
         if missing:
             records += _run_case(case, missing, suite, work, leaderboard, fresh=fresh, jobs=jobs)
     return records
@@ -124,12 +125,24 @@ def _run_case(
         append(leaderboard / "records" / "local.jsonl", record)
         records.append(record)
     if not suite.keep_data:
-        shutil.rmtree(dataset.root)
+        discard(case, dataset)
     return records
 
 
-def _seed(case: Case) -> str:
-    return f"seed {case.seed}" if case.number is None else f"hidden {case.number}"
+def _say_changed(head: Record, known: dict[str, Record]) -> None:
+    """Say that a recording is not the one of earlier records, which stay on the page."""
+    same = ("suite", "case", "recorded")
+    for record in known.values() if head["recorded"] else ():
+        if key_of(record, same) == key_of(head, same) and record["dataset"] != head["scene_hash"]:
+            _say(
+                f"recording {head['case']}: it has changed since its record of {record['date']}, "
+                "which stays on the page"
+            )
+            return
+
+
+def _say(text: str) -> None:
+    console.print(text, markup=False, highlight=False)
 
 
 def build_board(leaderboard: Path) -> Path:
@@ -144,13 +157,27 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     """Open the case's data set, or generate it.
 
     An earlier one is used again if it is intact and was made by these versions of sabench, its
-    simulation and the renderer.
+    simulation and the renderer. A recording is checked.
 
     Raises
     ------
+    InputError
+        A recording that is damaged or has changed.
     UncheckedError
         It could not be checked in the time for it. It stays as it is.
     """
+    if isinstance(case, RecordedCase):
+        return check_intact(case)
+    return _generated(case, work, fresh, jobs)
+
+
+def discard(case: Case, dataset: Dataset) -> None:
+    """Delete a generated data set; a recording stays."""
+    if isinstance(case, SceneCase):
+        shutil.rmtree(dataset.root)
+
+
+def _generated(case: SceneCase, work: Path, fresh: bool, jobs: int) -> Dataset:
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
@@ -189,10 +216,11 @@ def _rank(
 ) -> Iterator[Record]:
     """Make the records of solvers on one data set.
 
-    Figures are drawn for the first seed of a public case.
+    Figures are drawn for recordings, and for the first seed of a public case.
     """
-    pictured = case.number is None and case.seed == suite.seeds[0]
-    folder = leaderboard / "pictures" / case.folder(work).name if pictured else None
+    pictured = isinstance(case, RecordedCase) or case.seed == suite.seeds[0]
+    public = case.number is None
+    folder = leaderboard / "pictures" / case.file_name if pictured and public else None
     if folder:
         _picture_case(folder, dataset)
     for solver_entry, head in solver_entries:
@@ -203,12 +231,15 @@ def _rank(
             | {"identity": dataset.identity if case.number is None else None}
         )
         name = f"{head['solver']}-{head['run_hash'][:8]}"
-        out = work / "results" / f"{case.folder(work).name}-{name}.h5"
+        out = work / "results" / f"{case.file_name}-{name}.h5"
         try:
             record["reference_s"] = solve_timed(solver_entry, dataset, out)
-            record |= _checked(score(dataset, out), head)
+            judged = (
+                judge(case, out) if isinstance(case, RecordedCase) else Judged(score(dataset, out))
+            )
+            record |= _checked(judged.scores, head)
             if folder:
-                _picture_result(folder / name, record["task"], dataset, out)
+                _picture_result(folder / name, record["task"], dataset, out, judged.residuals)
         except InputError as error:
             console.print(f"error: {error}", style="red", markup=False, highlight=False)
             record["error"], record["declined"] = str(error), isinstance(error, DeclinedError)
@@ -229,17 +260,21 @@ def _checked(scores: dict[str, Any], head: Record) -> dict[str, Any]:
 
 
 def _picture_case(folder: Path, dataset: Dataset) -> None:
-    """Draw the images of the cameras and the truth."""
+    """Draw the images of the cameras and, if it is known, the truth."""
     task = tasks.of_data(dataset)
     _draw(folder / "images.png", task.images(dataset))
-    _draw(folder / "truth.png", task.picture(dataset, "truth"))
+    if dataset.has_truth:
+        _draw(folder / "truth.png", task.picture(dataset, "truth"))
 
 
-def _picture_result(stem: Path, name: str, dataset: Dataset, out: Path) -> None:
-    """Draw an estimate and, for tasks that have such a figure, its errors."""
+def _picture_result(
+    stem: Path, name: str, dataset: Dataset, out: Path, residuals: bytes | None
+) -> None:
+    """Draw an estimate and its errors or residuals, as far as there are such figures."""
     task, result = tasks.of(name), open_result(out, dataset)
-    _draw(stem.with_name(f"{stem.name}.png"), task.picture(dataset, result))
-    errors = task.error_picture(dataset, result)
+    if dataset.has_truth or not task.picture_has_truth:
+        _draw(stem.with_name(f"{stem.name}.png"), task.picture(dataset, result))
+    errors = task.error_picture(dataset, result) if dataset.has_truth else residuals
     if errors is not None:
         _draw(stem.with_name(f"{stem.name}.error.png"), errors)
 
@@ -254,36 +289,34 @@ def _describe(case: Case, solver_entry: SolverEntry, suite: str) -> Record:
         "difficulty": case.difficulty,
         "axis": case.axis,
         "axes": dict(case.axes),
-        "scene_hash": case.scene.hash,
+        "scene_hash": case.data_hash,
         "seed": case.shown_seed,
         "split": "public" if case.number is None else "hidden",
         "renderer": case.renderer,
+        "recorded": isinstance(case, RecordedCase),
         "task": task,
         "solver": solver,
         "label": solver_entry.label,
         "parameters": parameters,
         "code_hash": solver_entry.code_hash,
     }
-    words = [
-        "sabench",
-        "run",
-        suite,
-        "--case",
-        case.name,
-        "--seed",
-        str(case.shown_seed),
-        "--solver",
-        solver_entry.shown,
-    ]
-    more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
-    run_hash = digest([head[key] for key in _RUN])
+    judged_by = [case.quality.model_dump()] if isinstance(case, RecordedCase) else []
+    run_hash = digest([*(head[key] for key in _RUN), *judged_by])
     return {
         **head,
         "versions": versions(),
         "machine": machine(),
         "run_hash": run_hash,
-        "command": shlex.join([*words, *more]),
+        "command": shlex.join(_command(case, solver_entry, suite)),
     }
+
+
+def _command(case: Case, solver_entry: SolverEntry, suite: str) -> list[str]:
+    """List the words of the command that makes a record again."""
+    seed = [] if isinstance(case, RecordedCase) else ["--seed", str(case.shown_seed)]
+    more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
+    words = ["sabench", "run", suite, "--case", case.name, *seed]
+    return [*words, "--solver", solver_entry.shown, *more]
 
 
 def _blank(task: str) -> dict[str, Any]:

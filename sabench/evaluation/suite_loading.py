@@ -1,6 +1,7 @@
 """Suite files, read and checked before any work starts.
 
-A suite becomes a list of cases, one for each combination of its varied values and each seed.
+A suite becomes a list of cases, one for each combination of its varied values and each seed, and
+one for each recording.
 """
 
 from __future__ import annotations
@@ -15,12 +16,20 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from sabench import plugins
 from sabench.api.solvers import TaskName
 from sabench.evaluation.hidden_split import Secret
-from sabench.evaluation.suites import Case, CaseSpec, SolverEntry, Suite
+from sabench.evaluation.recorded_cases import open_recording, recording_name
+from sabench.evaluation.suites import (
+    Case,
+    CaseSpec,
+    RecordingSpec,
+    SceneCase,
+    SolverEntry,
+    Suite,
+)
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
 from sabench.scenes.loading import read_scene
 from sabench.simulation.renderer_choice import choose_renderer
@@ -34,6 +43,7 @@ _MOST_CASES = 1000
 _LONGEST_CASE = 200  # characters of a name
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 Load = Callable[[str | Path], Scene]
+Table = TypeVar("Table", Suite, CaseSpec, RecordingSpec)
 
 
 def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, list[Case]]:
@@ -41,37 +51,41 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
 
     Parameters
     ----------
-    secret : makes the private data sets of its cases, in place of the public ones.
+    secret : makes the private data sets of its scenes, in place of the public ones. Recordings
+        have no seeds, and so no private ones.
 
     Raises
     ------
     InputError
-        Anything wrong in the suite, in one of its scenes or in its changes, two cases of one name,
-        or cases that differ from the frozen ones.
+        Anything wrong in the suite, in one of its scenes, changes or recordings, two cases of one
+        name, or cases that differ from the frozen ones.
     """
     file = find(path, "scenes/suites")
-    suite = _read_suite(file)
-    own = suite.model_copy(
-        update={"solvers": tuple(_resolve(solver_entry, file) for solver_entry in suite.solvers)}
-    )
-    specs = [
-        spec.model_copy(
-            update={"solvers": tuple(_resolve(solver_entry, file) for solver_entry in spec.solvers)}
-        )
-        for spec in _specs(own)
+    own = _resolve(_read_suite(file), file)
+    specs = [_resolve(spec, file) for spec in _specs(own)]
+    recordings = [
+        _resolve(spec.model_copy(update={"solvers": spec.solvers or own.solvers}), file)
+        for spec in own.recordings
     ]
-    if len(specs) > _MOST_CASES:
-        raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {len(specs)}")
+    if (count := len(specs) + len(recordings)) > _MOST_CASES:
+        raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {count}")
     # before the scenes are built, which takes long
-    _check_names([name for spec in specs for name, _ in _names(spec, file)], file)
+    names = [name for spec in specs for name, _ in _names(spec, file)]
+    _check_names([*names, *(recording_name(spec, file) for spec in recordings)], file)
+    recorded = [open_recording(spec, file) for spec in recordings]
     load = functools.cache(load_scene)  # most cases of a suite share their scene
     first = [case for spec in specs for case in _cases(spec, own, file, load)]
-    _check_frozen(own, first, file)
-    return own, [
+    _check_frozen(own, [*first, *recorded], file)
+    if secret is not None and not first:
+        raise InputError(
+            f"{file}: expected scenes, of which a private test set is made, got recordings alone"
+        )
+    seeded = [
         replace(case, seed=seed, number=number)
         for case in first
         for number, seed in _seeds(own, case, file.stem, secret)
     ]
+    return own, [*seeded, *([] if secret else recorded)]
 
 
 def _read_suite(file: Path) -> Suite:
@@ -99,21 +113,21 @@ def _scene_hashes(file: Path) -> frozenset[str]:
     return frozenset(scene.hash for *_, scene in itertools.chain.from_iterable(variants))
 
 
-def _cases(spec: CaseSpec, suite: Suite, file: Path, load: Load) -> Iterator[Case]:
+def _cases(spec: CaseSpec, suite: Suite, file: Path, load: Load) -> Iterator[SceneCase]:
     """Make all cases of a specification, with the suite's first seed."""
     renderer = choose_renderer(spec.backend or suite.backend)
     for name, base, axes, scene in _variants(spec, file, load):
         build_rig(scene, f"{file}: case {name}")
-        yield Case(
-            name,
-            base,
-            axes,
-            scene,
-            suite.seeds[0],
-            renderer,
-            spec.solvers,
-            spec.difficulty,
-            spec.axis,
+        yield SceneCase(
+            name=name,
+            base=base,
+            axes=axes,
+            scene=scene,
+            seed=suite.seeds[0],
+            renderer=renderer,
+            solvers=spec.solvers,
+            difficulty=spec.difficulty,
+            axis=spec.axis,
         )
 
 
@@ -132,7 +146,7 @@ def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
         [
             suite.version,
             list(suite.seeds),
-            [[case.name, case.scene.hash, case.difficulty, case.axis] for case in cases],
+            [[case.name, case.data_hash, case.difficulty, case.axis] for case in cases],
         ]
     )
     if suite.frozen not in (None, found):
@@ -143,7 +157,13 @@ def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
         )
 
 
-def _resolve(solver: SolverEntry, file: Path) -> SolverEntry:
+def _resolve(table: Table, file: Path) -> Table:
+    """Check the solver entries of a suite or of one of its cases."""
+    solvers = tuple(_resolve_solver(entry, file) for entry in table.solvers)
+    return table.model_copy(update={"solvers": solvers})
+
+
+def _resolve_solver(solver: SolverEntry, file: Path) -> SolverEntry:
     """Check a solver entry, and find its program.
 
     The solver must exist and take its parameters. A program must have a task; its path becomes

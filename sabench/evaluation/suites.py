@@ -1,9 +1,10 @@
-"""Suites: scenes with changes, seeds and solvers, and the cases that they become."""
+"""Suites: scenes with changes, recordings, seeds and solvers, and their cases."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +12,7 @@ from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
 from sabench import plugins
 from sabench.api.solvers import TaskName
+from sabench.dataset.reader import Dataset
 from sabench.evaluation.record_schema import Difficulty, Name
 from sabench.scenes import Scene
 from sabench.simulation.renderer_choice import Renderer
@@ -19,6 +21,7 @@ from sabench.tasks.solve_and_score import describe_solver
 from sabench.utils.code_hash import code_hash
 from sabench.utils.processes.limited import Limits, limits_of
 
+RECORDED = "recorded"  # stands for the renderer of a recording
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system
 
 
@@ -102,10 +105,33 @@ class CaseSpec(Changes):
     )
 
 
-class Suite(Changes):
-    """Suite file: cases x seeds x solvers.
+class QualityOptions(_Table):
+    """Options of the figures that judge results of a recording without truth."""
 
-    Its own `set` and `vary` apply to all cases, before the cases' own.
+    frames: int = Field(1, ge=1, description="first frames that are compared with their images")
+    again: bool = Field(
+        False, description="solve again without each camera, and with each one scrambled"
+    )
+
+
+class RecordingSpec(_Table):
+    """One recorded data set; a text stands for a table with its folder alone."""
+
+    folder: str = Field(min_length=1, description="absolute, or next to the suite")
+    name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the folder's")
+    solvers: tuple[SolverEntry, ...] = Field((), description="by default the suite's")
+    quality: QualityOptions = QualityOptions()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_text(cls, values: Any) -> Any:
+        return {"folder": values} if isinstance(values, str) else values
+
+
+class Suite(Changes):
+    """Suite file: cases x seeds x solvers, and recordings x solvers.
+
+    Its own `set` and `vary` apply to all cases of scenes, before the cases' own.
     """
 
     title: str
@@ -117,6 +143,9 @@ class Suite(Changes):
     )
     scenes: tuple[str, ...] = Field((), description="cases that change no more than the suite does")
     cases: tuple[CaseSpec, ...] = ()
+    recordings: tuple[RecordingSpec, ...] = Field(
+        (), description="recorded data sets, whatever the seeds are"
+    )
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((1,), min_length=1)
     backend: Renderer = "auto"
     keep_data: bool = Field(
@@ -128,21 +157,24 @@ class Suite(Changes):
 
     @model_validator(mode="after")
     def _has_cases(self) -> Suite:
-        if not self.scenes and not self.cases:
-            raise ValueError("scenes, cases: expected at least one scene in either")
-        if not self.solvers and (self.scenes or not all(case.solvers for case in self.cases)):
+        if not self.scenes and not self.cases and not self.recordings:
+            raise ValueError("scenes, cases, recordings: expected at least one of them")
+        own = [*(case.solvers for case in self.cases), *(one.solvers for one in self.recordings)]
+        if not self.solvers and (self.scenes or not all(own)):
             raise ValueError("solvers: expected at least one for every case")
         return self
 
 
-@dataclass(frozen=True)
-class Case:
+@dataclass(frozen=True, kw_only=True)
+class _Case(ABC):
     """One data set of a suite.
 
     Attributes
     ----------
     name : unique in its suite but for the seed, and safe as a file name.
-    base : name of the scene that was changed.
+    base : name of the scene that was changed, or of the recording.
+    seed : of the data set; 0 for a recording.
+    renderer : by which images are made.
     axes : the varied keys of the scene with this case's values.
     solvers : the solver entries that run on it.
     difficulty, axis : as given in the suite.
@@ -151,14 +183,18 @@ class Case:
 
     name: str
     base: str
-    axes: Mapping[str, Any]
-    scene: Scene
     seed: int
     renderer: str
+    axes: Mapping[str, Any] = field(default_factory=dict)
     solvers: tuple[SolverEntry, ...] = ()
     difficulty: Difficulty | None = None
     axis: str | None = None
     number: int | None = None
+
+    @property
+    @abstractmethod
+    def data_hash(self) -> str:
+        """Hash of what its data set is made of."""
 
     @property
     def shown_seed(self) -> int:
@@ -170,10 +206,57 @@ class Case:
         """Name of the data set among those of its case; it never has a private seed."""
         return f"seed{self.seed}" if self.number is None else f"hidden{self.number}"
 
+    @property
+    def words(self) -> str:
+        """Words for its data set in messages."""
+        return f"seed {self.seed}" if self.number is None else f"hidden {self.number}"
+
+    @property
+    def file_name(self) -> str:
+        """Name of its files: data set, figures, results."""
+        return f"{self.name}-{self.data_hash[:8]}-{self.renderer}-{self.seed_label}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneCase(_Case):
+    """Data set that is generated from a scene and a seed."""
+
+    scene: Scene
+
+    @property
+    def data_hash(self) -> str:
+        """Hash of the scene."""
+        return self.scene.hash
+
     def folder(self, work: Path) -> Path:
         """Return the folder of its data set."""
-        return (
-            work
-            / "datasets"
-            / f"{self.name}-{self.scene.hash[:8]}-{self.renderer}-{self.seed_label}"
-        )
+        return work / "datasets" / self.file_name
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedCase(_Case):
+    """Recorded data set, without truth.
+
+    Attributes
+    ----------
+    data : the data set where it lies; sabench never changes it.
+    quality : how results are judged.
+    """
+
+    data: Dataset
+    quality: QualityOptions
+    seed: int = 0
+    renderer: str = RECORDED
+
+    @property
+    def data_hash(self) -> str:
+        """Hash of the data set's content."""
+        return self.data.content_hash
+
+    @property
+    def words(self) -> str:
+        """Words for its data set in messages."""
+        return "recorded"
+
+
+Case = SceneCase | RecordedCase

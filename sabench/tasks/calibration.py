@@ -139,6 +139,7 @@ class CalibrationTask(Task):
               "mean of the points' errors along Z after a rigid motion", hidden=True),
     )
     # fmt: on
+    picture_has_truth = True
     captions = Captions(
         heading="Errors in the images",
         estimates="Arrows from the target's detected points to their reprojections; the number is "

@@ -165,7 +165,9 @@ class FrameEvidence:
 
 
 def correlate(one: F64, other: F64, known: Bool) -> float:
-    """Correlate two images over known pixels; NaN for one without contrast."""
+    """Correlate two images over known pixels; NaN without any, or without contrast."""
+    if not known.any():
+        return float("nan")
     a, b = one[known] - one[known].mean(), other[known] - other[known].mean()
     norm = float(np.sqrt((a**2).sum() * (b**2).sum()))
     return float((a * b).sum()) / norm if norm else float("nan")

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from sabench.metrics.track_smoothness import jitter_mm, share_followed
 from sabench.plotting import pictures
 from sabench.tasks.found_frames import link_frames
 from sabench.tasks.image_evidence import FrameEvidence, volume_correlation
+from sabench.tasks.quality_figures import FIGURES, FIGURES_OF
 from sabench.tasks.reduced_data import scramble_shift, with_scrambled_camera, without_camera
 from sabench.tasks.solve_and_score import solve
 from sabench.utils.arrays import F64
@@ -32,24 +33,6 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing
 from sabench.utils.progress import progress_bar
 
-
-class Figure(NamedTuple):
-    """Figure without truth: its decimals in tables, and its meaning."""
-
-    decimals: int
-    meaning: str
-
-
-FIGURES = {
-    "residual_px": Figure(3, "RMS distance of particles' images from their projections, px"),
-    "explained": Figure(3, "share of the images' light that the result explains"),
-    "held_out": Figure(3, "share of particles found without a camera that this camera shows"),
-    "held_out_correlation": Figure(3, "correlation of an image with the others' prediction"),
-    "ghost_percent": Figure(2, "expected ghosts, relative to true particles, %"),
-    "chance_percent": Figure(2, "found with a scrambled camera, relative to what is found, %"),
-    "jitter_mm": Figure(4, "scatter of positions along an axis, from jitter of trajectories, mm"),
-    "followed": Figure(3, "share of particles in trajectories of three frames or more"),
-}
 Figures = dict[str, float | None]
 _FOLLOWED = 3  # frames
 
@@ -95,7 +78,7 @@ def quality(
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     opened = open_result(result, data)
-    if opened.task not in ("particles", "reconstruction"):
+    if opened.task not in FIGURES_OF:
         raise InputError(
             f"{result}: expected a result of the task particles or reconstruction, got one of "
             f"{opened.task}"

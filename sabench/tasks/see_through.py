@@ -63,6 +63,7 @@ class SeeThroughTask(FrameByFrame):
     )
     # fmt: on
     gate = Gate("read_percent", 60.0)
+    picture_has_truth = True
     captions = Captions(
         heading="The code's plane",
         estimates="The plane of the stack that contains the code behind the bubbles, each with its "

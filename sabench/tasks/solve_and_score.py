@@ -236,9 +236,11 @@ def score(
         "solver": opened.solver if opened else word,
         "parameters": opened.parameters if opened else {},
         **judged.score(data, opened or word or "empty"),
-        "seconds": opened.seconds if opened else None,
-        "peak_mb": opened.peak_mb if opened else None,
-        "compile_s": opened.compile_s if opened else None,
-        "isolated": opened.isolated if opened else None,
-        "whole_process": opened.whole_process if opened else None,
+        **costs_of(opened),
     }
+
+
+def costs_of(result: Result | None) -> dict[str, Any]:
+    """List what a result cost, and how it was measured; None for no result."""
+    names = ("seconds", "peak_mb", "compile_s", "isolated", "whole_process")
+    return {name: getattr(result, name) if result else None for name in names}

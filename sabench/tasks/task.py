@@ -128,6 +128,7 @@ class Task(ABC):
     scores : its own, the most important one first; `all_scores` adds the costs.
     gate : which estimates the first score ranks; None: all that have it.
     captions : of its figures.
+    picture_has_truth : whether the figure of an estimate needs the truth.
     """
 
     name: ClassVar[TaskName]
@@ -136,6 +137,7 @@ class Task(ABC):
     scores: ClassVar[tuple[Score, ...]]
     gate: ClassVar[Gate | None] = None
     captions: ClassVar[Captions]
+    picture_has_truth: ClassVar[bool] = False
 
     @property
     def all_scores(self) -> tuple[Score, ...]:

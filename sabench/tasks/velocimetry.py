@@ -78,6 +78,7 @@ class VelocimetryTask(Task):
     )
     # fmt: on
     gate = Gate("yield_percent", 50.0)
+    picture_has_truth = True
     captions = Captions(
         heading="Fields",
         estimates="The first pair: vectors and vorticity of a middle plane, errors there, all "

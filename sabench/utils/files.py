@@ -165,6 +165,14 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def is_folder(path: Path) -> bool:
+    """Return whether there is a folder of this name, as `is_file` does for files."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
 def sha256(path: Path) -> str:
     """Compute the hexadecimal SHA-256 of a file's bytes."""
     with path.open("rb") as handle:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sabench.dataset.import_recording import ImportOptions, import_recording
 from sabench.dataset.reader import Dataset
 from sabench.scenes import Scene, find, parse_scene
 from sabench.utils.arrays import U16
@@ -52,3 +53,20 @@ def write_stacks(data: Dataset, folder: Path, **options: Any) -> Path:
         values = stack_of(data, number)
         tifffile.imwrite(folder / f"{camera.name}.tif", values, photometric="minisblack", **options)
     return folder
+
+
+def exact_options(data: Dataset, **changes: Any) -> ImportOptions:
+    """Give the facts that the original's scene states, so that both are solved alike."""
+    setup = data.setup
+    known: dict[str, Any] = {
+        "black_dn": setup.sensor.black_dn,
+        "white_dn": setup.sensor.white_dn,
+        "interval_s": setup.time_s(1) - setup.time_s(0),
+    }
+    return ImportOptions(**(known | changes))
+
+
+def import_exactly(data: Dataset, images: Path, out: Path, **changes: Any) -> None:
+    """Import images of a data set with its own cameras, grid, levels and times."""
+    options = exact_options(data, **changes)
+    import_recording(images, data.setup.cameras, out, options, data.setup.grid)

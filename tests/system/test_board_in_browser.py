@@ -665,3 +665,56 @@ def test_colours_follow_the_reader_s_choice(browser: Browser, graded: Path) -> N
     browser.devtools("Emulation.setEmulatedMedia", features=[])
     assert seen[0][0] != seen[1][0]
     assert seen[0][1] != seen[1][1]
+
+
+# Recorded data sets
+
+
+def judged(solver: str, explained: float | None, **changes: Any) -> Record:
+    """A record of a recorded data set."""
+    figures = {"explained": explained, "followed": 0.5}
+    quality = {"frames": 1, "again": False, "figures": figures}
+    head = {"recorded": True, "renderer": "recorded", "seed": 0, "task": "particles"}
+    return record(solver, **head, quality=quality, case="tank", **changes)
+
+
+def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Path) -> None:
+    records = [
+        judged("a", 0.5, seconds=2.0),
+        judged("b", 0.9, seconds=1.0),
+        record("c", task="particles", f1=0.7, seconds=1.0),
+    ]
+    rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    tables = "[...document.querySelectorAll('#tasks a')].map(one => one.firstChild.textContent)"
+    assert browser.ask(tables) == ["particles", "particles, recorded"]
+    assert browser.ask(SOLVERS) == ["c"]
+    browser.press("//nav[@id='tasks']/a[2]")
+    assert browser.ask(SOLVERS) == ["a", "b"]  # no ranks: in the order of their names
+    chips = "[...document.querySelectorAll('.chip')].map(one => one.textContent)"
+    assert browser.ask(chips) == ["recorded, no truth"] * 2
+    browser.press(heading("explained"))
+    browser.press(heading("explained"))
+    assert browser.ask(SOLVERS) == ["b", "a"]
+    browser.press("//td/a[text()='tank']")
+    assert "Recorded images have no truth" in browser.ask(
+        "document.getElementById('content').textContent"
+    )
+    assert "renderer" not in browser.ask("document.querySelector('p.quiet').textContent")
+    browser.wait(DRAWN)
+    assert browser.complaints() == []
+
+
+def test_results_without_any_figure_show_their_costs(browser: Browser, tmp_path: Path) -> None:
+    head = {"recorded": True, "renderer": "recorded", "task": "velocimetry", "quality": None}
+    records = [record(name, **head, seconds=2.0) for name in ("a", "b")]
+    rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    assert browser.ask(SOLVERS) == ["a", "b"]
+    content = "document.getElementById('content').textContent"
+    browser.press("//td/a[text()='tank']")
+    assert "no figures but their costs" in browser.ask(content)
+    for view in ("time", "why"):
+        browser.open(tmp_path / "index.html", f"#view={view}")
+        assert browser.ask(content)
+    assert browser.complaints() == []

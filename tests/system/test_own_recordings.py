@@ -17,7 +17,7 @@ import pytest
 import sabench
 from sabench.api import FoundParticles
 from sabench.dataset.camera_files import write_cameras
-from sabench.dataset.import_recording import ImportOptions, import_recording
+from sabench.dataset.import_recording import import_recording
 from sabench.dataset.observation_side import pack
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
@@ -29,7 +29,14 @@ from sabench.geometry.projective_camera import fit_projective
 from sabench.interop.camera_sources import read_camera_source
 from sabench.utils.errors import InputError
 from tests.conftest import Command
-from tests.helpers.recordings import make_scene_in_motion, stack_of, write_pngs, write_stacks
+from tests.helpers.recordings import (
+    exact_options,
+    import_exactly,
+    make_scene_in_motion,
+    stack_of,
+    write_pngs,
+    write_stacks,
+)
 
 
 @pytest.fixture(scope="module")
@@ -43,20 +50,8 @@ def pngs(original: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_pngs(original, tmp_path_factory.mktemp("pngs") / "images")
 
 
-def exact_options(data: Dataset, **changes: Any) -> ImportOptions:
-    """Give the facts that the original's scene states, so that both are solved alike."""
-    setup = data.setup
-    known: dict[str, Any] = {
-        "black_dn": setup.sensor.black_dn,
-        "white_dn": setup.sensor.white_dn,
-        "interval_s": setup.time_s(1) - setup.time_s(0),
-    }
-    return ImportOptions(**(known | changes))
-
-
 def import_like(original: Dataset, folder: Path, out: Path, **changes: Any) -> Dataset:
-    options, setup = exact_options(original, **changes), original.setup
-    import_recording(folder, setup.cameras, out, options, setup.grid)
+    import_exactly(original, folder, out, **changes)
     assert verify(out) == []
     return open_dataset(out)
 

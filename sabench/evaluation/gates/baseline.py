@@ -9,6 +9,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from sabench import plugins, tasks
+from sabench.tasks.quality_figures import FIGURES
+from sabench.tasks.task import Score
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.validation import validate
@@ -17,6 +19,7 @@ FORMAT, VERSION = "sabench-baseline", 1
 DATA = "data set"  # stands for a solver where the figures are those of the data set itself
 TIMES = ("seconds", "reconstruction_s")
 COSTS = (*TIMES, "peak_mb")
+QUALITY = "quality."  # begins the names of figures that need no truth
 Figures = dict[str, float | None]
 
 
@@ -97,7 +100,7 @@ def default_tolerance(task: str, figure: str) -> Tolerance:
     """
     if task == DATA:
         return _data_tolerance(figure)
-    score = tasks.of(task).score_of(figure)
+    score = score_of(task, figure)
     if score.unit == "MB":
         return Tolerance(relative=1.0, absolute=200.0)
     if score.unit == "s":
@@ -105,6 +108,13 @@ def default_tolerance(task: str, figure: str) -> Tolerance:
     if score.counted:
         return Tolerance(relative=0.0, absolute=2.0 if score.unit == "%" else 0.02)
     return Tolerance(relative=0.01, absolute=10.0**-score.decimals)
+
+
+def score_of(task: str, figure: str) -> Score:
+    """Look up a score of a task, or a figure without truth."""
+    if figure.startswith(QUALITY):
+        return FIGURES[figure.removeprefix(QUALITY)]
+    return tasks.of(task).score_of(figure)
 
 
 def kind_of(task: str, figure: str) -> str:

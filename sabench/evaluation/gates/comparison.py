@@ -24,7 +24,7 @@ from sabench.evaluation.gates.baseline import (
 from sabench.evaluation.gates.findings import Finding, compare
 from sabench.evaluation.gates.measurement import drop_not_run, run_case, task_of, tasks_of
 from sabench.evaluation.suite_loading import load_suite
-from sabench.evaluation.suites import Case, SolverEntry
+from sabench.evaluation.suites import Case, RecordedCase, SolverEntry
 from sabench.scenes import find
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
@@ -130,7 +130,7 @@ def check(
     entries = []
     for number, case in enumerate(cases, 1):
         console.print(
-            f"data set {number} of {len(cases)}: {case.name}, seed {case.seed}",
+            f"data set {number} of {len(cases)}: {case.name}, {case.words}",
             markup=False,
             highlight=False,
         )
@@ -206,6 +206,7 @@ def _compare(
         )
         return
     if old.scene_hash != now.scene_hash:
+        what = "recording" if isinstance(case, RecordedCase) else "scene"
         yield Finding(
             *now.key,
             DATA,
@@ -214,7 +215,7 @@ def _compare(
             None,
             None,
             worse=True,
-            text="its scene is not the one of the baseline",
+            text=f"its {what} is not the one of the baseline",
         )
     cut_short = len(now.solvers) < len(case.solvers)
     yield from compare(

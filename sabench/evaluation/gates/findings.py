@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from sabench import tasks
 from sabench.evaluation.gates.baseline import (
     DATA,
     TIMES,
@@ -14,6 +13,7 @@ from sabench.evaluation.gates.baseline import (
     Entry,
     Figures,
     Tolerances,
+    score_of,
     tolerance_of,
 )
 from sabench.tasks.task import Better
@@ -167,7 +167,7 @@ def _list_moved(
                 yield figure, None, math.inf if new is None else -math.inf
             continue
         allowed = tolerance_of(tolerances, task, figure).allowed(old)
-        better: Better = "steady" if task == DATA else tasks.of(task).score_of(figure).better
+        better: Better = "steady" if task == DATA else score_of(task, figure).better
         change = loss(better, old, new)
         if abs(change) > allowed:
             yield figure, allowed, change

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
-import shutil
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result
 from sabench.evaluation.gates.baseline import (
     COSTS,
+    QUALITY,
     TIMES,
     CaseEntry,
     Entry,
@@ -21,8 +22,9 @@ from sabench.evaluation.gates.baseline import (
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.findings import compare, scale_times
 from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
-from sabench.evaluation.runner import dataset_of
-from sabench.evaluation.suites import Case, SolverEntry
+from sabench.evaluation.judged_without_truth import judge
+from sabench.evaluation.runner import dataset_of, discard
+from sabench.evaluation.suites import Case, RecordedCase, SolverEntry
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
@@ -61,16 +63,18 @@ def run_case(
     With `exit_first` it stops as soon as something is worse.
     """
     data = dataset_of(case, work, fresh=True)
-    out = work / "results" / f"{case.folder(work).name}.h5"
+    out = work / "results" / f"{case.file_name}.h5"
     now = CaseEntry(
         case=case.name,
         seed=case.seed,
         renderer=case.renderer,
-        scene_hash=case.scene.hash,
+        scene_hash=case.data_hash,
         data={},
         solvers={},
     )
-    now = now.model_copy(update={"data": {**fingerprint(data), **score_known_wrong(data, out)}})
+    if data.has_truth:
+        statistics = {**fingerprint(data), **score_known_wrong(data, out)}
+        now = now.model_copy(update={"data": statistics})
     for name, solver_entry in names_of(case.solvers, f"case {case.name}").items():
         if (
             exit_first
@@ -82,10 +86,10 @@ def run_case(
         ):
             break
         entry = _solve_again(
-            data, solver_entry, out, old.solvers.get(name) if old else None, tolerances
+            case, data, solver_entry, out, old.solvers.get(name) if old else None, tolerances
         )
         now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
-    shutil.rmtree(data.root)
+    discard(case, data)
     out.unlink(missing_ok=True)
     return now
 
@@ -108,6 +112,7 @@ def tasks_of(case: Case) -> dict[str, str]:
 
 
 def _solve_again(
+    case: Case,
     data: Dataset,
     solver_entry: SolverEntry,
     out: Path,
@@ -115,23 +120,23 @@ def _solve_again(
     tolerances: Tolerances,
 ) -> Entry:
     """Solve and score; repeat where time or memory seem to have grown."""
-    entry = _solve(data, solver_entry, out)
+    entry = _solve(case, data, solver_entry, out)
     for _ in range(_AGAIN):
         if earlier is None or not _exceeds_tolerance(
             earlier, entry, tolerances, task_of(solver_entry)
         ):
             break
-        entry = _cheaper(entry, _solve(data, solver_entry, out))
+        entry = _cheaper(entry, _solve(case, data, solver_entry, out))
     return entry
 
 
-def _solve(data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
+def _solve(case: Case, data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
     """Solve and score, in CPU seconds: other processes only make a solver wait."""
     try:
         # like the reference kernel; other processes slow threads down most
         reference_s = solve_timed(solver_entry, data, out, threads=1, clock=time.thread_time)
         share = open_result(out, data).cpu_share
-        scores = score(data, out)
+        scores = _figures(case, out) if isinstance(case, RecordedCase) else score(data, out)
     except InputError as error:
         return Entry(error=str(error))
     kept = {
@@ -143,6 +148,13 @@ def _solve(data: Dataset, solver_entry: SolverEntry, out: Path) -> Entry:
     if share is not None:
         kept |= {key: value * share for key in TIMES if (value := kept.get(key)) is not None}
     return Entry(figures=kept, reference_s=reference_s)
+
+
+def _figures(case: RecordedCase, out: Path) -> dict[str, Any]:
+    """Judge a result without truth; figures have names of their own."""
+    scores = judge(case, out).scores
+    found = scores["quality"]["figures"] if scores["quality"] else {}
+    return scores | {f"{QUALITY}{key}": value for key, value in found.items()}
 
 
 def _exceeds_tolerance(earlier: Entry, entry: Entry, tolerances: Tolerances, task: str) -> bool:

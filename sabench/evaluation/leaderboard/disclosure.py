@@ -33,7 +33,7 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
     The values are those of a run's record of the same data set, if there is one. Else they are
     those of its manifest, but only if its scene and seed are public.
     """
-    runs = [record for record in known if not record["submission"]]
+    runs = [one for one in known if not one["submission"] and not one["recorded"]]
     here = {"dataset": data.content_hash, "identity": data.identity}
     twin = next((record for record in runs if same_data(record, here)), None)
     if twin:

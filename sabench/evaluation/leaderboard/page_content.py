@@ -10,12 +10,16 @@ from itertools import groupby
 from typing import Any
 
 from sabench import tasks
+from sabench.evaluation.leaderboard.score_columns import Table, every_table, table_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.tasks.task import Task
 from sabench.utils.confidence import CONFIDENCE, Mean
 
-_CASE = ("task", "case", "scene_hash", "renderer", "split")
+_NO_RANK = "Recorded images have no truth: their results have no rank."
+_RESIDUALS = "The first frame's images of all cameras, then what the particles leave of each."
+_MAIN = 3  # scores that are shown before all are asked for, and the two of cost
+_CASE = ("task", "recorded", "case", "scene_hash", "renderer", "split")
 _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
 # degrees of freedom whose Student's quantile the page has; beyond them the last one is a little
 # too wide
@@ -33,9 +37,9 @@ def cases_of(rows: Sequence[Record]) -> list[list[Record]]:
 
 def content_of(cases: Sequence[Sequence[Record]]) -> dict[str, Any]:
     """Describe cases and their rows for the page."""
-    pool, shown = _Pool(), {row["task"] for case in cases for row in case}
+    pool, shown = _Pool(), {table_of(row).name for case in cases for row in case}
     return {
-        "tasks": {task.name: _task(task) for task in tasks.every() if task.name in shown},
+        "tasks": {table.name: _table(table) for table in every_table() if table.name in shown},
         "cases": [_case(case) for case in cases],
         "rows": [_row(row, number, pool) for number, case in enumerate(cases) for row in case],
         "texts": pool.texts,
@@ -60,11 +64,12 @@ class _Pool:
 def _order(row: Record) -> tuple[Any, ...]:
     """Compute the sorting key of a row: task, case, rank within the case.
 
-    Tasks are in their fixed order, cases by name with numbers as numbers.
+    Tasks are in their fixed order, recordings last, cases by name with numbers as numbers.
     """
     rest = (row["case"], row["scene_hash"], row["renderer"], row["split"])
     return (
         tasks.NAMES.index(row["task"]),
+        bool(row.get("recorded")),
         _natural(row["case"]),
         rest,
         rank_of(row),
@@ -79,33 +84,39 @@ def _natural(name: str) -> list[tuple[float, str]]:
 
 def rank_of(row: Record) -> tuple[bool, bool, float]:
     """Compute the rank key: best first score, then rows without a rank, then errors."""
+    if not row["ranked"]:
+        return bool(row["error"]), True, 0.0
     task = tasks.of(row["task"])
     first: Mean | None = row[task.columns[0].key]
-    figures = {task.columns[0].key: first.mean if first else None}
-    return (bool(row["error"]), *(task.rank(figures) if row["ranked"] else (True, 0.0)))
+    return (bool(row["error"]), *task.rank({task.columns[0].key: first.mean if first else None}))
 
 
-def _task(task: Task) -> dict[str, Any]:
-    """Describe a task for the page: its columns and the captions of its figures."""
+def _table(table: Table) -> dict[str, Any]:
+    """Describe a table for the page: its columns and the captions of its figures."""
     columns = [
         {
             "key": one.key,
             "heading": one.heading,
             "decimals": one.decimals,
-            "meaning": one.meaning,
+            "meaning": f"{one.meaning}; {one.better} is better" if table.recorded else one.meaning,
         }
-        for one in task.columns
+        for one in table.columns
     ]
-    captions = task.captions
+    captions = table.task.captions
     pictured = {
         "heading": captions.heading,
         "text": captions.estimates,
         "wide": captions.wide,
         "cameras": captions.cameras,
-        "errors": captions.errors,
+        "errors": _RESIDUALS if table.recorded else captions.errors,
     }
-    larger = task.columns[0].better == "larger"
-    return {"columns": columns, "larger": larger, "gate": gate_text(task), "pictured": pictured}
+    return {
+        "columns": columns,
+        "main": len(columns) if table.recorded else _MAIN,
+        "larger": None if table.recorded else table.columns[0].better == "larger",
+        "gate": _NO_RANK if table.recorded else gate_text(table.task),
+        "pictured": pictured,
+    }
 
 
 def gate_text(task: Task) -> str:
@@ -124,10 +135,12 @@ def _case(rows: Sequence[Record]) -> dict[str, Any]:
         name: next((row[name] for row in rows if row.get(name)), None)
         for name in ("suite", "difficulty", "axis", "axes")
     }
-    head = {name: first[name] for name in ("task", "scene", "renderer", "split")}
+    head = {name: first[name] for name in ("scene", "renderer", "split")}
     tag = f"{first['case']}-{first['scene_hash'][:8]}-{first['renderer']}{hidden}"
     return {
         **head,
+        "task": table_of(first).name,
+        "recorded": bool(first.get("recorded")),
         **details,
         "axes": text_of(details["axes"] or {}),
         "id": tag,
@@ -139,7 +152,7 @@ def _case(rows: Sequence[Record]) -> dict[str, Any]:
 def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     """Make one line of the table; shared texts are indices into the pool."""
     runs: list[Record] = row["runs"]
-    keys = [score.key for score in tasks.of(row["task"]).columns]
+    keys = [score.key for score in table_of(row).columns]
     several = len(runs) > 1
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
     return {

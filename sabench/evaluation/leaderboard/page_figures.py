@@ -52,7 +52,7 @@ def _pictures(
         rank = seen[place] = seen.get(place, 0) + 1
         stem = f"{run['solver']}-{run['run_hash'][:8]}"
         wanted = [(0, "images", "images.png")] + (
-            [(0, "truth", "truth.png")] if tasks.of(row["task"]).captions.truth else []
+            [(0, "truth", "truth.png")] if _shows_truth(row) else []
         )
         # a failed run may have left a figure of an earlier success, which is not this record's
         if not run.get("error"):
@@ -64,6 +64,10 @@ def _pictures(
             path = _there(pictures, f"{run['pictures']}/{file}")
             if path:
                 yield order, place, name, path
+
+
+def _shows_truth(row: Record) -> bool:
+    return not row["recorded"] and tasks.of(row["task"]).captions.truth
 
 
 def _there(pictures: Path, name: str) -> Path | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from sabench import tasks
 from sabench.evaluation.leaderboard import page
+from sabench.evaluation.leaderboard.score_columns import table_of, with_figures
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.utils.confidence import mean_of
@@ -13,6 +14,7 @@ from sabench.utils.files import complete_or_nothing
 
 _ENTRY = (
     "task",
+    "recorded",
     "case",
     "scene_hash",
     "renderer",
@@ -34,7 +36,8 @@ def over_seeds(records: list[Record]) -> list[Record]:
     A score that no seed has is None. `ranked` says whether the first score ranks every seed that
     has not failed, so that a seed that was left out improves no rank. `error` counts the seeds that
     failed and gives the first one's reason. `runs` are the records of the seeds. Records of
-    unknown tasks make no rows.
+    unknown tasks make no rows. Those of recorded data sets have figures without truth in place of
+    scores, and no rank.
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):
@@ -45,15 +48,19 @@ def over_seeds(records: list[Record]) -> list[Record]:
                 "case": record.get("case") or record["scene"],
                 "task": task,
                 "split": record.get("split") or "public",
+                "recorded": bool(record.get("recorded")),
             }
             groups.setdefault(key_of(named, _ENTRY), []).append(named)
     return [_merge(group) for group in groups.values()]
 
 
 def _merge(group: list[Record]) -> Record:
-    task = tasks.of(group[0]["task"])
-    keys = [score.key for score in task.columns]
-    runs = [{**record, **{key: _number(record.get(key)) for key in keys}} for record in group]
+    table = table_of(group[0])
+    keys = [score.key for score in table.columns]
+    runs = [
+        {**record, **{key: _number(with_figures(record).get(key)) for key in keys}}
+        for record in group
+    ]
     means = {key: mean_of([run[key] for run in runs if run[key] is not None]) for key in keys}
     errors = [record["error"] for record in group if record.get("error")]
     share = f"{len(errors)} of {len(group)} seeds: " if len(group) > 1 and errors else ""
@@ -64,7 +71,8 @@ def _merge(group: list[Record]) -> Record:
         "seeds": [run["seed"] for run in runs],
         "runs": runs,
         "error": error,
-        "ranked": not any(task.rank(run)[0] for run in runs if not run.get("error")),
+        "ranked": not table.recorded
+        and not any(table.task.rank(run)[0] for run in runs if not run.get("error")),
     }
 
 

@@ -13,7 +13,7 @@ from sabench.algorithms.refocus.thresholding import auto_k, extract, occupancy
 from sabench.api import Observation
 from sabench.api.truth import Particles
 from sabench.evaluation.suite_loading import load_suite, override
-from sabench.evaluation.suites import Case
+from sabench.evaluation.suites import SceneCase
 from sabench.evaluation.thesis.best_threshold import quality_of_k
 from sabench.evaluation.thesis.published import published_volume
 from sabench.geometry.grid import Grid
@@ -88,9 +88,10 @@ def claim(name: str, thesis: str, measured: float | None, holds: bool, note: str
     return Row(name, thesis, measured, "reproduced" if holds else "not reproduced", note=note)
 
 
-def cases(suite: str) -> list[Case]:
-    """List the cases of a bundled suite, once each whatever its seeds are."""
-    return list({case.name: case for case in load_suite(suite)[1]}.values())
+def cases(suite: str) -> list[SceneCase]:
+    """List the scenes' cases of a suite, once each whatever its seeds are."""
+    every = load_suite(suite)[1]
+    return list({case.name: case for case in every if isinstance(case, SceneCase)}.values())
 
 
 def coarsen(scene: Scene, pixels: int | None) -> Scene:

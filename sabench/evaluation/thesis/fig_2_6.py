@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from sabench.evaluation.suites import Case
+from sabench.evaluation.suites import SceneCase
 from sabench.evaluation.thesis.common import (
     ADEQUATE,
     METHODS,
@@ -44,6 +44,6 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
                 )
 
 
-def curves() -> list[Case]:
+def curves() -> list[SceneCase]:
     """List the arrays of table 2.1 that figures 2-6 and 3-8 show."""
     return [case for case in cases(SUITE) if case.name != _ABSENT]

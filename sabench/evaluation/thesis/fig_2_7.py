@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from sabench.evaluation.suites import Case
+from sabench.evaluation.suites import SceneCase
 from sabench.evaluation.thesis.common import (
     ADEQUATE,
     METHODS,
@@ -40,7 +40,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     yield from _error_rows(seeds, pixels)
 
 
-def by_cameras(suite: str) -> list[tuple[int, Case]]:
+def by_cameras(suite: str) -> list[tuple[int, SceneCase]]:
     """List a suite's cases with their numbers of cameras, from few to many."""
     counted = [(len(build_rig(case.scene).cameras), case) for case in cases(suite)]
     return sorted(counted, key=lambda pair: (density(pair[1].scene), pair[0]))

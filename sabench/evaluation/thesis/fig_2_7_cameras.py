@@ -13,9 +13,8 @@ import numpy as np
 
 from sabench.api import Calibration
 from sabench.api.make import make_algorithm, make_solver
-from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.thesis.chapter_4 import Board, draw, places_of, solve_case
-from sabench.evaluation.thesis.common import Row, claim, make_row
+from sabench.evaluation.thesis.common import Row, cases, claim, make_row
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
@@ -73,9 +72,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
 def particles_behind_glass(pixels: int | None) -> Scene:
     """Load the case with a wall of suites/left-out, at 0.05 particles per pixel."""
-    (case,) = {
-        case.name: case for case in load_suite("left-out")[1] if case.name == "wall"
-    }.values()
+    (case,) = (case for case in cases("left-out") if case.name == "wall")
     values = case.scene.to_dict()
     if pixels is not None:
         scale = pixels / case.scene.cameras.columns

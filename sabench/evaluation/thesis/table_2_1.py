@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.optimize import brentq
 
-from sabench.evaluation.suites import Case
+from sabench.evaluation.suites import SceneCase
 from sabench.evaluation.thesis.common import (
     ADEQUATE,
     METHODS,
@@ -57,7 +57,7 @@ def _trial(scene: Scene, pixels: int | None, method: str) -> Trial:
     )[method]
 
 
-def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
+def _bound_rows(label: str, case: SceneCase, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
     for per_mm3 in (density(case.scene), BOUNDED[case.name]):
         found = [trial(per_mm3, seed) for seed in seeds]
         first, q = found[0], np.mean([quality.blind for quality in found])
@@ -70,7 +70,7 @@ def _bound_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> I
         )
 
 
-def _density_rows(label: str, case: Case, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
+def _density_rows(label: str, case: SceneCase, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
     """Measure the largest density, with thresholds tuned with and without truth.
 
     The thesis tunes them with the truth.
@@ -111,7 +111,7 @@ def crossings(
     return [low + (high - low) * (above - ADEQUATE) / (above - below) for above, below in ends]
 
 
-def _spacing_row(case: Case) -> Row:
+def _spacing_row(case: SceneCase) -> Row:
     """Compare dZ / dX of the exact cameras with the table's, the voxels' shape."""
     across, _, along = case.scene.grid.voxel_mm
     center, neighbour = _inner_pair(build_rig(case.scene).cameras)

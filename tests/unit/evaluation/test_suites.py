@@ -14,7 +14,7 @@ from scipy.special import erf
 
 from sabench.api.truth import Particles
 from sabench.evaluation.suite_loading import load_suite, override
-from sabench.evaluation.suites import Case
+from sabench.evaluation.suites import SceneCase
 from sabench.plugins import bundled_folder
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles
@@ -24,11 +24,16 @@ from sabench.utils.errors import InputError
 SOLVER = '[[solvers]]\nname = "asa"\n'
 
 
-def load(folder: Path, text: str) -> list[Case]:
+def load(folder: Path, text: str) -> list[SceneCase]:
     """The cases of a suite of this text, rendered by splats."""
     file = folder / "suite.toml"
     file.write_text('title = "t"\nbackend = "splat"\n' + text + SOLVER)
-    return load_suite(file)[1]
+    return scene_cases(file)
+
+
+def scene_cases(suite: str | Path) -> list[SceneCase]:
+    """The cases of a suite's scenes."""
+    return [case for case in load_suite(suite)[1] if isinstance(case, SceneCase)]
 
 
 # Statistics
@@ -141,7 +146,7 @@ def test_a_case_does_not_change_a_table_of_the_suite_for_the_next_one(tmp_path: 
 def test_realism_adds_up_to_the_realistic_scene() -> None:
     """All effects together are those of the scene; size, cameras and laser fit the smaller one."""
     real = load_scene("realistic-particles").to_dict()
-    cases = load_suite("realism")[1]
+    cases = scene_cases("realism")
     for case in (case for case in cases if case.name.endswith("-everything")):
         own = case.scene.to_dict()
         for table in ("wall", "calibration", "background", "sensor", "tracer"):
@@ -157,7 +162,7 @@ def test_realism_adds_up_to_the_realistic_scene() -> None:
 
 
 def test_each_case_of_realism_is_a_data_set_of_its_own() -> None:
-    cases = load_suite("realism")[1]
+    cases = scene_cases("realism")
     assert len({case.scene.hash for case in cases}) == len({case.name for case in cases}) == 26
 
 
@@ -201,7 +206,7 @@ def test_a_case_without_solvers_is_named(tmp_path: Path) -> None:
 
 
 FAULTS = [
-    ("", "scenes, cases: expected at least one scene"),
+    ("", "scenes, cases, recordings: expected at least one of them"),
     ('scenes = ["quik"]\n', "did you mean quick?"),
     ('scenes = ["quick"]\nseeds = [-1]\n', "seeds.0"),
     ('scenes = ["quick"]\nkeep = false\n', "keep: unknown key"),
@@ -244,7 +249,7 @@ SUITES = sorted(file.stem for file in (bundled_folder("scenes") / "suites").glob
 @pytest.mark.parametrize("name", SUITES)
 def test_bundled_suites_are_sound(name: str) -> None:
     suite, cases = load_suite(name)
-    assert len({case.folder(Path()) for case in cases}) == len(cases)
+    assert len({case.file_name for case in cases}) == len(cases)
     assert name in ("demo", "quick", "ci") or len(suite.seeds) >= 5
 
 

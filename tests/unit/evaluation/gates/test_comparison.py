@@ -258,7 +258,7 @@ def test_the_bundled_baseline_is_of_the_bundled_suite() -> None:
     kept, (_, cases) = read_baseline(default_path("ci"), "ci"), load_suite("ci")
     assert [one.key for one in kept.cases] == [(one.name, one.seed) for one in cases]
     for entry_, case_ in zip(kept.cases, cases, strict=True):
-        assert entry_.scene_hash == case_.scene.hash
+        assert entry_.scene_hash == case_.data_hash
         assert set(entry_.solvers) == set(names_of(case_.solvers, case_.name))
         assert not any(one.error for one in entry_.solvers.values())
         assert len(entry_.data) > 20
@@ -284,7 +284,8 @@ def test_compilation_is_no_figure_of_a_gate(monkeypatch: pytest.MonkeyPatch) -> 
     scores = {"q": 0.5, "seconds": 1.0, "compile_s": 20.0}
     monkeypatch.setattr(measurement, "score", lambda *_: scores)
     monkeypatch.setattr(measurement, "open_result", lambda *_: SimpleNamespace(cpu_share=None))
-    entry_ = measurement._solve(cast(Any, None), SolverEntry(name="msa"), Path("unused.h5"))
+    unused = cast(Any, None)
+    entry_ = measurement._solve(unused, unused, SolverEntry(name="msa"), Path("unused.h5"))
     assert entry_.figures == {"q": 0.5, "seconds": 1.0}
 
 
@@ -294,7 +295,8 @@ def test_seconds_of_a_gate_are_cpu_seconds(monkeypatch: pytest.MonkeyPatch) -> N
     scores = {"q": 0.5, "seconds": 2.0, "reconstruction_s": 1.0}
     monkeypatch.setattr(measurement, "score", lambda *_: scores)
     monkeypatch.setattr(measurement, "open_result", lambda *_: SimpleNamespace(cpu_share=0.25))
-    entry_ = measurement._solve(cast(Any, None), SolverEntry(name="msa"), Path("unused.h5"))
+    unused = cast(Any, None)
+    entry_ = measurement._solve(unused, unused, SolverEntry(name="msa"), Path("unused.h5"))
     assert entry_.figures == {"q": 0.5, "seconds": 0.5, "reconstruction_s": 0.25}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.evaluation.suites import Case
+from sabench.evaluation.suites import SceneCase
 from sabench.evaluation.thesis import TABLES, reproduce
 from sabench.evaluation.thesis.common import (
     METHODS,
@@ -81,7 +81,7 @@ def test_the_first_fall_below_a_level() -> None:
 
 
 @pytest.mark.parametrize("case", cases("table-2-1"), ids=lambda case: str(case.name))
-def test_plane_spacing_is_that_of_equation_2_10(case: Case) -> None:
+def test_plane_spacing_is_that_of_equation_2_10(case: SceneCase) -> None:
     rig = build_rig(case.scene)
     across, _, along = rig.grid.voxel_mm
     distance = -rig.cameras[12].center_mm[2]
