@@ -62,7 +62,7 @@ def _show(made: Plan) -> None:
         (
             section.title if number == 0 else "",
             one.key,
-            tables.figure(one.value, 3),
+            one.text,
             one.meaning,
             one.source,
         )

@@ -23,6 +23,13 @@ class Quantity:
     meaning: str
     source: str
 
+    @property
+    def text(self) -> str:
+        """Value with three digits, a missing one as a dash."""
+        if self.value is None:
+            return "-"
+        return f"{self.value:,.0f}" if 1e3 <= abs(self.value) < 1e7 else f"{self.value:.3g}"
+
 
 @dataclass(frozen=True)
 class Advice:
