@@ -46,6 +46,15 @@ class Sample:
         sizes = [one.sigma_px[one.visible] for one in self.images if one.visible.any()]
         return DIAMETER * float(np.mean([np.median(one) for one in sizes]))
 
+    @property
+    def light_scatter(self) -> float:
+        """Standard deviation of the logarithm of a particle's light over the cameras, RMS."""
+        photons = np.array([np.where(one.visible, one.photons, 0.0) for one in self.images])
+        photons = photons[:, (photons > 0.0).all(axis=0)]
+        if not photons.size:
+            return 0.0
+        return float(np.sqrt(np.mean(np.var(np.log(photons), axis=0))))
+
 
 def sample_images(frame: FrameContent, tracers: Tracers) -> Sample | None:
     """Image a sample of a frame's particles; None where no camera sees one."""
@@ -94,6 +103,9 @@ def plan_light(sample: Sample) -> Section:
         ),
         Quantity("photons", dim.photons, "photons of a median particle, darkest camera", _LIGHT),
         Quantity("light_ratio", dim.photons / max(photons), "darkest / brightest camera", _LIGHT),
+        Quantity(
+            "light_scatter", sample.light_scatter, "deviation of log light over cameras", _LIGHT
+        ),
         Quantity("peak_e", dim.electrons, "electrons of its brightest pixel", "EMVA 1288"),
         Quantity("peak_dn", dim.grey, "grey value of its brightest pixel", "EMVA 1288"),
         Quantity("peak_snr", dim.snr, "signal / noise of that pixel", "EMVA 1288"),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sabench.evaluation.planning.calibration import plan_calibration
 from sabench.evaluation.planning.density import plan_density
 from sabench.evaluation.planning.light import plan_light, sample_images
 from sabench.evaluation.planning.optics import plan_depth, plan_sharpness, plan_view
@@ -65,7 +66,7 @@ def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
     rig = build_rig(loaded, loaded.title if isinstance(scene, Scene) else str(scene))
     viewing = view(loaded, rig)
     sections = [plan_view(loaded, viewing), plan_depth(loaded, viewing)]
-    sections.append(plan_sharpness(loaded, viewing))
+    sections += [plan_sharpness(loaded, viewing), plan_calibration(loaded, viewing)]
     sample, lit = None, loaded
     if loaded.tracers is not None:
         frame = Frames(loaded, rig, 0, "splat").at(0)
