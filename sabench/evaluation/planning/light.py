@@ -94,7 +94,8 @@ def plan_light(sample: Sample) -> Section:
         if images.visible.any()
     ]
     dim = min(exposures, key=lambda one: one.snr)
-    photons = [one.photons for one in exposures]
+    brightest = max(one.photons for one in exposures)
+    ratio = dim.photons / brightest if brightest else None
     lit = float(np.mean(np.concatenate([one.intensity for one in sample.images]) > 0.0))
     saturated = max(one.saturated for one in exposures)
     quantities = (
@@ -102,7 +103,7 @@ def plan_light(sample: Sample) -> Section:
             "image_px", sample.diameter_px, "e^-2 diameter of images", "Adrian and Yao (1985)"
         ),
         Quantity("photons", dim.photons, "photons of a median particle, darkest camera", _LIGHT),
-        Quantity("light_ratio", dim.photons / max(photons), "darkest / brightest camera", _LIGHT),
+        Quantity("light_ratio", ratio, "darkest / brightest camera", _LIGHT),
         Quantity(
             "light_scatter", sample.light_scatter, "deviation of log light over cameras", _LIGHT
         ),
@@ -122,8 +123,11 @@ _LIGHT = "Mie or isotropic scattering"
 
 
 def _expose(sensor: Sensor, images: ParticleImages) -> _Exposure:
-    """Expose centred images; the noise has shot, dark, read and rounding parts."""
-    photons, sigma = images.photons[images.visible], images.sigma_px[images.visible]
+    """Expose centred images of lit particles; noise is of shot, dark, read and rounding."""
+    lit = images.visible & (images.photons > 0.0)
+    photons, sigma = images.photons[lit], images.sigma_px[lit]
+    if not len(photons):
+        photons, sigma = np.zeros(1), np.ones(1)
     share = erf(0.5 / (math.sqrt(2.0) * sigma)) ** 2
     electrons = sensor.quantum_efficiency * photons * share
     dark = sensor.dark_current_e_s * sensor.exposure_s

@@ -18,7 +18,9 @@ from sabench.utils.arrays import F64
 DIAMETER = 4.0  # diameter of a Gaussian image in standard deviations: the e^-2 circle
 _OVERLAP = 0.95  # of the volume that all cameras should see
 _COARSE = 1.5  # pixels: a larger voxel loses resolution
-_WAVELENGTH_NM = 550.0
+_LONG = 1.05  # of the distance of focal planes: thesis's voxels are as long, rounded
+_SHARP_PX = 1.0  # of defocus harm nothing, however fine diffraction is
+_WAVELENGTH_NM = 550.0  # of white light
 
 
 def plan_view(scene: Scene, view: Viewing) -> Section:
@@ -106,7 +108,7 @@ def plan_depth(scene: Scene, view: Viewing) -> Section:
                 f"{view.depth_mm:.3g} mm: reduce volume.size_mm or cameras.focal_length_mm",
             )
         )
-    if spacing is not None and voxel > spacing:
+    if spacing is not None and voxel > _LONG * spacing:
         advice.append(
             Advice(
                 "grid.voxel_mm",
@@ -167,8 +169,9 @@ def plan_sharpness(scene: Scene, view: Viewing) -> Section:
     )
     worst = max(front, back)
     advice = []
-    if worst > airy and scene.cameras.particle_sigma_px is None:
-        stop = min(one.f_number for one in cameras) * math.sqrt(worst / airy)
+    allowed = max(airy, _SHARP_PX)
+    if worst > allowed and scene.cameras.particle_sigma_px is None:
+        stop = min(one.f_number for one in cameras) * math.sqrt(worst / allowed)
         advice.append(
             Advice(
                 "cameras.f_number",

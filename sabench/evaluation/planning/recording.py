@@ -43,10 +43,10 @@ class Recorder:
 def plan_recording(
     scene: Scene, view: Viewing, recorder: Recorder, sample: Sample | None
 ) -> Section:
-    """Compute data rates and times of a recording; those of a single frame are unknown."""
+    """Compute data rates and times of a recording; a single frame and a target have none."""
     frame_mb = scene.cameras.rows * scene.cameras.columns * _bytes_per_pixel(scene) / 1e6
     data = Quantity("frame_mb", frame_mb, "data of a frame, MB", "8 or 16 bits a pixel")
-    if scene.timing is None and scene.frames == 1:
+    if scene.timing is None and (scene.frames == 1 or scene.targets is not None):
         return Section("recording", (data,))
     count, rate = len(view.rig.cameras), frames_per_s(scene)
     camera, whole = frame_mb * rate, frame_mb * rate * count
