@@ -39,6 +39,12 @@ def plan_view(scene: Scene, view: Viewing) -> Section:
         Quantity(
             "voxel_over_pixel", max(_across(scene, view)) / pixel, "voxel width / dX", "grid, (2.5)"
         ),
+        Quantity(
+            "voxel_length",
+            scene.grid.voxel_mm[view.axis] / pixel,
+            "voxel length / dX",
+            "grid, (2.5)",
+        ),
         Quantity("voxels_million", voxels / 1e6, "voxels of a volume", "grid"),
         Quantity("volume_mb", 4.0 * voxels / 1e6, "memory of one float32 volume, MB", "grid"),
         Quantity(
