@@ -48,7 +48,7 @@ class Sample:
 
     @property
     def light_scatter(self) -> float:
-        """Standard deviation of the logarithm of a particle's light over the cameras, RMS."""
+        """Scatter of particles' light between cameras, as a deviation of logarithms."""
         photons = np.array([np.where(one.visible, one.photons, 0.0) for one in self.images])
         photons = photons[:, (photons > 0.0).all(axis=0)]
         if not photons.size:
@@ -75,7 +75,7 @@ def sample_images(frame: FrameContent, tracers: Tracers) -> Sample | None:
 
 @dataclass(frozen=True)
 class _Exposure:
-    """Brightest pixels of one camera's particles: medians, and the share that saturates."""
+    """Brightest pixels of one camera's particles: medians, saturated share."""
 
     photons: float
     electrons: float
@@ -123,7 +123,7 @@ _LIGHT = "Mie or isotropic scattering"
 
 
 def _expose(sensor: Sensor, images: ParticleImages) -> _Exposure:
-    """Expose centred images of lit particles; noise is of shot, dark, read and rounding."""
+    """Expose centred images of lit particles, with all noise of the sensor."""
     lit = images.visible & (images.photons > 0.0)
     photons, sigma = images.photons[lit], images.sigma_px[lit]
     if not len(photons):

@@ -1,4 +1,4 @@
-"""Figures of the array's view: resolution, planes, overlap, depth of field and blur."""
+"""Figures of the array's view: resolution, depth, overlap and blur."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def plan_depth(scene: Scene, view: Viewing) -> Section:
 
 
 def _baseline(view: Viewing, pair: tuple[int, int] | None) -> float | None:
-    """Compute D, the distance of two cameras over the apparent distance of the front face."""
+    """Compute D, two cameras' distance over that of the front face in air."""
     if pair is None:
         return None
     first, second = (view.rig.cameras[number] for number in pair)

@@ -18,7 +18,7 @@ _FAST = 99.0  # percentile of displacements
 
 @dataclass(frozen=True)
 class Recorder:
-    """Computer and cameras that record the images, by default those of thesis section 3.2.1.
+    """Computer and cameras of a recording; by default the thesis's, 3.2.1.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Recorder:
 def plan_recording(
     scene: Scene, view: Viewing, recorder: Recorder, sample: Sample | None
 ) -> Section:
-    """Compute data rates and times of a recording; a single frame and a target have none."""
+    """Compute data rates and times; a single frame and a target have none."""
     frame_mb = scene.cameras.rows * scene.cameras.columns * _bytes_per_pixel(scene) / 1e6
     data = Quantity("frame_mb", frame_mb, "data of a frame, MB", "8 or 16 bits a pixel")
     if scene.timing is None and (scene.frames == 1 or scene.targets is not None):

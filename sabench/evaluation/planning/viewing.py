@@ -76,14 +76,14 @@ class Viewing:
 
     @property
     def slopes(self) -> F64:
-        """Sideways over forward components (camera, 3) of the lines of sight at the middle."""
+        """Sideways over forward components (camera, 3) of lines of sight."""
         ahead = self.directions @ self.forward
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.directions / ahead[:, None] - self.forward)
 
     @property
     def inner_pair(self) -> tuple[int, int] | None:
-        """Numbers of the innermost camera and of its nearest neighbour; None for one camera."""
+        """Innermost camera and its nearest neighbour; None for one camera."""
         centers, inner = np.array([one.center_mm for one in self.rig.cameras]), self.inner
         if len(centers) < 2:
             return None
@@ -93,7 +93,7 @@ class Viewing:
 
     @property
     def plane_spacing_ratio(self) -> float | None:
-        """Ratio dZ / dX of the innermost pair of cameras, from the slopes of its lines of sight.
+        """Ratio dZ / dX of the innermost pair, from its lines of sight.
 
         A step dZ moves the lines apart by the difference of slopes times dZ, which is a pixel's
         width dX for the next focal plane: (s_o + Z) / (D s_o) for parallel cameras in plain air,
