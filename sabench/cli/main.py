@@ -18,6 +18,7 @@ from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.importing import import_recording
 from sabench.cli.options import say
+from sabench.cli.planning import plan
 from sabench.cli.quality import quality
 from sabench.cli.recordings import compare_statistics
 from sabench.cli.reproduce import reproduce
@@ -28,6 +29,7 @@ app = typer.Typer(cls=Group)
 app.command("list", cls=Command)(data.list_all)
 for _command in (
     data.schema,
+    plan,
     data.generate,
     data.verify,
     data.pack,

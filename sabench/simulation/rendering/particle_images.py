@@ -141,6 +141,17 @@ def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
     )
 
 
+def defocus_px(camera: Camera, points_mm: F64) -> F64:
+    """Compute the standard deviation (n,) of defocus alone at points (n, 3).
+
+    It is the longer axis of the ellipse; NaN for points without a light path.
+    """
+    seen = _LightPaths(*_apply_in_chunks(_see, camera, points_mm))
+    across, down, both = seen.blur_px2.T
+    largest = (across + down) / 2.0 + np.hypot((across - down) / 2.0, both)
+    return np.where(seen.valid, np.sqrt(largest), np.nan)
+
+
 class _LightPaths(NamedTuple):
     """Light paths from n points to one camera: arrays of n rows."""
 

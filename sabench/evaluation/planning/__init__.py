@@ -1,0 +1,1 @@
+"""Planning of experiments: figures of a scene before anything is built."""

@@ -1,0 +1,99 @@
+"""Page of a plan: warnings, drawings of the rig and figures, as one HTML file."""
+
+from __future__ import annotations
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from sabench.evaluation.planning.plan import Plan
+from sabench.evaluation.planning.rig_drawing import draw_rig
+from sabench.plotting.outlines import KINDS, STYLE
+
+_NAMES = {
+    "sheet": "light",
+    "volume": "volume",
+    "wall": "faces of the wall",
+    "ray": "lines of sight: middle and edges of the images",
+    "camera": "cameras",
+}
+
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>Plan: {{ title }}</title>
+<style>
+body { font: 15px/1.45 sans-serif; color: #000; background: #fff; margin: 1.5em auto;
+       max-width: 1180px; padding: 0 1em; }
+h1 { font-size: 1.35em; } h2 { font-size: 1.1em; margin-top: 1.6em; }
+.drawings { display: flex; flex-wrap: wrap; gap: 1.2em; }
+figure { margin: 0; } figcaption { font-weight: bold; margin-bottom: 0.3em; }
+svg.drawing { max-width: 100%; height: auto; }
+table { border-collapse: collapse; width: 100%; }
+td, th { text-align: left; padding: 0.15em 0.7em; border-bottom: 1px solid #ddd; }
+td.value { text-align: right; font-variant-numeric: tabular-nums; }
+code { background: #f3f3f3; padding: 0 0.2em; }
+.warnings li { margin: 0.3em 0; }
+.legend svg { vertical-align: middle; } .legend span { margin-right: 1.4em; }
+{{ style }}
+</style>
+</head>
+<body>
+<h1>{{ title }}</h1>
+<h2>Warnings</h2>
+{% if advice %}
+<ul class="warnings">
+{% for one in advice %}
+<li><code>{{ one.key }}</code>: {{ one.sentence }}</li>
+{% endfor %}
+</ul>
+{% else %}
+<p>None.</p>
+{% endif %}
+<h2>Rig</h2>
+<p class="legend">
+{% for kind, name in legend %}
+<span><svg width="22" height="14">
+<rect class="{{ kind }}" x="2" y="2" width="18" height="10"/>
+</svg> {{ name }}</span>
+{% endfor %}
+</p>
+<div class="drawings">
+{% for name, drawing in drawings %}
+<figure><figcaption>{{ name }}</figcaption>
+{{ drawing }}
+</figure>
+{% endfor %}
+</div>
+{% for section in sections %}
+<h2>{{ section.title | capitalize }}</h2>
+<table>
+<tr><th>figure</th><th>value</th><th>meaning</th><th>equation or source</th></tr>
+{% for one in section.quantities %}
+<tr><td><code>{{ one.key }}</code></td><td class="value">{{ one.text }}</td>
+<td>{{ one.meaning }}</td><td>{{ one.source }}</td></tr>
+{% endfor %}
+</table>
+{% endfor %}
+<p>Numbers in brackets are equations of J. Belden, Synthetic Aperture Imaging for Three Dimensional
+Resolution of Fluid Flows, MIT.</p>
+</body>
+</html>
+"""
+
+
+def render(plan: Plan) -> str:
+    """Render a plan as a self-contained page."""
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    drawings = [(name, Markup(svg)) for name, svg in draw_rig(plan.scene, plan.viewing)]
+    return environment.from_string(_PAGE).render(
+        title=plan.scene.title,
+        advice=plan.advice,
+        drawings=drawings,
+        sections=plan.sections,
+        legend=[(kind, _NAMES[kind]) for kind in reversed(KINDS)],
+        style=Markup(STYLE),
+    )
