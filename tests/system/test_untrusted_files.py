@@ -18,7 +18,7 @@ import OpenEXR
 import pytest
 import tifffile
 
-from sabench.api import Calibration, Flow
+from sabench.api import Calibration, Camera, Flow
 from sabench.api.make import generator_of
 from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.dataset.hdf5_probe import probe
@@ -312,6 +312,7 @@ def test_a_calibration_of_absurd_lengths(tmp_path: Path) -> None:
 
 def test_a_calibration_that_its_data_do_not_determine(quick: Dataset) -> None:
     first, *others = quick.setup.cameras
+    assert isinstance(first, Camera)
     lost = replace(first, center_mm=(0.0, np.nan, 0.0))
     with pytest.raises(InputError, match="solver mine: expected finite cameras, got"):
         check_finite(Calibration((lost, *others)), "mine")

@@ -1,4 +1,4 @@
-"""Figures of the density: particles per pixel, overlap and ghosts."""
+"""Particles per pixel, overlap and expected ghosts."""
 
 from __future__ import annotations
 
