@@ -674,8 +674,13 @@ def judged(solver: str, explained: float | None, **changes: Any) -> Record:
     """A record of a recorded data set."""
     figures = {"explained": explained, "followed": 0.5}
     quality = {"frames": 1, "again": False, "figures": figures}
-    head: dict[str, Any] = {"recorded": True, "renderer": "recorded", "seed": 0}
-    return record(solver, **head, task="particles", quality=quality, case="tank", **changes)
+    head: dict[str, Any] = {
+        "recorded": True,
+        "renderer": "recorded",
+        "seed": 0,
+        "task": "particles",
+    }
+    return record(solver, **head, quality=quality, case="tank", **changes)
 
 
 def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Path) -> None:
@@ -706,8 +711,8 @@ def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Pa
 
 
 def test_results_without_any_figure_show_their_costs(browser: Browser, tmp_path: Path) -> None:
-    head: dict[str, Any] = {"recorded": True, "renderer": "recorded", "task": "velocimetry"}
-    records = [record(name, **head, quality=None, seconds=2.0) for name in ("a", "b")]
+    head: dict[str, Any] = {"recorded": True, "task": "velocimetry", "quality": None}
+    records = [record(name, **head, seconds=2.0) for name in ("a", "b")]
     rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
     browser.open(tmp_path / "index.html")
     assert browser.ask(SOLVERS) == ["a", "b"]
