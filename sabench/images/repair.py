@@ -20,6 +20,7 @@ _WINDOW = 9  # px: edge of the square whose darkest part is the background
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
 _LEAST_NOISE = 0.5  # grey values: of rounding
 _NARROW = 0.25  # of the typical peak's sharpness: the neighbours of hot pixels are darker
+_SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px
 _DARK, _HOLE = 0.15, 0.4  # of the light on both sides: the limit for dead pixels, and by sharpness
 _FAINT = 0.5  # of the median peak: the light of dimmer flaws does no harm
 _MARGIN = 1.5  # standard deviations by which both are certain
@@ -87,7 +88,8 @@ def find_points(grey: U16, black_dn: float) -> Bool:
         sharpness = _sharpness(light, row, column)
         least = max(_CLEAR * noise, _FAINT * float(np.median(light[row, column])))
         margin, hole = _MARGIN * noise, min(_DARK, _HOLE * sharpness)
-        _mark_hot(light, least, _NARROW * sharpness, margin, points)
+        if sharpness > _SHARPEST:
+            _mark_hot(light, least, _NARROW * sharpness, margin, points)
         points |= _find_dead(grey.astype(np.float32) - np.float32(black_dn), least, hole, margin)
     return points
 

@@ -124,3 +124,20 @@ def test_a_bright_background_and_reflections_cost_little() -> None:
     assert counts.truths > 150
     assert counts.recall > 0.97
     assert counts.precision > 0.97
+
+
+# such images leave light that a wrong calibration would leave, too
+@pytest.mark.filterwarnings("ignore:camera_01. expected light of particles")
+def test_images_narrower_than_pixels_on_a_part_of_the_sensor() -> None:
+    """Their widths are 0.3 px; they are neither hot pixels nor glints, and found between pixels."""
+    shot = make_shot(
+        3,
+        cameras={"pixel_mm": 0.02, "f_number": 11.0, "rows": 160, "columns": 200},
+        volume={"size_mm": [18.0, 14.0, 2.0]},
+        particles={"per_pixel": 0.05},
+        grid={"crop_mm": [4.0, 4.0, 0.0]},
+    )
+    counts = count(shot, find_in(shot.observation))
+    assert counts.truths > 400
+    assert counts.recall > 0.85
+    assert counts.precision > 0.97

@@ -26,6 +26,7 @@ _BRIGHT = 99.0  # percentile that stands for bright particles' pixels
 _SPOT = 7  # px: a particle's image is narrower
 _SPOT_LIGHT = 0.5  # of bright pixels, in all of a square: no particle
 _MANY, _CHANCE = 8.0, 6.0  # typical particles, and standard deviations of overlapping ones
+_LIT = 0.5  # typical particles in a square: less is noise
 _SEARCHES = 4  # for bright spots, as each makes typical light a little too large
 _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of an image's mean: light in it
@@ -118,9 +119,11 @@ def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
     spots = cv2.morphologyEx(shown, cv2.MORPH_OPEN, square) > _SPOT_LIGHT * bright
     if light:
         sums = cv2.boxFilter(shown, -1, (_SPOT, _SPOT), normalize=False)
-        excess = sums - np.median(sums)
-        scatter = 1.4826 * float(np.median(np.abs(excess)))
-        spots |= excess > _MANY * light + _CHANCE * scatter
+        partly = np.median(sums) <= _LIT * light  # the particles fill a part of the image only
+        lit = sums[sums > _LIT * light] if partly else sums
+        middle = float(np.median(lit)) if len(lit) else 0.0
+        scatter = 1.4826 * float(np.median(np.abs(lit - middle))) if len(lit) else 0.0
+        spots |= sums > middle + _MANY * light + _CHANCE * scatter
     halo = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _HALO + 1, 2 * _HALO + 1))
     return np.asarray(cv2.dilate(spots.astype(np.uint8), halo) > 0)
 

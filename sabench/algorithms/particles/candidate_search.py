@@ -17,6 +17,7 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.utils.arrays import F32, F64
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
+_NARROWEST, _ANY = 0.4, 1e-3  # px: widths of images that a lattice of pixels' steps does not miss
 _FLATTEST = 2.0  # pixels: longest step of the lattice, in space
 _DEEPEST = 3.0  # of the longest step along the depth over one across
 _STEPS = np.array(  # across, across and along the depth, in their units
@@ -34,6 +35,21 @@ _STEPS = np.array(  # across, across and along the depth, in their units
 )
 _DARK = np.float32(-1e9)
 _FEWEST = 3  # cameras that have a place on their sensors
+
+
+def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
+    """Blur images (camera, row, column) of particles that fall between the lattice's points.
+
+    Returns them and the widths (camera, 2) of the particles' images then.
+    """
+    import cv2  # takes long to load
+
+    missing = np.sqrt(np.maximum(_NARROWEST**2 - sigma**2, 0.0))
+    blurred = images.copy()
+    for image, (across, down) in zip(blurred, missing, strict=True):
+        if across > 0.0 or down > 0.0:
+            cv2.GaussianBlur(image, (0, 0), max(across, _ANY), dst=image, sigmaY=max(down, _ANY))
+    return blurred, np.maximum(sigma, _NARROWEST)
 
 
 def lattice_shape(maps: VolumePolynomials) -> tuple[int, int, int]:

@@ -17,6 +17,7 @@ from sabench.algorithms.particles.candidate_search import (
     find_candidates,
     pixel_mm,
     split_directions,
+    wide_enough,
 )
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
 from sabench.algorithms.particles.disjoint_groups import (
@@ -233,11 +234,13 @@ class ParticleSearch:
         """Compute the mean light (n,) over cameras, in a typical particle's."""
         return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
 
-    def peaks(self) -> F64:
-        """Compute the brightest pixel (camera,) of a typical particle."""
-        erf = np.array(
-            [[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in self.sigma]
-        )
+    def peaks(self, sigma: F64 | None = None) -> F64:
+        """Compute the brightest pixel (camera,) of a typical particle.
+
+        With the present widths (camera, 2) of images, or others.
+        """
+        widths = self.sigma if sigma is None else sigma
+        erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in widths])
         return np.asarray(self.typical * erf.prod(axis=1))
 
     def refine(self, rounds: int) -> None:
@@ -300,9 +303,10 @@ class ParticleSearch:
         """
         if self.deadline.over:
             return
-        peaks = self.peaks()[:, None, None]
+        left, sigma = wide_enough(self.left, self.sigma)
+        peaks = self.peaks(sigma)[:, None, None]
         dark = np.maximum(self.noise[:, None, None] / peaks, _DIMMEST)
-        logs = np.log(np.clip(self.left / peaks, dark, BRIGHTEST))
+        logs = np.log(np.clip(left / peaks, dark, BRIGHTEST))
         enough = self.saturated & (self.left <= 0.0)
         logs = np.where(self.covered | enough, np.nan, logs).astype(np.float32)
         cameras = len(logs)
