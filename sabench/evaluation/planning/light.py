@@ -48,7 +48,7 @@ class Sample:
 
     @property
     def light_scatter(self) -> float:
-        """Scatter of particles' light between cameras, as a deviation of logarithms."""
+        """Scatter of light between cameras, a deviation of logarithms."""
         photons = np.array([np.where(one.visible, one.photons, 0.0) for one in self.images])
         photons = photons[:, (photons > 0.0).all(axis=0)]
         if not photons.size:
