@@ -102,7 +102,7 @@ def _figure(scene: Scene, key: str) -> float:
 
 
 def _with_volume(base: Scene, viewing: Viewing, wanted: Wanted) -> Values:
-    """Change volume, voxels, density and light; wall and back wall keep their distances."""
+    """Change volume, voxels, density, light and the wall's position."""
     values, ratio = base.to_dict(), wanted.pixel_mm / viewing.pixel_mm(0.5)
     deeper = wanted.depth_mm - viewing.depth_mm
     size = [edge * ratio for edge in base.volume.size_mm]
@@ -129,7 +129,7 @@ def _with_volume(base: Scene, viewing: Viewing, wanted: Wanted) -> Values:
 
 
 def _move_cameras(values: Values, viewing: Viewing, wanted: Wanted, base: Scene) -> Values:
-    """Move the cameras along the viewing direction until a pixel has the wanted width."""
+    """Move the cameras back or forth until a pixel has the wanted width."""
     middle, place = viewing.center_mm, np.asarray(base.cameras.center_mm)
     scale = wanted.pixel_mm / viewing.pixel_mm(0.5)
     for _ in range(_STEPS):
@@ -160,7 +160,7 @@ def _scaled(values: Values, base: Scene, middle: F64, place: F64, scale: float) 
 
 
 def _f_number(scene: Scene, wanted: Wanted) -> float:
-    """Choose the f-number whose depth of field is the wanted depth, or that of the base.
+    """Choose the f-number with the wanted depth of field, or the base's.
 
     The depth of field grows with its square.
     """
@@ -169,7 +169,7 @@ def _f_number(scene: Scene, wanted: Wanted) -> float:
 
 
 def _with_crop(values: Values, viewing: Viewing, wanted: Wanted) -> Values:
-    """Widen the margin across the lines of sight until all cameras see what it leaves."""
+    """Widen the margin sideways until all cameras see what it leaves."""
     across = [edge for edge in range(3) if edge != viewing.axis]
     size = values["volume"]["size_mm"]
     for share in np.arange(0.0, 0.45, 0.05):
