@@ -1,12 +1,12 @@
 """Q, F1 and ghosts of random small scenes, and the planner's model fitted to them.
 
-    python benchmarks/planner.py measure [--scenes 300] [--output benchmarks/records/planner.json]
+    python benchmarks/planner.py measure [--scenes 240] [--output benchmarks/records/planner.json]
     python benchmarks/planner.py fit [--output benchmarks/records/planner.json]
 
-`measure` draws scenes of 120 x 160 pixels in plain air and behind glass, with 3 to 13 cameras, 0.01
-to 0.15 particles per pixel, 1.5 to 6 mm deep, and solves them by `msa`, `mlos_smart` and
+`measure` draws scenes of 120 x 160 pixels in plain air and behind glass, with 3 to 25 cameras, 0.01
+to 0.15 particles per pixel, 1.5 to 12 mm deep, and solves them by `msa`, `mlos_smart` and
 `ray_triangulation`, and every third one by `bayesian_ipr`. Scores of scenes whose cameras are off
-are means over three draws. What the record holds of other numbers stays. `fit` fits the first 280
+are means over three draws. What the record holds of other numbers stays. `fit` fits the first 220
 scenes, writes `sabench/evaluation/planning/expected_scores.json`, and prints the errors on the
 other 20.
 """
@@ -18,6 +18,7 @@ import json
 import resource
 import sys
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,26 +29,35 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.particle_scores import find_particles, score_particles  # noqa: E402
 from sabench.api.make import make_algorithm, make_solver  # noqa: E402
 from sabench.api.solvers import Solver  # noqa: E402
+from sabench.evaluation.planning import expected_scores as model  # noqa: E402
 from sabench.evaluation.planning.plan import plan  # noqa: E402
 from sabench.metrics.reconstruction_error import score_frame  # noqa: E402
 from sabench.scenes import Scene, build_rig, parse_scene  # noqa: E402
 from sabench.scenes.bundled import find  # noqa: E402
 from sabench.simulation.in_memory import Shot, simulate  # noqa: E402
+from sabench.utils.arrays import F64  # noqa: E402
 
 RECORD = ROOT / "benchmarks/records/planner.json"
-FITTED = 280  # scenes of the fit; the others test it
+FITTED = 220  # scenes of the fit; the others test it
 VOLUMES = ("msa", "mlos_smart")
 PARTICLES = {"ray_triangulation": 1, "bayesian_ipr": 3}  # solved in every nth scene
 _PIXEL_MM = 0.05
 _DISTANCE_MM = 510.0
 _ENERGY = 100.0
+_SOME_GHOSTS = 0.05  # per true particle: fewer are a handful in a scene of this size
+_RING, _CROSS = 0, 1  # in place of a number of columns
+_LAYOUTS = [
+    *((_RING, 3), (2, 2), (_RING, 5), (3, 2), (_RING, 8)),
+    *((3, 3), (4, 3), (_CROSS, 13), (4, 4), (5, 5)),
+]
 
 
 def draw_scene(number: int) -> Scene:
     """Draw the scene of a number."""
     rng = np.random.default_rng([23, number])
     values = tomllib.loads(find("standard-particles", "scenes").read_text(encoding="utf-8"))
-    depth, tangent = rng.uniform(1.5, 6.0), rng.uniform(0.2, 0.55)
+    depth = float(np.exp(rng.uniform(np.log(1.5), np.log(12.0))))
+    tangent = rng.uniform(0.2, min(0.55, 3.8 / depth))  # the views meet over half of the width
     margin = round(0.3 + 0.5 * depth * tangent, 2)
     values["title"] = f"planner {number}"
     values["volume"]["size_mm"] = [160 * _PIXEL_MM, 120 * _PIXEL_MM, depth]
@@ -74,12 +84,10 @@ def draw_scene(number: int) -> Scene:
 
 def _draw_layout(rng: np.random.Generator, reach_mm: float) -> dict[str, Any]:
     """Draw an array whose outer cameras are so far from its middle."""
-    columns, rows = [(0, 3), (2, 2), (0, 5), (3, 2), (0, 8), (3, 3), (4, 3), (1, 13)][
-        rng.integers(8)
-    ]
-    if columns == 0:
+    columns, rows = _LAYOUTS[rng.integers(len(_LAYOUTS))]
+    if columns == _RING:
         return {"kind": "ring", "count": rows, "radius_mm": reach_mm, "start_deg": 17.0}
-    if columns == 1:
+    if columns == _CROSS:
         return {"kind": "cross", "arm": 3, "spacing_mm": reach_mm / 3.0}
     spacing = 2.0 * reach_mm / np.hypot(columns - 1, rows - 1)
     return {"kind": "grid", "columns": columns, "rows": rows, "spacing_mm": [spacing, spacing]}
@@ -128,6 +136,82 @@ def _mean(scores: list[dict[str, float]]) -> dict[str, float]:
     return {key: round(float(np.mean([one[key] for one in scores])), 5) for key in scores[0]}
 
 
+def fit(record: dict[str, Any]) -> dict[str, Any]:
+    """Fit the model to the first scenes of a record, as `expected_scores.json` holds it."""
+    fitted = [one for number, one in record.items() if int(number) < FITTED]
+    features = np.array([one["features"] for one in fitted])
+    standard = model.transform(features)
+    mean, scale = standard.mean(axis=0), standard.std(axis=0)
+    weights = {}
+    for key, score in model.SCORES.items():
+        known = np.array([score.solver in one["scores"] for one in fitted])
+        values = _scores(fitted, score)[known]
+        terms = model.quadratic_terms((standard[known] - mean) / scale)
+        weights[key] = _ridge(terms, model.link(score.score, values))
+    linear = [not one.logarithmic for one in model.FEATURES.values()]
+    low = np.where(linear, 0.0, features.min(axis=0))
+    arrays = {"low": low, "high": features.max(axis=0), "mean": mean, "scale": scale}
+    return {
+        "source": "benchmarks/planner.py fit",
+        "features": list(model.FEATURES),
+        **{key: _rounded(values) for key, values in arrays.items()},
+        "weights": {key: _rounded(values) for key, values in weights.items()},
+    }
+
+
+def _rounded(values: F64) -> list[float]:
+    return [float(f"{value:.6g}") for value in values]
+
+
+def _scores(scenes: Sequence[dict[str, Any]], score: model.Score) -> F64:
+    """Return a score of all scenes, NaN where it was not measured; ghosts per true particle."""
+    values = [one["scores"].get(score.solver, {}).get(score.score, np.nan) for one in scenes]
+    return np.array(values) / (100.0 if score.score == "ghosts" else 1.0)
+
+
+def _ridge(terms: F64, values: F64) -> F64:
+    """Fit by ridge regression; leaving one out in turn chooses the penalty.
+
+    Linear terms have a tenth of the penalty of quadratic ones, the constant has none.
+    """
+    penalty = np.full(terms.shape[1], 1.0)
+    penalty[: 1 + len(model.FEATURES)] = 0.1
+    penalty[0] = 0.0
+    best, chosen = np.inf, np.zeros(terms.shape[1])
+    for strength in 10.0 ** np.arange(-3.0, 3.0, 0.25):
+        solved = np.linalg.solve(terms.T @ terms + strength * np.diag(penalty), terms.T)
+        leverage = np.einsum("ij,ji->i", terms, solved)
+        left_out = (values - terms @ (solved @ values)) / (1.0 - leverage)
+        if (error := float(np.mean(left_out**2))) < best:
+            best, chosen = error, solved @ values
+    return chosen
+
+
+def report(record: dict[str, Any]) -> None:
+    """Print the errors of the bundled model on fitted scenes and on the others."""
+    model.load_model.cache_clear()
+    loaded = model.load_model()
+    for name, below in (("fitted", True), ("not fitted", False)):
+        scenes = [one for number, one in record.items() if (int(number) < FITTED) == below]
+        features = np.array([one["features"] for one in scenes])
+        for key, score in model.SCORES.items():
+            measured, expected = _scores(scenes, score), loaded.predict(key, features)
+            print(f"{name}, {key}: {_compare(score, measured, expected)}")
+
+
+def _compare(score: model.Score, measured: F64, expected: F64) -> str:
+    """Describe errors: ghosts by factors, where there are more than some."""
+    known = np.isfinite(measured)
+    if score.score == "ghosts":
+        known &= measured >= _SOME_GHOSTS
+        factor = np.exp(np.abs(np.log((expected[known] + 1e-3) / measured[known])))
+        within = np.mean(factor <= 1.5)
+        median = np.median(factor)
+        return f"{known.sum()} scenes, median factor {median:.2f}, {within:.0%} within 1.5"
+    rms = np.sqrt(np.mean((expected - measured)[known] ** 2))
+    return f"{known.sum()} scenes, rms {rms:.3f}"
+
+
 def main() -> None:
     """Measure scenes, or fit what was measured."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -136,12 +220,17 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=RECORD)
     chosen = parser.parse_args()
     record = json.loads(chosen.output.read_text()) if chosen.output.exists() else {}
+    if chosen.what == "fit":
+        model.MODEL.write_text(json.dumps(fit(record), indent=1) + "\n", encoding="utf-8")
+        report(record)
+        return
     for number in range(chosen.scenes):
         if str(number) in record:
             continue
         scene = draw_scene(number)
-        record[str(number)] = {"plan": figures_of(scene), "scores": measure(scene, number)}
-        chosen.output.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        features = _rounded(model.features_of(figures_of(scene)))
+        record[str(number)] = {"features": features, "scores": measure(scene, number)}
+        chosen.output.write_text(json.dumps(record) + "\n", encoding="utf-8")
         used = resource.getrusage(resource.RUSAGE_SELF)
         print(number, record[str(number)]["scores"], f"{used.ru_utime:.0f} s", flush=True)
 

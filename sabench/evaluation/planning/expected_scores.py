@@ -1,0 +1,198 @@
+"""Expected scores of solvers: a model fitted to measured scenes.
+
+`benchmarks/planner.py` measures the scenes, fits the model and writes `expected_scores.json`: its
+coefficients, and the range of the scenes. Scores are quadratic functions of the logarithms of some
+figures of the plan.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from sabench.evaluation.planning.density import density_key
+from sabench.evaluation.planning.quantities import Advice, Quantity, Section
+from sabench.scenes import Scene
+from sabench.utils.arrays import F64
+
+MODEL = Path(__file__).with_name("expected_scores.json")
+GHOST_FLOOR = 0.01  # ghosts per particle that count as none
+_COST = 0.02  # of Q
+_EDGE = 1e-6  # relative: rounding of the range
+_LEAST, _MOST = 0.005, 0.995  # scores whose logit is taken
+
+Values = Mapping[str, float]
+
+
+class Feature(NamedTuple):
+    """Figure of a plan that scores depend on.
+
+    `key` is the scene's key to change; None stands for that of the density.
+    """
+
+    value: Callable[[Values], float]
+    key: str | None
+    logarithmic: bool = True
+
+
+FEATURES: dict[str, Feature] = {
+    "cameras": Feature(lambda v: v["cameras"], "cameras.layout"),
+    "source_density": Feature(lambda v: v["source_density"], None),
+    "image_px": Feature(lambda v: v["image_px"], "cameras.f_number"),
+    "peak_snr": Feature(lambda v: v["peak_snr"], "illumination.pulse_energy_mj"),
+    "elongation": Feature(lambda v: v["elongation"], "cameras.layout"),
+    "depth in pixels": Feature(lambda v: v["depth_mm"] / v["pixel_center_mm"], "volume.size_mm"),
+    "voxel_length": Feature(lambda v: v["voxel_length"], "grid.voxel_mm"),
+    "coarsest / inner pixel": Feature(
+        lambda v: v["pixel_coarsest_mm"] / v["pixel_center_mm"], "cameras.layout"
+    ),
+    "light_scatter": Feature(lambda v: v["light_scatter"], "illumination.direction", False),
+    "calibration_px / image_px": Feature(
+        lambda v: v["calibration_px"] / v["image_px"], "calibration", False
+    ),
+}
+_CALIBRATION = list(FEATURES).index("calibration_px / image_px")
+
+
+class Score(NamedTuple):
+    """Score that the model gives: the solver, its score in records, and its meaning."""
+
+    solver: str
+    score: str
+    meaning: str
+
+
+SCORES = {
+    "q_synthetic_aperture": Score("msa", "q", "Q of msa, default threshold"),
+    "q_mart": Score("mlos_smart", "q", "Q of mlos_smart"),
+    "ghosts_synthetic_aperture": Score("msa", "ghosts", "ghosts / true particles, peaks of msa"),
+    "ghosts_mart": Score("mlos_smart", "ghosts", "ghosts / true particles, peaks of mlos_smart"),
+    "f1_mart": Score("mlos_smart", "f1", "F1 of the peaks of mlos_smart"),
+    "f1_triangulation": Score("ray_triangulation", "f1", "F1 of ray_triangulation"),
+    "f1_bayesian_ipr": Score("bayesian_ipr", "f1", "F1 of bayesian_ipr"),
+}
+
+
+def features_of(values: Values) -> F64:
+    """Compute the features (feature,) of a plan's figures, without logarithms."""
+    return np.array([one.value(values) for one in FEATURES.values()])
+
+
+def transform(features: F64) -> F64:
+    """Take the logarithms of features (..., feature) that have them."""
+    logarithmic = np.array([one.logarithmic for one in FEATURES.values()])
+    return np.where(logarithmic, np.log(np.where(logarithmic, features, 1.0)), features)
+
+
+def quadratic_terms(standard: F64) -> F64:
+    """Make the terms (..., term) of a quadratic function of (..., feature)."""
+    first, second = np.triu_indices(standard.shape[-1])
+    one = np.ones((*standard.shape[:-1], 1))
+    return np.concatenate([one, standard, standard[..., first] * standard[..., second]], axis=-1)
+
+
+def link(score: str, value: F64) -> F64:
+    """Stretch a score to all numbers: the logit of Q and F1, the logarithm of ghosts."""
+    if score == "ghosts":
+        return np.asarray(np.log(value + GHOST_FLOOR))
+    inside = np.clip(value, _LEAST, _MOST)
+    return np.asarray(np.log(inside / (1.0 - inside)))
+
+
+def unlink(score: str, value: F64) -> F64:
+    """Invert `link`."""
+    if score == "ghosts":
+        return np.asarray(np.maximum(np.exp(value) - GHOST_FLOOR, 0.0))
+    return np.asarray(1.0 / (1.0 + np.exp(-value)))
+
+
+@dataclass(frozen=True)
+class ScoreModel:
+    """Fitted model.
+
+    Attributes
+    ----------
+    low, high : (feature,) range of the fitted scenes.
+    mean, scale : (feature,) of their features with logarithms.
+    weights : (term,) by the keys of `SCORES`.
+    """
+
+    low: F64
+    high: F64
+    mean: F64
+    scale: F64
+    weights: Mapping[str, F64]
+
+    def predict(self, key: str, features: F64) -> F64:
+        """Predict a score (...) of features (..., feature), clipped to the fitted range."""
+        inside = np.clip(features, self.low, self.high)
+        terms = quadratic_terms((transform(inside) - self.mean) / self.scale)
+        return unlink(SCORES[key].score, terms @ self.weights[key])
+
+    def allowed_error_px(self, key: str, features: F64, image_px: float) -> float:
+        """Find the calibration error that costs 0.02 in a score, at most the fitted range's."""
+        steps = np.linspace(0.0, self.high[_CALIBRATION], 200)
+        tried = np.tile(features, (len(steps), 1))
+        tried[:, _CALIBRATION] = steps
+        lost = self.predict(key, tried[:1]) - self.predict(key, tried)
+        over = np.flatnonzero(lost > _COST)
+        return float(steps[over[0] if len(over) else -1]) * image_px
+
+
+@cache
+def load_model() -> ScoreModel:
+    """Load the bundled model."""
+    read = json.loads(MODEL.read_text(encoding="utf-8"))
+    low, high, mean, scale = (np.array(read[key]) for key in ("low", "high", "mean", "scale"))
+    weights = {key: np.array(one) for key, one in read["weights"].items()}
+    return ScoreModel(low, high, mean, scale, weights)
+
+
+def plan_scores(scene: Scene, sections: Sequence[Section]) -> Section | None:
+    """Predict scores from the figures of a plan; None where a figure is missing."""
+    values = {
+        one.key: one.value
+        for section in sections
+        for one in section.quantities
+        if one.value is not None
+    }
+    if not {"elongation", "source_density"} <= values.keys() or not values["peak_snr"]:
+        return None
+    model, features = load_model(), features_of(values)
+    quantities = [
+        Quantity(key, float(model.predict(key, features)), one.meaning, _SOURCE)
+        for key, one in SCORES.items()
+    ]
+    for key, name in (("q_synthetic_aperture", "msa"), ("q_mart", "mlos_smart")):
+        allowed = model.allowed_error_px(key, features, values["image_px"])
+        meaning = f"calibration error that costs {name} {_COST:g} in Q"
+        quantities.append(Quantity(f"calibration_{name}_px", allowed, meaning, _SOURCE))
+    return Section("expected scores", tuple(quantities), tuple(_outside(scene, model, features)))
+
+
+_SOURCE = "fitted to measured scenes"
+
+
+def _outside(scene: Scene, model: ScoreModel, features: F64) -> list[Advice]:
+    """Say which figures are outside the range of the fitted scenes, and by how much."""
+    advice = []
+    for number, (name, one) in enumerate(FEATURES.items()):
+        value, low, high = features[number], model.low[number], model.high[number]
+        if low * (1.0 - _EDGE) <= value <= high * (1.0 + _EDGE):
+            continue
+        edge, word = (low, "least") if value < low else (high, "largest")
+        key = one.key or density_key(scene)
+        advice.append(
+            Advice(
+                key,
+                f"{name} is {value:.3g}, {value / edge:.2g} times the {word} of the measured "
+                f"scenes: expected scores are those at {edge:.3g}; change {key} to compare",
+            )
+        )
+    return advice
