@@ -19,10 +19,12 @@ import resource
 import sys
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -30,6 +32,7 @@ from benchmarks.particle_scores import find_particles, score_particles  # noqa: 
 from sabench.api.make import make_algorithm, make_solver  # noqa: E402
 from sabench.api.solvers import Solver  # noqa: E402
 from sabench.evaluation.planning import expected_scores as model  # noqa: E402
+from sabench.evaluation.planning.gaussian_process import GaussianProcess, Kernel  # noqa: E402
 from sabench.evaluation.planning.plan import plan  # noqa: E402
 from sabench.metrics.reconstruction_error import score_frame  # noqa: E402
 from sabench.scenes import Scene, build_rig, parse_scene  # noqa: E402
@@ -139,24 +142,47 @@ def _mean(scores: list[dict[str, float]]) -> dict[str, float]:
 def fit(record: dict[str, Any]) -> dict[str, Any]:
     """Fit the model to the first scenes of a record, as `expected_scores.json` holds it."""
     fitted = [one for number, one in record.items() if int(number) < FITTED]
-    features = np.array([one["features"] for one in fitted])
-    standard = model.transform(features)
-    mean, scale = standard.mean(axis=0), standard.std(axis=0)
-    weights = {}
-    for key, score in model.SCORES.items():
-        known = np.array([score.solver in one["scores"] for one in fitted])
-        values = _scores(fitted, score)[known]
-        terms = model.quadratic_terms((standard[known] - mean) / scale)
-        weights[key] = _ridge(terms, model.link(score.score, values))
-    linear = [not one.logarithmic for one in model.FEATURES.values()]
-    low = np.where(linear, 0.0, features.min(axis=0))
-    arrays = {"low": low, "high": features.max(axis=0), "mean": mean, "scale": scale}
-    return {
+    stored: dict[str, Any] = {
         "source": "benchmarks/planner.py fit",
-        "features": list(model.FEATURES),
-        **{key: _rounded(values) for key, values in arrays.items()},
-        "weights": {key: _rounded(values) for key, values in weights.items()},
+        "names": list(model.FEATURES),
+        "features": [one["features"] for one in fitted],
+        "scores": {
+            key: [None if np.isnan(value) else round(value, 5) for value in _scores(fitted, score)]
+            for key, score in model.SCORES.items()
+        },
+        "kernels": {key: _kernel(_START) for key in model.SCORES},
     }
+    for key, process in model.read_model(stored).processes.items():
+        stored["kernels"][key] = _kernel(_most_likely(process))
+    return stored
+
+
+_START = np.log([*[3.0] * len(model.FEATURES), 1.0, 0.5, 0.2])
+_PRIOR = (np.log(3.0), 0.2)  # weak: of the logarithm of the lengths, mean and inverse deviation
+
+
+def _most_likely(process: GaussianProcess) -> F64:
+    """Find the logarithms of lengths, amplitude, slope and noise that fit best."""
+
+    def surprise(numbers: F64) -> float:
+        own = replace(process, kernel=_as_kernel(numbers))
+        mean, weight = _PRIOR
+        return own.surprise() + 0.5 * float(np.sum((weight * (numbers[:-3] - mean)) ** 2))
+
+    bounds = [*[(-1.5, 5.0)] * len(model.FEATURES), (-3.0, 2.0), (-5.0, 2.0), (-3.5, 0.5)]
+    found: F64 = minimize(surprise, _START, method="L-BFGS-B", bounds=bounds).x
+    return found
+
+
+def _as_kernel(numbers: F64) -> Kernel:
+    return Kernel(np.exp(numbers[:-3]), *np.exp(numbers[-3:]))
+
+
+def _kernel(numbers: F64) -> dict[str, Any]:
+    kernel = _as_kernel(numbers)
+    deviations = _rounded(np.array([kernel.amplitude, kernel.slope, kernel.noise]))
+    names = ("amplitude", "slope", "noise")
+    return {"lengths": _rounded(kernel.lengths), **dict(zip(names, deviations, strict=True))}
 
 
 def _rounded(values: F64) -> list[float]:
@@ -169,34 +195,19 @@ def _scores(scenes: Sequence[dict[str, Any]], score: model.Score) -> F64:
     return np.array(values) / (100.0 if score.score == "ghosts" else 1.0)
 
 
-def _ridge(terms: F64, values: F64) -> F64:
-    """Fit by ridge regression; leaving one out in turn chooses the penalty.
-
-    Linear terms have a tenth of the penalty of quadratic ones, the constant has none.
-    """
-    penalty = np.full(terms.shape[1], 1.0)
-    penalty[: 1 + len(model.FEATURES)] = 0.1
-    penalty[0] = 0.0
-    best, chosen = np.inf, np.zeros(terms.shape[1])
-    for strength in 10.0 ** np.arange(-3.0, 3.0, 0.25):
-        solved = np.linalg.solve(terms.T @ terms + strength * np.diag(penalty), terms.T)
-        leverage = np.einsum("ij,ji->i", terms, solved)
-        left_out = (values - terms @ (solved @ values)) / (1.0 - leverage)
-        if (error := float(np.mean(left_out**2))) < best:
-            best, chosen = error, solved @ values
-    return chosen
-
-
 def report(record: dict[str, Any]) -> None:
     """Print the errors of the bundled model on fitted scenes and on the others."""
-    model.load_model.cache_clear()
-    loaded = model.load_model()
-    for name, below in (("fitted", True), ("not fitted", False)):
-        scenes = [one for number, one in record.items() if (int(number) < FITTED) == below]
-        features = np.array([one["features"] for one in scenes])
-        for key, score in model.SCORES.items():
-            measured, expected = _scores(scenes, score), loaded.predict(key, features)
-            print(f"{name}, {key}: {_compare(score, measured, expected)}")
+    loaded = model.read_model(json.loads(model.MODEL.read_text(encoding="utf-8")))
+    others = [one for number, one in record.items() if int(number) >= FITTED]
+    features = np.array([one["features"] for one in others])
+    for key, score in model.SCORES.items():
+        process = loaded.processes[key]
+        measured, left_out = (
+            model.unlink(score.score, values) for values in (process.values, process.left_out())
+        )
+        print(f"{key}, each from the other fitted scenes: {_compare(score, measured, left_out)}")
+        expected, _ = loaded.predict(key, features)
+        print(f"{key}, not fitted: {_compare(score, _scores(others, score), expected)}")
 
 
 def _compare(score: model.Score, measured: F64, expected: F64) -> str:
@@ -221,7 +232,7 @@ def main() -> None:
     chosen = parser.parse_args()
     record = json.loads(chosen.output.read_text()) if chosen.output.exists() else {}
     if chosen.what == "fit":
-        model.MODEL.write_text(json.dumps(fit(record), indent=1) + "\n", encoding="utf-8")
+        model.MODEL.write_text(json.dumps(fit(record)) + "\n", encoding="utf-8")
         report(record)
         return
     for number in range(chosen.scenes):

@@ -1,8 +1,8 @@
 """Expected scores of solvers: a model fitted to measured scenes.
 
-`benchmarks/planner.py` measures the scenes, fits the model and writes `expected_scores.json`: its
-coefficients, and the range of the scenes. Scores are quadratic functions of the logarithms of some
-figures of the plan.
+`benchmarks/planner.py` measures the scenes, fits the model and writes `expected_scores.json`: the
+figures and scores of the scenes, and the lengths over which scores change. A Gaussian process joins
+the scenes.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sabench.evaluation.planning.density import density_key
+from sabench.evaluation.planning.gaussian_process import GaussianProcess, Kernel
 from sabench.evaluation.planning.quantities import Advice, Quantity, Section
 from sabench.scenes import Scene
 from sabench.utils.arrays import F64
@@ -90,13 +91,6 @@ def transform(features: F64) -> F64:
     return np.where(logarithmic, np.log(np.where(logarithmic, features, 1.0)), features)
 
 
-def quadratic_terms(standard: F64) -> F64:
-    """Make the terms (..., term) of a quadratic function of (..., feature)."""
-    first, second = np.triu_indices(standard.shape[-1])
-    one = np.ones((*standard.shape[:-1], 1))
-    return np.concatenate([one, standard, standard[..., first] * standard[..., second]], axis=-1)
-
-
 def link(score: str, value: F64) -> F64:
     """Stretch a score to all numbers: the logit of Q and F1, the logarithm of ghosts."""
     if score == "ghosts":
@@ -120,38 +114,62 @@ class ScoreModel:
     ----------
     low, high : (feature,) range of the fitted scenes.
     mean, scale : (feature,) of their features with logarithms.
-    weights : (term,) by the keys of `SCORES`.
+    processes : of linked scores, by the keys of `SCORES`.
     """
 
     low: F64
     high: F64
     mean: F64
     scale: F64
-    weights: Mapping[str, F64]
+    processes: Mapping[str, GaussianProcess]
 
-    def predict(self, key: str, features: F64) -> F64:
-        """Predict a score (...) of features (..., feature), clipped to the fitted range."""
+    def predict(self, key: str, features: F64) -> tuple[F64, F64]:
+        """Predict a score (n,) of features (n, feature), and its standard error.
+
+        Features are clipped to the fitted range.
+        """
         inside = np.clip(features, self.low, self.high)
-        terms = quadratic_terms((transform(inside) - self.mean) / self.scale)
-        return unlink(SCORES[key].score, terms @ self.weights[key])
+        value, error = self.processes[key].predict((transform(inside) - self.mean) / self.scale)
+        score = SCORES[key].score
+        spread = unlink(score, value + error) - unlink(score, value - error)
+        return unlink(score, value), spread / 2.0
 
     def allowed_error_px(self, key: str, features: F64, image_px: float) -> float:
         """Find the calibration error that costs 0.02 in a score, at most the fitted range's."""
         steps = np.linspace(0.0, self.high[_CALIBRATION], 200)
         tried = np.tile(features, (len(steps), 1))
         tried[:, _CALIBRATION] = steps
-        lost = self.predict(key, tried[:1]) - self.predict(key, tried)
-        over = np.flatnonzero(lost > _COST)
+        expected, _ = self.predict(key, tried)
+        over = np.flatnonzero(expected[0] - expected > _COST)
         return float(steps[over[0] if len(over) else -1]) * image_px
 
 
 @cache
 def load_model() -> ScoreModel:
     """Load the bundled model."""
-    read = json.loads(MODEL.read_text(encoding="utf-8"))
-    low, high, mean, scale = (np.array(read[key]) for key in ("low", "high", "mean", "scale"))
-    weights = {key: np.array(one) for key, one in read["weights"].items()}
-    return ScoreModel(low, high, mean, scale, weights)
+    return read_model(json.loads(MODEL.read_text(encoding="utf-8")))
+
+
+def read_model(stored: Mapping[str, Any]) -> ScoreModel:
+    """Make a model of what `expected_scores.json` holds."""
+    features = np.array(stored["features"])
+    low, high = features.min(axis=0), features.max(axis=0)
+    low[[not one.logarithmic for one in FEATURES.values()]] = 0.0
+    points = transform(features)
+    mean, scale = points.mean(axis=0), points.std(axis=0)
+    processes = {}
+    for key, score in SCORES.items():
+        values = np.array(stored["scores"][key], dtype=np.float64)  # NaN: not measured
+        known = np.isfinite(values)
+        given = stored["kernels"][key]
+        kernel = Kernel(np.array(given["lengths"]), *(given[name] for name in _DEVIATIONS))
+        processes[key] = GaussianProcess(
+            ((points - mean) / scale)[known], link(score.score, values[known]), kernel
+        )
+    return ScoreModel(low, high, mean, scale, processes)
+
+
+_DEVIATIONS = ("amplitude", "slope", "noise")
 
 
 def plan_scores(scene: Scene, sections: Sequence[Section]) -> Section | None:
@@ -165,10 +183,10 @@ def plan_scores(scene: Scene, sections: Sequence[Section]) -> Section | None:
     if not {"elongation", "source_density"} <= values.keys() or not values["peak_snr"]:
         return None
     model, features = load_model(), features_of(values)
-    quantities = [
-        Quantity(key, float(model.predict(key, features)), one.meaning, _SOURCE)
-        for key, one in SCORES.items()
-    ]
+    quantities = []
+    for key, one in SCORES.items():
+        value, error = (float(each[0]) for each in model.predict(key, features[None]))
+        quantities.append(Quantity(key, value, f"{one.meaning}, +- {error:.2g}", _SOURCE))
     for key, name in (("q_synthetic_aperture", "msa"), ("q_mart", "mlos_smart")):
         allowed = model.allowed_error_px(key, features, values["image_px"])
         meaning = f"calibration error that costs {name} {_COST:g} in Q"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ from sabench.evaluation.planning.expected_scores import (
     SCORES,
     link,
     load_model,
-    quadratic_terms,
     unlink,
 )
+from sabench.evaluation.planning.gaussian_process import GaussianProcess, Kernel
 from sabench.evaluation.planning.plan import plan
 from sabench.evaluation.suite_loading import override
 from sabench.scenes import load_scene
@@ -40,25 +41,44 @@ def test_links_are_inverted(score: str) -> None:
     np.testing.assert_allclose(unlink(score, link(score, values)), values, rtol=1e-12)
 
 
-def test_quadratic_terms_are_all_products() -> None:
-    terms = quadratic_terms(np.array([2.0, 3.0]))
-    np.testing.assert_array_equal(terms, [1.0, 2.0, 3.0, 4.0, 6.0, 9.0])
+def test_the_model_holds_the_scenes_of_the_record() -> None:
+    kept = json.loads(MODEL.read_text(encoding="utf-8"))
+    fitted = [RECORD[str(number)] for number in range(planner.FITTED)]
+    assert kept["names"] == list(FEATURES)
+    assert kept["features"] == [one["features"] for one in fitted]
+    assert kept["scores"]["q_mart"] == [one["scores"]["mlos_smart"]["q"] for one in fitted]
 
 
-def test_the_model_is_what_the_record_gives() -> None:
-    made, kept = planner.fit(RECORD), json.loads(MODEL.read_text(encoding="utf-8"))
-    assert made["features"] == kept["features"] == list(FEATURES)
-    for key, weights in kept["weights"].items():
-        np.testing.assert_allclose(made["weights"][key], weights, rtol=1e-3, atol=1e-4)
-    for key in ("low", "high", "mean", "scale"):
-        np.testing.assert_allclose(made[key], kept[key], rtol=1e-5)
+def test_a_process_without_noise_goes_through_its_points() -> None:
+    process = smooth_process()
+    value, error = process.predict(process.points)
+    np.testing.assert_allclose(value, process.values, atol=1e-5)
+    assert (error < 1e-3).all()
+    between, _ = process.predict(np.array([[0.33, -0.41]]))
+    assert between[0] == pytest.approx(np.sin(0.33) - 0.41, abs=0.01)
+    _, far = process.predict(np.array([[30.0, 0.0]]))
+    assert far[0] > 0.5
 
 
-def test_ridge_finds_a_quadratic_function() -> None:
-    rng = np.random.default_rng(1)
-    terms = quadratic_terms(rng.standard_normal((300, len(FEATURES))))
-    true = rng.standard_normal(terms.shape[1])
-    np.testing.assert_allclose(planner._ridge(terms, terms @ true), true, atol=1e-3)
+def test_values_left_out_are_those_of_a_process_without_them() -> None:
+    process = smooth_process(noise=0.1)
+    without = GaussianProcess(process.points[1:], process.values[1:], process.kernel)
+    shift = process.values.mean() - without.values.mean()  # means are of the values that are left
+    expected, _ = without.predict(process.points[:1])
+    assert process.left_out()[0] == pytest.approx(expected[0], abs=0.1 * abs(shift) + 0.01)
+
+
+def smooth_process(noise: float = 0.0) -> GaussianProcess:
+    """Make a process of sin x + y at 60 points."""
+    points = np.random.default_rng(1).uniform(-1.5, 1.5, (60, 2))
+    kernel = Kernel(np.array([1.5, 3.0]), 1.0, 1.0, noise)
+    return GaussianProcess(points, np.sin(points[:, 0]) + points[:, 1], kernel)
+
+
+def test_the_fit_finds_the_likeliest_lengths() -> None:
+    process = load_model().processes["f1_bayesian_ipr"]
+    started = replace(process, kernel=planner._as_kernel(planner._START))
+    assert process.surprise() < started.surprise()
 
 
 @pytest.mark.parametrize("key", ["q_synthetic_aperture", "q_mart"])
@@ -66,7 +86,7 @@ def test_scores_change_in_the_right_direction(key: str) -> None:
     model, middle = load_model(), typical()
 
     def score(**changes: float) -> float:
-        return float(model.predict(key, typical(**changes)))
+        return float(model.predict(key, typical(**changes)[None])[0][0])
 
     assert score(cameras=4.0) < score(cameras=9.0)
     assert score(source_density=0.1) > score(source_density=0.8)
@@ -75,8 +95,8 @@ def test_scores_change_in_the_right_direction(key: str) -> None:
 
 def test_more_particles_make_more_ghosts() -> None:
     ghosts = [
-        float(load_model().predict("ghosts_synthetic_aperture", typical(source_density=density)))
-        for density in (0.1, 0.3, 1.0)
+        load_model().predict("ghosts_synthetic_aperture", typical(source_density=one)[None])[0][0]
+        for one in (0.1, 0.3, 1.0)
     ]
     assert ghosts == sorted(ghosts)
 
@@ -85,7 +105,7 @@ def test_the_model_stops_at_the_edge_of_its_range() -> None:
     model = load_model()
     edge, outside = typical(cameras=float(model.high[0])), typical(cameras=100.0)
     for key in SCORES:
-        assert model.predict(key, outside) == model.predict(key, edge)
+        assert model.predict(key, outside[None]) == model.predict(key, edge[None])
 
 
 @pytest.mark.parametrize(
@@ -110,8 +130,7 @@ def test_a_plan_outside_the_range_says_so_and_by_how_much(
     assert " times the " in sentences[0]
 
 
-def test_expected_scores_are_those_of_solved_scenes() -> None:
-    """Of one scene of each end, which was not fitted, solved anew."""
+def test_the_record_is_of_the_scenes_that_the_benchmark_draws() -> None:
     number = planner.FITTED
     scene = planner.draw_scene(number)
     figures = planner.figures_of(scene)
@@ -127,5 +146,5 @@ def test_the_errors_on_scenes_that_were_not_fitted_are_as_documented() -> None:
     features = np.array([one["features"] for one in others])
     for key, most in (("q_synthetic_aperture", 0.04), ("q_mart", 0.05)):
         measured = [one["scores"][SCORES[key].solver]["q"] for one in others]
-        error = model.predict(key, features) - np.array(measured)
+        error = model.predict(key, features)[0] - np.array(measured)
         assert np.sqrt(np.mean(error**2)) < most
