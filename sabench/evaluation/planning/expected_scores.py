@@ -25,7 +25,7 @@ from sabench.utils.arrays import F64
 MODEL = Path(__file__).with_name("expected_scores.json")
 GHOST_FLOOR = 0.01  # ghosts per particle that count as none
 _COST = 0.02  # of Q
-_EDGE = 1e-6  # relative: rounding of the range
+_EDGE = 0.05  # relative: so little outside of the range is inside
 _LEAST, _MOST = 0.005, 0.995  # scores whose logit is taken
 
 Values = Mapping[str, float]
@@ -54,11 +54,11 @@ FEATURES: dict[str, Feature] = {
         lambda v: v["pixel_coarsest_mm"] / v["pixel_center_mm"], "cameras.layout"
     ),
     "light_scatter": Feature(lambda v: v["light_scatter"], "illumination.direction", False),
-    "calibration_px / image_px": Feature(
-        lambda v: v["calibration_px"] / v["image_px"], "calibration", False
+    "(calibration_px / image_px)^2": Feature(
+        lambda v: (v["calibration_px"] / v["image_px"]) ** 2, "calibration", False
     ),
 }
-_CALIBRATION = list(FEATURES).index("calibration_px / image_px")
+_CALIBRATION = list(FEATURES).index("(calibration_px / image_px)^2")
 
 
 class Score(NamedTuple):
@@ -73,10 +73,7 @@ SCORES = {
     "q_synthetic_aperture": Score("msa", "q", "Q of msa, default threshold"),
     "q_mart": Score("mlos_smart", "q", "Q of mlos_smart"),
     "ghosts_synthetic_aperture": Score("msa", "ghosts", "ghosts / true particles, peaks of msa"),
-    "ghosts_mart": Score("mlos_smart", "ghosts", "ghosts / true particles, peaks of mlos_smart"),
     "f1_mart": Score("mlos_smart", "f1", "F1 of the peaks of mlos_smart"),
-    "f1_triangulation": Score("ray_triangulation", "f1", "F1 of ray_triangulation"),
-    "f1_bayesian_ipr": Score("bayesian_ipr", "f1", "F1 of bayesian_ipr"),
 }
 
 
@@ -141,7 +138,7 @@ class ScoreModel:
         tried[:, _CALIBRATION] = steps
         expected, _ = self.predict(key, tried)
         over = np.flatnonzero(expected[0] - expected > _COST)
-        return float(steps[over[0] if len(over) else -1]) * image_px
+        return float(np.sqrt(steps[over[0] if len(over) else -1])) * image_px
 
 
 @cache
@@ -209,7 +206,7 @@ def _outside(scene: Scene, model: ScoreModel, features: F64) -> list[Advice]:
         advice.append(
             Advice(
                 key,
-                f"{name} is {value:.3g}, {value / edge:.2g} times the {word} of the measured "
+                f"{name} is {value:.3g}, {value / edge:.3g} times the {word} of the measured "
                 f"scenes: expected scores are those at {edge:.3g}; change {key} to compare",
             )
         )
