@@ -132,7 +132,7 @@ class ScoreModel:
         return unlink(score, value), spread / 2.0
 
     def allowed_error_px(self, key: str, features: F64, image_px: float) -> float:
-        """Find the calibration error that costs 0.02 in a score, at most the fitted range's."""
+        """Find the calibration error that costs 0.02 in a score, within the range."""
         steps = np.linspace(0.0, self.high[_CALIBRATION], 200)
         tried = np.tile(features, (len(steps), 1))
         tried[:, _CALIBRATION] = steps

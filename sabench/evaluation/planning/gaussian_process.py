@@ -58,7 +58,7 @@ class GaussianProcess:
         return np.asarray(self._inverse @ (self.values - self.values.mean()))
 
     def predict(self, points: F64) -> tuple[F64, F64]:
-        """Predict means and standard deviations (m,) of new values at points (m, feature).
+        """Predict means and deviations (m,) of new values at points (m, feature).
 
         Equations 2.25 and 2.26.
         """
