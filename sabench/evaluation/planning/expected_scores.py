@@ -207,7 +207,7 @@ def _outside(scene: Scene, model: ScoreModel, features: F64) -> list[Advice]:
             Advice(
                 key,
                 f"{name} is {value:.3g}, {value / edge:.3g} times the {word} of the measured "
-                f"scenes: expected scores are those at {edge:.3g}; change {key} to compare",
+                f"scenes: expected scores are those at {edge:.3g}; {key} sets it",
             )
         )
     return advice
