@@ -46,7 +46,7 @@ def plan_density(scene: Scene, view: Viewing, sample: Sample) -> Section:
     )
     advice = []
     if covered > _MOST_COVERED:
-        key = _density_key(scene)
+        key = density_key(scene)
         advice.append(
             Advice(
                 key,
@@ -60,7 +60,7 @@ def plan_density(scene: Scene, view: Viewing, sample: Sample) -> Section:
 _NEAREST = "mean distance of nearest neighbours"
 
 
-def _density_key(scene: Scene) -> str:
+def density_key(scene: Scene) -> str:
     """Name the key that sets the number of particles."""
     given = scene.particle_world.particles
     return "particles." + next((key for key in _DENSITIES if key in given), "generator")

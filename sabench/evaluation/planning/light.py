@@ -48,7 +48,7 @@ class Sample:
 
     @property
     def light_scatter(self) -> float:
-        """RMS deviation of the logarithm of a particle's light over the cameras."""
+        """Scatter of light between cameras, a deviation of logarithms."""
         photons = np.array([np.where(one.visible, one.photons, 0.0) for one in self.images])
         photons = photons[:, (photons > 0.0).all(axis=0)]
         if not photons.size:
@@ -75,7 +75,7 @@ def sample_images(frame: FrameContent, tracers: Tracers) -> Sample | None:
 
 @dataclass(frozen=True)
 class _Exposure:
-    """Brightest pixels of a camera's particles, and the share that saturates."""
+    """Brightest pixels of one camera's particles: medians, saturated share."""
 
     photons: float
     electrons: float

@@ -8,6 +8,7 @@ from typing import Any
 
 from sabench.evaluation.planning.calibration import plan_calibration
 from sabench.evaluation.planning.density import plan_density
+from sabench.evaluation.planning.expected_scores import plan_scores
 from sabench.evaluation.planning.light import plan_light, sample_images
 from sabench.evaluation.planning.optics import plan_depth, plan_sharpness, plan_view
 from sabench.evaluation.planning.quantities import Advice, Section
@@ -74,5 +75,7 @@ def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
         sample = sample_images(frame, frame.tracers) if frame.tracers else None
     if sample is not None:
         sections += [plan_light(sample), plan_density(loaded, viewing, sample)]
+        expected = plan_scores(loaded, sections)
+        sections += [expected] if expected is not None else []
     sections.append(plan_recording(loaded, viewing, recorder or Recorder(), sample))
     return Plan(lit, rig, viewing, tuple(sections))

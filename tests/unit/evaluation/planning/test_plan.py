@@ -224,7 +224,7 @@ def test_warnings_name_the_key_to_change(key: str, changes: dict[str, Any]) -> N
 
 def test_a_remedy_is_enough() -> None:
     dim = plan(changed(illumination__pulse_energy_mj=0.01))
-    (sentence,) = (one.sentence for one in dim.advice if "pulse_energy" in one.key)
+    (sentence,) = (one.sentence for one in dim.advice if "raise illumination.pulse" in one.sentence)
     energy = float(sentence.split(" to ")[1].split(",")[0])
     cured = plan(changed(illumination__pulse_energy_mj=1.01 * energy))
     assert value(cured, "peak_snr") == pytest.approx(5.0, rel=0.02)

@@ -1,0 +1,151 @@
+"""Expected scores: the fitted model, its range, and what it says of scenes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import planner
+from sabench.evaluation.planning.expected_scores import (
+    FEATURES,
+    MODEL,
+    SCORES,
+    features_of,
+    link,
+    load_model,
+    unlink,
+)
+from sabench.evaluation.planning.gaussian_process import GaussianProcess, Kernel
+from sabench.evaluation.planning.plan import plan
+from sabench.evaluation.suite_loading import override
+from sabench.scenes import load_scene
+from sabench.utils.arrays import F64
+
+RECORD = json.loads(planner.RECORD.read_text(encoding="utf-8"))
+
+
+def typical(**changes: float) -> F64:
+    """Features in the middle of the fitted range, with some of them changed."""
+    features = np.median([one["features"] for one in RECORD.values()], axis=0)
+    for name, value in changes.items():
+        features[list(FEATURES).index(name)] = value
+    return np.asarray(features)
+
+
+@pytest.mark.parametrize("score", ["q", "f1", "ghosts"])
+def test_links_are_inverted(score: str) -> None:
+    values = np.array([0.01, 0.3, 0.99])
+    np.testing.assert_allclose(unlink(score, link(score, values)), values, rtol=1e-12)
+
+
+def test_the_model_holds_the_scenes_of_the_record() -> None:
+    kept = json.loads(MODEL.read_text(encoding="utf-8"))
+    fitted = [RECORD[str(number)] for number in range(planner.FITTED)]
+    assert kept["names"] == list(FEATURES)
+    assert kept["features"] == [one["features"] for one in fitted]
+    assert kept["scores"]["q_mart"] == [one["scores"]["mlos_smart"]["q"] for one in fitted]
+
+
+def test_a_process_without_noise_goes_through_its_points() -> None:
+    process = smooth_process()
+    value, error = process.predict(process.points)
+    np.testing.assert_allclose(value, process.values, atol=1e-4)
+    assert (error < 1e-3).all()
+    between, _ = process.predict(np.array([[0.33, -0.41]]))
+    assert between[0] == pytest.approx(np.sin(0.33) - 0.41, abs=0.01)
+    _, far = process.predict(np.array([[30.0, 0.0]]))
+    assert far[0] > 0.5
+
+
+def test_values_left_out_are_those_of_a_process_without_them() -> None:
+    process = smooth_process(noise=0.1)
+    without = GaussianProcess(process.points[1:], process.values[1:], process.kernel)
+    shift = process.values.mean() - without.values.mean()  # means are of the values that are left
+    expected, _ = without.predict(process.points[:1])
+    assert process.left_out()[0] == pytest.approx(expected[0], abs=0.1 * abs(shift) + 0.01)
+
+
+def smooth_process(noise: float = 0.0) -> GaussianProcess:
+    """Make a process of sin x + y at 60 points."""
+    points = np.random.default_rng(1).uniform(-1.5, 1.5, (60, 2))
+    kernel = Kernel(np.array([1.5, 3.0]), 1.0, 1.0, noise)
+    return GaussianProcess(points, np.sin(points[:, 0]) + points[:, 1], kernel)
+
+
+def test_the_fit_finds_the_likeliest_lengths() -> None:
+    process = load_model().processes["q_mart"]
+    started = replace(process, kernel=planner._as_kernel(planner._START))
+    assert process.surprise() < started.surprise()
+
+
+@pytest.mark.parametrize("key", ["q_synthetic_aperture", "q_mart"])
+def test_scores_change_in_the_right_direction(key: str) -> None:
+    model, middle = load_model(), typical()
+
+    def score(**changes: float) -> float:
+        return float(model.predict(key, typical(**changes)[None])[0][0])
+
+    assert score(cameras=4.0) < score(cameras=9.0)
+    assert score(source_density=0.1) > score(source_density=0.8)
+    assert 0.0 < model.allowed_error_px(key, middle, 2.0) < 2.0
+
+
+def test_more_particles_make_more_ghosts() -> None:
+    ghosts = [
+        load_model().predict("ghosts_synthetic_aperture", typical(source_density=one)[None])[0][0]
+        for one in (0.1, 0.3, 1.0)
+    ]
+    assert ghosts == sorted(ghosts)
+
+
+def test_the_model_stops_at_the_edge_of_its_range() -> None:
+    model = load_model()
+    edge, outside = typical(cameras=float(model.high[0])), typical(cameras=100.0)
+    for key in SCORES:
+        assert model.predict(key, outside[None]) == model.predict(key, edge[None])
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"cameras.layout.columns": 8, "cameras.layout.rows": 8}, "cameras.layout"),
+        ({"grid.voxel_mm": [0.05, 0.05, 0.5]}, "grid.voxel_mm"),
+        ({"particles.per_pixel": 0.001}, "particles.per_pixel"),
+        ({"calibration": {"shift_px": 3.0}}, "calibration"),
+    ],
+)
+def test_a_plan_outside_the_range_says_so_and_by_how_much(
+    changes: dict[str, Any], key: str
+) -> None:
+    scene = override(load_scene("standard-particles"), changes, "standard-particles")
+    sentences = [
+        one.sentence
+        for one in plan(scene).advice
+        if one.key == key and "measured scenes" in one.sentence
+    ]
+    assert sentences
+    assert " times the " in sentences[0]
+
+
+def test_the_record_is_of_the_scenes_that_the_benchmark_draws() -> None:
+    number = planner.FITTED
+    scene = planner.draw_scene(number)
+    figures = planner.figures_of(scene)
+    features = RECORD[str(number)]["features"]
+    expected = list(features_of(figures))
+    np.testing.assert_allclose(expected, features, rtol=1e-4, atol=1e-6)
+
+
+def test_the_errors_on_scenes_that_were_not_fitted_are_as_documented() -> None:
+    model = load_model()
+    others = [one for number, one in RECORD.items() if int(number) >= planner.FITTED]
+    assert len(others) == 20
+    features = np.array([one["features"] for one in others])
+    for key, most in (("q_synthetic_aperture", 0.04), ("q_mart", 0.05)):
+        measured = [one["scores"][SCORES[key].solver]["q"] for one in others]
+        error = model.predict(key, features)[0] - np.array(measured)
+        assert np.sqrt(np.mean(error**2)) < most
