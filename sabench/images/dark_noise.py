@@ -1,0 +1,257 @@
+"""Dark level and noise of images, region by region, and thresholds of known false alarm rate.
+
+Between particles an image shows its dark level and noise. Both may differ from place to place. The
+distribution of grey values in a tile is compared with a normal one, quantile by quantile (M. B.
+Wilk and R. Gnanadesikan, Biometrika 55, 1-17, 1968), at the borders between whole grey values: it
+may so be rounded, and cut at black. Its skewness, that of few photons, comes from all tiles.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+import numpy as np
+
+from sabench.utils.arrays import F32, F64, I64, U16, Bool
+from sabench.utils.errors import InputError
+
+FALSE_ALARMS = 1e-5  # per pixel
+
+_TILE_PX = 32  # edge of tiles for the dark level: many pixels, in which it hardly changes
+_GROUP = 2  # tiles for the noise have so many times that edge
+_FEW = 64  # pixels of a tile that tell nothing
+_LOW = 0.02  # share of a tile's pixels, the darkest ones, that does not count
+_HIGH_Z, _SPAN_Z = 0.25, 1.3  # normal deviates up to which pixels count, and how many at least
+_FINEST = 0.15  # grey values: least noise that rounding leaves visible
+_ROUNDS = 4  # of leaving out particles
+_BRIGHT = 2.0  # times the threshold above the dark level: particles
+_HALO_PX = 7  # edge of the square around each bright pixel that is left out
+_LEAST_SHARE = 0.05  # of the pixels, without which the darkest ones remain
+_SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles from which skewness comes, as normal deviates
+_SKEW_STEPS = 1.0  # noise in grey values below which the shape of its distribution is not seen
+_CUT = 0.05  # of the pixels are black: half of the distribution is not seen
+_MOST_SKEW = 2.0
+_WHITEST = 65535
+_GOLDEN = 0.6180339887498949
+
+
+@dataclass(frozen=True)
+class DarkNoise:
+    """Dark level and noise of the images of one camera.
+
+    Attributes
+    ----------
+    level : (row, column) mean grey value without particles.
+    noise : (row, column) its standard deviation before rounding, with what differs from pixel to
+        pixel.
+    skewness : (row, column) of its distribution.
+    step : difference of neighbouring grey values.
+    """
+
+    level: F32
+    noise: F32
+    skewness: F32
+    step: float
+
+    def threshold(self, false_alarms: float = FALSE_ALARMS) -> F32:
+        """Compute the grey values (row, column) that noise reaches with a given probability.
+
+        The distribution is a gamma distribution with the noise's skewness (Pearson's type III),
+        which is normal without any, rounded to grey values. Local maxima of noise are fewer than
+        pixels above the threshold: the probability is an upper bound of false peaks per pixel,
+        nearly reached where neighbours are independent.
+
+        Raises
+        ------
+        InputError
+            A probability that is not between 0 and 0.5.
+        """
+        if not 0.0 < false_alarms < 0.5:
+            raise InputError(
+                f"false_alarms: expected a probability between 0 and 0.5, got {false_alarms:g}"
+            )
+        away = self.noise * _deviates(self.skewness, false_alarms)
+        return np.asarray(self.level + away + np.float32(0.5 * self.step), dtype=np.float32)
+
+
+def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
+    """Measure the dark level and noise of images (frame, row, column) of one camera.
+
+    Bright pixels and their surroundings are left out, again and again, as long as darker ones
+    remain. Where particles leave nothing between them, their light counts as noise.
+
+    Parameters
+    ----------
+    known : the same shape or (row, column), pixels that count.
+    """
+    if images.ndim != 3 or not images.size:
+        raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
+    counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
+    step = _grey_step(images[counts])
+    dark, found = counts, _measure(images, counts, step)
+    for _ in range(_ROUNDS):
+        limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
+        darker = counts & ~_surroundings(images >= limit)
+        if darker.sum() < _LEAST_SHARE * counts.sum() or np.array_equal(darker, dark):
+            break
+        dark, found = darker, _measure(images, darker, step)
+    return found
+
+
+def _stretch(known: Bool, shape: tuple[int, ...]) -> Bool:
+    return np.array(np.broadcast_to(known, shape))
+
+
+def _grey_step(values: U16) -> float:
+    """Compute the usual difference of neighbouring grey values among the darker pixels."""
+    counts = np.bincount(values) if len(values) else np.ones(1, dtype=np.int64)
+    levels = np.flatnonzero(counts)
+    share = np.cumsum(counts[levels]) / counts.sum()
+    apart = np.diff(levels[: max(int(np.searchsorted(share, 0.9)) + 1, 2)])
+    return float(np.median(apart)) if len(apart) else 1.0
+
+
+def _surroundings(bright: Bool) -> Bool:
+    """Mark the squares around bright pixels (frame, row, column)."""
+    import cv2  # takes long to load
+
+    square = np.ones((_HALO_PX, _HALO_PX), np.uint8)
+    return np.stack([cv2.dilate(one.astype(np.uint8), square) > 0 for one in bright])
+
+
+def _measure(images: U16, counts: Bool, step: float) -> DarkNoise:
+    """Measure pixels that count: level by tiles, noise of what differs from it by larger ones."""
+    size = images.shape[1:]
+    level = _spread(_by_tile(images, counts, _TILE_PX, np.zeros(size, dtype=np.int64))[0], size)
+    whole = (step * np.rint(level / step)).astype(np.int64)
+    rest = images - whole
+    offset, noise = _by_tile(rest, counts, _GROUP * _TILE_PX, -whole)
+    noise = np.maximum(noise, _FINEST * step)
+    wide = [_spread(one, size) for one in (offset, noise)]
+    shift, scale, skewness = _shape(images, rest, counts, wide[0], wide[1], step)
+    deviation = np.maximum(scale * wide[1], _FINEST * step)
+    return DarkNoise(
+        (whole + wide[0] + shift * wide[1]).astype(np.float32),
+        deviation.astype(np.float32),
+        # few photons: the third moment grows as the variance
+        np.minimum(skewness * float(np.median(deviation)) / deviation, _MOST_SKEW).astype(
+            np.float32
+        ),
+        step,
+    )
+
+
+def _by_tile(values: I64 | U16, counts: Bool, edge: int, black: I64) -> tuple[F64, F64]:
+    """Measure mean and standard deviation of each tile; the nearest one's where few count.
+
+    Black (row, column) is the least of all possible values.
+    """
+    rows, columns = (max(round(size / edge), 1) for size in values.shape[1:])
+    mean, deviation = np.full((rows, columns), np.nan), np.full((rows, columns), np.nan)
+    cut = [np.linspace(0, n, k + 1).round().astype(int) for n, k in zip(values.shape[1:], (rows, columns), strict=True)]
+    for i in range(rows):
+        for j in range(columns):
+            where = np.s_[:, cut[0][i] : cut[0][i + 1], cut[1][j] : cut[1][j + 1]]
+            own = values[where][counts[where]]
+            if len(own) >= _FEW:
+                mean[i, j], deviation[i, j] = _fit_quantiles(own, int(black[where[1:]].max()))
+    if np.isnan(mean).all():
+        own = values[counts] if counts.any() else values.ravel()
+        mean[:], deviation[:] = _fit_quantiles(own, int(black.max()))
+    return _fill(mean), _fill(deviation)
+
+
+def _fill(tiles: F64) -> F64:
+    """Replace NaN by the nearest number."""
+    from scipy.ndimage import distance_transform_edt
+
+    missing = np.isnan(tiles)
+    if not missing.any():
+        return tiles
+    nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(tiles[tuple(nearest)])
+
+
+def _fit_quantiles(values: I64 | U16, black: int) -> tuple[float, float]:
+    """Fit a normal distribution to the darker part of whole numbers.
+
+    The borders between them are fitted by a line over the normal deviates of the shares below.
+    Where noise is cut at black, borders farther up count, too, and none below it.
+    """
+    from scipy.special import ndtri
+
+    least = int(values.min())
+    counts = np.bincount(values.astype(np.int64) - least)
+    levels = np.flatnonzero(counts)
+    if len(levels) == 1:
+        return float(least), 0.0
+    share = np.cumsum(counts[levels])[:-1] / len(values)
+    border, z = least + 0.5 * (levels[1:] + levels[:-1]), ndtri(share)
+    if len(z) == 1:  # the more frequent value is taken for the mean
+        middle = least + levels[0 if share[0] > 0.5 else 1]
+        return float(middle), abs(float((border[0] - middle) / (z[0] or 1.0)))
+    first = max(int(np.searchsorted(share, _LOW)), int(np.searchsorted(border, black)))
+    first = min(first, len(share) - 2)
+    last = int(np.searchsorted(z, max(_HIGH_Z, z[first] + _SPAN_Z), side="right"))
+    used = np.s_[first : max(last, first + 2)]
+    share, border, z = share[used], border[used], z[used]
+    weight = np.exp(-z * z) / (share * (1.0 - share))
+    center, middle = np.average(z, weights=weight), np.average(border, weights=weight)
+    slope = np.sum(weight * (z - center) * (border - middle)) / np.sum(weight * (z - center) ** 2)
+    return float(middle - slope * center), float(slope)
+
+
+def _shape(
+    images: U16, rest: I64, counts: Bool, offset: F64, noise: F64, step: float
+) -> tuple[float, float, float]:
+    """Fit shift, scale and skewness to the darker part of the distribution of all tiles.
+
+    Quantiles of a skewed distribution follow a parabola over the normal deviates (E. A. Cornish and
+    R. A. Fisher, Rev. Inst. Int. Stat. 5, 307-320, 1938). Pixels are spread over their grey value.
+    """
+    from scipy.special import ndtr
+
+    values = ((rest - offset) / noise)[counts]
+    cut = np.mean(images[counts] == images[counts].min(initial=_WHITEST)) > _CUT
+    if len(values) < _FEW or cut or np.median(noise) < _SKEW_STEPS * step:
+        return 0.0, 1.0, 0.0
+    within = np.modf(_GOLDEN * np.arange(len(values)))[0] - 0.5
+    values = values + within * (step / np.median(noise))
+    quantiles = np.quantile(values, ndtr(_SKEW_Z))
+    share = ndtr(_SKEW_Z)
+    weight = np.exp(-0.5 * _SKEW_Z**2) / np.sqrt(share * (1.0 - share))
+    terms = np.stack([np.ones_like(_SKEW_Z), _SKEW_Z, _SKEW_Z**2 - 1.0], axis=1)
+    fit = np.linalg.lstsq(weight[:, None] * terms, weight * quantiles, rcond=None)[0]
+    scale = float(fit[1])
+    if scale <= 0.0:
+        return 0.0, 1.0, 0.0
+    skewness = min(abs(6.0 * float(fit[2]) / scale), _MOST_SKEW)
+    return float(fit[0]), scale, skewness
+
+
+def _deviates(skewness: F32, probability: float) -> F64:
+    """Compute how many standard deviations noise exceeds with a probability, by its skewness."""
+    from scipy.special import gammainccinv, ndtri
+
+    grid = np.linspace(0.0, _MOST_SKEW, 61)
+    shape = 4.0 / np.maximum(grid[1:], 1e-6) ** 2
+    skewed = (gammainccinv(shape, probability) - shape) / np.sqrt(shape)
+    return np.interp(skewness, grid, [-float(ndtri(probability)), *skewed])
+
+
+def _spread(tiles: F64, size: tuple[int, ...]) -> F64:
+    """Interpolate the tiles' values at all pixels, linearly, also beyond the outer centres."""
+    rows, columns = (_weights(n, k) for n, k in zip(size, tiles.shape, strict=True))
+    return np.asarray(rows @ tiles @ columns.T)
+
+
+def _weights(size: int, tiles: int) -> F64:
+    """Make the weights (size, tiles) of linear interpolation between the tiles' centres."""
+    if tiles == 1:
+        return np.ones((size, 1))
+    place = (np.arange(size) + 0.5) * tiles / size - 0.5
+    left = np.clip(np.floor(place), 0, tiles - 2).astype(np.int64)
+    weights = np.zeros((size, tiles))
+    pixel = np.arange(size)
+    weights[pixel, left], weights[pixel, left + 1] = left + 1 - place, place - left
+    return weights
