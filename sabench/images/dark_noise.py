@@ -8,8 +8,8 @@ may so be rounded, and cut at black. Its skewness, that of few photons, comes fr
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+
 import numpy as np
 
 from sabench.utils.arrays import F32, F64, I64, U16, Bool
@@ -26,6 +26,7 @@ _FINEST = 0.15  # grey values: least noise that rounding leaves visible
 _ROUNDS = 4  # of leaving out particles
 _BRIGHT = 2.0  # times the threshold above the dark level: particles
 _HALO_PX = 7  # edge of the square around each bright pixel that is left out
+_SETTLED = 0.98  # of the pixels remain: those left out change nothing
 _LEAST_SHARE = 0.05  # of the pixels, without which the darkest ones remain
 _SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles from which skewness comes, as normal deviates
 _SKEW_STEPS = 1.0  # noise in grey values below which the shape of its distribution is not seen
@@ -88,13 +89,14 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
     counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
     step = _grey_step(images[counts])
-    dark, found = counts, _measure(images, counts, step)
+    left, found = counts.sum(), _measure(images, counts, step)
     for _ in range(_ROUNDS):
         limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
         darker = counts & ~_surroundings(images >= limit)
-        if darker.sum() < _LEAST_SHARE * counts.sum() or np.array_equal(darker, dark):
+        before, left = left, darker.sum()
+        if left < _LEAST_SHARE * counts.sum() or left > _SETTLED * before:
             break
-        dark, found = darker, _measure(images, darker, step)
+        found = _measure(images, darker, step)
     return found
 
 
@@ -148,10 +150,13 @@ def _by_tile(values: I64 | U16, counts: Bool, edge: int, black: I64) -> tuple[F6
     """
     rows, columns = (max(round(size / edge), 1) for size in values.shape[1:])
     mean, deviation = np.full((rows, columns), np.nan), np.full((rows, columns), np.nan)
-    cut = [np.linspace(0, n, k + 1).round().astype(int) for n, k in zip(values.shape[1:], (rows, columns), strict=True)]
+    down, across = (
+        np.linspace(0, size, count + 1).round().astype(int)
+        for size, count in zip(values.shape[1:], (rows, columns), strict=True)
+    )
     for i in range(rows):
         for j in range(columns):
-            where = np.s_[:, cut[0][i] : cut[0][i + 1], cut[1][j] : cut[1][j + 1]]
+            where = np.s_[:, down[i] : down[i + 1], across[j] : across[j + 1]]
             own = values[where][counts[where]]
             if len(own) >= _FEW:
                 mean[i, j], deviation[i, j] = _fit_quantiles(own, int(black[where[1:]].max()))
@@ -236,22 +241,21 @@ def _deviates(skewness: F32, probability: float) -> F64:
     grid = np.linspace(0.0, _MOST_SKEW, 61)
     shape = 4.0 / np.maximum(grid[1:], 1e-6) ** 2
     skewed = (gammainccinv(shape, probability) - shape) / np.sqrt(shape)
-    return np.interp(skewness, grid, [-float(ndtri(probability)), *skewed])
+    return np.asarray(np.interp(skewness, grid, [-float(ndtri(probability)), *skewed]))
 
 
 def _spread(tiles: F64, size: tuple[int, ...]) -> F64:
     """Interpolate the tiles' values at all pixels, linearly, also beyond the outer centres."""
-    rows, columns = (_weights(n, k) for n, k in zip(size, tiles.shape, strict=True))
-    return np.asarray(rows @ tiles @ columns.T)
+    rows, columns = size
+    return _lengthen(np.ascontiguousarray(_lengthen(tiles, rows).T), columns).T
 
 
-def _weights(size: int, tiles: int) -> F64:
-    """Make the weights (size, tiles) of linear interpolation between the tiles' centres."""
-    if tiles == 1:
-        return np.ones((size, 1))
-    place = (np.arange(size) + 0.5) * tiles / size - 0.5
-    left = np.clip(np.floor(place), 0, tiles - 2).astype(np.int64)
-    weights = np.zeros((size, tiles))
-    pixel = np.arange(size)
-    weights[pixel, left], weights[pixel, left + 1] = left + 1 - place, place - left
-    return weights
+def _lengthen(tiles: F64, size: int) -> F64:
+    """Interpolate between the first axis's tiles, at so many pixels."""
+    count = len(tiles)
+    if count == 1:
+        return np.repeat(tiles, size, axis=0)
+    place = (np.arange(size) + 0.5) * count / size - 0.5
+    left = np.clip(np.floor(place), 0, count - 2).astype(np.int64)
+    share = (place - left)[:, None]
+    return np.asarray(tiles[left] + share * (tiles[left + 1] - tiles[left]))

@@ -14,6 +14,7 @@ from sabench.algorithms.particles.triangulation import (
     count_by_chance,
     find_candidates,
     select_best,
+    select_rows,
 )
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import (
@@ -76,8 +77,7 @@ def triangulate_particles(
             f"ray_triangulation: the time budget of {settings.budget_s:g} s a frame is spent: the "
             "result holds the particles found so far, the brightest ones first"
         )
-    kept = select_best(every, peaks)
-    found = Candidates(every.position[kept], every.hit[kept], every.error_px[kept])
+    found = select_rows(every, select_best(every, peaks))
     brightness = _peak_values(found, peaks, images).mean(axis=1)
     return FoundParticles(points_in_mm(maps, found.position), brightness)
 

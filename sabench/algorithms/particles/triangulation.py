@@ -72,8 +72,17 @@ def find_candidates(
         own = np.ascontiguousarray(order[start : start + _BATCH])
         room = _empty(_ROOM * len(own), len(peaks))
         count = _follow(maps, peaks, reach_px, covered, along, steps, own, *room)
-        found.append(Candidates(*(array[:count].copy() for array in room)))
-    return Candidates(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+        found.append(select_rows(room, np.arange(count)))
+    return Candidates(
+        np.concatenate([one.position for one in found]),
+        np.concatenate([one.hit for one in found]),
+        np.concatenate([one.error_px for one in found]),
+    )
+
+
+def select_rows(found: Candidates, rows: I64) -> Candidates:
+    """Copy some of the candidates."""
+    return Candidates(found.position[rows], found.hit[rows], found.error_px[rows])
 
 
 def _empty(count: int, cameras: int) -> Candidates:
