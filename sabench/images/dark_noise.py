@@ -21,7 +21,9 @@ _TILE_PX = 32  # edge of tiles for the dark level: many pixels, in which it hard
 _GROUP = 2  # tiles for the noise have so many times that edge
 _FEW = 64  # pixels of a tile that tell nothing
 _LOW = 0.02  # share of a tile's pixels, the darkest ones, that does not count
-_HIGH_Z, _SPAN_Z = 0.25, 1.3  # normal deviates up to which pixels count, and how many at least
+_HIGH_Z = 0.25  # normal deviate up to which pixels count
+# how many normal deviates they span at least: few while there are particles among them
+_NARROW_Z, _WIDE_Z = 0.5, 1.3
 _FINEST = 0.15  # grey values: least noise that rounding leaves visible
 _ROUNDS = 4  # of leaving out particles
 _BRIGHT = 2.0  # times the threshold above the dark level: particles
@@ -29,10 +31,16 @@ _HALO_PX = 7  # edge of the square around each bright pixel that is left out
 _SETTLED = 0.98  # of the pixels remain: those left out change nothing
 _LEAST_SHARE = 0.05  # of the pixels, without which the darkest ones remain
 _SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles from which skewness comes, as normal deviates
+_BRIGHT_Z = np.linspace(0.3, 1.2, 10)  # those that hold where the darker ones are cut
+_ODD_SKEW = 0.6  # of fewer than three photons a pixel: the darker part has been cut
+_TOP_SHARE, _TOP_Z = 0.97725, 2.0  # a quantile beyond them
+_BEND = 1.4  # times as far as on a line: there is light of particles
+_PARTICLES = 8.0  # times the scale of the darker part: particles, and no noise
 _SKEW_STEPS = 1.0  # noise in grey values below which the shape of its distribution is not seen
 _CUT = 0.05  # of the pixels are black: half of the distribution is not seen
+_CUT_TILE = 0.1  # the same for a tile
 _MOST_SKEW = 2.0
-_WHITEST = 65535
+_LOWEST = 3.0  # standard deviations of the dark level below zero, where black hides nearly all
 _GOLDEN = 0.6180339887498949
 
 
@@ -89,14 +97,16 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
     counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
     step = _grey_step(images[counts])
-    left, found = counts.sum(), _measure(images, counts, step)
+    left, found = counts.sum(), _measure(images, counts, step, _NARROW_Z)
     for _ in range(_ROUNDS):
         limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
         darker = counts & ~_surroundings(images >= limit)
         before, left = left, darker.sum()
-        if left < _LEAST_SHARE * counts.sum() or left > _SETTLED * before:
+        if left < _LEAST_SHARE * counts.sum():
             break
-        found = _measure(images, darker, step)
+        found = _measure(images, darker, step, _WIDE_Z)
+        if left > _SETTLED * before:
+            break
     return found
 
 
@@ -121,19 +131,20 @@ def _surroundings(bright: Bool) -> Bool:
     return np.stack([cv2.dilate(one.astype(np.uint8), square) > 0 for one in bright])
 
 
-def _measure(images: U16, counts: Bool, step: float) -> DarkNoise:
+def _measure(images: U16, counts: Bool, step: float, span: float) -> DarkNoise:
     """Measure pixels that count: level by tiles, noise of what differs from it by larger ones."""
     size = images.shape[1:]
-    level = _spread(_by_tile(images, counts, _TILE_PX, np.zeros(size, dtype=np.int64))[0], size)
+    black = np.zeros(size, dtype=np.int64)
+    level = _spread(_by_tile(images, counts, _TILE_PX, black, span)[0], size)
     whole = (step * np.rint(level / step)).astype(np.int64)
     rest = images - whole
-    offset, noise = _by_tile(rest, counts, _GROUP * _TILE_PX, -whole)
+    offset, noise = _by_tile(rest, counts, _GROUP * _TILE_PX, -whole, span)
     noise = np.maximum(noise, _FINEST * step)
     wide = [_spread(one, size) for one in (offset, noise)]
     shift, scale, skewness = _shape(images, rest, counts, wide[0], wide[1], step)
     deviation = np.maximum(scale * wide[1], _FINEST * step)
     return DarkNoise(
-        (whole + wide[0] + shift * wide[1]).astype(np.float32),
+        np.maximum(whole + wide[0] + shift * wide[1], -_LOWEST * deviation).astype(np.float32),
         deviation.astype(np.float32),
         # few photons: the third moment grows as the variance
         np.minimum(skewness * float(np.median(deviation)) / deviation, _MOST_SKEW).astype(
@@ -143,7 +154,9 @@ def _measure(images: U16, counts: Bool, step: float) -> DarkNoise:
     )
 
 
-def _by_tile(values: I64 | U16, counts: Bool, edge: int, black: I64) -> tuple[F64, F64]:
+def _by_tile(
+    values: I64 | U16, counts: Bool, edge: int, black: I64, span: float
+) -> tuple[F64, F64]:
     """Measure mean and standard deviation of each tile; the nearest one's where few count.
 
     Black (row, column) is the least of all possible values.
@@ -159,10 +172,10 @@ def _by_tile(values: I64 | U16, counts: Bool, edge: int, black: I64) -> tuple[F6
             where = np.s_[:, down[i] : down[i + 1], across[j] : across[j + 1]]
             own = values[where][counts[where]]
             if len(own) >= _FEW:
-                mean[i, j], deviation[i, j] = _fit_quantiles(own, int(black[where[1:]].max()))
+                mean[i, j], deviation[i, j] = _fit_quantiles(own, int(black[where[1:]].max()), span)
     if np.isnan(mean).all():
         own = values[counts] if counts.any() else values.ravel()
-        mean[:], deviation[:] = _fit_quantiles(own, int(black.max()))
+        mean[:], deviation[:] = _fit_quantiles(own, int(black.max()), span)
     return _fill(mean), _fill(deviation)
 
 
@@ -177,7 +190,7 @@ def _fill(tiles: F64) -> F64:
     return np.asarray(tiles[tuple(nearest)])
 
 
-def _fit_quantiles(values: I64 | U16, black: int) -> tuple[float, float]:
+def _fit_quantiles(values: I64 | U16, black: int, span: float) -> tuple[float, float]:
     """Fit a normal distribution to the darker part of whole numbers.
 
     The borders between them are fitted by a line over the normal deviates of the shares below.
@@ -197,7 +210,8 @@ def _fit_quantiles(values: I64 | U16, black: int) -> tuple[float, float]:
         return float(middle), abs(float((border[0] - middle) / (z[0] or 1.0)))
     first = max(int(np.searchsorted(share, _LOW)), int(np.searchsorted(border, black)))
     first = min(first, len(share) - 2)
-    last = int(np.searchsorted(z, max(_HIGH_Z, z[first] + _SPAN_Z), side="right"))
+    high = z[first] + span if share[0] > _CUT_TILE else max(_HIGH_Z, z[first] + span)
+    last = int(np.searchsorted(z, high, side="right"))
     used = np.s_[first : max(last, first + 2)]
     share, border, z = share[used], border[used], z[used]
     weight = np.exp(-z * z) / (share * (1.0 - share))
@@ -209,29 +223,48 @@ def _fit_quantiles(values: I64 | U16, black: int) -> tuple[float, float]:
 def _shape(
     images: U16, rest: I64, counts: Bool, offset: F64, noise: F64, step: float
 ) -> tuple[float, float, float]:
-    """Fit shift, scale and skewness to the darker part of the distribution of all tiles.
+    """Fit shift, scale and skewness to the distribution of all tiles.
 
     Quantiles of a skewed distribution follow a parabola over the normal deviates (E. A. Cornish and
-    R. A. Fisher, Rev. Inst. Int. Stat. 5, 307-320, 1938). Pixels are spread over their grey value.
+    R. A. Fisher, Rev. Inst. Int. Stat. 5, 307-320, 1938); those of the darker part are fitted. A
+    longer tail to the dark counts as one to the bright. Where black cuts the darker part, or where
+    it has been cut and then smoothed, a line through brighter quantiles holds, unless these bend
+    upwards as those of particles do. Pixels are spread over their grey value.
     """
-    from scipy.special import ndtr
-
     values = ((rest - offset) / noise)[counts]
-    cut = np.mean(images[counts] == images[counts].min(initial=_WHITEST)) > _CUT
-    if len(values) < _FEW or cut or np.median(noise) < _SKEW_STEPS * step:
+    if len(values) < _FEW or np.median(noise) < _SKEW_STEPS * step:
         return 0.0, 1.0, 0.0
     within = np.modf(_GOLDEN * np.arange(len(values)))[0] - 0.5
     values = values + within * (step / np.median(noise))
-    quantiles = np.quantile(values, ndtr(_SKEW_Z))
-    share = ndtr(_SKEW_Z)
-    weight = np.exp(-0.5 * _SKEW_Z**2) / np.sqrt(share * (1.0 - share))
-    terms = np.stack([np.ones_like(_SKEW_Z), _SKEW_Z, _SKEW_Z**2 - 1.0], axis=1)
+    fit = _fit_parabola(values, _SKEW_Z, 2)
+    skewness = abs(6.0 * fit[2] / fit[1]) if fit[1] > 0.0 else np.inf
+    cut = np.mean(images[counts] == images[counts].min()) > _CUT
+    if not cut and skewness < _ODD_SKEW:
+        return fit[0], fit[1], skewness
+    line = _fit_parabola(values, _BRIGHT_Z, 1)
+    straight = np.quantile(values, _TOP_SHARE) < line[0] + _BEND * line[1] * _TOP_Z
+    options = [(0.0, 1.0, 0.0)] if cut else [(fit[0], max(fit[1], 0.1), min(skewness, _MOST_SKEW))]
+    if straight and line[1] < _PARTICLES:
+        options.append((line[0], line[1], 0.0))
+    return max(options, key=_far_quantile)
+
+
+def _far_quantile(shape: tuple[float, float, float]) -> float:
+    """Compute what noise of a shift, scale and skewness reaches at the usual false alarm rate."""
+    shift, scale, skewness = shape
+    return shift + scale * float(_deviates(np.float32([skewness]), FALSE_ALARMS)[0])
+
+
+def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:
+    """Fit the quantiles of values by 1, z and z2 - 1 of normal deviates, up to a degree."""
+    from scipy.special import ndtr
+
+    share = ndtr(z)
+    weight = np.exp(-0.5 * z**2) / np.sqrt(share * (1.0 - share))
+    terms = np.stack([np.ones_like(z), z, z**2 - 1.0][: degree + 1], axis=1)
+    quantiles = np.quantile(values, share)
     fit = np.linalg.lstsq(weight[:, None] * terms, weight * quantiles, rcond=None)[0]
-    scale = float(fit[1])
-    if scale <= 0.0:
-        return 0.0, 1.0, 0.0
-    skewness = min(abs(6.0 * float(fit[2]) / scale), _MOST_SKEW)
-    return float(fit[0]), scale, skewness
+    return [float(one) for one in fit]
 
 
 def _deviates(skewness: F32, probability: float) -> F64:
