@@ -24,6 +24,7 @@ _LOW = 0.02  # share of a tile's pixels, the darkest ones, that does not count
 _HIGH_Z = 0.25  # normal deviate up to which pixels count
 # how many normal deviates they span at least: few while there are particles among them
 _NARROW_Z, _WIDE_Z = 0.5, 1.3
+_OUTLIER = 1.5  # times the noise around a tile: what it shows is something else
 _FINEST = 0.15  # grey values: least noise that rounding leaves visible
 _ROUNDS = 4  # of leaving out particles
 _BRIGHT = 2.0  # times the threshold above the dark level: particles
@@ -97,16 +98,19 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
     counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
     step = _grey_step(images[counts])
-    left, found = counts.sum(), _measure(images, counts, step, _NARROW_Z)
-    for _ in range(_ROUNDS):
+    dark, found = counts, _measure(images, counts, step, _NARROW_Z)
+    for round_ in range(_ROUNDS):
         limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
-        darker = counts & ~_surroundings(images >= limit)
-        before, left = left, darker.sum()
-        if left < _LEAST_SHARE * counts.sum():
+        darker = dark & ~_surroundings(images >= limit)
+        if darker.sum() < _LEAST_SHARE * counts.sum():
             break
-        found = _measure(images, darker, step, _WIDE_Z)
-        if left > _SETTLED * before:
+        before, now = found, _measure(images, darker, step, _WIDE_Z)
+        if round_ and np.median(now.threshold()) >= np.median(before.threshold()):
             break
+        found, settled = now, darker.sum() > _SETTLED * dark.sum()
+        if settled:
+            break
+        dark = darker
     return found
 
 
@@ -139,8 +143,9 @@ def _measure(images: U16, counts: Bool, step: float, span: float) -> DarkNoise:
     whole = (step * np.rint(level / step)).astype(np.int64)
     rest = images - whole
     offset, noise = _by_tile(rest, counts, _GROUP * _TILE_PX, -whole, span)
-    noise = np.maximum(noise, _FINEST * step)
-    wide = [_spread(one, size) for one in (offset, noise)]
+    noise = np.maximum(_without_outliers(noise), _FINEST * step)
+    least, most = float(noise.min()), float(noise.max())
+    wide = [_spread(offset, size), np.clip(_spread(noise, size), least, most)]
     shift, scale, skewness = _shape(images, rest, counts, wide[0], wide[1], step)
     deviation = np.maximum(scale * wide[1], _FINEST * step)
     return DarkNoise(
@@ -177,6 +182,15 @@ def _by_tile(
         own = values[counts] if counts.any() else values.ravel()
         mean[:], deviation[:] = _fit_quantiles(own, int(black.max()), span)
     return _fill(mean), _fill(deviation)
+
+
+def _without_outliers(noise: F64) -> F64:
+    """Replace tiles that differ much from those around them by the median of these."""
+    from scipy.ndimage import median_filter
+
+    around = median_filter(noise, 3, mode="nearest")
+    far = (noise > _OUTLIER * around) | (around > _OUTLIER * noise)
+    return np.where(far, around, noise)
 
 
 def _fill(tiles: F64) -> F64:
@@ -252,7 +266,7 @@ def _shape(
 def _far_quantile(shape: tuple[float, float, float]) -> float:
     """Compute what noise of a shift, scale and skewness reaches at the usual false alarm rate."""
     shift, scale, skewness = shape
-    return shift + scale * float(_deviates(np.float32([skewness]), FALSE_ALARMS)[0])
+    return shift + scale * float(_deviates(np.array([skewness], dtype=np.float32), FALSE_ALARMS)[0])
 
 
 def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:
