@@ -8,6 +8,7 @@ may so be rounded, and cut at black. Its skewness, that of few photons, comes fr
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,7 @@ _FINEST = 0.15  # grey values: least noise that rounding leaves visible
 _ROUNDS = 4  # of leaving out particles
 _BRIGHT = 2.0  # times the threshold above the dark level: particles
 _HALO_PX = 7  # edge of the square around each bright pixel that is left out
+_CALM = 0.3  # of a tile's pixels, those with the darkest surroundings
 _SETTLED = 0.98  # of the pixels remain: those left out change nothing
 _LEAST_SHARE = 0.05  # of the pixels, without which the darkest ones remain
 _SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles from which skewness comes, as normal deviates
@@ -98,7 +100,7 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
     counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
     step = _grey_step(images[counts])
-    dark, found = counts, _measure(images, counts, step, _NARROW_Z)
+    dark, found = counts, _measure(images, counts & _find_calm(images), step, _NARROW_Z)
     for round_ in range(_ROUNDS):
         limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
         darker = dark & ~_surroundings(images >= limit)
@@ -125,6 +127,25 @@ def _grey_step(values: U16) -> float:
     share = np.cumsum(counts[levels]) / counts.sum()
     apart = np.diff(levels[: max(int(np.searchsorted(share, 0.9)) + 1, 2)])
     return float(np.median(apart)) if len(apart) else 1.0
+
+
+def _find_calm(images: U16) -> Bool:
+    """Mark the pixels (frame, row, column) whose surroundings are among the darkest of a tile.
+
+    The pixels themselves and their neighbours do not count, so that independent noise of those that
+    are marked is distributed as that of all pixels, and particles are left out.
+    """
+    import cv2
+
+    calm = np.zeros(images.shape, dtype=np.bool_)
+    for image, marks in zip(images, calm, strict=True):
+        grey = image.astype(np.float32)
+        around = cv2.boxFilter(grey, -1, (5, 5), normalize=False) - cv2.boxFilter(
+            grey, -1, (3, 3), normalize=False
+        )
+        for where in _tiles(image.shape, _TILE_PX).values():
+            marks[where] = around[where] <= np.quantile(around[where], _CALM)
+    return calm
 
 
 def _surroundings(bright: Bool) -> Bool:
@@ -166,22 +187,25 @@ def _by_tile(
 
     Black (row, column) is the least of all possible values.
     """
-    rows, columns = (max(round(size / edge), 1) for size in values.shape[1:])
-    mean, deviation = np.full((rows, columns), np.nan), np.full((rows, columns), np.nan)
-    down, across = (
-        np.linspace(0, size, count + 1).round().astype(int)
-        for size, count in zip(values.shape[1:], (rows, columns), strict=True)
-    )
-    for i in range(rows):
-        for j in range(columns):
-            where = np.s_[:, down[i] : down[i + 1], across[j] : across[j + 1]]
-            own = values[where][counts[where]]
-            if len(own) >= _FEW:
-                mean[i, j], deviation[i, j] = _fit_quantiles(own, int(black[where[1:]].max()), span)
+    tiles = _tiles(values.shape[1:], edge)
+    mean, deviation = (np.full(np.add(max(tiles), 1), np.nan) for _ in range(2))
+    for number, where in tiles.items():
+        own = values[:, *where][counts[:, *where]]
+        if len(own) >= _FEW:
+            mean[number], deviation[number] = _fit_quantiles(own, int(black[where].max()), span)
     if np.isnan(mean).all():
         own = values[counts] if counts.any() else values.ravel()
         mean[:], deviation[:] = _fit_quantiles(own, int(black.max()), span)
     return _fill(mean), _fill(deviation)
+
+
+def _tiles(size: tuple[int, ...], edge: int) -> dict[tuple[int, int], tuple[slice, slice]]:
+    """Cut an image into tiles of about so many pixels along an edge."""
+    down, across = (
+        [slice(int(a), int(b)) for a, b in itertools.pairwise(np.linspace(0, n, count + 1).round())]
+        for n, count in ((n, max(round(n / edge), 1)) for n in size)
+    )
+    return {(i, j): (a, b) for i, a in enumerate(down) for j, b in enumerate(across)}
 
 
 def _without_outliers(noise: F64) -> F64:
