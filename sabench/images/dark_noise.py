@@ -132,17 +132,15 @@ def _grey_step(values: U16) -> float:
 def _find_calm(images: U16) -> Bool:
     """Mark the pixels (frame, row, column) whose surroundings are among the darkest of a tile.
 
-    The pixels themselves and their neighbours do not count, so that independent noise of those that
-    are marked is distributed as that of all pixels, and particles are left out.
+    A pixel itself is no part of them, so that independent noise of the pixels that are marked is
+    distributed as that of all, while few particles are among them.
     """
     import cv2
 
     calm = np.zeros(images.shape, dtype=np.bool_)
     for image, marks in zip(images, calm, strict=True):
         grey = image.astype(np.float32)
-        around = cv2.boxFilter(grey, -1, (5, 5), normalize=False) - cv2.boxFilter(
-            grey, -1, (3, 3), normalize=False
-        )
+        around = cv2.boxFilter(grey, -1, (5, 5), normalize=False) - grey
         for where in _tiles(image.shape, _TILE_PX).values():
             marks[where] = around[where] <= np.quantile(around[where], _CALM)
     return calm
