@@ -12,7 +12,7 @@ import pytest
 
 import sabench
 from sabench.dataset.reader import Dataset
-from sabench.scenes import load_scene
+from sabench.scenes import load_scene, parse_scene
 from tests.conftest import Command
 
 STEPS = ("--step", "sliding_minimum,window_px=9", "--step", "gaussian,sigma_px=0.6")
@@ -22,7 +22,7 @@ STEPS = ("--step", "sliding_minimum,window_px=9", "--step", "gaussian,sigma_px=0
 def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     values = load_scene("quick").to_dict()
     values["particles"]["velocity_mm_s"] = [300.0, 0.0, 0.0]
-    scene = sabench.parse_scene(values, "moving").with_frames(3)
+    scene = parse_scene(values, "moving").with_frames(3)
     out = tmp_path_factory.mktemp("data") / "moving"
     return sabench.generate(scene, out, seed=1, backend="splat")
 

@@ -50,7 +50,8 @@ def test_a_spent_budget_is_said_and_gives_what_was_found(monkeypatch: pytest.Mon
         with pytest.warns(UserWarning, match=rf"the time budget of {ticks:g} s a frame is spent"):
             found = solve(shot.observation, budget_s=ticks)
         counts.append(len(found.position_mm))
-        assert count_found(shot, found).ghosts == 0
+        if len(found.position_mm):
+            assert count_found(shot, found).precision > 0.9
     assert counts[0] == 0 < counts[1] < len(solve(shot.observation).position_mm)
 
 
