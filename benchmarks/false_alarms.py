@@ -27,9 +27,10 @@ from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.peak_detection import detect_peaks
 from sabench.images.peaks import find_peaks
 from sabench.images.preprocessing import preprocess, read_steps
-from sabench.images.repair import find_points
+from sabench.images.repair import find_points, repair
 from sabench.utils.arrays import F64, U16
 
+RECORD = Path(__file__).with_name("records") / "false-alarms.json"
 SIZE = 512
 NEAR_PX = 1.5
 SIGMA_PX, NOISE, BLACK, COUNT = 0.8, 4.0, 64.0, 400
@@ -105,7 +106,8 @@ SENSORS: dict[str, Callable[[Rng], U16]] = {
 
 def find_before(image: U16, black: float) -> F64:
     """Find peaks as before: over 0.05 of a bright one and five standard deviations."""
-    light = normalise(image[None], black)[0]
+    good = repair(image[None], black, 65535.0)
+    light = normalise(good.images, black, good.flaws.unknown)[0]
     return find_peaks(light, max(0.05, 5.0 * background_noise(light))).pixels
 
 
