@@ -79,7 +79,7 @@ def hot_pixels(rng: Rng) -> U16:
 def chain(rng: Rng) -> U16:
     """Draw noise, cut it at black and smooth it, as preprocessing does."""
     image = grey(normal(rng, 64.0, 2.2))
-    return preprocess(image[None], 64.0, 4095.0, read_steps(CHAIN, "chain"))[0]
+    return np.asarray(preprocess(image[None], 64.0, 4095.0, read_steps(CHAIN, "chain"))[0])
 
 
 SENSORS: dict[str, Callable[[Rng], U16]] = {

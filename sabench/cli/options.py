@@ -43,7 +43,7 @@ def parse_parameters(pairs: list[str] | None) -> dict[str, Any]:
 
 
 def parse_steps(words: list[str]) -> tuple[Step, ...]:
-    """Read steps of preprocessing, each a name and its key=value pairs joined by commas."""
+    """Read steps of preprocessing: names and key=value pairs, joined by commas."""
     from sabench.images.preprocessing import read_steps
 
     tables = []

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from sabench.cli import tables
@@ -77,8 +76,8 @@ def preprocess(
 def _record(stage: Stage, false_alarms: float) -> dict[str, object]:
     return {
         "step": stage.name,
-        "black": float(np.median(stage.dark.level)),
-        "noise": float(np.median(stage.dark.noise)),
+        "black": stage.black_dn,
+        "noise": stage.noise_dn,
         "noise_least": float(stage.dark.noise.min()),
         "noise_most": float(stage.dark.noise.max()),
         "threshold": stage.threshold_dn,
@@ -95,8 +94,8 @@ def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
         [
             (
                 one.name,
-                f"{np.median(one.dark.level):.1f}",
-                f"{np.median(one.dark.noise):.2f}",
+                f"{one.black_dn:.1f}",
+                f"{one.noise_dn:.2f}",
                 f"{one.threshold_dn:.1f}",
                 f"{len(one.peaks)}",
                 f"{one.expected_false:.1f}",

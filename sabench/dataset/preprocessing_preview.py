@@ -1,4 +1,4 @@
-"""Preview of preprocessing: one image after each step, and the peaks detected in it."""
+"""Preview of preprocessing: one image after each step, and its peaks."""
 
 from __future__ import annotations
 
@@ -47,6 +47,16 @@ class Stage:
     peaks: F64
     expected_false: float
 
+    @property
+    def black_dn(self) -> float:
+        """Median of the dark level."""
+        return float(np.median(self.dark.level))
+
+    @property
+    def noise_dn(self) -> float:
+        """Median of the noise."""
+        return float(np.median(self.dark.noise))
+
 
 @dataclass(frozen=True)
 class Preview:
@@ -71,7 +81,7 @@ def preview(
     steps: Sequence[Step] | None = None,
     false_alarms: float = FALSE_ALARMS,
 ) -> Preview:
-    """Process one image of a data set, or of an image file, and detect peaks after each step.
+    """Process one image of a data set or a file, and detect peaks after each step.
 
     Parameters
     ----------
@@ -186,7 +196,7 @@ def _stage(name: str, image: U16, unknown: Bool | None, false_alarms: float) -> 
 
 
 def preview_figure(shown: Preview) -> Figure:
-    """Make a figure of the stages side by side, and of an enlarged part of each below."""
+    """Make a figure of the stages side by side, with an enlarged part below."""
     rows, columns = shown.stages[0].image.shape
     busy = _busiest(shown.stages[-1].peaks, rows, columns)
     wholes = [
@@ -216,7 +226,7 @@ def _panel(stage: Stage, window: tuple[slice, slice], *, marked: bool) -> Panel:
         f"{stage.name}, enlarged"
         if marked
         else f"{stage.name}: {len(stage.peaks)} peaks\nabove {stage.threshold_dn:.1f}; black "
-        f"{np.median(stage.dark.level):.1f}, noise {np.median(stage.dark.noise):.2f}"
+        f"{stage.black_dn:.1f}, noise {stage.noise_dn:.2f}"
     )
     picture = Picture(light.astype(np.float64), low, high, rings if marked else None)
     return Panel(title, "column, px", "row, px", (picture,))

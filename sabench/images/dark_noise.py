@@ -1,4 +1,4 @@
-"""Dark level and noise of images, region by region, and thresholds of known false alarm rate.
+"""Dark level and noise of images by tiles, and thresholds of false alarms.
 
 Between particles an image shows its dark level and noise. Both may differ from place to place. The
 distribution of grey values in a tile is compared with a normal one, quantile by quantile (M. B.
@@ -66,7 +66,7 @@ class DarkNoise:
     step: float
 
     def threshold(self, false_alarms: float = FALSE_ALARMS) -> F32:
-        """Compute the grey values (row, column) that noise reaches with a given probability.
+        """Compute grey values (row, column) that noise reaches with a probability.
 
         The distribution is a gamma distribution with the noise's skewness (Pearson's type III),
         which is normal without any, rounded to grey values. Local maxima of noise are fewer than
@@ -121,7 +121,7 @@ def _stretch(known: Bool, shape: tuple[int, ...]) -> Bool:
 
 
 def _grey_step(values: U16) -> float:
-    """Compute the usual difference of neighbouring grey values among the darker pixels."""
+    """Compute the usual difference of neighbouring values of darker pixels."""
     counts = np.bincount(values) if len(values) else np.ones(1, dtype=np.int64)
     levels = np.flatnonzero(counts)
     share = np.cumsum(counts[levels]) / counts.sum()
@@ -130,8 +130,9 @@ def _grey_step(values: U16) -> float:
 
 
 def _find_calm(images: U16) -> Bool:
-    """Mark the pixels (frame, row, column) whose surroundings are among the darkest of a tile.
+    """Mark the pixels (frame, row, column) with dark surroundings.
 
+    These are among the darkest of the pixel's tile.
     A pixel itself is no part of them, so that independent noise of the pixels that are marked is
     distributed as that of all, while few particles are among them.
     """
@@ -155,7 +156,7 @@ def _surroundings(bright: Bool) -> Bool:
 
 
 def _measure(images: U16, counts: Bool, step: float, span: float) -> DarkNoise:
-    """Measure pixels that count: level by tiles, noise of what differs from it by larger ones."""
+    """Measure the level by tiles, and the noise of the rest by larger ones."""
     size = images.shape[1:]
     black = np.zeros(size, dtype=np.int64)
     level = _spread(_by_tile(images, counts, _TILE_PX, black, span)[0], size)
@@ -181,8 +182,9 @@ def _measure(images: U16, counts: Bool, step: float, span: float) -> DarkNoise:
 def _by_tile(
     values: I64 | U16, counts: Bool, edge: int, black: I64, span: float
 ) -> tuple[F64, F64]:
-    """Measure mean and standard deviation of each tile; the nearest one's where few count.
+    """Measure mean and standard deviation of each tile.
 
+    Tiles in which few pixels count have those of the nearest other one.
     Black (row, column) is the least of all possible values.
     """
     tiles = _tiles(values.shape[1:], edge)
@@ -286,13 +288,13 @@ def _shape(
 
 
 def _far_quantile(shape: tuple[float, float, float]) -> float:
-    """Compute what noise of a shift, scale and skewness reaches at the usual false alarm rate."""
+    """Compute what noise of a shift, scale and skewness reaches at 1e-5."""
     shift, scale, skewness = shape
     return shift + scale * float(_deviates(np.array([skewness], dtype=np.float32), FALSE_ALARMS)[0])
 
 
 def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:
-    """Fit the quantiles of values by 1, z and z2 - 1 of normal deviates, up to a degree."""
+    """Fit quantiles by 1, z and z2 - 1 of normal deviates, up to a degree."""
     from scipy.special import ndtr
 
     share = ndtr(z)
@@ -304,7 +306,7 @@ def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:
 
 
 def _deviates(skewness: F32, probability: float) -> F64:
-    """Compute how many standard deviations noise exceeds with a probability, by its skewness."""
+    """Compute how many deviations skewed noise exceeds with a probability."""
     from scipy.special import gammainccinv, ndtri
 
     grid = np.linspace(0.0, _MOST_SKEW, 61)
@@ -314,7 +316,7 @@ def _deviates(skewness: F32, probability: float) -> F64:
 
 
 def _spread(tiles: F64, size: tuple[int, ...]) -> F64:
-    """Interpolate the tiles' values at all pixels, linearly, also beyond the outer centres."""
+    """Interpolate tiles' values linearly, also beyond the outer centres."""
     rows, columns = size
     return _lengthen(np.ascontiguousarray(_lengthen(tiles, rows).T), columns).T
 

@@ -33,14 +33,14 @@ def detect_peaks(
 
 
 def find_above(grey: U16, dark: DarkNoise, least_dn: F32) -> Peaks:
-    """Find the peaks that reach grey values (row, column), without lone bright pixels."""
+    """Find peaks that reach grey values (row, column), but no lone pixels."""
     light = grey - dark.level
     light[find_lone_pixels(light, dark.noise)] = 0.0
     return find_peaks(light, least_dn - dark.level)
 
 
 def find_lone_pixels(light: F32, noise: F32) -> Bool:
-    """Mark bright pixels without light around them, as hot pixels and cosmic rays are.
+    """Mark bright pixels without light around them, as hot pixels are.
 
     Light (row, column) is above the dark level; particle images spread over several pixels.
     """

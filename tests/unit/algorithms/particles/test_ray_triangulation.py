@@ -15,7 +15,7 @@ from sabench.algorithms.particles.ray_triangulation import (
     TriangulationSettings,
     triangulate_particles,
 )
-from sabench.algorithms.particles.triangulation import count_by_chance
+from sabench.algorithms.particles.triangulation import count_by_chance, find_candidates
 from sabench.api import Observation
 from sabench.images.peaks import Peaks, _sort, find_near, keep_peaks
 from tests.helpers.small_particles import count_found, make_small
@@ -80,7 +80,7 @@ def test_the_number_of_sets_by_chance_is_about_right() -> None:
         for _ in case.cameras
     )
     covered = np.zeros(case.images.shape, dtype=np.bool_)
-    found = module.find_candidates(maps, peaks, 0.8, covered)
+    found = find_candidates(maps, peaks, 0.8, covered)
     expected = count_by_chance(maps, peaks, 0.8, rows * columns)
     assert 0.2 < len(found.position) / 400.0 / expected < 1.5
 
