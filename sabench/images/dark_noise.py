@@ -132,9 +132,9 @@ def _grey_step(values: U16) -> float:
 def _find_calm(images: U16) -> Bool:
     """Mark the pixels (frame, row, column) with dark surroundings.
 
-    These are among the darkest of the pixel's tile.
-    A pixel itself is no part of them, so that independent noise of the pixels that are marked is
-    distributed as that of all, while few particles are among them.
+    These are among the darkest of the pixel's tile. A pixel itself is no part of them, so that
+    independent noise of the pixels that are marked is distributed as that of all, while few
+    particles are among them.
     """
     import cv2
 
@@ -163,7 +163,7 @@ def _measure(images: U16, counts: Bool, step: float, span: float) -> DarkNoise:
     whole = (step * np.rint(level / step)).astype(np.int64)
     rest = images - whole
     offset, noise = _by_tile(rest, counts, _GROUP * _TILE_PX, -whole, span)
-    noise = np.maximum(_without_outliers(noise), _FINEST * step)
+    noise = np.maximum(noise, _FINEST * step)
     least, most = float(noise.min()), float(noise.max())
     wide = [_spread(offset, size), np.clip(_spread(noise, size), least, most)]
     shift, scale, skewness = _shape(images, rest, counts, wide[0], wide[1], step)
@@ -184,8 +184,8 @@ def _by_tile(
 ) -> tuple[F64, F64]:
     """Measure mean and standard deviation of each tile.
 
-    Tiles in which few pixels count have those of the nearest other one.
-    Black (row, column) is the least of all possible values.
+    Tiles in which few pixels count, or with noise of their own, have those of the nearest other
+    one. Black (row, column) is the least of all possible values.
     """
     tiles = _tiles(values.shape[1:], edge)
     mean, deviation = (np.full(np.add(max(tiles), 1), np.nan) for _ in range(2))
@@ -196,6 +196,10 @@ def _by_tile(
     if np.isnan(mean).all():
         own = values[counts] if counts.any() else values.ravel()
         mean[:], deviation[:] = _fit_quantiles(own, int(black.max()), span)
+    mean, deviation = _fill(mean), _fill(deviation)
+    far = _find_outliers(deviation)
+    if not far.all():
+        mean[far] = deviation[far] = np.nan
     return _fill(mean), _fill(deviation)
 
 
@@ -208,13 +212,13 @@ def _tiles(size: tuple[int, ...], edge: int) -> dict[tuple[int, int], tuple[slic
     return {(i, j): (a, b) for i, a in enumerate(down) for j, b in enumerate(across)}
 
 
-def _without_outliers(noise: F64) -> F64:
-    """Replace tiles that differ much from those around them by the median of these."""
+def _find_outliers(noise: F64) -> Bool:
+    """Mark tiles whose noise differs much from that of the tiles around them."""
     from scipy.ndimage import median_filter
 
     around = median_filter(noise, 3, mode="nearest")
-    far = (noise > _OUTLIER * around) | (around > _OUTLIER * noise)
-    return np.where(far, around, noise)
+    far = np.maximum(noise, around) > _OUTLIER * np.minimum(noise, around)
+    return np.asarray(far & (np.abs(noise - around) > _FINEST * _OUTLIER))
 
 
 def _fill(tiles: F64) -> F64:
