@@ -21,15 +21,22 @@ class TriangulationParameters(Parameters):
         lt=1.0,
         description="smallest peak of a particle image, over that of a bright particle",
     )
-    noise: float = Field(
-        5.0,
-        ge=0.0,
-        description="the same in standard deviations of the background; the larger one holds",
+    false_alarms: float = Field(
+        1e-5,
+        gt=0.0,
+        lt=0.5,
+        description="probability that noise makes a particle image of a pixel; the larger of both "
+        "thresholds holds",
     )
     reach_px: float = Field(
         0.8,
         gt=0.0,
         description="largest distance of a particle image from where its camera sees the particle",
+    )
+    budget_s: float | None = Field(
+        300.0,
+        gt=0.0,
+        description="seconds for a frame, after which the particles so far are the result",
     )
 
 
@@ -51,7 +58,9 @@ class RayTriangulation(ParticleSolver):
     def solve(self, case: ImageSequence) -> list[FoundParticles]:
         """Triangulate each frame on its own."""
         chosen = self.parameters
-        settings = TriangulationSettings(chosen.floor, chosen.noise, chosen.reach_px)
+        settings = TriangulationSettings(
+            chosen.floor, chosen.false_alarms, chosen.reach_px, chosen.budget_s
+        )
         maps = fit_cameras(case[0])
         return [
             triangulate_particles(frame, maps, settings)

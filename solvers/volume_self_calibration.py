@@ -29,6 +29,13 @@ class VolumeSelfCalibrationParameters(Parameters):
         lt=1.0,
         description="least peak of a particle image, as a fraction of a bright one's",
     )
+    false_alarms: float = Field(
+        1e-5,
+        gt=0.0,
+        lt=0.5,
+        description="probability that noise makes a particle image of a pixel; the larger of both "
+        "thresholds holds",
+    )
 
 
 class VolumeSelfCalibration(SelfCalibrationSolver):
@@ -53,7 +60,7 @@ class VolumeSelfCalibration(SelfCalibrationSolver):
     def solve(self, case: Observation) -> Calibration:
         """Adjust four cameras first, then the others to the particles of these."""
         chosen: VolumeSelfCalibrationParameters = self.parameters
-        tracking = Tracking.from_case(case, case.normalised_images(), chosen.bright)
+        tracking = Tracking.from_case(case, chosen.bright, chosen.false_alarms)
         maps = follow_disparities(tracking, chosen.reach_px, chosen.least_px)
         return Calibration(
             adjust_cameras(tracking, match_particles(tracking, maps, chosen.least_px))

@@ -9,14 +9,13 @@ import typer
 
 from sabench.cli import tables
 from sabench.cli.exchange import notes_shown
-from sabench.cli.options import AsJson, Overwrite, parse_parameters, say, say_json
+from sabench.cli.options import AsJson, Overwrite, parse_steps, say, say_json
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
     from sabench.dataset.import_recording import Box, Imported
     from sabench.geometry.grid import Grid
     from sabench.images.image_reading import RawLayout
-    from sabench.images.preprocessing import Step
     from sabench.interop.cameras import CameraFormat
 
 
@@ -161,7 +160,7 @@ def import_recording(
         period_s=period,
         black_dn=black,
         white_dn=white,
-        preprocessing=_steps(step or []),
+        preprocessing=parse_steps(step or []),
         backlit=backlit,
         referenced=reference,
     )
@@ -279,13 +278,3 @@ def _raw(text: str | None) -> RawLayout | None:
     if header and not header.isdigit():
         raise InputError(f"--raw: expected TYPE or TYPE,HEADER in bytes, got {text!r}")
     return RawLayout(dtype, int(header or 0))
-
-
-def _steps(words: list[str]) -> tuple[Step, ...]:
-    from sabench.images.preprocessing import read_steps
-
-    tables_of = []
-    for word in words:
-        name, *keys = word.split(",")
-        tables_of.append({"step": name, **parse_parameters(keys)})
-    return read_steps(tables_of, "--step")

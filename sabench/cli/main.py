@@ -19,6 +19,7 @@ from sabench.cli.help_pages import Command, Group
 from sabench.cli.importing import import_recording
 from sabench.cli.options import say
 from sabench.cli.planning import plan
+from sabench.cli.preprocess import preprocess
 from sabench.cli.quality import quality
 from sabench.cli.recordings import compare_statistics
 from sabench.cli.reproduce import reproduce
@@ -34,6 +35,7 @@ for _command in (
     data.verify,
     data.pack,
     compare_statistics,
+    preprocess,
     solve.solve,
     solve.score,
     quality,

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sabench import plugins
 from sabench.utils.errors import InputError
+
+if TYPE_CHECKING:
+    from sabench.images.preprocessing import Step
 
 KINDS = ("generator", "solver", "scene", "suite")
 
@@ -37,6 +40,17 @@ def parse_parameters(pairs: list[str] | None) -> dict[str, Any]:
         except tomllib.TOMLDecodeError:
             values[name] = text
     return values
+
+
+def parse_steps(words: list[str]) -> tuple[Step, ...]:
+    """Read steps of preprocessing: names and key=value pairs, joined by commas."""
+    from sabench.images.preprocessing import read_steps
+
+    tables = []
+    for word in words:
+        name, *keys = word.split(",")
+        tables.append({"step": name, **parse_parameters(keys)})
+    return read_steps(tables, "--step")
 
 
 def complete_solver(incomplete: str) -> list[str]:

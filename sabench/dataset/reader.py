@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +22,7 @@ from sabench.dataset.schema import Contents, Manifest, RecordedManifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.frames import Pose
-from sabench.images.preprocessing import takes_all_frames
+from sabench.images.preprocessing import Step, takes_all_frames
 from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
@@ -102,17 +103,18 @@ class Dataset:
             {table: inside(self.root, file.as_posix()) for table, file in scene.files.items()}
         )
 
-    def observation(self, frame: int) -> Observation:
-        """Read one frame as a solver receives it."""
+    def observation(self, frame: int, steps: Sequence[Step] | None = None) -> Observation:
+        """Read one frame as a solver receives it, or after other steps of preprocessing."""
         self._check_frame(frame)
         setup = self.setup
+        chosen = setup.preprocessing if steps is None else steps
         return build_observation(
             self._raw(frame),
             setup.cameras,
             setup.grid,
             (setup.sensor.black_dn, setup.sensor.white_dn),
-            setup.preprocessing,
-            lowest=self._lowest,
+            chosen,
+            lowest=self._lowest if takes_all_frames(chosen) else None,
             by_camera=setup.sensor.by_camera,
             backlit="bubbles" in setup.shows,
             masked=self.masked,
@@ -151,10 +153,8 @@ class Dataset:
         return read_references(self.root)
 
     @cached_property
-    def _lowest(self) -> U16 | None:
-        """Read each pixel's least value over all frames, where a step needs it."""
-        if not takes_all_frames(self.setup.preprocessing):
-            return None
+    def _lowest(self) -> U16:
+        """Read each pixel's least value over all frames."""
         lowest = self._raw(0)
         for frame in range(1, self.setup.frames):
             np.minimum(lowest, self._raw(frame), out=lowest)

@@ -32,17 +32,29 @@ class Peaks(NamedTuple):
     rows: int
 
 
-def find_peaks(image: F32, least: float) -> Peaks:
-    """Find the local maxima above `least` of an image (rows, columns).
+def find_peaks(image: F32, least: float | F32) -> Peaks:
+    """Find the local maxima of an image (rows, columns) that are not below `least`.
 
     A parabola through the logarithms of three values along either axis, which is a Gaussian
     through the values, gives their positions to fractions of a pixel.
+
+    Parameters
+    ----------
+    least : one value, or one for each pixel.
     """
-    row, column = maxima(np.ascontiguousarray(image), np.float32(least))
-    height = np.log(np.maximum(image, np.float32(1e-6 + 0.01 * least)))
+    row, column = maxima(np.ascontiguousarray(image), np.float32(np.min(least)))
+    high = image[row, column] >= np.broadcast_to(np.float32(least), image.shape)[row, column]
+    row, column = row[high], column[high]
+    height = np.log(np.maximum(image, np.float32(1e-6 + 0.01 * np.maximum(least, 0.0))))
     across = _vertex(height[row, column - 1], height[row, column], height[row, column + 1])
     along = _vertex(height[row - 1, column], height[row, column], height[row + 1, column])
     return _sort(np.column_stack([column + across, row + along]).astype(np.float64), image.shape)
+
+
+def keep_peaks(peaks: Peaks, numbers: I64) -> Peaks:
+    """Leave out all peaks but those with these numbers, which ascend."""
+    starts = np.searchsorted(numbers, peaks.starts).astype(np.int64)
+    return Peaks(np.ascontiguousarray(peaks.pixels[numbers]), starts, peaks.columns, peaks.rows)
 
 
 @numba.njit(cache=True)

@@ -258,6 +258,7 @@ def _picture(axes: Any, one: Picture) -> None:
                 linewidths=0.7,
             )
         )
+        axes.set(xlim=extent[:2], ylim=extent[2:])
     axes.grid(visible=False)
 
 

@@ -198,7 +198,8 @@ def _aligned(placed: F64, points: F64, case: CalibrationCase) -> F64:
     frame = Frame.from_cameras(case.cameras, case.initial_mm)
     own, true = frame.motion(placed), frame.motion(points)
     there = np.asarray(np.isfinite(own + true).all(axis=-1))
-    if np.isfinite(case.known_mm).all(axis=-1).sum() < _FIXING and frame.beyond_kernels is None:
+    free = np.isfinite(case.known_mm).all(axis=-1).sum() < _FIXING
+    if free and there.sum() > _FIXING and frame.beyond_kernels is None:
         fit = fit_rigid_motion if frame.wall is None else fit_lateral_motion
         own = fit(own[there], true[there])(own)
     return np.asarray(np.where(there[..., None], own - true, np.nan))

@@ -16,6 +16,7 @@ from sabench.algorithms.calibration.disparity import Sets, correct, find_sets
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.robust import median_noise
 from sabench.algorithms.particles.correspondence import pair_up
+from sabench.algorithms.particles.peak_detection import detect_in_cameras
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps
 from sabench.api import Observation
 from sabench.geometry.camera import Camera
@@ -25,8 +26,9 @@ from sabench.geometry.volume_polynomials import (
     points_in_mm,
     project_points,
 )
-from sabench.images.peaks import Peaks, find_peaks
-from sabench.utils.arrays import F32, F64, I64
+from sabench.images.dark_noise import FALSE_ALARMS
+from sabench.images.peaks import Peaks
+from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 
 _ROUNDS = 20
@@ -65,10 +67,18 @@ class Tracking:
     axes: F64
 
     @classmethod
-    def from_case(cls, case: Observation, light: F32, bright: float) -> Tracking:
+    def from_case(
+        cls, case: Observation, bright: float, false_alarms: float = FALSE_ALARMS
+    ) -> Tracking:
         """Find particle images, and order the cameras.
 
         Cameras with the most different positions come first.
+
+        Parameters
+        ----------
+        bright : least peak of a particle image, over a bright one's.
+        false_alarms : probability that noise makes a particle image of a pixel; the larger of both
+            thresholds holds.
         """
         pinholes = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
         if len(pinholes) != len(case.cameras):
@@ -76,12 +86,13 @@ class Tracking:
                 "expected pinhole cameras, whose parameters can be adjusted, got others"
             )
         order = _spread(np.array([camera.center_mm for camera in pinholes]))
-        peaks = tuple(find_peaks(light[number], bright) for number in order)
+        every = detect_in_cameras(case, bright, false_alarms)
+        peaks = tuple(every[number] for number in order)
         for number, own in zip(order, peaks, strict=True):
             if not len(own.pixels):
                 raise InputError(
                     f"{pinholes[number].name}: expected particle images, got none above "
-                    f"{bright:g} of a bright one's peak"
+                    f"{bright:g} of a bright one's peak and above the noise"
                 )
         low = np.asarray(case.grid.low_mm)
         high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)

@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from sabench.algorithms.particles.correspondence import follow_lines, move_to_pixel
+from sabench.algorithms.particles.time_budget import Deadline
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64, Bool
@@ -22,6 +23,8 @@ from sabench.utils.arrays import F64, I64, Bool
 _NEAR = 64  # particle images looked at around one position
 _ROOM = 50  # sets of each of the first camera's images for which memory is allocated
 _STEPS = 2  # of the least-squares fit of a position
+_BATCH = 64  # of the first camera's images between two looks at the clock
+_SEARCHED = 1.5  # times the reach: radius in which images are looked for
 
 
 class Candidates(NamedTuple):
@@ -44,21 +47,62 @@ def find_candidates(
     peaks: tuple[Peaks, ...],
     reach_px: float,
     covered: Bool,
+    order: I64 | None = None,
+    deadline: Deadline | None = None,
 ) -> Candidates:
     """Find all sets of peaks that agree on a position within `reach_px`.
 
-    Every camera that has the position on its sensor must show a peak there.
+    Every camera that has the position on its sensor must show a peak there. At the deadline, the
+    sets of the first camera's remaining peaks are left out.
 
     Parameters
     ----------
     peaks : of each camera.
     covered : (camera, row, column) pixels where a camera can show nothing.
+    order : numbers of the first camera's peaks in the order in which they are searched; by default
+        all of them.
+    deadline : by default none.
     """
-    most = _ROOM * len(peaks[0].pixels)
-    position, hit, error = np.zeros((most, 3)), np.full((most, len(peaks)), -1), np.zeros(most)
+    order = np.arange(len(peaks[0].pixels)) if order is None else order
     along, steps = follow_lines(maps, range(1, 2), reach_px)
-    count = _follow(maps, peaks, reach_px, covered, along, steps, position, hit, error)
-    return Candidates(position[:count], hit[:count], error[:count])
+    found = [_empty(0, len(peaks))]
+    for start in range(0, len(order), _BATCH):
+        if deadline is not None and deadline.over:
+            break
+        own = np.ascontiguousarray(order[start : start + _BATCH])
+        room = _empty(_ROOM * len(own), len(peaks))
+        count = _follow(maps, peaks, reach_px, covered, along, steps, own, *room)
+        found.append(select_rows(room, np.arange(count)))
+    return Candidates(
+        np.concatenate([one.position for one in found]),
+        np.concatenate([one.hit for one in found]),
+        np.concatenate([one.error_px for one in found]),
+    )
+
+
+def select_rows(found: Candidates, rows: I64) -> Candidates:
+    """Copy some of the candidates."""
+    return Candidates(found.position[rows], found.hit[rows], found.error_px[rows])
+
+
+def _empty(count: int, cameras: int) -> Candidates:
+    return Candidates(
+        np.zeros((count, 3)), np.full((count, cameras), -1, dtype=np.int64), np.zeros(count)
+    )
+
+
+def count_by_chance(
+    maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float, pixels: int
+) -> float:
+    """Estimate how many sets that agree by chance contain a peak of the first camera.
+
+    Peaks of the others are taken as spread evenly over images of so many pixels.
+    """
+    steps = follow_lines(maps, range(1, 2), reach_px)[1]
+    density = np.array([len(own.pixels) / pixels for own in peaks[1:]])
+    near = _SEARCHED * reach_px
+    line = density[0] * 2.0 * near * steps * reach_px
+    return float(line * np.prod(1.0 - np.exp(-density[1:] * np.pi * near**2)))
 
 
 def select_best(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
@@ -87,11 +131,12 @@ def _follow(
     covered: Any,
     along: int,
     steps: int,
+    order: Any,
     positions: Any,
     hits: Any,
     errors: Any,
 ) -> int:
-    """Fill in the candidates of all of the first camera's images.
+    """Fill in the candidates of the first camera's images with these numbers.
 
     Returns how many there are.
     """
@@ -102,7 +147,7 @@ def _follow(
         np.zeros(512, dtype=np.int64),
         np.zeros(cameras, dtype=np.int64),
     )
-    for first in range(len(peaks[0].pixels)):
+    for first in order:
         left = 0
         position[:] = 0.0
         for n in range(steps):
@@ -111,7 +156,7 @@ def _follow(
                 position[:] = 0.0
                 continue
             project_point(maps, 1, position, here, slope)
-            for k in range(find_near(peaks[1], here, 1.5 * radius, near)):
+            for k in range(find_near(peaks[1], here, _SEARCHED * radius, near)):
                 if left == len(tried) or count == len(positions) or _has(tried, left, near[k]):
                     continue
                 tried[left] = near[k]
@@ -175,7 +220,7 @@ def _others(
     here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64)
     for c in range(2, len(peaks)):
         project_point(maps, c, position, here, slope)
-        nearest = radius * 1.5
+        nearest = radius * _SEARCHED
         for k in range(find_near(peaks[c], here, nearest, near)):
             apart = np.hypot(
                 peaks[c].pixels[near[k], 0] - here[0], peaks[c].pixels[near[k], 1] - here[1]

@@ -1,0 +1,336 @@
+"""Dark level and noise of images by tiles, and thresholds of false alarms.
+
+Between particles an image shows its dark level and noise. Both may differ from place to place. The
+distribution of grey values in a tile is compared with a normal one, quantile by quantile (M. B.
+Wilk and R. Gnanadesikan, Biometrika 55, 1-17, 1968), at the borders between whole grey values: it
+may so be rounded, and cut at black. Its skewness, that of few photons, comes from all tiles.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from sabench.utils.arrays import F32, F64, I64, U16, Bool
+from sabench.utils.errors import InputError
+
+FALSE_ALARMS = 1e-5  # per pixel
+
+_TILE_PX = 32  # edge of tiles for the dark level: many pixels, in which it hardly changes
+_GROUP = 2  # tiles for the noise have so many times that edge
+_FEW = 64  # pixels of a tile that tell nothing
+_LOW = 0.02  # share of a tile's pixels, the darkest ones, that does not count
+_HIGH_Z = 0.25  # normal deviate up to which pixels count
+# how many normal deviates they span at least: few while there are particles among them
+_NARROW_Z, _WIDE_Z = 0.5, 1.3
+_OUTLIER = 1.5  # times the noise around a tile: what it shows is something else
+_FINEST = 0.15  # grey values: least noise that rounding leaves visible
+_ROUNDS = 4  # of leaving out particles
+_BRIGHT = 2.0  # times the threshold above the dark level: particles
+_HALO_PX = 7  # edge of the square around each bright pixel that is left out
+_CALM = 0.3  # of a tile's pixels, those with the darkest surroundings
+_SETTLED = 0.98  # of the pixels remain: those left out change nothing
+_LEAST_SHARE = 0.05  # of the pixels, without which the darkest ones remain
+_SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles from which skewness comes, as normal deviates
+_BRIGHT_Z = np.linspace(0.3, 1.2, 10)  # those that hold where the darker ones are cut
+_ODD_SKEW = 0.6  # of fewer than three photons a pixel: the darker part has been cut
+_TOP_SHARE, _TOP_Z = 0.97725, 2.0  # a quantile beyond them
+_BEND = 1.4  # times as far as on a line: there is light of particles
+_PARTICLES = 8.0  # times the scale of the darker part: particles, and no noise
+_SKEW_STEPS = 1.0  # noise in grey values below which the shape of its distribution is not seen
+_CUT = 0.05  # of the pixels are black: half of the distribution is not seen
+_CUT_TILE = 0.1  # the same for a tile
+_MOST_SKEW = 2.0
+_LOWEST = 3.0  # standard deviations of the dark level below zero, where black hides nearly all
+_GOLDEN = 0.6180339887498949
+
+
+@dataclass(frozen=True)
+class DarkNoise:
+    """Dark level and noise of the images of one camera.
+
+    Attributes
+    ----------
+    level : (row, column) mean grey value without particles.
+    noise : (row, column) its standard deviation before rounding, with what differs from pixel to
+        pixel.
+    skewness : (row, column) of its distribution.
+    step : difference of neighbouring grey values.
+    """
+
+    level: F32
+    noise: F32
+    skewness: F32
+    step: float
+
+    def threshold(self, false_alarms: float = FALSE_ALARMS) -> F32:
+        """Compute grey values (row, column) that noise reaches with a probability.
+
+        The distribution is a gamma distribution with the noise's skewness (Pearson's type III),
+        which is normal without any, rounded to grey values. Local maxima of noise are fewer than
+        pixels above the threshold: the probability is an upper bound of false peaks per pixel,
+        nearly reached where neighbours are independent.
+
+        Raises
+        ------
+        InputError
+            A probability that is not between 0 and 0.5.
+        """
+        if not 0.0 < false_alarms < 0.5:
+            raise InputError(
+                f"false_alarms: expected a probability between 0 and 0.5, got {false_alarms:g}"
+            )
+        away = self.noise * _deviates(self.skewness, false_alarms)
+        return np.asarray(self.level + away + np.float32(0.5 * self.step), dtype=np.float32)
+
+
+def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
+    """Measure the dark level and noise of images (frame, row, column) of one camera.
+
+    Bright pixels and their surroundings are left out, again and again, as long as darker ones
+    remain. Where particles leave nothing between them, their light counts as noise.
+
+    Parameters
+    ----------
+    known : the same shape or (row, column), pixels that count.
+    """
+    if images.ndim != 3 or not images.size:
+        raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
+    counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
+    step = _grey_step(images[counts])
+    dark, found = counts, _measure(images, counts & _find_calm(images), step, _NARROW_Z)
+    for round_ in range(_ROUNDS):
+        limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
+        darker = dark & ~_surroundings(images >= limit)
+        if darker.sum() < _LEAST_SHARE * counts.sum():
+            break
+        before, now = found, _measure(images, darker, step, _WIDE_Z)
+        if round_ and np.median(now.threshold()) >= np.median(before.threshold()):
+            break
+        found, settled = now, darker.sum() > _SETTLED * dark.sum()
+        if settled:
+            break
+        dark = darker
+    return found
+
+
+def _stretch(known: Bool, shape: tuple[int, ...]) -> Bool:
+    return np.array(np.broadcast_to(known, shape))
+
+
+def _grey_step(values: U16) -> float:
+    """Compute the usual difference of neighbouring values of darker pixels."""
+    counts = np.bincount(values) if len(values) else np.ones(1, dtype=np.int64)
+    levels = np.flatnonzero(counts)
+    share = np.cumsum(counts[levels]) / counts.sum()
+    apart = np.diff(levels[: max(int(np.searchsorted(share, 0.9)) + 1, 2)])
+    return float(np.median(apart)) if len(apart) else 1.0
+
+
+def _find_calm(images: U16) -> Bool:
+    """Mark the pixels (frame, row, column) with dark surroundings.
+
+    These are among the darkest of the pixel's tile. A pixel itself is no part of them, so that
+    independent noise of the pixels that are marked is distributed as that of all, while few
+    particles are among them.
+    """
+    import cv2
+
+    calm = np.zeros(images.shape, dtype=np.bool_)
+    for image, marks in zip(images, calm, strict=True):
+        grey = image.astype(np.float32)
+        around = cv2.boxFilter(grey, -1, (5, 5), normalize=False) - grey
+        for where in _tiles(image.shape, _TILE_PX).values():
+            marks[where] = around[where] <= np.quantile(around[where], _CALM)
+    return calm
+
+
+def _surroundings(bright: Bool) -> Bool:
+    """Mark the squares around bright pixels (frame, row, column)."""
+    import cv2  # takes long to load
+
+    square = np.ones((_HALO_PX, _HALO_PX), np.uint8)
+    return np.stack([cv2.dilate(one.astype(np.uint8), square) > 0 for one in bright])
+
+
+def _measure(images: U16, counts: Bool, step: float, span: float) -> DarkNoise:
+    """Measure the level by tiles, and the noise of the rest by larger ones."""
+    size = images.shape[1:]
+    black = np.zeros(size, dtype=np.int64)
+    level = _spread(_by_tile(images, counts, _TILE_PX, black, span)[0], size)
+    whole = (step * np.rint(level / step)).astype(np.int64)
+    rest = images - whole
+    offset, noise = _by_tile(rest, counts, _GROUP * _TILE_PX, -whole, span)
+    noise = np.maximum(noise, _FINEST * step)
+    least, most = float(noise.min()), float(noise.max())
+    wide = [_spread(offset, size), np.clip(_spread(noise, size), least, most)]
+    shift, scale, skewness = _shape(images, rest, counts, wide[0], wide[1], step)
+    deviation = np.maximum(scale * wide[1], _FINEST * step)
+    return DarkNoise(
+        np.maximum(whole + wide[0] + shift * wide[1], -_LOWEST * deviation).astype(np.float32),
+        deviation.astype(np.float32),
+        # few photons: the third moment grows as the variance
+        np.minimum(skewness * float(np.median(deviation)) / deviation, _MOST_SKEW).astype(
+            np.float32
+        ),
+        step,
+    )
+
+
+def _by_tile(
+    values: I64 | U16, counts: Bool, edge: int, black: I64, span: float
+) -> tuple[F64, F64]:
+    """Measure mean and standard deviation of each tile.
+
+    Tiles in which few pixels count, or with noise of their own, have those of the nearest other
+    one. Black (row, column) is the least of all possible values.
+    """
+    tiles = _tiles(values.shape[1:], edge)
+    mean, deviation = (np.full(np.add(max(tiles), 1), np.nan) for _ in range(2))
+    for number, where in tiles.items():
+        own = values[:, *where][counts[:, *where]]
+        if len(own) >= _FEW:
+            mean[number], deviation[number] = _fit_quantiles(own, int(black[where].max()), span)
+    if np.isnan(mean).all():
+        own = values[counts] if counts.any() else values.ravel()
+        mean[:], deviation[:] = _fit_quantiles(own, int(black.max()), span)
+    mean, deviation = _fill(mean), _fill(deviation)
+    far = _find_outliers(deviation)
+    if not far.all():
+        mean[far] = deviation[far] = np.nan
+    return _fill(mean), _fill(deviation)
+
+
+def _tiles(size: tuple[int, ...], edge: int) -> dict[tuple[int, int], tuple[slice, slice]]:
+    """Cut an image into tiles of about so many pixels along an edge."""
+    down, across = (
+        [slice(int(a), int(b)) for a, b in itertools.pairwise(np.linspace(0, n, count + 1).round())]
+        for n, count in ((n, max(round(n / edge), 1)) for n in size)
+    )
+    return {(i, j): (a, b) for i, a in enumerate(down) for j, b in enumerate(across)}
+
+
+def _find_outliers(noise: F64) -> Bool:
+    """Mark tiles whose noise differs much from that of the tiles around them."""
+    from scipy.ndimage import median_filter
+
+    around = median_filter(noise, 3, mode="nearest")
+    far = np.maximum(noise, around) > _OUTLIER * np.minimum(noise, around)
+    return np.asarray(far & (np.abs(noise - around) > _FINEST * _OUTLIER))
+
+
+def _fill(tiles: F64) -> F64:
+    """Replace NaN by the nearest number."""
+    from scipy.ndimage import distance_transform_edt
+
+    missing = np.isnan(tiles)
+    if not missing.any():
+        return tiles
+    nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(tiles[tuple(nearest)])
+
+
+def _fit_quantiles(values: I64 | U16, black: int, span: float) -> tuple[float, float]:
+    """Fit a normal distribution to the darker part of whole numbers.
+
+    The borders between them are fitted by a line over the normal deviates of the shares below.
+    Where noise is cut at black, borders farther up count, too, and none below it.
+    """
+    from scipy.special import ndtri
+
+    least = int(values.min())
+    counts = np.bincount(values.astype(np.int64) - least)
+    levels = np.flatnonzero(counts)
+    if len(levels) == 1:
+        return float(least), 0.0
+    share = np.cumsum(counts[levels])[:-1] / len(values)
+    border, z = least + 0.5 * (levels[1:] + levels[:-1]), ndtri(share)
+    if len(z) == 1:  # the more frequent value is taken for the mean
+        middle = least + levels[0 if share[0] > 0.5 else 1]
+        return float(middle), abs(float((border[0] - middle) / (z[0] or 1.0)))
+    first = max(int(np.searchsorted(share, _LOW)), int(np.searchsorted(border, black)))
+    first = min(first, len(share) - 2)
+    high = z[first] + span if share[0] > _CUT_TILE else max(_HIGH_Z, z[first] + span)
+    last = int(np.searchsorted(z, high, side="right"))
+    used = np.s_[first : max(last, first + 2)]
+    share, border, z = share[used], border[used], z[used]
+    weight = np.exp(-z * z) / (share * (1.0 - share))
+    center, middle = np.average(z, weights=weight), np.average(border, weights=weight)
+    slope = np.sum(weight * (z - center) * (border - middle)) / np.sum(weight * (z - center) ** 2)
+    return float(middle - slope * center), float(slope)
+
+
+def _shape(
+    images: U16, rest: I64, counts: Bool, offset: F64, noise: F64, step: float
+) -> tuple[float, float, float]:
+    """Fit shift, scale and skewness to the distribution of all tiles.
+
+    Quantiles of a skewed distribution follow a parabola over the normal deviates (E. A. Cornish and
+    R. A. Fisher, Rev. Inst. Int. Stat. 5, 307-320, 1938); those of the darker part are fitted. A
+    longer tail to the dark counts as one to the bright. Where black cuts the darker part, or where
+    it has been cut and then smoothed, a line through brighter quantiles holds, unless these bend
+    upwards as those of particles do. Pixels are spread over their grey value.
+    """
+    values = ((rest - offset) / noise)[counts]
+    if len(values) < _FEW or np.median(noise) < _SKEW_STEPS * step:
+        return 0.0, 1.0, 0.0
+    within = np.modf(_GOLDEN * np.arange(len(values)))[0] - 0.5
+    values = values + within * (step / np.median(noise))
+    fit = _fit_parabola(values, _SKEW_Z, 2)
+    skewness = abs(6.0 * fit[2] / fit[1]) if fit[1] > 0.0 else np.inf
+    cut = np.mean(images[counts] == images[counts].min()) > _CUT
+    if not cut and skewness < _ODD_SKEW:
+        return fit[0], fit[1], skewness
+    line = _fit_parabola(values, _BRIGHT_Z, 1)
+    straight = np.quantile(values, _TOP_SHARE) < line[0] + _BEND * line[1] * _TOP_Z
+    options = [(0.0, 1.0, 0.0)] if cut else [(fit[0], max(fit[1], 0.1), min(skewness, _MOST_SKEW))]
+    if straight and line[1] < _PARTICLES:
+        options.append((line[0], line[1], 0.0))
+    return max(options, key=_far_quantile)
+
+
+def _far_quantile(shape: tuple[float, float, float]) -> float:
+    """Compute what noise of a shift, scale and skewness reaches at 1e-5."""
+    shift, scale, skewness = shape
+    return shift + scale * float(_deviates(np.array([skewness], dtype=np.float32), FALSE_ALARMS)[0])
+
+
+def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:
+    """Fit quantiles by 1, z and z2 - 1 of normal deviates, up to a degree."""
+    from scipy.special import ndtr
+
+    share = ndtr(z)
+    weight = np.exp(-0.5 * z**2) / np.sqrt(share * (1.0 - share))
+    terms = np.stack([np.ones_like(z), z, z**2 - 1.0][: degree + 1], axis=1)
+    quantiles = np.quantile(values, share)
+    fit = np.linalg.lstsq(weight[:, None] * terms, weight * quantiles, rcond=None)[0]
+    return [float(one) for one in fit]
+
+
+def _deviates(skewness: F32, probability: float) -> F64:
+    """Compute how many deviations skewed noise exceeds with a probability."""
+    from scipy.special import gammainccinv, ndtri
+
+    grid = np.linspace(0.0, _MOST_SKEW, 61)
+    shape = 4.0 / np.maximum(grid[1:], 1e-6) ** 2
+    skewed = (gammainccinv(shape, probability) - shape) / np.sqrt(shape)
+    return np.asarray(np.interp(skewness, grid, [-float(ndtri(probability)), *skewed]))
+
+
+def _spread(tiles: F64, size: tuple[int, ...]) -> F64:
+    """Interpolate tiles' values linearly, also beyond the outer centres."""
+    rows, columns = size
+    return _lengthen(np.ascontiguousarray(_lengthen(tiles, rows).T), columns).T
+
+
+def _lengthen(tiles: F64, size: int) -> F64:
+    """Interpolate between the first axis's tiles, at so many pixels."""
+    count = len(tiles)
+    if count == 1:
+        return np.repeat(tiles, size, axis=0)
+    place = (np.arange(size) + 0.5) * count / size - 0.5
+    left = np.clip(np.floor(place), 0, count - 2).astype(np.int64)
+    share = (place - left)[:, None]
+    return np.asarray(tiles[left] + share * (tiles[left + 1] - tiles[left]))

@@ -1,0 +1,150 @@
+"""Dark level, noise and false alarm rate, of images whose noise is drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from benchmarks.false_alarms import (
+    SENSORS,
+    draw_particles,
+    find_after,
+    find_before,
+    grey,
+    hot_pixels,
+    normal,
+)
+from sabench.images.dark_noise import measure_dark_noise
+from sabench.images.peak_detection import detect_peaks
+from sabench.utils.arrays import F64, U16
+from sabench.utils.errors import InputError
+
+# what is not kept: noise that was cut and smoothed, or has longer tails
+OF_PIXELS = 4 * 512**2
+LOOSE = {"sliding minimum and Gaussian, cut at black": 6e-5, "double exponential noise": 1e-4}
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_false_alarms_are_as_rare_as_stated(name: str) -> None:
+    rng, count = np.random.default_rng(3), 0
+    for _ in range(4):
+        count += len(find_after(SENSORS[name](rng)))
+    expected = LOOSE.get(name, 1e-5) * OF_PIXELS
+    assert count <= expected + 4.0 * np.sqrt(expected)
+
+
+def test_the_rate_follows_what_is_stated() -> None:
+    rng = np.random.default_rng(4)
+    image = grey(normal(rng, 500.0, 20.0))
+    for stated in (1e-3, 1e-4):
+        share = (image >= measure_dark_noise(image[None]).threshold(stated)).mean()
+        assert 0.6 * stated < share < 1.6 * stated
+
+
+def particles(count: int, seed: int = 5) -> tuple[F64, F64]:
+    place = np.random.default_rng(seed).uniform(4.0, 507.0, (count, 2))
+    return place, draw_particles(place)
+
+
+@pytest.mark.parametrize(
+    ("black", "noise", "bits", "count"),
+    [(64.0, 2.0, 12, 400), (64.0, 2.0, 12, 10_000), (0.0, 1.5, 8, 400), (0.0, 1.5, 8, 4000)],
+)
+def test_particles_hardly_change_what_is_measured(
+    black: float, noise: float, bits: int, count: int
+) -> None:
+    rng = np.random.default_rng(6)
+    image = grey(normal(rng, black, noise) + 100.0 * particles(count)[1], bits)
+    found = measure_dark_noise(image[None])
+    assert abs(np.median(found.level) - black) < 0.3
+    assert np.median(found.noise) == pytest.approx(noise, rel=0.12)
+
+
+def test_forty_particles_of_a_recording_cut_at_black_are_forty_peaks() -> None:
+    place, light = particles(40)
+    image = grey(normal(np.random.default_rng(7), 0.0, 0.8) + 60.0 * light, 8)
+    assert len(find_before(image, 0.0)) > 200
+    assert 39 <= len(detect_peaks(image).pixels) <= 42
+    assert len(place) == 40
+
+
+def test_level_and_noise_are_those_of_their_place() -> None:
+    rng = np.random.default_rng(8)
+    x = np.linspace(0.0, 1.0, 512)
+    image = grey(normal(rng, 100.0 + 300.0 * x, 3.0 + 9.0 * x))
+    found = measure_dark_noise(image[None])
+    assert np.abs(found.level - (100.0 + 300.0 * x)).max() < 6.0
+    assert np.abs(found.noise / (3.0 + 9.0 * x) - 1.0).max() < 0.35
+
+
+def test_several_frames_tell_more_than_one() -> None:
+    rng = np.random.default_rng(9)
+    images = np.stack([grey(normal(rng, 100.0, 6.0)) for _ in range(6)])
+    one, six = (measure_dark_noise(part).level - 100.0 for part in (images[:1], images))
+    assert six.std() < 0.7 * one.std()
+
+
+def test_pixels_that_do_not_count_change_nothing() -> None:
+    rng = np.random.default_rng(10)
+    image = grey(normal(rng, 64.0, 2.0))
+    known = np.ones(image.shape, dtype=np.bool_)
+    known[:200] = False
+    image[:200] = 4000
+    found = measure_dark_noise(image[None], known)
+    assert found.noise[300:].max() < 2.6
+    assert len(detect_peaks(image, ~known).pixels) < 12
+
+
+def test_hot_pixels_are_no_peaks_and_sharp_particles_are() -> None:
+    rng = np.random.default_rng(11)
+    assert len(detect_peaks(hot_pixels(rng)).pixels) < 25  # of 52, those below 10 sigma remain
+    place = np.mgrid[20:500:20, 20:500:20].reshape(2, -1).T + rng.uniform(-0.5, 0.5, (576, 2))
+    y, x = np.mgrid[:512, :512]
+    light = np.zeros((512, 512))
+    for column, row in place:
+        near = np.s_[int(row) - 4 : int(row) + 6, int(column) - 4 : int(column) + 6]
+        square = (x[near] - column) ** 2 + (y[near] - row) ** 2
+        light[near] += 200.0 * np.exp(-0.5 * square / 0.5**2)
+    peaks = detect_peaks(grey(normal(rng, 64.0, 2.0) + light)).pixels
+    assert len(peaks) > 560
+
+
+@pytest.mark.parametrize("value", [0, 7, 65535])
+def test_images_of_one_value_have_no_peaks(value: int) -> None:
+    image: U16 = np.full((40, 50), value, dtype=np.uint16)
+    assert len(detect_peaks(image).pixels) == 0
+    assert measure_dark_noise(image[None]).threshold().min() > value
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (8, 200), (1, 5)])
+def test_small_images_are_measured(shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(12).integers(0, 9, shape).astype(np.uint16)
+    assert np.isfinite(measure_dark_noise(image[None]).threshold()).all()
+
+
+def test_all_pixels_unknown_end_without_peaks() -> None:
+    image = grey(normal(np.random.default_rng(13), 64.0, 2.0))
+    assert len(detect_peaks(image, np.ones(image.shape, dtype=np.bool_)).pixels) < 20
+
+
+def test_grey_values_in_steps_count_as_steps() -> None:
+    image = 257 * grey(normal(np.random.default_rng(14), 12.0, 1.2), 8).astype(np.uint16)
+    found = measure_dark_noise(image[None])
+    assert found.step == 257.0
+    assert np.median(found.noise) / 257.0 == pytest.approx(1.25, abs=0.1)
+
+
+def test_smoothed_noise_is_measured_by_its_spread_not_by_its_differences() -> None:
+    rng = np.random.default_rng(15)
+    image = grey(100.0 + gaussian_filter(normal(rng, 0.0, 40.0), 1.0))
+    assert np.median(measure_dark_noise(image[None]).noise) == pytest.approx(11.3, rel=0.1)
+
+
+def test_wrong_arguments_are_named() -> None:
+    image = np.zeros((4, 4), dtype=np.uint16)
+    with pytest.raises(InputError, match=r"images: expected the shape \(frame, row, column\)"):
+        measure_dark_noise(image)
+    for wrong in (0.0, 0.5, -1.0):
+        with pytest.raises(InputError, match="false_alarms: expected a probability"):
+            measure_dark_noise(image[None]).threshold(wrong)
