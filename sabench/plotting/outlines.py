@@ -33,7 +33,7 @@ _BAR = 0.25  # of the width: longest scale bar
 
 @dataclass(frozen=True)
 class Outline:
-    """Line or polygon (n, 2) in mm: horizontal, and vertical downwards."""
+    """Line or polygon (n, 2) in mm as (horizontal, vertical), y downwards."""
 
     kind: Kind
     points_mm: F64

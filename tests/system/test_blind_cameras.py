@@ -148,6 +148,34 @@ def test_compare_statistics_prints_json_of_images_that_show_nothing(
     assert read_strictly(done.stdout)
 
 
+@pytest.mark.parametrize("grey", [0, 255])
+def test_commands_on_own_recordings_print_json_of_images_that_show_nothing(
+    command: Command, quick: Dataset, tmp_path: Path, grey: int
+) -> None:
+    first = quick.setup.cameras[0]
+    blank = np.full((first.rows, first.columns), grey, dtype=np.uint8)
+    for camera in quick.setup.cameras:
+        (tmp_path / "films" / camera.name).mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / "films" / camera.name / "0.png"), blank)
+    asked = [
+        ("import", "films", "--cameras", quick.root, "-o", "tank", "--json"),
+        ("preprocess", "tank", "-o", "preview.png", "--json"),
+        ("quality", "tank", "found.h5", "--no-again", "--json"),
+        ("plan", "quick", "--json"),
+    ]
+    for words in asked:
+        if words[0] == "quality":
+            solved = command("solve", "ray_triangulation", "tank", "-o", "found.h5")
+            assert solved.returncode == 0, solved.stderr
+        done = command(*words)
+        if done.returncode == 0:
+            assert read_strictly(done.stdout), words
+        else:
+            assert done.returncode == 2, words
+            assert done.stdout == ""
+            assert done.stderr.startswith("sabench: ")
+
+
 def test_every_command_with_json_is_tried_here() -> None:
     """All but `reproduce`, which takes neither solvers nor cameras of others."""
     with_json = {
@@ -160,7 +188,11 @@ def test_every_command_with_json_is_tried_here() -> None:
         "check",
         "compare-statistics",
         "conform",
+        "import",
         "list",
+        "plan",
+        "preprocess",
+        "quality",
         "run",
         "score",
         "submit",

@@ -38,7 +38,7 @@ _FEWEST = 3  # cameras that have a place on their sensors
 
 
 def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
-    """Blur images (camera, row, column) of particles that fall between the lattice's points.
+    """Blur images (camera, row, column) of too narrow particles.
 
     Returns them and the widths (camera, 2) of the particles' images then.
     """

@@ -1,4 +1,4 @@
-"""Particles per pixel, overlap and expected ghosts."""
+"""Figures of the density: particles per pixel, overlap and ghosts."""
 
 from __future__ import annotations
 

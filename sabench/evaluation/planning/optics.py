@@ -1,4 +1,4 @@
-"""Resolution, planes, overlap, depth of field and blur of an array."""
+"""Figures of the array's view: resolution, depth, overlap and blur."""
 
 from __future__ import annotations
 
@@ -38,6 +38,12 @@ def plan_view(scene: Scene, view: Viewing) -> Section:
         Quantity("pixel_coarsest_mm", view.pixels_mm.max(), "of the farthest camera", "(2.5)"),
         Quantity(
             "voxel_over_pixel", max(_across(scene, view)) / pixel, "voxel width / dX", "grid, (2.5)"
+        ),
+        Quantity(
+            "voxel_length",
+            scene.grid.voxel_mm[view.axis] / pixel,
+            "voxel length / dX",
+            "grid, (2.5)",
         ),
         Quantity("voxels_million", voxels / 1e6, "voxels of a volume", "grid"),
         Quantity("volume_mb", 4.0 * voxels / 1e6, "memory of one float32 volume, MB", "grid"),
@@ -124,7 +130,7 @@ def plan_depth(scene: Scene, view: Viewing) -> Section:
 
 
 def _baseline(view: Viewing, pair: tuple[int, int] | None) -> float | None:
-    """Compute D: cameras' distance over the front face's apparent distance."""
+    """Compute D, two cameras' distance over that of the front face in air."""
     if pair is None:
         return None
     first, second = (view.rig.cameras[number] for number in pair)

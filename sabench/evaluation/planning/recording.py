@@ -18,7 +18,7 @@ _FAST = 99.0  # percentile of displacements
 
 @dataclass(frozen=True)
 class Recorder:
-    """Computer and cameras that record; by default those of thesis section 3.2.1.
+    """Computer and cameras of a recording; by default the thesis's, 3.2.1.
 
     Attributes
     ----------

@@ -83,7 +83,7 @@ class Viewing:
 
     @property
     def inner_pair(self) -> tuple[int, int] | None:
-        """Numbers of the innermost camera and its nearest neighbour, if any."""
+        """Innermost camera and its nearest neighbour; None for one camera."""
         centers, inner = np.array([one.center_mm for one in self.rig.cameras]), self.inner
         if len(centers) < 2:
             return None
@@ -93,7 +93,7 @@ class Viewing:
 
     @property
     def plane_spacing_ratio(self) -> float | None:
-        """Ratio dZ / dX of the innermost pair, from slopes of lines of sight.
+        """Ratio dZ / dX of the innermost pair, from its lines of sight.
 
         A step dZ moves the lines apart by the difference of slopes times dZ, which is a pixel's
         width dX for the next focal plane: (s_o + Z) / (D s_o) for parallel cameras in plain air,
