@@ -27,7 +27,7 @@ from sabench.geometry.volume_polynomials import (
     project_points,
 )
 from sabench.images.dark_noise import FALSE_ALARMS
-from sabench.images.peaks import Peaks
+from sabench.images.peaks import Peaks, find_peaks
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 
@@ -87,12 +87,17 @@ class Tracking:
             )
         order = _spread(np.array([camera.center_mm for camera in pinholes]))
         every = detect_in_cameras(case, bright, false_alarms)
-        peaks = tuple(every[number] for number in order)
+        light = case.normalised_images()
+        # where particles leave no dark pixels, their light counts as noise
+        peaks = tuple(
+            every[number] if len(every[number].pixels) else find_peaks(light[number], bright)
+            for number in order
+        )
         for number, own in zip(order, peaks, strict=True):
             if not len(own.pixels):
                 raise InputError(
                     f"{pinholes[number].name}: expected particle images, got none above "
-                    f"{bright:g} of a bright one's peak and above the noise"
+                    f"{bright:g} of a bright one's peak"
                 )
         low = np.asarray(case.grid.low_mm)
         high = low + (np.asarray(case.grid.shape[::-1]) - 1) * np.asarray(case.grid.voxel_mm)
