@@ -26,7 +26,7 @@ from sabench.utils.arrays import F64, Bool
 from sabench.utils.files import canonical_json, complete_or_nothing, file_series, sha256
 from sabench.utils.version import SIMULATION, __version__
 
-_RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "h5py", "tifffile", "OpenEXR")
+_RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "h5py", "tifffile", "OpenEXR")
 _PACKED = ("number", "depth_mm", "path_mm")  # one number for each pixel, mostly the same
 _PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 

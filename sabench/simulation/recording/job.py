@@ -20,7 +20,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing, digest, read_json
 
 JOB, _SCENE = "job.json", "scene.toml"
-_RENDERING = ("mitsuba", "drjit", "numpy", "scipy", "miepython", "numba", "opencv-python-headless")
+_RENDERING = ("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless")
 _ONE_AT_A_TIME = threading.Lock()  # renderers cannot run in two threads
 
 

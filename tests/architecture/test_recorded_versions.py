@@ -1,0 +1,18 @@
+"""Packages whose versions data sets record are installed for everybody."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+from sabench.dataset import writer
+from sabench.simulation.recording import job
+from tests.docs.pages import ROOT
+
+
+def test_recorded_packages_are_dependencies() -> None:
+    """Not of the extra `dev` alone, or `make demo` fails on a bare machine."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = {re.split(r"[\[<>=~! ]", one)[0].lower() for one in project["dependencies"]}
+    recorded = {*writer._RECORDED, *job._RENDERING}
+    assert {name.lower() for name in recorded} <= names
