@@ -21,6 +21,9 @@ scored where all cameras see. The particles of a volume are its local maxima. Ca
                             cameras see the same angle
     hidden 0.05             nine cameras, equally bright; a disc hides half of the volume from one
     realistic               the scene `realistic-particles`, nine cameras
+    narrow                  four cameras with pixels twice as large and a wider aperture: images of
+                            0.25 px, 0.05 particles per pixel on a quarter of the sensor, dark
+                            elsewhere; Mie scattering as in front
     hard                    the standard suite's hard case of tracking, one frame
 
 But for one case, the splat renderer makes the images. Its model differs from that of
@@ -69,6 +72,7 @@ _CROSS += [(-408, 0), (408, 0), (0, -408), (0, 408)]
 THIRTEEN = {"kind": "list", "places": [{"center_mm": [x, y, -516.7]} for x, y in _CROSS]}
 _OBLIQUE = {"direction": [0.8, 0.6, 0.0]}
 MANY = (0.05, 0.10, 0.20, 0.30, 0.40, 0.50)  # particles per pixel before many cameras
+_COARSE = {"pixel_mm": 0.02, "f_number": 11.0}  # a quarter of the sensor, and 0.25 px
 _HIDDEN = {"occluders": [{"center_mm": [-151.5, -158.0, -400.0], "radius_mm": 6.0}]}
 
 
@@ -80,7 +84,7 @@ class Case:
     ----------
     per_pixel : particles.
     light, layout, more : keys of illumination, of the layout of cameras, and of the scene.
-    particles : keys of the particles.
+    particles, cameras : keys of the particles, and of the cameras.
     shift_px : error of the cameras.
     scene : the bundled one that is changed.
     renderer : of the images.
@@ -91,6 +95,7 @@ class Case:
     layout: dict[str, Any] = field(default_factory=dict)
     more: dict[str, Any] = field(default_factory=dict)
     particles: dict[str, Any] = field(default_factory=dict)
+    cameras: dict[str, Any] = field(default_factory=dict)
     shift_px: float = 0.0
     scene: str = "standard-particles"
     renderer: Renderer = "splat"
@@ -120,6 +125,7 @@ CASES = {
     "own 0.05": Case(0.05, _OBLIQUE, _FOUR),
     "hidden 0.05": Case(0.05, EQUAL, more=_HIDDEN),
     "realistic": Case(0.05, scene="realistic-particles"),
+    "narrow": Case(0.0125, {"pulse_energy_mj": 110.0}, _FOUR, cameras=_COARSE),
     "hard": Case(0.04, {"pulse_energy_mj": 75.0}, _FOUR, shift_px=0.3),
 }
 SOLVERS = ("bayesian_ipr", "openlpt", "optv")
@@ -131,6 +137,7 @@ def scene_of(name: str) -> Scene:
     values = tomllib.loads(find(case.scene, "scenes").read_text(encoding="utf-8"))
     values["particles"] |= {"per_pixel": case.per_pixel} | case.particles
     values["illumination"] |= case.light
+    values["cameras"] |= case.cameras
     layout = {} if "kind" in case.layout else values["cameras"]["layout"]
     values["cameras"]["layout"] = layout | case.layout
     values |= case.more

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,11 +106,8 @@ class OpenLpt(ParticleSolver):
     def _settings(self, seen: ImageStatistics) -> Settings:
         """Derive settings from the first frame."""
         chosen = self.parameters
-        return derive_settings(
-            seen,
-            chosen.displacement_px,
-            chosen.tolerance_px,
-            chosen.floor,
+        return replace(
+            derive_settings(seen, chosen.displacement_px, chosen.tolerance_px, chosen.floor),
             shake_px=chosen.shake_px,
             ghost=chosen.ghost,
             rounds=chosen.rounds,

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.images.dark_noise import FALSE_ALARMS, DarkNoise, measure_dark_noise
-from sabench.images.peaks import Peaks, find_peaks
+from sabench.images.peaks import Peaks, find_peaks, maxima
 from sabench.utils.arrays import F32, U16, Bool
 
 _CLEAR = 10.0  # standard deviations of noise above which a pixel's surroundings say what it is
 # light of a pixel's eight neighbours over its own; particle images of 0.4 px have 0.6 or more
 _LONE = 0.3
+_SHARP = 1.0  # the same of usual peaks, where images are 0.35 px wide or less
 
 
 def detect_peaks(
@@ -42,9 +43,17 @@ def find_above(grey: U16, dark: DarkNoise, least_dn: F32) -> Peaks:
 def find_lone_pixels(light: F32, noise: F32) -> Bool:
     """Mark bright pixels without light around them, as hot pixels are.
 
-    Light (row, column) is above the dark level; particle images spread over several pixels.
+    Light (row, column) is above the dark level. Particle images spread over several pixels; where
+    most peaks show that they hardly do, those in the middle of a pixel look like hot pixels, and
+    none is marked.
     """
     import cv2  # takes long to load
 
     around = cv2.boxFilter(light, -1, (3, 3), normalize=False) - light
-    return np.asarray((light > _CLEAR * noise) & (around < _LONE * light))
+    lone = (light > _CLEAR * noise) & (around < _LONE * light)
+    row, column = maxima(np.where(light > _CLEAR * noise, light, np.float32(0.0)), np.float32(0.0))
+    shares = around[row, column] / light[row, column]
+    others = shares[shares >= _LONE]
+    if 2 * len(others) > len(shares) - len(others) and np.median(others) < _SHARP:
+        lone[:] = False
+    return np.asarray(lone)

@@ -69,7 +69,6 @@ def derive_settings(
     displacement_px: float = 10.0,
     tolerance_px: float = 0.8,
     floor: float = 0.2,
-    **others: float | int,
 ) -> Settings:
     """Derive settings from the statistics of the first frame.
 
@@ -78,7 +77,6 @@ def derive_settings(
     displacement_px : largest displacement from frame to frame.
     tolerance_px : largest distance of a particle image from its particle's projection.
     floor : smallest peak of a particle image, over a bright particle's; more if noise demands it.
-    others : further settings by their names.
     """
     return Settings(
         threshold=round(_BRIGHT * max(floor, seen.floor)),
@@ -89,7 +87,6 @@ def derive_settings(
         tolerance_px=tolerance_px,
         tolerance_mm=tolerance_px * seen.mm_per_px,
         mm_per_px=seen.mm_per_px,
-        **others,  # type: ignore[arg-type]
     )
 
 

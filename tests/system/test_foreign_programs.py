@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,12 +127,12 @@ def test_the_command_exports_and_imports(
 CSV = "frame,particle,x,y,z\n"
 
 
-def refused(tank: Dataset, text: str, folder: Path, **more: int | str) -> str:
+def refused(tank: Dataset, text: str, folder: Path, **more: Any) -> str:
     (folder / "found.csv").write_text(text, encoding="utf-8")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ForeignFormatWarning)
         with pytest.raises(InputError) as error:
-            import_result(tank, folder / "found.csv", folder / "out.h5", "csv", **more)  # type: ignore[arg-type]
+            import_result(tank, folder / "found.csv", folder / "out.h5", "csv", **more)
     assert not (folder / "out.h5").exists()
     return str(error.value)
 

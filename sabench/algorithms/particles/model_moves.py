@@ -18,6 +18,7 @@ import numpy as np
 
 from sabench.algorithms.particles.image_model import (
     MARGIN,
+    UNSEEN,
     XX,
     counting,
     look,
@@ -347,7 +348,7 @@ def add_width_misses(
             fill_growth(room.here[c, 0], room.width[c, 0], x, room.by_x[c, :size])
             fill_growth(room.here[c, 1], room.width[c, 1], y, room.by_y[c, :size])
             left, weights, light = model.left[c], model.weight[c], particles.light[n, c]
-            own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 1e-300, 0.0
+            own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 0.0, 0.0
             for i in range(size):
                 for j in range(size):
                     each = counting(weights[row + i, column + j], left[row + i, column + j])
@@ -362,6 +363,8 @@ def add_width_misses(
                     )
                     both[0, 1] += each * dx * dy
                     slopes[0], slopes[1] = slopes[0] + off * dx, slopes[1] + off * dy
+            if not whole > UNSEEN:
+                continue
             both[1, 0] = both[0, 1]
             for k in range(8):
                 a, p = k // 4, k % 4

@@ -1,4 +1,4 @@
-"""Which files are whose frames."""
+"""Cameras and frames of image files."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import dataclasses
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,14 +30,14 @@ SIZE = (240, 240)
 CAMERAS, GRID, POINTS = rig("particle-tracking")
 
 
-def changed(**fields: object) -> list[Camera]:
-    return [dataclasses.replace(camera, **fields) for camera in CAMERAS]  # type: ignore[arg-type]
+def changed(**fields: Any) -> list[Camera]:
+    return [dataclasses.replace(camera, **fields) for camera in CAMERAS]
 
 
-def read_quietly(path: Path, form: CameraFormat, **more: object) -> tuple[CameraModel, ...]:
+def read_quietly(path: Path, form: CameraFormat, **more: Any) -> tuple[CameraModel, ...]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ForeignFormatWarning)
-        return read_cameras(path, form, **more)  # type: ignore[arg-type]
+        return read_cameras(path, form, **more)
 
 
 def write_quietly(

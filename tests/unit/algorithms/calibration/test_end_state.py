@@ -14,6 +14,8 @@ from sabench.algorithms.calibration.initial_poses import place_boards
 from sabench.algorithms.calibration.joint_fit import fit_jointly
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
+from sabench.geometry.camera import Camera
+from sabench.geometry.refraction import Wall
 from sabench.utils.errors import InputError
 from tests.helpers.calibration_tanks import make_tank, off_wall, solve, with_places
 
@@ -93,8 +95,10 @@ def test_a_negative_glass_is_refused() -> None:
 def test_a_free_glass_stays_near_its_nominal_thickness() -> None:
     """Images without a model's error say little of it, which the prior shows."""
     case, _, _ = make_tank()
-    wall = solve(case, thicknesses=[0]).cameras[0].wall  # type: ignore[attr-defined]
-    assert wall.layers[0].thickness_mm == pytest.approx(8.0, abs=6.0)
+    camera = solve(case, thicknesses=[0]).cameras[0]
+    assert isinstance(camera, Camera)
+    assert isinstance(camera.wall, Wall)
+    assert camera.wall.layers[0].thickness_mm == pytest.approx(8.0, abs=6.0)
 
 
 def test_unknown_layers_and_walls_are_a_sentence() -> None:

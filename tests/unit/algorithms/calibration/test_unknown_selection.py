@@ -30,8 +30,9 @@ def test_what_the_tank_has_is_chosen() -> None:
     assert {"k1", "bend"} <= set(chosen)
     assert len(chosen) <= 3
     assert rows[0].added == ()
-    kept = [row.held_out_px for row in rows if row.chosen]
-    assert kept == sorted(kept, reverse=True)  # type: ignore[type-var]
+    kept = [row.held_out_px for row in rows if row.chosen and row.held_out_px is not None]
+    assert len(kept) == sum(row.chosen for row in rows)
+    assert kept == sorted(kept, reverse=True)
     assert kept[-1] == pytest.approx(0.05, rel=0.2)
 
 

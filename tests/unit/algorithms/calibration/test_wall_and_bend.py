@@ -12,6 +12,8 @@ from sabench.algorithms.calibration.initial_poses import place_boards
 from sabench.algorithms.calibration.joint_fit import fit_jointly, make_prior
 from sabench.algorithms.calibration.parameters import FreeParameters
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
+from sabench.geometry.camera import Camera
+from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import triple
 from tests.helpers.calibration_tanks import WALL, make_tank, solve, with_places
 
@@ -55,7 +57,10 @@ def test_a_wall_that_is_elsewhere_is_found_by_known_places() -> None:
     off = replace(case, cameras=tuple(replace(camera, wall=wall) for camera in case.cameras))
     off = replace(with_places(off, places), unknown=("wall",))
     answer = solve(off)
-    found = answer.cameras[0].wall  # type: ignore[attr-defined]
+    camera = answer.cameras[0]
+    assert isinstance(camera, Camera)
+    found = camera.wall
+    assert isinstance(found, Wall)
     assert abs(found.depth_of(np.array([0.0, 0.0, 0.0]))) < 1.0
     assert found.normal[2] > np.cos(np.deg2rad(0.2))
     assert answer.points_mm is not None

@@ -231,6 +231,23 @@ def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) ->
     np.testing.assert_allclose(model.widths, expected, atol=2e-3)
 
 
+def test_a_particle_of_which_a_camera_knows_a_far_tail_alone_says_nothing_of_widths(
+    maps: VolumePolynomials,
+) -> None:
+    """Its squared image there is less than the least number: quotients by it have no bound."""
+    images = paint(maps, np.zeros((1, 3)), np.full((1, 4), TYPICAL), ROWS, COLUMNS)
+    particles = particles_of(np.zeros((1, 3)), np.full((1, 4), TYPICAL))
+    model, room = model_of(maps, images), room_of(maps)
+    column, row = np.rint(project_points(maps, 2, np.zeros((1, 3)))[0]).astype(int)
+    model.weight[2] = 0.0
+    without_margins(model.weight[2])[row - 2, column - 2] = 1.0
+    for width in np.linspace(0.15, 0.3, 31):
+        model.widths[:, :, 0] = width
+        matrices, right = np.zeros((4, 8, 8)), np.zeros((4, 8))
+        add_width_misses(model, room, particles, np.zeros(1, dtype=np.int64), matrices, right)
+        assert np.abs(matrices[2]).max() < 1e-6
+
+
 def test_a_shift_of_a_camera_shows_in_its_equations(maps: VolumePolynomials) -> None:
     points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
     shifted = maps._replace(coefficients=maps.coefficients.copy())

@@ -249,8 +249,10 @@ def test_scenes_of_bubbles_and_targets_have_plans_without_tracers() -> None:
 
 
 def test_an_empty_volume_has_a_plan() -> None:
-    made = plan(changed(particles__count=0))
-    json.dumps(made.to_dict(), allow_nan=False)
+    made = plan(changed(particles__count=0)).to_dict()
+    json.dumps(made, allow_nan=False)
+    assert made["figures"]["planes"]["value"] > 1
+    assert "ppp" not in made["figures"]
 
 
 def test_an_impossible_scene_gets_the_sentence_of_generate(
