@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sabench.cli import tables
 from sabench.cli.options import AsJson, say_json
 
+if TYPE_CHECKING:
+    from sabench.plotting.charts import Figure
+
 
 def reproduce(
     names: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
             metavar="NAME...",
-            help="Tables and figures: table-2-1, fig-2-6, ...; an unknown name lists all.",
+            help="What to measure: table-2-1, fig-2-6, ... or all; an unknown name lists them.",
         ),
-    ],
+    ] = None,
+    as_list: Annotated[
+        bool,
+        typer.Option(
+            "--list", help="List all tables and figures of the thesis with recorded verdicts."
+        ),
+    ] = False,
     as_json: AsJson = False,
     seeds: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Number of seeds to average over.")
@@ -34,38 +44,76 @@ def reproduce(
     output: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--output", metavar="FILE", help="Write the rows to a JSON file, one by one."
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Write the rows to a JSON file, one by one; its rows of other names stay.",
         ),
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write plots of the curves, too.")
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Write plots of the curves, and a page of all values."),
     ] = None,
 ) -> None:
     """Reproduce tables and figures of Belden's thesis and compare the values."""
+    from sabench.utils.errors import InputError
+
+    if as_list:
+        _list(as_json)
+    elif names:
+        rows = _measure(names, seeds, pixels, output, figures)
+        say_json(rows) if as_json else _show_rows(rows)
+    else:
+        raise InputError("reproduce: expected names of tables and figures, all, or --list")
+
+
+def _list(as_json: bool) -> None:
+    from sabench.evaluation.thesis.catalogue import MEASURED, judged, read_rows
+
+    entries = judged(read_rows(MEASURED))
+    if as_json:
+        say_json(entries)
+        return
+    cells = [[one["name"], one["shows"], one["verdict"], one["item"]] for one in entries]
+    tables.show_wrapped(["name", "shows", "verdict", "measured by"], cells)
+
+
+def _measure(
+    names: Sequence[str],
+    seeds: int | None,
+    pixels: int | None,
+    output: Path | None,
+    folder: Path | None,
+) -> list[dict[str, Any]]:
+    """Measure item by item, and write what there is after every row."""
     from dataclasses import asdict
 
-    from sabench.evaluation.thesis import reproduce as measure
+    from sabench.evaluation.thesis import reproduce, resolve
+    from sabench.evaluation.thesis.catalogue import read_rows
     from sabench.plotting.charts import Figure
     from sabench.utils.progress import announce_compiling
 
+    chosen = resolve(names)
+    kept = [row for row in read_rows(output) if row["item"] not in chosen] if output else []
     announce_compiling()
     rows: list[dict[str, Any]] = []
-    for row in measure(names, seeds, pixels):
-        if isinstance(row, Figure):
-            if figures:
-                _write_plot(row, figures)
-            continue
-        rows.append(asdict(row))
-        _report_row(rows[-1])
-        if output:
-            _write_rows(rows, output)
-    if as_json:
-        say_json(rows)
-    else:
-        _show_rows(rows)
+    plots: dict[str, list[Figure]] = {}
+    for name in chosen:
+        for item in reproduce([name], seeds, pixels):
+            if isinstance(item, Figure):
+                plots.setdefault(name, []).append(item)
+                _write_plot(item, folder)
+                continue
+            rows.append(asdict(item))
+            _report_row(rows[-1])
+            _write_rows([*kept, *rows], output)
+        _write_page(rows, plots, folder)
+    return rows
 
 
-def _write_plot(plot: Any, folder: Path) -> None:
+def _write_plot(plot: Figure, folder: Path | None) -> None:
+    if folder is None:
+        return
     from sabench.plotting.drawing import draw
     from sabench.utils.files import complete_or_nothing
 
@@ -74,12 +122,29 @@ def _write_plot(plot: Any, folder: Path) -> None:
         partial.write_bytes(draw(plot))
 
 
-def _write_rows(rows: list[dict[str, Any]], file: Path) -> None:
+def _write_rows(rows: list[dict[str, Any]], file: Path | None) -> None:
     """Write all rows so far, so that an interrupted run keeps them."""
+    if file is None:
+        return
     from sabench.utils.files import canonical_json, complete_or_nothing
 
     with complete_or_nothing(file, overwrite=True) as partial:
         partial.write_text(canonical_json(rows), encoding="utf-8")
+
+
+def _write_page(
+    rows: list[dict[str, Any]], plots: dict[str, list[Figure]], folder: Path | None
+) -> None:
+    if folder is None:
+        return
+    from sabench.evaluation.thesis import TABLES
+    from sabench.evaluation.thesis.catalogue import judged
+    from sabench.evaluation.thesis.report import render
+    from sabench.utils.files import complete_or_nothing
+
+    folder.mkdir(parents=True, exist_ok=True)
+    with complete_or_nothing(folder / "index.html", overwrite=True) as partial:
+        partial.write_text(render(judged(rows), rows, TABLES, plots), encoding="utf-8")
 
 
 def _report_row(row: dict[str, Any]) -> None:

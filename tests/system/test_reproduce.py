@@ -55,10 +55,57 @@ def test_curves_become_pictures(command: Command, tmp_path: Path) -> None:
     assert (picture.reshape(-1, 3) != 255).any(axis=1).mean() > 0.01
 
 
+def test_a_page_shows_all_values_beside_the_curves(command: Command, tmp_path: Path) -> None:
+    done = command("reproduce", "fig-4-27", "fig-4-9", "--figures", "pictures", "-o", "rows.json")
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "pictures" / "index.html").read_text()
+    assert page.count("<img ") == page.count('src="fig-4-27.png"') == 1
+    assert 'href="#fig-4-9"' in page
+    assert "turn, degrees 4: mean error, px" in page
+    assert page.count("<tr><td>fig-") == 118
+
+
+def test_rows_of_other_names_stay_in_the_file(command: Command, tmp_path: Path) -> None:
+    other = {"item": "fig-2-6", "name": "a", "verdict": "exceeds"}
+    old = {"item": "fig-4-9", "name": "b", "verdict": "exceeds"}
+    (tmp_path / "rows.json").write_text(json.dumps([other, old]))
+    done = command("reproduce", "fig-4-9", "-o", "rows.json")
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "rows.json").read_text())
+    assert other in rows
+    assert old not in rows
+    assert [row["item"] for row in rows].count("fig-4-9") == 2
+
+
+@pytest.mark.parametrize("text", ['{"a": 1}', "[1]", "no JSON", '[{"item": "fig-4-9"}]'])
+def test_a_file_of_something_else_is_not_overwritten(
+    command: Command, tmp_path: Path, text: str
+) -> None:
+    (tmp_path / "rows.json").write_text(text)
+    done = command("reproduce", "fig-4-9", "-o", "rows.json")
+    assert done.returncode == 2
+    assert "rows.json: expected rows that `sabench reproduce -o` wrote" in done.stderr
+    assert (tmp_path / "rows.json").read_text() == text
+
+
+def test_all_tables_and_figures_are_listed(command: Command) -> None:
+    done = command("reproduce", "--list", "--json")
+    assert done.returncode == 0, done.stderr
+    entries = json.loads(done.stdout)
+    assert [entry["name"][:3] for entry in entries] == ["tab"] * 7 + ["fig"] * 118
+    assert "fig-c-21" in command("reproduce", "--list").stdout
+
+
+def test_names_or_list_are_needed(command: Command) -> None:
+    done = command("reproduce")
+    assert done.returncode == 2
+    assert "expected names of tables and figures, all, or --list" in done.stderr
+
+
 def test_an_unknown_table_is_refused(command: Command) -> None:
     done = command("reproduce", "table-9")
     assert done.returncode == 2
-    assert "expected one of table-2-1, table-2-1-best, fig-2-6, fig-2-7" in done.stderr
+    assert "expected one of all, table-2-1, table-2-1-best, fig-2-6, fig-2-7" in done.stderr
     assert "Traceback" not in done.stderr
 
 

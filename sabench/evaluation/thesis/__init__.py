@@ -6,9 +6,10 @@ import difflib
 import importlib
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
-from sabench.evaluation.thesis.common import Item
+from sabench.evaluation.thesis.common import Item, Row
 from sabench.utils.errors import InputError
 
 TABLES = {
@@ -36,6 +37,24 @@ TABLES = {
 }
 
 
+def resolve(names: Sequence[str]) -> list[str]:
+    """Resolve names of items; `all` are all of them.
+
+    Raises
+    ------
+    InputError
+        An unknown name.
+    """
+    for name in names:
+        if name not in TABLES and name != "all":
+            near = difflib.get_close_matches(name, [*TABLES, "all"], 1)
+            raise InputError(
+                f"{name}: expected one of all, {', '.join(TABLES)}"
+                + (f"; did you mean {near[0]}?" if near else "")
+            )
+    return list(TABLES) if "all" in names else list(names)
+
+
 def reproduce(
     tables: Sequence[str], seeds: int | None = None, pixels: int | None = None
 ) -> Iterator[Item]:
@@ -45,7 +64,7 @@ def reproduce(
 
     Parameters
     ----------
-    tables : some of `TABLES`.
+    tables : some of `TABLES`, or `all`.
     seeds : number of seeds; by default that of each table.
     pixels : side of the images; by default the scene's. Use small images for a quick trial; the
         results are not comparable.
@@ -55,16 +74,11 @@ def reproduce(
     InputError
         An unknown table.
     """
-    for table in tables:
-        if table not in TABLES:
-            near = difflib.get_close_matches(table, TABLES, 1)
-            raise InputError(
-                f"{table}: expected one of {', '.join(TABLES)}"
-                + (f"; did you mean {near[0]}?" if near else "")
-            )
-    modules: list[Any] = [
-        importlib.import_module(f"{__name__}.{table.replace('-', '_')}") for table in tables
-    ]
-    return itertools.chain.from_iterable(
-        module.rows(range(1, (seeds or module.SEEDS) + 1), pixels) for module in modules
-    )
+    chosen = resolve(tables)
+    return itertools.chain.from_iterable(_measure(table, seeds, pixels) for table in chosen)
+
+
+def _measure(table: str, seeds: int | None, pixels: int | None) -> Iterator[Item]:
+    module: Any = importlib.import_module(f"{__name__}.{table.replace('-', '_')}")
+    for item in module.rows(range(1, (seeds or module.SEEDS) + 1), pixels):
+        yield replace(item, item=table, pixels=pixels) if isinstance(item, Row) else item

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from sabench.api.truth import Particles
 from sabench.evaluation.suite_loading import load_suite, override
 from sabench.evaluation.suites import SceneCase
 from sabench.evaluation.thesis.best_threshold import quality_of_k
+from sabench.evaluation.thesis.catalogue import UNSTATED
 from sabench.evaluation.thesis.published import published_volume
 from sabench.geometry.grid import Grid
 from sabench.metrics.particle_detection import Counts, count_thesis, detect
@@ -43,6 +44,8 @@ class Row:
     ci95 : half width of the 95 % confidence interval of `measured`; None for a single seed.
     seeds : how many values the mean is of.
     note : what else was seen.
+    item : of `TABLES`, that measured it.
+    pixels : side of small images of a quick trial; None at full size.
     """
 
     name: str
@@ -52,28 +55,43 @@ class Row:
     ci95: float | None = None
     seeds: int = 0
     note: str = ""
+    item: str = ""
+    pixels: int | None = None
 
 
 Item = Row | Figure  # what a table yields
+Better = Literal["larger", "smaller", "neither"]
 
 
-def make_row(name: str, thesis: float | None, values: Sequence[float], note: str = "") -> Row:
+def make_row(
+    name: str,
+    thesis: float | None,
+    values: Sequence[float],
+    note: str = "",
+    better: Better = "larger",
+) -> Row:
     """Make a row of a value that the thesis may state."""
     mean = mean_of(values)
     if mean is None:
         return Row(name, thesis, None, "not reached", note=note)
-    return Row(
-        name, thesis, mean.mean, verdict(mean.mean, thesis), mean.half_width, mean.count, note
-    )
+    judged = verdict(mean.mean, thesis, better)
+    return Row(name, thesis, mean.mean, judged, mean.half_width, mean.count, note)
 
 
-def verdict(measured: float, thesis: float | None) -> str:
-    """Judge whether a value is the thesis's to within `AGREES`, else its side."""
+def verdict(measured: float, thesis: float | None, better: Better = "larger") -> str:
+    """Judge whether a value is the thesis's to within `AGREES`, else better or worse.
+
+    Parameters
+    ----------
+    better : which values are; "neither" for a quantity that is neither good nor bad.
+    """
     if thesis is None:
-        return "not in the thesis"
+        return UNSTATED
     if abs(measured - thesis) <= AGREES * abs(thesis):
         return "reproduced"
-    return "exceeds" if measured > thesis else "below"
+    if better == "neither":
+        return "differs"
+    return "exceeds" if (measured > thesis) == (better == "larger") else "below"
 
 
 def at_least(name: str, thesis: float, values: Sequence[float], note: str = "") -> Row:

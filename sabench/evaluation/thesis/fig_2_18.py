@@ -197,13 +197,18 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
     same_nodes = np.mean(own.known)
     note = f"exact {exact:.3f}; of the exact field at the same nodes {same_nodes:.3f}"
     yield make_row(
-        f"{name}: distance of the cores over the orifice", _THESIS["core"], own.distance, note
+        f"{name}: distance of the cores over the orifice",
+        _THESIS["core"],
+        own.distance,
+        note,
+        "neither",
     )
     yield make_row(
         f"{name}: spread of the circulation over angles, %",
         _THESIS["spread"],
         own.spread,
         "exact 0",
+        "smaller",
     )
     yield make_row(
         f"{name}: largest circulation over the exact one of the same rectangles, mean over angles",
@@ -219,6 +224,7 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
         0.18,
         [before / after for before, after in own.seconds],
         f"{before:.3g} s and {after:.3g} s",
+        "smaller",
     )
 
 

@@ -139,6 +139,7 @@ def _noise_rows(cameras: int, noise: float, name: str, found: Draws) -> Iterator
         imposed,
         [one.measured_px for one in every],
         "thesis: equal to the imposed error",
+        "smaller",
     )
     ratios = [one.true_px / one.measured_px for one in every]
     by_start = ", ".join(
@@ -165,12 +166,14 @@ def _point_rows(found: Draws) -> Iterator[Row]:
             _STD,
             [float(scatter[2])],
             note,
+            "smaller",
         )
         yield make_row(
             f"7 cameras, 2 px, {name}: largest mean along Z, the same unit",
             _MEAN,
             [float(means[2])],
             "one point known to 0.05 mm",
+            "smaller",
         )
         yield claim(
             f"7 cameras, 2 px, {name}: the error is largest along Z",

@@ -128,6 +128,7 @@ def _spacing_row(case: SceneCase) -> Row:
         along / across,
         [spacing / across],
         f"equation 2.10 at Z = 0: {predicted:.4g}",
+        "neither",
     )
 
 

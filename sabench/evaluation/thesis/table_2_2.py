@@ -161,6 +161,7 @@ def _ring_rows(
                 thesis[number],
                 [float(own[number]) for own in widths],
                 note,
+                "smaller",
             )
 
 

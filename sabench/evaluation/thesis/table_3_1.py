@@ -71,6 +71,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             fewer,
             ratios,
             "the thesis's is of operations",
+            "smaller",
         )
 
 

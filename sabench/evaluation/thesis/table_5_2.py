@@ -106,6 +106,7 @@ def _rows(
             stated[name],
             [measured] if np.isfinite(measured) else [],
             note,
+            "neither",
         )
 
 
