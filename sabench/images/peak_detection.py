@@ -11,6 +11,8 @@ from sabench.utils.arrays import F32, U16, Bool
 _CLEAR = 10.0  # standard deviations of noise above which a pixel's surroundings say what it is
 # light of a pixel's eight neighbours over its own; particle images of 0.4 px have 0.6 or more
 _LONE = 0.3
+_BESIDE = 5.0  # standard deviations of noise: light beside a peak that noise hardly makes
+_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.uint8)
 _SHARP = 1.0  # the same of usual peaks, where images are 0.35 px wide or less
 
 
@@ -53,7 +55,8 @@ def find_lone_pixels(light: F32, noise: F32) -> Bool:
     lone = (light > _CLEAR * noise) & (around < _LONE * light)
     row, column = maxima(np.where(light > _CLEAR * noise, light, np.float32(0.0)), np.float32(0.0))
     shares = around[row, column] / light[row, column]
-    others = shares[shares >= _LONE]
-    if 2 * len(others) > len(shares) - len(others) and np.median(others) < _SHARP:
+    beside = cv2.dilate(light, _NEIGHBOURS)[row, column] > _BESIDE * noise[row, column]
+    others = shares[(shares >= _LONE) & beside]
+    if 2 * len(others) > (shares < _LONE).sum() and np.median(others) < _SHARP:
         lone[:] = False
     return np.asarray(lone)
