@@ -15,6 +15,9 @@ from sabench.algorithms.bubbles import (
     radii_between,
     search_bubbles,
     transmission,
+    turn_camera,
+    turn_grid,
+    viewing_axes,
     vote,
 )
 from sabench.api import BubbleSolver, Camera, Detections, Observation, Parameters, progress_bar
@@ -64,30 +67,33 @@ class RimFit(BubbleSolver):
         return None if len(case.cameras) > 1 else "it needs two cameras at least"
 
     def solve(self, case: Observation) -> Detections:
-        """Vote in every view, intersect lines of sight, and fit in the order of votes."""
+        """Vote in every view, intersect lines of sight, and fit in the order of votes.
+
+        Depth is along the world's axis that the cameras look along most.
+        """
         chosen: RimFitParameters = self.parameters
-        cameras = [camera for camera in case.cameras if isinstance(camera, Camera)]
+        pinholes = [camera for camera in case.cameras if isinstance(camera, Camera)]
+        axes = viewing_axes(pinholes)
+        cameras = [turn_camera(camera, axes) for camera in pinholes]
+        grid = turn_grid(case.grid, axes)
         images = transmission(case)
-        middle = np.asarray(case.grid.low_mm) + (
-            np.asarray(case.grid.shape[::-1]) - 1
-        ) / 2.0 * np.asarray(case.grid.voxel_mm)
+        middle = np.array([(along[0] + along[-1]) / 2.0 for along in grid.axes_mm])
         scale = float(np.median([px_per_mm(camera, middle[None])[0] for camera in cameras]))
         radii = radii_between(max(1.0, chosen.radius_mm[0] * scale), chosen.radius_mm[1] * scale)
-        found = []
+        parts = []
         for aspect in chosen.aspects:
             votes = [
                 vote(image, radii, aspect)
                 for image in progress_bar(images, f"vote for outlines, aspect {aspect:g}")
             ]
-            found.append(
-                find_hypotheses(
-                    cameras, votes, case.grid, 0.8 * chosen.least_vote, chosen.least_vote
-                )
+            parts.append(
+                find_hypotheses(cameras, votes, grid, 0.8 * chosen.least_vote, chosen.least_vote)
             )
-        start = join_hypotheses(found)
+        start = join_hypotheses(parts)
         fluid = cameras[0].wall.fluid_index if cameras[0].wall else 1.0
         angle = None if chosen.diffuser_deg is None else float(np.deg2rad(chosen.diffuser_deg))
         profile = partial(Profile.tabulate, chosen.index / fluid, blur_px=chosen.blur_px)
-        return search_bubbles(
+        found = search_bubbles(
             images, cameras, profile, angle, start, chosen.least_gain, chosen.sweeps
         )
+        return Detections(found.center_mm @ axes, found.semi_axes_mm, found.turn @ axes)

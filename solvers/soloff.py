@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from sabench.algorithms.calibration import fit_soloff, known_points, reason_if_flat
+from sabench.algorithms.calibration import (
+    fit_soloff,
+    known_points,
+    reason_if_edge_on,
+    reason_if_flat,
+)
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 
 
@@ -17,8 +22,8 @@ class SoloffCalibration(CalibrationSolver):
     references = ("S. M. Soloff, R. J. Adrian and Z.-C. Liu, Meas. Sci. Technol. 8, 1441, 1997",)
 
     def skip(self, case: CalibrationCase) -> str | None:
-        """Skip nominal positions in one plane, which determine no camera."""
-        return reason_if_flat(case)
+        """Skip nominal positions in one plane, and cameras that do not look along Z."""
+        return reason_if_flat(case) or reason_if_edge_on(case)
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Fit every camera on its own."""

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from sabench.api import Camera, ImageSequence, Observation, VolumePair
+from sabench.api import CalibrationCase, Camera, ImageSequence, Observation, VolumePair
 from sabench.api.make import make_algorithm
+from sabench.evaluation.thesis.chapter_5 import render_first_frame
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F64
-from tests.helpers.small_particles import make_small, rotate_rig
+from tests.helpers.bubble_scenes import small
+from tests.helpers.calibration_cases import calibration_scene, case_of
+from tests.helpers.small_particles import make_small, rotate_cameras, rotate_rig
 
 ROTATIONS = [
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),  # X to Z, Y to X, Z to Y
@@ -21,6 +24,14 @@ ROTATIONS = [
 ]
 PARTICLES = ["ray_triangulation", "inverse_rendering", "shake_the_box", "optv"]
 TOMOGRAPHY = ["block_mart", "mart", "mfg_mart", "mlos_sart", "mlos_smart", "smart"]
+CALIBRATIONS = [
+    "linear_autocal",
+    "pinhole_linear",
+    "refractive_autocal",
+    "refractive_autocal_alternating",
+    "refractive_autocal_randomised",
+    "refractive_resection",
+]
 PLANES = ["asa", "local_feature", "map_shift_average", "minimum_image", "msa", "see_through"]
 
 
@@ -84,6 +95,53 @@ def test_self_calibration_follows_the_rig(rotation: F64) -> None:
     ):
         pixels, turned = one.project(points)[0], other.project(points @ rotation.T)[0]
         assert np.abs(pixels - turned).max() < 1e-3
+
+
+def rotate_places(places: F64, rotation: F64) -> F64:
+    """Coordinates (frame, point, 3), of which some may be NaN."""
+    axes = np.abs(rotation).argmax(axis=1)
+    return np.asarray(places[..., axes] * rotation.sum(axis=1))
+
+
+def rotate_boards(case: CalibrationCase, rotation: F64) -> CalibrationCase:
+    return replace(
+        case,
+        cameras=rotate_cameras(case.cameras, rotation),
+        initial_mm=rotate_places(case.initial_mm, rotation),
+        known_mm=rotate_places(case.known_mm, rotation),
+        known_sigma_mm=np.abs(rotate_places(case.known_sigma_mm, rotation)),
+    )
+
+
+@pytest.mark.parametrize("name", CALIBRATIONS)
+def test_calibrations_follow_the_rig(name: str) -> None:
+    case = case_of(calibration_scene())[0]
+    points = np.random.default_rng(2).uniform((-20.0, -20.0, 15.0), (20.0, 20.0, 55.0), (40, 3))
+    cameras = make(name).solve(case).cameras
+    for rotation in ROTATIONS:
+        turned = make(name).solve(rotate_boards(case, rotation)).cameras
+        for one, other in zip(cameras, turned, strict=True):
+            pixels, again = one.project(points)[0], other.project(points @ rotation.T)[0]
+            np.testing.assert_allclose(again, pixels, rtol=0.0, atol=1e-6)
+
+
+def test_polynomials_along_z_refuse_cameras_that_look_across_it() -> None:
+    case = case_of(calibration_scene())[0]
+    assert make("soloff").skip(case) is None
+    reason = make("soloff").skip(rotate_boards(case, ROTATIONS[0]))
+    assert reason is not None
+    assert reason.startswith("its polynomial is quadratic along Z, and c")
+
+
+def test_bubbles_follow_the_rig() -> None:
+    bubbles = {"generator": "bubble_field", "count": 4, "radius_mm": 0.9, "radius_spread": 0.1}
+    case = render_first_frame(small(bubbles=bubbles), 1)[2]
+    solver = make("rim_fit", {"radius_mm": (0.6, 1.4), "sweeps": 0})
+    found, turned = solver.solve(case), solver.solve(rotate_rig(case, ROTATIONS[0]))
+    assert len(found.center_mm) == len(turned.center_mm) >= 3
+    np.testing.assert_allclose(turned.center_mm @ ROTATIONS[0], found.center_mm, atol=1e-6)
+    np.testing.assert_allclose(turned.semi_axes_mm, found.semi_axes_mm, atol=1e-6)
+    np.testing.assert_allclose(turned.turn @ ROTATIONS[0], found.turn, atol=1e-6)
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS)

@@ -23,6 +23,7 @@ from sabench.algorithms.bubbles.hough_circles import radii_between, vote
 from sabench.algorithms.bubbles.hypotheses import find_hypotheses, join_hypotheses, px_per_mm
 from sabench.algorithms.bubbles.search import search_bubbles
 from sabench.algorithms.bubbles.transmission import transmission
+from sabench.geometry.turned_cameras import turn_camera, turn_grid, viewing_axes
 
 __all__ = [
     "PLANES",
@@ -47,5 +48,8 @@ __all__ = [
     "radii_between",
     "search_bubbles",
     "transmission",
+    "turn_camera",
+    "turn_grid",
+    "viewing_axes",
     "vote",
 ]

@@ -8,7 +8,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 # at once, because a function has the module's name
-from sabench.algorithms.calibration.known_points import known_frames, known_points, reason_if_flat
+from sabench.algorithms.calibration.known_points import (
+    known_frames,
+    known_points,
+    reason_if_edge_on,
+    reason_if_flat,
+)
 from sabench.utils.lazy_names import lazy_names
 
 if TYPE_CHECKING:
@@ -62,6 +67,7 @@ __all__ = [
     "make_anchors",
     "match_particles",
     "mean_rotation",
+    "reason_if_edge_on",
     "reason_if_flat",
     "select_cameras",
     "upgrade_to_euclidean",

@@ -11,6 +11,7 @@ from sabench.api import CalibrationCase
 from sabench.utils.arrays import F64
 
 _FLAT = 1e-6  # thickness over width of places in one plane
+_FLATTEST_DEGREES = 15.0  # between a line of sight and planes of constant Z
 
 
 def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
@@ -45,3 +46,16 @@ def reason_if_flat(case: CalibrationCase) -> str | None:
         if spread[2] <= _FLAT * spread[0]
         else None
     )
+
+
+def reason_if_edge_on(case: CalibrationCase) -> str | None:
+    """Say which camera sees planes of constant Z edge-on; None if none does."""
+    for camera in case.cameras:
+        angle = float(np.rad2deg(np.arcsin(min(abs(camera.rotation[2][2]), 1.0))))
+        if angle < _FLATTEST_DEGREES:
+            return (
+                f"its polynomial is quadratic along Z, and {camera.name} looks {angle:.0f} degrees "
+                f"from planes of constant Z (at least {_FLATTEST_DEGREES:.0f}): turn the world so "
+                "that Z is the viewing direction"
+            )
+    return None
