@@ -15,10 +15,12 @@ from sabench.utils.errors import InputError
 TABLES = {
     "table-2-1": "largest density with Q = 0.75, and plane spacing: eleven arrays of 25 cameras",
     "table-2-1-best": "Q of the best tomographic solver at 1.5 times these densities",
+    "fig-2-4": "grey values of single and refocused images (figures 2-3 to 2-5, 2-14, 2-15)",
     "fig-2-6": "Q against density for every baseline",
     "fig-2-7": "Q against the number of cameras, and against the mapping error",
     "table-2-2": "precision of the velocity in two vortex rings",
     "fig-2-18": "vortex ring and eight cameras: profiles, core, circulation (figures 2-16 to 2-19)",
+    "section-2-3-2": "yield of particles with and without self-calibration",
     "table-2-3": "particles per pixel of all cameras together",
     "table-3-1": "operations and seconds of the algorithms",
     "fig-3-6": "true and ghost particles against the number of cameras",

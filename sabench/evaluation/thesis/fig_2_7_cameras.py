@@ -121,13 +121,13 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
     for name in _CALIBRATIONS:
         given = draw(boards_behind_glass(scene, name == "polynomial_planes"), seed)
         answer = solve_case(name, given)
-        judged[name] = _judge(answer.cameras, shot, true, _by_boards(answer, given))
+        judged[name] = judge_cameras(answer.cameras, shot, true, _by_boards(answer, given))
     wrong = parse_scene(scene.to_dict() | {"calibration": {"shift_px": _SHIFT_PX}}, "shifted")
     off = simulate(wrong, seed=seed).observation
-    judged["no calibration, 2 px off"] = _judge(off.cameras, shot, true, None)
+    judged["no calibration, 2 px off"] = judge_cameras(off.cameras, shot, true, None)
     algorithm: Any = make_algorithm("volume_self_calibration", {})
     made: Calibration = algorithm.solve(off)
-    judged["volume_self_calibration"] = _judge(made.cameras, shot, true, None)
+    judged["volume_self_calibration"] = judge_cameras(made.cameras, shot, true, None)
     return judged
 
 
@@ -135,7 +135,7 @@ def _by_boards(answer: Calibration, given: Board) -> RigidMotion:
     return fit_rigid_motion(given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3))
 
 
-def _judge(
+def judge_cameras(
     cameras: tuple[CameraModel, ...],
     shot: Shot,
     true: tuple[CameraModel, ...],
