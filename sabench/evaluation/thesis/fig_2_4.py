@@ -1,4 +1,4 @@
-"""Figures 2-3 to 2-5, 2-14 and 2-15: grey values of single and of refocused images.
+"""Figures 2-3 to 2-5, 2-14, 2-15: grey values of single and refocused images.
 
 A refocused image is a mean over cameras. The central limit theorem makes the light of particles
 elsewhere a nearly normal noise, whose deviation is that of one image over the root of the number
@@ -92,7 +92,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _look(shot: Shot) -> _Grey:
-    """Refocus planes in the middle of the volume, with all cameras and with the central one."""
+    """Refocus planes in the middle of the volume, with all and with one camera."""
     seen = shot.observation
     grid = _middle_of(seen.grid)
     images = seen.normalised_images()
@@ -126,7 +126,7 @@ def _middle_of(grid: Grid) -> Grid:
 
 
 def _distance(grid: Grid, voxels: F64) -> F64:
-    """Measure the distance of each voxel (z, y, x) to the nearest particle, in voxels."""
+    """Measure distances of voxels (z, y, x) to the nearest particle, in voxels."""
     from scipy.ndimage import distance_transform_edt
 
     padded = np.ones([n + 2 * _AWAY for n in grid.shape], dtype=np.bool_)
@@ -182,7 +182,7 @@ def _rows_of_shape(found: Sequence[_Grey]) -> Iterator[Row]:
 
 
 def _ratio(one: _Grey, where: Bool) -> float:
-    """Divide the deviation of the refocused planes by that of N independent images' mean."""
+    """Divide the deviation by that of a mean of N independent images."""
     expected = one.single[where].std() / np.sqrt(one.cameras)
     return float(one.refocused[where].std() / expected)
 
@@ -192,7 +192,7 @@ def _threshold(one: _Grey) -> float:
 
 
 def _distance_to_normal(values: F32) -> float:
-    """Compute the largest difference of distributions: Kolmogorov and Smirnov's distance.
+    """Compute Kolmogorov and Smirnov's distance to a normal distribution.
 
     The normal one has the mean and standard deviation of the values.
     """
@@ -232,7 +232,7 @@ def _rows_of_density(panels: dict[str, list[_Grey]]) -> Iterator[Row]:
 
 
 def _pictures(name: str, one: _Grey) -> Iterator[Figure]:
-    """Draw zoomed views of an image, of the refocused plane, and of what a threshold keeps."""
+    """Draw zoomed views of an image, a refocused plane, and what a threshold keeps."""
     plane = one.refocused[_PLANES // 2]
     shown = {
         "one image": one.raw,

@@ -28,7 +28,7 @@ _GREATLY = 0.5  # of the particles that calibration errors lose, found again at 
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Measure particles by exact cameras, by cameras that are off, and by self-calibrated ones."""
+    """Measure yields by exact, by wrong and by self-calibrated cameras."""
     scene = coarsen(load_scene("vortex-ring-experiment"), pixels)
     found: dict[str, list[Counts]] = {}
     errors: dict[str, list[float]] = {}
