@@ -7,6 +7,7 @@ also from `sabench.worlds.library`); anything that these two do not name may mov
 
 from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
 from sabench.api.generators import (
+    BodyFlow,
     BubbleGenerator,
     BubbleParameters,
     Code,
@@ -58,6 +59,7 @@ __all__ = [
     "I64",
     "U16",
     "AnySolver",
+    "BodyFlow",
     "Bool",
     "BubbleGenerator",
     "BubbleParameters",
