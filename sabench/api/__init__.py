@@ -19,7 +19,7 @@ from sabench.api.generators import (
     SolidParameters,
     TargetGenerator,
 )
-from sabench.api.make import make_solver
+from sabench.api.make import make_algorithm, make_solver
 from sabench.api.observations import CalibrationCase, ImageSequence, Observation, Shown, VolumePair
 from sabench.api.parameters import FileParameters, Parameters, PlugIn
 from sabench.api.solvers import (
@@ -115,6 +115,7 @@ __all__ = [
     "VolumePair",
     "Wall",
     "frame_along",
+    "make_algorithm",
     "make_solver",
     "progress_bar",
     "rotation_matrices",
