@@ -235,7 +235,10 @@ def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
     It is the displacement of the fluid that is at the points in the middle of the interval, over
     the interval. Where the data set has no flow, it is the mean of the nearest true particles.
     """
-    flow, (start, end) = flow_of(data.scene, data.manifest.seed), (data.setup.time_s(frame) for frame in pair)
+    flow, (start, end) = (
+        flow_of(data.scene, data.manifest.seed),
+        (data.setup.time_s(frame) for frame in pair),
+    )
     if flow is None:
         return _among_particles(data, pair, points_mm)
     middle, tolerance = (start + end) / 2.0, TOLERANCE * max(data.scene.volume.size_mm)

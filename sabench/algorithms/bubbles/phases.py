@@ -73,7 +73,9 @@ def _separate(light: F32, largest_px: float) -> tuple[F32, F32, Bool]:
     """Separate one image (rows, columns) above black."""
     diffuser, noise = _diffuser(light)
     peaks = light - _opened(light, _PEAK_PX)
-    above = light - cv2.medianBlur(light, 5) > _SIGMAS * noise  # of five pixels: few tracers fill it
+    above = (
+        light - cv2.medianBlur(light, 5) > _SIGMAS * noise
+    )  # of five pixels: few tracers fill it
     body = _wide(_opened(light, _PEAK_PX) < _DARK * diffuser, largest_px)
     bright = above & (body | (light > diffuser + _SIGMAS * noise))
     around = cv2.dilate(bright.astype(np.uint8), _disc(_GROWN_PX)) > 0

@@ -54,7 +54,11 @@ class Recorder:
         if motion is not None and self.chained and number and motion.last != number - 1:
             motion.resume(number - 1, self._state(number - 1, recall(number - 1)))
         self._last = self._frames.at(number)
-        return _truth(self._last) | _flow(self._scene, self._frames.seed, number) | self._kept(self._last)
+        return (
+            _truth(self._last)
+            | _flow(self._scene, self._frames.seed, number)
+            | self._kept(self._last)
+        )
 
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
         """Render one camera's image of a frame, and its truth.

@@ -43,9 +43,7 @@ def _solid_angles(points: Any, vertices: Any, faces: Any, out: Any) -> None:
             a = np.sqrt(ax * ax + ay * ay + az * az)
             b = np.sqrt(bx * bx + by * by + bz * bz)
             c = np.sqrt(cx * cx + cy * cy + cz * cz)
-            triple = (
-                ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-            )
+            triple = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
             below = (
                 a * b * c
                 + (ax * bx + ay * by + az * bz) * c

@@ -1,10 +1,9 @@
 """Steady viscous flow around bodies at rest, in a periodic box.
 
-Forces in the bodies' nodes bring the fluid there to rest (immersed boundaries: Peskin, Acta Numerica
-11 (2002) 479-517; Pinelli et al., J. Comput. Phys. 229 (2010) 9073). They act through the Green's
-function of Oseen's equations in a periodic box (Hasimoto, J. Fluid Mech. 5 (1959) 317-328, with the
-mean flow's convection). The fluid's vector potential is interpolated by cubic splines, whose curl is
-free of divergence everywhere.
+Forces in the bodies' nodes bring the fluid there to rest (immersed boundaries: Peskin, Acta
+Numerica 11 (2002) 479-517). They act through the Green's function of Oseen's equations in a
+periodic box (without convection: Hasimoto, J. Fluid Mech. 5 (1959) 317-328). The vector potential
+of the flow is interpolated by cubic splines, whose curl is free of divergence everywhere.
 """
 
 from __future__ import annotations
@@ -103,14 +102,16 @@ def solve(
     points = box.points_mm()
     solid = np.any([contains(body, points) for body in bodies], axis=0)
     if not solid.any():
-        raise InputError(f"step_mm: expected bodies that hold nodes, got none {box.step_mm:g} mm apart")
+        raise InputError(
+            f"step_mm: expected bodies that hold nodes, got none {box.step_mm:g} mm apart"
+        )
     green = _Oseen(box, velocity_mm_s, viscosity_mm2_s)
     count = 3 * int(solid.sum())
 
     def answer(force: F64) -> F64:
-        return green.velocity(_spread(force.reshape(-1, 3), solid, box)).reshape(-1, 3)[
-            solid
-        ].ravel()
+        return (
+            green.velocity(_spread(force.reshape(-1, 3), solid, box)).reshape(-1, 3)[solid].ravel()
+        )
 
     wanted = -np.tile(velocity_mm_s, count // 3)
     operator = LinearOperator((count, count), matvec=answer, dtype=np.float64)

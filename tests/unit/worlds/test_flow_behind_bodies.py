@@ -41,9 +41,7 @@ def test_no_tracer_that_starts_outside_ends_in_the_body() -> None:
 def test_flow_is_of_the_bodies_of_the_seed() -> None:
     scene = coarse()
     point = np.array([[-2.0, 3.0, 0.0]])
-    one, same, other = (
-        require_flow(scene, seed).velocity(point, 0.0) for seed in (1, 1, 2)
-    )
+    one, same, other = (require_flow(scene, seed).velocity(point, 0.0) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert np.abs(one - other).max() > 1e-3
 
@@ -51,7 +49,7 @@ def test_flow_is_of_the_bodies_of_the_seed() -> None:
 def test_bodies_that_move_and_missing_bodies_are_refused() -> None:
     solid = coarse().to_dict()["solids"][0]
     moving = coarse(solids=[solid | {"velocity_mm_s": [1.0, 0.0, 0.0]}])
-    with pytest.raises(InputError, match="expected bodies at rest, but solids.0 moves"):
+    with pytest.raises(InputError, match=r"expected bodies at rest, but solids\.0 moves"):
         require_flow(moving, 1)
     with pytest.raises(InputError, match="expected solids that it goes around, got none"):
         require_flow(coarse(solids=None, lighting=None, render=None), 1)

@@ -78,9 +78,7 @@ def test_points_in_a_ball_are_those_within_its_radius() -> None:
     points = np.random.default_rng(1).uniform(-4.0, 4.0, (5000, 3))
     radius = np.linalg.norm(points, axis=1)
     clear = np.abs(radius - _RADIUS_MM) > 0.03  # of the facets
-    np.testing.assert_array_equal(
-        contains(ball(), points)[clear], (radius < _RADIUS_MM)[clear]
-    )
+    np.testing.assert_array_equal(contains(ball(), points)[clear], (radius < _RADIUS_MM)[clear])
 
 
 def test_a_body_smaller_than_a_step_is_refused() -> None:
