@@ -47,7 +47,7 @@ def flow_of(scene: Scene, seed: int = 0) -> Flow | None:
 
 @functools.lru_cache(maxsize=2)
 def _bodies_flow(text: str, seed: int) -> BodyFlow:
-    """Make the flow around a scene's bodies; kept, because several callers ask for it."""
+    """Make the flow around a scene's bodies; it is kept for other callers."""
     scene = Scene.model_validate(tomllib.loads(text))
     made: BodyFlow = generator_of(scene.particle_world.flow or {})
     made.surround([body for body, _ in Phases(scene, seed).bodies(0)], domain_of(scene))

@@ -3,8 +3,8 @@
 Three facts tell the phases apart. Light of the diffuser that bubbles refract or a body reflects
 is never brighter than the diffuser itself (radiance is conserved), so that small peaks above it are
 tracers. Bubbles and bodies are darker than it. Of what is dark, the body is wider than bubbles are;
-it has no bright spots, so that peaks in front of it are tracers, too. Not found are tracers in front
-of bubbles that are no brighter than the diffuser.
+it has no bright spots, so that peaks in front of it are tracers, too. Tracers in front of bubbles
+are lost where they are no brighter than the diffuser.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from sabench.api.observations import Observation
-from sabench.utils.arrays import F32, Bool, U16
+from sabench.utils.arrays import F32, U16, Bool
 
 _SIGMAS = 5.0  # above the diffuser's noise: a tracer
 _PEAK_PX = 9  # wider than a tracer's image
@@ -58,7 +58,7 @@ def separate_phases(case: Observation, largest_px: float) -> SeparatedPhases:
 
 
 def image_diameter_px(case: Observation, radius_mm: float) -> float:
-    """Compute the diameter in pixels of the image of a ball in the middle of the volume.
+    """Compute the diameter in pixels of a ball in the middle of the volume.
 
     It is the largest of all cameras.
     """
@@ -107,7 +107,7 @@ def _filled(light: F32, holes: Bool) -> F32:
 
 
 def _wide(dark: Bool, largest_px: float) -> Bool:
-    """Keep the dark regions that hold a disc wider than any bubble, as far as that disc goes."""
+    """Keep the dark regions that hold a disc wider than any bubble."""
     size = int(np.ceil(1.2 * largest_px)) | 1
     solid = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_CLOSE, _disc(5))
     cores = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _disc(size))

@@ -41,7 +41,7 @@ def render_first_frame(scene: Scene, seed: int) -> Rendered:
 
 
 def render_frames(scene: Scene, seed: int) -> Iterator[Rendered]:
-    """Render all frames of the data set that `generate` would make, one after the other."""
+    """Render all frames of the data set that `generate` would make."""
     frames = Frames(scene, build_rig(scene, scene.title), seed)
     for time in range(scene.frames):
         frame = frames.at(time)

@@ -1,4 +1,4 @@
-"""Drops of a liquid jet in a cross-flow, counted over time: what chapter 6 hopes for.
+"""Drops of a liquid jet in a cross-flow, counted over time (chapter 6).
 
 Drops are detected frame by frame and linked. Their number, their mean and Sauter diameters, and the
 number that has passed a plane across the gas are compared with those of the true drops.
@@ -50,7 +50,7 @@ class Counted:
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure numbers, diameters, passages and links of drops of 0.5 mm radius and more."""
+    """Measure numbers, diameters, passages and links of large drops."""
     scene = coarsen(load_scene("jet-in-crossflow"), pixels).with_frames(FRAMES)
     counts: dict[str, list[Counted]] = {name: [] for name in (_TRUTH, *_SOLVERS)}
     scores: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS}

@@ -42,7 +42,7 @@ Figures = dict[tuple[int, str, str], float]  # cameras, solver and what: its fig
 
 @dataclass(frozen=True)
 class _Seen:
-    """Two frames of some cameras, and the share (n,) of them that each particle is hidden from."""
+    """Two frames of some cameras, with the share (n,) of hidden views."""
 
     cases: tuple[Observation, ...]
     shots: tuple[Shot, ...]
@@ -102,7 +102,7 @@ def _classes(hidden: F64) -> Iterator[tuple[str, Bool]]:
 
 
 def _particles(solver: str, seen: _Seen) -> dict[str, float]:
-    """Find the particles of the first frame, and compute recall and ghosts in percent."""
+    """Find the particles of the first frame; recall and ghosts in percent."""
     algorithm: Any = make_algorithm(solver, {})
     case, grid = seen.cases[0], seen.cases[0].grid
     sequence = ImageSequence(case.cameras, grid, seen.times_s[:1], lambda _: case)
@@ -168,7 +168,7 @@ def _view(body: str, case: Observation) -> Figure:
 
 
 def _figure(body: str, found: Sequence[Figures]) -> Figure:
-    """Draw recall and velocity error over the hidden share, and over the number of cameras."""
+    """Draw recall and velocity error over hidden views and cameras."""
     labels = list(_HIDDEN)
     recall = [
         _curve(solver, [(9, solver, f"recall, hidden from {name}, %") for name in labels], found)

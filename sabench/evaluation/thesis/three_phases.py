@@ -83,7 +83,7 @@ def _bubbles(shot: _Shot) -> dict[str, float]:
 
 
 def _tracers(shot: _Shot) -> dict[str, float]:
-    """Compute recall of tracers that most cameras see, of all, and ghosts over those found."""
+    """Compute recall of all tracers and of those seen by most, and ghosts."""
     out, grid = {}, shot.case.grid
     true = grid.to_voxels(shot.particles.position_mm)
     scored = grid.in_scored(true)

@@ -12,7 +12,7 @@ from sabench.utils.arrays import F64, Bool
 
 
 def contains(body: Solid, points_mm: F64) -> Bool:
-    """Find which points (n, 3) a closed body contains, by the solid angle of its faces.
+    """Find which points (n, 3) a closed body contains, by its solid angle.
 
     Source: Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125-126.
     """

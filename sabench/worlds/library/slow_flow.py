@@ -134,7 +134,7 @@ def _spread(values: F64, solid: Bool, box: Box) -> F64:
 
 
 class _Oseen:
-    """Green's function in a periodic box: forces over density to velocities, without a mean."""
+    """Green's function in a periodic box, from forces over density."""
 
     def __init__(self, box: Box, mean_mm_s: F64, viscosity_mm2_s: float) -> None:
         self._box, self._k = box, box.waves()
@@ -175,7 +175,7 @@ class _Oseen:
 
 @numba.njit(cache=True)
 def _weights(part: float, out: Any) -> None:
-    """Fill the values, slopes and bends (3, 4) of the four cubic B-splines at a place."""
+    """Fill values, slopes and bends (3, 4) of the four cubic B-splines."""
     t, r = part, 1.0 - part
     out[0, 0], out[0, 3] = r * r * r / 6.0, t * t * t / 6.0
     out[0, 1] = 2.0 / 3.0 - t * t + t * t * t / 2.0
