@@ -14,6 +14,7 @@ import numpy as np
 
 from sabench.algorithms.particles.linking import link
 from sabench.api.make import make_algorithm
+from sabench.api.truth import Bubbles
 from sabench.evaluation.thesis.chapter_5 import render_frames
 from sabench.evaluation.thesis.common import Item, coarsen, make_row
 from sabench.metrics.bubble_detection import LARGE_MM, AnyBubbles, match
@@ -72,9 +73,9 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     yield _figure(scene, counts)
 
 
-def _detect(scene: Scene, seed: int) -> tuple[list[AnyBubbles], dict[str, list[AnyBubbles]]]:
+def _detect(scene: Scene, seed: int) -> tuple[list[Bubbles], dict[str, list[AnyBubbles]]]:
     """Render all frames and detect their drops by every solver."""
-    truth, found = list[AnyBubbles](), {name: list[AnyBubbles]() for name in _SOLVERS}
+    truth, found = list[Bubbles](), {name: list[AnyBubbles]() for name in _SOLVERS}
     for _, bubbles, case in render_frames(scene, seed):
         truth.append(bubbles)
         for name, every in found.items():

@@ -91,7 +91,7 @@ def _only(case: Observation, chosen: tuple[int, ...]) -> Observation:
 def _hidden(shot: Shot, chosen: tuple[int, ...]) -> F64:
     """Compute the share (n,) of the cameras that do not see each particle lit."""
     seen = [shot.views[number].visible & (shot.views[number].photons > 0.0) for number in chosen]
-    return 1.0 - np.mean(seen, axis=0)
+    return np.asarray(1.0 - np.mean(seen, axis=0))
 
 
 def _classes(hidden: F64) -> Iterator[tuple[str, Bool]]:

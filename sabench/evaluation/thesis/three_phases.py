@@ -74,7 +74,7 @@ def _record(scene: Scene, seed: int) -> _Shot:
 
 def _bubbles(shot: _Shot) -> dict[str, float]:
     visible = np.mean([sight.visible for sight in shot.sights], axis=0)
-    out = {}
+    out: dict[str, float] = {}
     for name in _BUBBLES:
         algorithm: Any = make_algorithm(name, {})
         scores = detection_scores(algorithm.solve(shot.case), shot.bubbles, visible)
@@ -84,7 +84,8 @@ def _bubbles(shot: _Shot) -> dict[str, float]:
 
 def _tracers(shot: _Shot) -> dict[str, float]:
     """Compute recall of all tracers and of those seen by most, and ghosts."""
-    out, grid = {}, shot.case.grid
+    out: dict[str, float] = {}
+    grid = shot.case.grid
     true = grid.to_voxels(shot.particles.position_mm)
     scored = grid.in_scored(true)
     for name in _TRACERS:
