@@ -75,6 +75,9 @@ def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) 
 
 SLOW = (
     "fig-1-3",
+    "flow-behind-bodies",
+    "drops-over-time",
+    "three-phases",
     "fig-6-5",
     "table-5-2",
     "fig-2-18",
