@@ -7,6 +7,7 @@ also from `sabench.worlds.library`); anything that these two do not name may mov
 
 from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
 from sabench.api.generators import (
+    BodyFlow,
     BubbleGenerator,
     BubbleParameters,
     Code,
@@ -18,7 +19,7 @@ from sabench.api.generators import (
     SolidParameters,
     TargetGenerator,
 )
-from sabench.api.make import make_solver
+from sabench.api.make import make_algorithm, make_solver
 from sabench.api.observations import CalibrationCase, ImageSequence, Observation, Shown, VolumePair
 from sabench.api.parameters import FileParameters, Parameters, PlugIn
 from sabench.api.solvers import (
@@ -58,6 +59,7 @@ __all__ = [
     "I64",
     "U16",
     "AnySolver",
+    "BodyFlow",
     "Bool",
     "BubbleGenerator",
     "BubbleParameters",
@@ -113,6 +115,7 @@ __all__ = [
     "VolumePair",
     "Wall",
     "frame_along",
+    "make_algorithm",
     "make_solver",
     "progress_bar",
     "rotation_matrices",

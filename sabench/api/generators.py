@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -49,6 +50,17 @@ class Flow(PlugIn):
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """Compute gradients (n, 3, 3) in 1/s, du_i / dx_j."""
         raise NotImplementedError(f"flow {type(self).__name__} must implement gradient()")
+
+
+class BodyFlow(Flow):
+    """Base of a velocity field around the bodies of a scene.
+
+    The bodies rest. sabench calls `surround` once, before it asks for velocities.
+    """
+
+    def surround(self, bodies: Sequence[Solid], domain: Domain) -> None:
+        """Prepare the flow around closed surfaces in the world frame."""
+        raise NotImplementedError(f"flow {type(self).__name__} must implement surround()")
 
 
 class BubbleParameters(Parameters):

@@ -64,7 +64,7 @@ def _export_truth(root: Path, data: Dataset) -> None:
         if "particles" in data.shows:
             _export_particles(root, data, frame)
         if scene.tracers is not None and scene.tracers.flow is not None:
-            field, slopes = lattice(scene, frame, step)
+            field, slopes = lattice(scene, frame, step, data.manifest.seed)
             write_lattice(
                 root / f"flow_{frame:04d}.vtkhdf",
                 field.low_mm,

@@ -16,6 +16,7 @@ def velocity_scores(
     estimate: F64,
     truth: F64,
     valid: Bool,
+    fluid: Bool,
     step_mm: tuple[float, float, float],
     interval_s: float,
     voxel_mm: tuple[float, float, float],
@@ -28,13 +29,15 @@ def velocity_scores(
     ----------
     estimate, truth : (z, y, x, 3) velocities, mm/s.
     valid : (z, y, x) where the estimate was measured.
+    fluid : (z, y, x) where there is fluid; what was measured in bodies does not count.
     step_mm : spacing of the nodes, as (x, y, z).
     interval_s : time between the two frames, which turns velocities into displacements.
     voxel_mm : spacing of the voxels in which displacements are counted, as (x, y, z).
     """
+    valid = valid & fluid
     errors = ((estimate - truth) * interval_s / np.asarray(voxel_mm))[valid]
     scores = _displacement_figures(errors if len(errors) else np.full((1, 3), np.nan))
-    scores["yield_percent"] = 100.0 * float(valid.mean())
+    scores["yield_percent"] = 100.0 * float(valid.sum() / max(fluid.sum(), 1))
     scores["response"] = response(estimate[valid], truth[valid])
     return scores | _derivative_figures(estimate, truth, valid, step_mm)
 

@@ -25,10 +25,11 @@ from sabench.tasks.figures.velocity import field_figure
 from sabench.tasks.solver_call import call_solver
 from sabench.tasks.task import Captions, Figures, Gate, Score, Source, Task, check_estimate
 from sabench.utils import memory
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
+from sabench.worlds.library.containment import contains
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
 _NEIGHBOURS = 8  # true particles whose mean replaces the flow where a data set has none
@@ -197,7 +198,7 @@ def _pair(data: Dataset, first: int) -> tuple[int, int]:
 
 
 def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[str, float]:
-    """Score one pair's field, sampled at the evaluation nodes."""
+    """Score one pair's field, sampled at the evaluation nodes outside bodies."""
     grid = data.setup.grid
     nodes = evaluation_lattice(grid)
     sampled, measured = sample_velocity(field, nodes.positions_mm.reshape(-1, 3))
@@ -205,10 +206,21 @@ def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[st
         sampled.reshape(nodes.velocity_mm_s.shape),
         _truth_at(data, pair, nodes),
         measured.reshape(nodes.valid.shape),
+        _in_fluid(data, pair, nodes),
         nodes.step_mm,
         interval_s(data, pair),
         grid.voxel_mm,
     )
+
+
+def _in_fluid(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> Bool:
+    """Mark the nodes (z, y, x) that no body contains in either frame of a pair."""
+    points = lattice.positions_mm.reshape(-1, 3)
+    fluid = np.ones(len(points), dtype=np.bool_)
+    for frame in pair if data.scene.solids else ():
+        for body in data.solids(frame):
+            fluid &= ~contains(body, points)
+    return fluid.reshape(lattice.valid.shape)
 
 
 def _truth_at(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> F64:
@@ -223,7 +235,10 @@ def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
     It is the displacement of the fluid that is at the points in the middle of the interval, over
     the interval. Where the data set has no flow, it is the mean of the nearest true particles.
     """
-    flow, (start, end) = flow_of(data.scene), (data.setup.time_s(frame) for frame in pair)
+    flow, (start, end) = (
+        flow_of(data.scene, data.manifest.seed),
+        (data.setup.time_s(frame) for frame in pair),
+    )
     if flow is None:
         return _among_particles(data, pair, points_mm)
     middle, tolerance = (start + end) / 2.0, TOLERANCE * max(data.scene.volume.size_mm)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from sabench.api import Flow, Generator, Velocity
+from sabench.api import BodyFlow, Flow, Generator, Velocity
 from sabench.api.make import generator_of
 from sabench.api.truth import Particles
 from sabench.geometry.frames import Domain
@@ -17,6 +19,7 @@ from sabench.scenes.illumination import Illumination
 from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
+from sabench.worlds.bubbles_and_bodies import Phases, bodies_of
 from sabench.worlds.inertial import check_inertia, move_particles, velocity_of
 from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
 
@@ -25,16 +28,44 @@ _SIZES = (0.01, 4000.0)  # size parameters, pi d n / lambda
 _NEWER = 1 << 32  # ids of particles that enter in a frame start at so many times its number
 
 
-def flow_of(scene: Scene) -> Flow | None:
-    """Make the flow that carries a scene's particles; None where there is none."""
+def flow_of(scene: Scene, seed: int = 0) -> Flow | None:
+    """Make the flow that carries a scene's particles; None where there is none.
+
+    The bodies that a flow goes around depend on the seed.
+
+    Raises
+    ------
+    InputError
+        A flow around bodies in a scene without bodies, or with bodies that move.
+    """
     tracers = scene.tracers
     if tracers is None or tracers.flow is None:
         return None
     made: Flow = generator_of(tracers.flow)
+    return _surrounded(scene, seed, made) if isinstance(made, BodyFlow) else made
+
+
+@functools.lru_cache(maxsize=2)
+def _bodies_flow(text: str, seed: int) -> BodyFlow:
+    """Make the flow around a scene's bodies; it is kept for other callers."""
+    scene = Scene.model_validate(tomllib.loads(text))
+    made: BodyFlow = generator_of(scene.particle_world.flow or {})
+    made.surround([body for body, _ in Phases(scene, seed).bodies(0)], domain_of(scene))
     return made
 
 
-def require_flow(scene: Scene) -> Flow:
+def _surrounded(scene: Scene, seed: int, flow: BodyFlow) -> Flow:
+    where = f"{scene.title}: flow {flow.name}"
+    if not scene.solids:
+        raise InputError(f"{where}: expected solids that it goes around, got none")
+    for number, body in enumerate(bodies_of(scene)):
+        given = generator_of(body).parameters
+        if any(given.velocity_mm_s) or any(given.spin_deg_s):
+            raise InputError(f"{where}: expected bodies at rest, but solids.{number} moves")
+    return _bodies_flow(scene.to_toml(), seed)
+
+
+def require_flow(scene: Scene, seed: int = 0) -> Flow:
     """Make the flow of a scene that has one.
 
     Raises
@@ -42,7 +73,7 @@ def require_flow(scene: Scene) -> Flow:
     InputError
         A scene without a flow.
     """
-    if (flow := flow_of(scene)) is None:
+    if (flow := flow_of(scene, seed)) is None:
         raise InputError(f"{scene.title}: flow: expected a scene with a flow, got none")
     return flow
 
@@ -56,7 +87,7 @@ class Motion:
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self._generator: Generator = generator_of(scene.particle_world.particles)
-        self.scene, self.seed, self._flow = scene, seed, flow_of(scene)
+        self.scene, self.seed, self._flow = scene, seed, flow_of(scene, seed)
         if self._flow is not None:
             self._flow.check(domain_of(scene))
         self._last: tuple[int, Particles] | None = None
@@ -189,12 +220,14 @@ def _inside(domain: Domain, points_mm: F64) -> Bool:
     )
 
 
-def lattice(scene: Scene, frame: int, step_mm: tuple[float, float, float]) -> tuple[Velocity, F64]:
+def lattice(
+    scene: Scene, frame: int, step_mm: tuple[float, float, float], seed: int = 0
+) -> tuple[Velocity, F64]:
     """Sample a frame's exact velocities and gradients on a centred lattice.
 
     Gradients are (z, y, x, 3, 3) in 1/s.
     """
-    flow = require_flow(scene)
+    flow = require_flow(scene, seed)
     counts = [
         int(size / step * (1.0 + 1e-12)) + 1
         for size, step in zip(scene.volume.size_mm, step_mm, strict=True)

@@ -122,6 +122,9 @@ def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) 
 
 SLOW = (
     "fig-1-3",
+    "flow-behind-bodies",
+    "drops-over-time",
+    "three-phases",
     "fig-6-5",
     "table-5-2",
     "fig-2-18",
@@ -143,6 +146,16 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
     "fig-2-18": {"_VOLUMES": ("asa",), "_PIV": ("piv3d_plain",)},
     "fig-1-3": {"_METHODS": ("additive",), "load_scene": seen_by_nine},
     "fig-6-5": {"_SOLVERS": ("minimum_image",)},
+    "flow-behind-bodies": {
+        "_SCENES": {"propeller": "flow-behind-propeller"},
+        "_CAMERAS": {5: (1, 3, 4, 5, 7)},
+        "_SOLVERS": ("ray_triangulation",),
+    },
+    "drops-over-time": {"_SOLVERS": ("minimum_image",), "FRAMES": 2},
+    "three-phases": {
+        "_BUBBLES": ("separated_bubbles",),
+        "_TRACERS": ("separated_tracers",),
+    },
     "table-5-2": {"_HEIGHTS": (21,), "_SOLVER": "minimum_image"},
     "fig-4-16": {"STARTS": (0.01,)},
     "fig-4-25": {"_STEPS": {"test 1": 4.0}},

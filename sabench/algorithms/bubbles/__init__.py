@@ -21,6 +21,11 @@ from sabench.algorithms.bubbles.feature_potential import (
 )
 from sabench.algorithms.bubbles.hough_circles import radii_between, vote
 from sabench.algorithms.bubbles.hypotheses import find_hypotheses, join_hypotheses, px_per_mm
+from sabench.algorithms.bubbles.phases import (
+    SeparatedPhases,
+    image_diameter_px,
+    separate_phases,
+)
 from sabench.algorithms.bubbles.search import search_bubbles
 from sabench.algorithms.bubbles.transmission import transmission
 from sabench.geometry.turned_cameras import turn_camera, turn_grid, viewing_axes
@@ -31,6 +36,7 @@ __all__ = [
     "WINDOW",
     "FeaturePeaks",
     "Profile",
+    "SeparatedPhases",
     "attenuate",
     "darkness",
     "drop_duplicates",
@@ -41,12 +47,14 @@ __all__ = [
     "find_ellipses",
     "find_hypotheses",
     "find_outlines",
+    "image_diameter_px",
     "join_hypotheses",
     "merge_overlaps",
     "minimum_images",
     "px_per_mm",
     "radii_between",
     "search_bubbles",
+    "separate_phases",
     "transmission",
     "turn_camera",
     "turn_grid",

@@ -32,20 +32,27 @@ _OFF_MM = 10.0  # of the refocused planes before and behind the middle one: figu
 _EDGE, _SMALL_PX = 0.05, 4.0  # as `minimum_image` takes them
 
 
-def render_first_frame(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, Observation]:
-    """Render the first frame of the data set that `generate` would make, in memory.
+Rendered = tuple[FrameContent, Bubbles, Observation]  # a frame, its bubbles, what a solver gets
 
-    Returns its content, its bubbles, and what a solver receives of it.
-    """
-    frame = Frames(scene, build_rig(scene, scene.title), seed).at(0)
-    if frame.bubbles is None:
-        raise ValueError(f"{scene.title}: expected a scene with bubbles")
-    numbers = range(len(frame.rig.cameras))
-    images = [
-        expose(scene.sensor, render(frame, number).photons, frame.sensor_noise(number))
-        for number in progress_bar(numbers, f"render {scene.title}, seed {seed}")
-    ]
-    return frame, frame.bubbles, observation_of(frame, images)
+
+def render_first_frame(scene: Scene, seed: int) -> Rendered:
+    """Render the first frame of the data set that `generate` would make, in memory."""
+    return next(render_frames(scene, seed))
+
+
+def render_frames(scene: Scene, seed: int) -> Iterator[Rendered]:
+    """Render all frames of the data set that `generate` would make."""
+    frames = Frames(scene, build_rig(scene, scene.title), seed)
+    for time in range(scene.frames):
+        frame = frames.at(time)
+        if frame.bubbles is None:
+            raise ValueError(f"{scene.title}: expected a scene with bubbles")
+        numbers = range(len(frame.rig.cameras))
+        images = [
+            expose(scene.sensor, render(frame, number).photons, frame.sensor_noise(number))
+            for number in progress_bar(numbers, f"render {scene.title}, seed {seed}, frame {time}")
+        ]
+        yield frame, frame.bubbles, observation_of(frame, images)
 
 
 def pictures(case: Observation) -> Iterator[Figure]:

@@ -54,7 +54,11 @@ class Recorder:
         if motion is not None and self.chained and number and motion.last != number - 1:
             motion.resume(number - 1, self._state(number - 1, recall(number - 1)))
         self._last = self._frames.at(number)
-        return _truth(self._last) | _flow(self._scene, number) | self._kept(self._last)
+        return (
+            _truth(self._last)
+            | _flow(self._scene, self._frames.seed, number)
+            | self._kept(self._last)
+        )
 
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
         """Render one camera's image of a frame, and its truth.
@@ -166,11 +170,11 @@ def _truth(frame: FrameContent) -> Part:
     return part
 
 
-def _flow(scene: Scene, number: int) -> Part:
+def _flow(scene: Scene, seed: int, number: int) -> Part:
     """Sample the exact flow of a frame, where the scene asks for it."""
     if not scene.flow_grid_mm:
         return {}
-    field, gradient = lattice(scene, number, scene.flow_grid_mm)
+    field, gradient = lattice(scene, number, scene.flow_grid_mm, seed)
     group = f"{schema.frame_group(number)}/flow"
     return {
         f"{group}/velocity_mm_s": field.velocity_mm_s,

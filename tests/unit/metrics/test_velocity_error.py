@@ -23,7 +23,7 @@ def linear(slopes: F64) -> F64:
 
 def scores(estimate: F64, truth: F64, valid: Bool | None = None) -> dict[str, float]:
     there = np.ones(SHAPE, dtype=np.bool_) if valid is None else valid
-    return velocity_scores(estimate, truth, there, STEP_MM, 0.02, VOXEL_MM)
+    return velocity_scores(estimate, truth, there, np.ones_like(there), STEP_MM, 0.02, VOXEL_MM)
 
 
 def test_a_constant_error_is_a_bias_in_voxels() -> None:

@@ -1,0 +1,127 @@
+"""Separation of images of bubbles, a body and tracers before a diffuser.
+
+Three facts tell the phases apart. Light of the diffuser that bubbles refract or a body reflects
+is never brighter than the diffuser itself (radiance is conserved), so that small peaks above it are
+tracers. Bubbles and bodies are darker than it. Of what is dark, the body is wider than bubbles are;
+it has no bright spots, so that peaks in front of it are tracers, too. Tracers in front of bubbles
+are lost where they are no brighter than the diffuser.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from sabench.api.observations import Observation
+from sabench.utils.arrays import F32, U16, Bool
+
+_SIGMAS = 5.0  # above the diffuser's noise: a tracer
+_PEAK_PX = 9  # wider than a tracer's image
+_GROWN_PX = 7  # around pixels of a tracer, which the others do not get
+_DARK = 0.6  # of the diffuser: bubbles' rims and bodies are darker
+
+
+@dataclass(frozen=True)
+class SeparatedPhases:
+    """Images of each phase of one frame.
+
+    Attributes
+    ----------
+    tracers : the frame with the tracers' light alone, above black.
+    bubbles : the frame without tracers and without the body, which shows the diffuser instead.
+    body : (camera, row, column) whether a pixel shows the body.
+    """
+
+    tracers: Observation
+    bubbles: Observation
+    body: Bool
+
+
+def separate_phases(case: Observation, largest_px: float) -> SeparatedPhases:
+    """Separate bubbles, a body and tracers in every image of a frame.
+
+    Parameters
+    ----------
+    largest_px : diameter of the largest bubble's image; what is dark and wider is the body.
+    """
+    black = np.float32(case.black_dn)
+    light = case.images.astype(np.float32) - black
+    parts = [_separate(image, largest_px) for image in light]
+    tracers, shadows, body = (np.stack(part) for part in zip(*parts, strict=True))
+    return SeparatedPhases(
+        replace(case, images=_grey(tracers + black, case)),
+        replace(case, images=_grey(shadows + black, case)),
+        np.asarray(body, dtype=np.bool_),
+    )
+
+
+def image_diameter_px(case: Observation, radius_mm: float) -> float:
+    """Compute the diameter in pixels of a ball in the middle of the volume.
+
+    It is the largest of all cameras.
+    """
+    grid = case.grid
+    middle = np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * grid.shape[::-1] / 2.0
+    ends = np.stack([middle, *(middle + radius_mm * np.eye(3))])
+    pixels = [camera.project(ends)[0] for camera in case.cameras]
+    return 2.0 * max(float(np.linalg.norm(one[1:] - one[0], axis=1).max()) for one in pixels)
+
+
+def _separate(light: F32, largest_px: float) -> tuple[F32, F32, Bool]:
+    """Separate one image (rows, columns) above black."""
+    diffuser, noise = _diffuser(light)
+    peaks = light - _opened(light, _PEAK_PX)
+    above = (
+        light - cv2.medianBlur(light, 5) > _SIGMAS * noise
+    )  # of five pixels: few tracers fill it
+    body = _wide(_opened(light, _PEAK_PX) < _DARK * diffuser, largest_px)
+    bright = above & (body | (light > diffuser + _SIGMAS * noise))
+    around = cv2.dilate(bright.astype(np.uint8), _disc(_GROWN_PX)) > 0
+    shadows = _filled(np.minimum(light, diffuser + noise), around)
+    body = _wide(shadows < _DARK * diffuser, largest_px)
+    shadows[cv2.dilate(body.astype(np.uint8), _disc(3)) > 0] = diffuser
+    return np.where(around, np.maximum(peaks, 0.0), 0.0).astype(np.float32), shadows, body
+
+
+def _diffuser(light: F32) -> tuple[float, float]:
+    """Estimate the diffuser's brightness, and the noise of its pixels.
+
+    The diffuser is the most frequent brightness; noise is symmetric about it.
+    """
+    values = np.sort(cv2.medianBlur(light, 3).ravel())
+    width = len(values) // 5  # the shortest interval that holds a fifth of the pixels: its mode
+    first = int(np.argmin(values[width:] - values[:-width]))
+    mode = float(np.median(values[first : first + width]))
+    below = light[(light < mode) & (light > 0.8 * mode)]
+    return mode, float(np.sqrt(np.mean((below - mode) ** 2))) if len(below) else 1.0
+
+
+def _filled(light: F32, holes: Bool) -> F32:
+    """Fill pixels from those around them."""
+    known = (~holes).astype(np.float32)
+    weight = cv2.GaussianBlur(known, (0, 0), _GROWN_PX / 2.0)
+    mean = cv2.GaussianBlur(light * known, (0, 0), _GROWN_PX / 2.0) / np.maximum(weight, 1e-6)
+    return np.asarray(np.where(holes, mean, light), dtype=np.float32)
+
+
+def _wide(dark: Bool, largest_px: float) -> Bool:
+    """Keep the dark regions that hold a disc wider than any bubble."""
+    size = int(np.ceil(1.2 * largest_px)) | 1
+    solid = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_CLOSE, _disc(5))
+    cores = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _disc(size))
+    reach = cv2.dilate(cores, _disc(size))
+    return np.asarray((reach > 0) & (solid > 0))
+
+
+def _opened(light: F32, size: int) -> F32:
+    return np.asarray(cv2.morphologyEx(light, cv2.MORPH_OPEN, _disc(size)), dtype=np.float32)
+
+
+def _disc(size: int) -> U16:
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+
+
+def _grey(values: F32, case: Observation) -> U16:
+    return np.clip(np.rint(values), 0.0, case.white_dn).astype(np.uint16)
