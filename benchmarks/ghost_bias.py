@@ -6,7 +6,7 @@ For the cases of the suite ghost-bias (default: all) and seeds 1 to N, `piv3d` w
 settings correlates pairs of volumes:
 
 - `block_mart` and `mte_mart`: as the solvers make them.
-- `no ghosts`: those of `block_mart`, dark wherever no true particle is near. Only the ghosts differ.
+- `no ghosts`: those of `block_mart`, dark wherever no true particle is near.
 - `truth`: the synthesised field of the same particles, the limit of the correlation itself.
 
 Ghost light is the share of a volume's intensity that is far from all true particles. Seconds are
