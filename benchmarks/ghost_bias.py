@@ -47,7 +47,15 @@ NEAR = 0.05  # of a particle's peak in the synthesised field, at about two voxel
 VARIANTS = ("truth", "no ghosts", "block_mart", "mte_mart")
 _VOLUME = ("q", "peak_f1", "peak_ghost_percent")
 _FIELD = ("response", "u_bias_voxel", "u_rms_voxel", "w_rms_voxel", "rms_voxel", "yield_percent")
+_COLUMNS = (
+    ("q", 3),
+    ("ghost_light_percent", 1),
+    ("peak_ghost_percent", 1),
+    ("rms_voxel", 3),
+    ("cpu_s", 0),
+)
 Figures = dict[str, float | None]
+Record = dict[str, dict[str, list[Figures]]]
 
 
 def measure(scene: Scene, seed: int) -> dict[str, Figures]:
@@ -80,8 +88,8 @@ def score_volumes(shots: Sequence[Shot], true: Sequence[F32], volumes: Sequence[
         grid = shot.observation.grid
         scores = score_frame(grid, shot.particles, shot.views, Reconstruction(volume))
         ghosts = volume[grid.scored][field[grid.scored] <= NEAR].sum(dtype=np.float64)
-        share = float(ghosts / volume[grid.scored].sum(dtype=np.float64))
-        rows.append({key: scores[key] for key in _VOLUME} | {"ghost_light": share})
+        share = 100.0 * float(ghosts / volume[grid.scored].sum(dtype=np.float64))
+        rows.append({key: scores[key] for key in _VOLUME} | {"ghost_light_percent": share})
     return mean_of_each(rows)
 
 
@@ -112,23 +120,24 @@ def text(rows: Sequence[Figures], key: str, decimals: int) -> str:
     return mean.text(decimals) if mean else "-"
 
 
-def tables(record: dict[str, dict[str, list[Figures]]]) -> str:
-    """Write the record's tables in Markdown."""
-    lines = [
-        "| case | truth | no ghosts | `block_mart` | `mte_mart` |",
-        "|---|---|---|---|---|",
-    ]
+def responses(record: Record) -> str:
+    """Write measured over true gradients as a table in Markdown."""
+    lines = ["| case | seeds | truth | no ghosts | `block_mart` | `mte_mart` |"]
+    lines.append("|---|---|---|---|---|---|")
     for case, of in record.items():
         cells = [text(of[name], "response", 3) for name in VARIANTS]
-        lines.append(f"| {case} | {' | '.join(cells)} |")
-    lines += ["", "| case | solver | Q | ghost light | ghosts % | u rms | CPU s |"]
-    lines += ["|---|---|---|---|---|---|---|"]
+        lines.append(f"| {case} | {len(of['truth'])} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def volumes(record: Record) -> str:
+    """Write the figures of volumes and the errors of velocities as a table in Markdown."""
+    lines = ["| case | solver | Q | ghost light % | peak ghost % | rms voxel | CPU s |"]
+    lines.append("|---|---|---|---|---|---|---|")
     for case, of in record.items():
         for name in VARIANTS[2:]:
-            rows = of[name]
-            cells = [text(rows, "q", 3), text(rows, "ghost_light", 3)]
-            cells += [text(rows, "peak_ghost_percent", 1), text(rows, "u_rms_voxel", 3)]
-            lines.append(f"| {case} | `{name}` | {' | '.join(cells)} | {text(rows, 'cpu_s', 0)} |")
+            cells = [text(of[name], key, decimals) for key, decimals in _COLUMNS]
+            lines.append(f"| {case} | `{name}` | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -151,7 +160,7 @@ def main() -> None:
         for variant, row in measure(scenes[name], seed).items():
             of[variant].append({"seed": seed, **row})
         file.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    print(tables(record))
+    print(responses(record), volumes(record), sep="\n\n")
 
 
 if __name__ == "__main__":
