@@ -28,6 +28,7 @@ import numpy as np
 from sabench.api import ImageSequence, Reconstruction, VolumePair
 from sabench.api.make import make_algorithm
 from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suites import SceneCase
 from sabench.metrics.averages import finite_or_none, mean_of_each
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.metrics.synthesised_field import true_field
@@ -148,7 +149,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--record", type=Path, default=RECORD)
     chosen = parser.parse_args()
-    scenes = {case.name: case.scene for case in load_suite(SUITE)[1]}
+    cases = load_suite(SUITE)[1]
+    scenes = {case.name: case.scene for case in cases if isinstance(case, SceneCase)}
     file: Path = chosen.record
     record = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     names = chosen.cases or list(scenes)

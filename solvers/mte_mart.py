@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic import Field
 
-from sabench.algorithms.tomography import SparseParameters
-from sabench.algorithms.tomography.motion_tracking import (
+from sabench.algorithms.tomography import (
     Displacement,
     Exposure,
+    SparseParameters,
     enhanced_guesses,
 )
 from sabench.algorithms.velocimetry import CorrelationParameters, evaluate

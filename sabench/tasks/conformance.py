@@ -260,7 +260,7 @@ def first_case(solver: str, data: Dataset) -> Any:
 
 
 def example_for(solver: str, folder: Path) -> Dataset:
-    """Generate the small data set of a solver's task, or open it if it is in the folder.
+    """Generate the small data set for a solver, or open it if it is there.
 
     Solvers of image sequences have that of velocimetry, which has a pair of frames.
     """

@@ -61,11 +61,11 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Displacement:
-    """Displacements between two exposures, at the middle of the interval, on the fine grid.
+    """Displacements between two exposures, at the middle of the interval.
 
     Attributes
     ----------
-    shift : (z, y, x, 3) fine voxels (x, y, z) on a lattice.
+    shift : (z, y, x, 3) voxels (x, y, z) of the fine grid, on a lattice.
     origin, step : position (z, y, x) of its first node and its spacing, fine voxels.
     """
 
