@@ -68,7 +68,7 @@ class Plan:
 
 
 class CorrelationParameters(Parameters):
-    """Windows and passes of the multi-pass correlation; all sizes in voxels along x, y, z."""
+    """Windows and passes of the correlation; sizes in voxels along x, y, z."""
 
     first_window: Voxels = Option(
         (64, 64, 32), description="of the first pass; displacements up to a quarter of it are found"
@@ -109,7 +109,7 @@ class CorrelationParameters(Parameters):
     )
 
     def plan(self, shape: Size) -> Plan:
-        """Make the plan for volumes of a shape (z, y, x), which the first window has to fit."""
+        """Make the plan for volumes (z, y, x), which the first window has to fit."""
         z, y, x = (
             min(own, 2 * (there // 2))
             for own, there in zip(self.first_window[::-1], shape, strict=True)
