@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from sabench import plugins
-from sabench.api.solvers import AnySolver, Solver
+from sabench.api.solvers import AnySolver, SequenceSolver, Solver
 from sabench.utils.errors import InputError
 from sabench.utils.validation import validate
 
@@ -34,9 +34,19 @@ def make_algorithm(name: str, parameters: dict[str, Any]) -> AnySolver:
 
 
 def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
-    """Make a reconstruction solver with checked parameters."""
+    """Make a reconstruction solver of single frames with checked parameters."""
+    made = make_reconstruction_solver(name, parameters)
+    if isinstance(made, SequenceSolver):
+        raise InputError(
+            f"solver {name}: expected a solver of single frames, got one of image sequences"
+        )
+    return made
+
+
+def make_reconstruction_solver(name: str, parameters: dict[str, Any]) -> Solver | SequenceSolver:
+    """Make a reconstruction solver, of single frames or of image sequences."""
     made = make_algorithm(name, parameters)
-    if not isinstance(made, Solver):
+    if not isinstance(made, Solver | SequenceSolver):
         raise InputError(
             f"solver {name}: expected a solver of the task reconstruction, got one of {made.task}"
         )

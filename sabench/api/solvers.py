@@ -42,6 +42,25 @@ class Solver(PlugIn):
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
+class SequenceSolver(PlugIn):
+    """Base of a reconstruction algorithm that takes several frames together.
+
+    `solve` turns an image sequence into the reconstruction of each of its frames: a list, or an
+    iterator that yields them in order.
+    """
+
+    task: ClassVar[TaskName] = "reconstruction"
+    sees: ClassVar[Shown] = "particles"
+
+    def skip(self, case: ImageSequence) -> str | None:
+        """Give the reason why this algorithm cannot take the case; None if it can."""
+        return None
+
+    def solve(self, case: ImageSequence) -> Iterable[Reconstruction]:
+        """Reconstruct every frame."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
 class ParticleSolver(PlugIn):
     """Base of an algorithm that finds particles, with or without trajectories.
 
@@ -167,6 +186,7 @@ AnySolver = (
     | BubbleSolver
     | SeeThroughSolver
     | Solver
+    | SequenceSolver
     | CalibrationSolver
     | SelfCalibrationSolver
     | VelocimetrySolver

@@ -23,6 +23,7 @@ from sabench.api import (
     ImageSequence,
     Observation,
     Reconstruction,
+    SequenceSolver,
     VolumePair,
 )
 from sabench.api.estimates import Estimate
@@ -31,6 +32,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.images.flaws import Flaws
 from sabench.scenes import load_scene
 from sabench.simulation.pipeline import generate
+from sabench.tasks.sequence_call import image_sequence
 from sabench.tasks.solve_and_score import score, solve
 from sabench.tasks.task import Task
 from sabench.utils.errors import DeclinedError, InputError
@@ -70,7 +72,7 @@ class _Trial:
 
     def case(self) -> Any:
         """Make the case that the solver receives."""
-        case = self.task.case(self.data)
+        case = first_case(self.solver, self.data)
         return _image_sequence(case, list(case)) if isinstance(case, ImageSequence) else case
 
     @cached_property
@@ -225,9 +227,8 @@ def check_solver(
     plugin = plugins.load("solvers", solver)
     make_algorithm(solver, parameters or {})
     with tempfile.TemporaryDirectory(prefix="sabench-conform-") as scratch:
-        task = tasks.of(plugin.task)
-        data = example(task, plugin.sees, folder or Path(scratch))
-        trial = _Trial(solver, parameters or {}, task, data, Path(scratch))
+        data = example_for(solver, folder or Path(scratch))
+        trial = _Trial(solver, parameters or {}, tasks.of(plugin.task), data, Path(scratch))
         for law in laws:
             yield _try(law, trial)
 
@@ -248,6 +249,24 @@ def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
     except Exception as error:
         return Finding(name, "broken", f"{type(error).__name__}: {error}")
     return Finding(name, "obeyed")
+
+
+def first_case(solver: str, data: Dataset) -> Any:
+    """Make the first case of a data set as a solver receives it."""
+    plugin = plugins.load("solvers", solver)
+    if issubclass(plugin, SequenceSolver):
+        return image_sequence(data, data.setup.sequences()[0])[0]
+    return tasks.of(plugin.task).case(data)
+
+
+def example_for(solver: str, folder: Path) -> Dataset:
+    """Generate the small data set for a solver, or open it if it is there.
+
+    Solvers of image sequences have that of velocimetry, which has a pair of frames.
+    """
+    plugin = plugins.load("solvers", solver)
+    task = tasks.of("velocimetry" if issubclass(plugin, SequenceSolver) else plugin.task)
+    return example(task, plugin.sees, folder)
 
 
 def example(task: Task, sees: str, folder: Path) -> Dataset:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,8 @@ import numpy as np
 from sabench.algorithms.particles import link
 from sabench.api import FoundParticles, ImageSequence
 from sabench.dataset.camera_files import CamerasFile
-from sabench.tasks.solver_call import SolverClock, call_solver
+from sabench.tasks.sequence_call import answers_of_frames
+from sabench.tasks.solver_call import SolverClock
 from sabench.utils.errors import InputError
 
 
@@ -28,33 +29,14 @@ def find_in_each_frame(
         Whatever the solver raises; something else than `FoundParticles` of every frame;
         trajectories in some of them only.
     """
-    where = f" on frames {frames[0]} to {frames[-1]}"
-    answer, took = call_solver(algorithm, name, sequence, Iterable, where)
-    clock.seconds += took
-    found, count, linked = iter(answer), 0, None
-    while True:
-        with clock.running(name, where):
-            one = next(found, None)
-        if one is None and count == len(frames):
-            return
-        if count == len(frames) or not isinstance(one, FoundParticles):
-            raise InputError(_not_each(name, len(frames), count, one))
+    linked = None
+    for one in answers_of_frames(algorithm, name, sequence, frames, FoundParticles, clock):
         linked = one.trajectory is not None if linked is None else linked
         if linked != (one.trajectory is not None):
             raise InputError(
                 f"solver {name}: expected trajectories in every frame or in none, got them in some"
             )
-        count += 1
         yield one
-
-
-def _not_each(name: str, frames: int, count: int, one: object) -> str:
-    got = f"{count} of them"
-    if count == frames:
-        got = "more"
-    elif one is not None:
-        got = f"a {type(one).__name__} for one"
-    return f"solver {name}: expected FoundParticles for each of {frames} frames, got {got}"
 
 
 class TrajectoryNumbers:

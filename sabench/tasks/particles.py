@@ -5,14 +5,12 @@ They may link them, too.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from sabench.api import FoundParticles, ImageSequence, Observation
+from sabench.api import FoundParticles, ImageSequence
 from sabench.api.truth import Particles
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
@@ -37,6 +35,7 @@ from sabench.tasks.found_frames import (
 )
 from sabench.tasks.particles_over_time import score_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES
+from sabench.tasks.sequence_call import image_sequence
 from sabench.tasks.solver_call import SolverClock
 from sabench.tasks.task import (
     Captions,
@@ -145,12 +144,7 @@ class ParticlesTask(Task):
 
     def case(self, data: Dataset) -> ImageSequence:
         """Make the first sequence; a frame is read when it is requested."""
-        return self._image_sequence(data, data.setup.sequences()[0])[0]
-
-    def _image_sequence(self, data: Dataset, frames: range) -> tuple[ImageSequence, _Reader]:
-        reader = _Reader(data, frames)
-        times = tuple(data.setup.time_s(frame) for frame in frames)
-        return ImageSequence(data.setup.cameras, data.setup.grid, times, reader), reader
+        return image_sequence(data, data.setup.sequences()[0])[0]
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Find the particles of every sequence; return the seconds of each frame.
@@ -159,7 +153,7 @@ class ParticlesTask(Task):
         """
         seconds, numbers = list[float](), TrajectoryNumbers()
         for frames in progress_bar(data.setup.sequences(), f"particles by {name}"):
-            sequence, reader = self._image_sequence(data, frames)
+            sequence, reader = image_sequence(data, frames)
             clock, waiting = SolverClock(), list[FoundParticles]()
             found = find_in_each_frame(algorithm, name, sequence, frames, clock)
             for frame, one in zip(frames, found, strict=True):
@@ -250,24 +244,6 @@ class ParticlesTask(Task):
         sigma_mm = _DRAWN_VOXELS * grid.voxel_mm[0]
         volume = synthesise(grid, positions, np.ones(len(positions)), sigma_mm)
         return pictures.slice_picture(volume, grid.scored)
-
-
-@dataclass
-class _Reader:
-    """Reader of one sequence's frames, which measures the seconds of reading.
-
-    They are not part of the solver's time.
-    """
-
-    data: Dataset
-    frames: range
-    seconds: float = field(default=0.0)
-
-    def __call__(self, number: int) -> Observation:
-        start = time.perf_counter()
-        seen = self.data.observation(self.frames[number])
-        self.seconds += time.perf_counter() - start
-        return seen
 
 
 def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame: int) -> Figures:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
-from sabench.api import Observation, Reconstruction
+from sabench.api import Observation, Reconstruction, SequenceSolver
 from sabench.dataset.reader import Dataset
-from sabench.dataset.results import Result
+from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
 from sabench.geometry.visibility import any_in_view
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting import pictures
+from sabench.tasks.sequence_call import answers_of_frames, image_sequence
+from sabench.tasks.solver_call import SolverClock
 from sabench.tasks.task import (
     Captions,
     Figures,
@@ -22,6 +26,7 @@ from sabench.tasks.task import (
     Gate,
     Score,
     Source,
+    check_estimate,
     check_number,
     correlation,
 )
@@ -89,6 +94,40 @@ class ReconstructionTask(FrameByFrame):
         errors="The estimate, scaled to fit best, minus the truth in the same window: blue is "
         "missing light, red is too much light. All maps of a case have one scale.",
     )
+
+    def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
+        """Reconstruct every frame, or every sequence; return the seconds of each frame."""
+        if not isinstance(algorithm, SequenceSolver):
+            return super().run(algorithm, name, data, writer)
+        seconds = list[float]()
+        for frames in progress_bar(data.setup.sequences(), f"volumes by {name}"):
+            clock = SolverClock()
+            found = self.call_sequence(algorithm, name, data, frames, clock)
+            for frame, one in zip(frames, found, strict=True):
+                writer.add(one, frame)
+            seconds += [clock.seconds / len(frames)] * len(frames)
+            memory.trim()
+        return seconds
+
+    def call_sequence(
+        self,
+        algorithm: SequenceSolver,
+        name: str,
+        data: Dataset,
+        frames: range,
+        clock: SolverClock,
+    ) -> Iterator[Reconstruction]:
+        """Call a solver on a sequence; yield its checked estimates.
+
+        The clock runs while the solver does; at the end, the time for reading images is taken off.
+        """
+        self.check_case(data.observation(frames[0]), f"{data.root}: frame {frames[0]}")
+        sequence, reader = image_sequence(data, frames)
+        found = answers_of_frames(algorithm, name, sequence, frames, Reconstruction, clock)
+        for frame, one in zip(frames, found, strict=True):
+            check_estimate(one, name, data, frame)
+            yield one
+        clock.seconds = max(clock.seconds - reader.seconds, 0.0)
 
     def check_case(self, case: Observation, source: str) -> None:
         """Raise an InputError for an observation that no solver can use.

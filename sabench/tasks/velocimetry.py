@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sabench.api import Reconstruction, Velocity, VolumePair
-from sabench.api.make import make_solver
+from sabench.api import Reconstruction, SequenceSolver, Velocity, VolumePair
+from sabench.api.make import make_reconstruction_solver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.metrics.averages import finite_or_none
@@ -22,7 +22,7 @@ from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocit
 from sabench.plotting.drawing import draw
 from sabench.tasks import reconstruction
 from sabench.tasks.figures.velocity import field_figure
-from sabench.tasks.solver_call import call_solver
+from sabench.tasks.solver_call import SolverClock, call_solver
 from sabench.tasks.task import Captions, Figures, Gate, Score, Source, Task, check_estimate
 from sabench.utils import memory
 from sabench.utils.arrays import F64, Bool
@@ -173,12 +173,15 @@ class _Volumes:
     """Reconstructed volumes of the frames of a pair; those of the next pair are kept."""
 
     def __init__(self, data: Dataset, solver: str) -> None:
-        self._data, self._name, self._solver = data, solver, make_solver(solver, {})
+        self._data, self._name = data, solver
+        self._solver = make_reconstruction_solver(solver, {})
         self._kept: dict[int, Reconstruction] = {}
         self.seconds: list[float] = []
 
     def reconstruct(self, pair: tuple[int, int]) -> tuple[Any, Any]:
         """Reconstruct the volumes of a pair, unless they are already there."""
+        if isinstance(self._solver, SequenceSolver):
+            return self._together(self._solver, pair)
         self._kept = {frame: one for frame, one in self._kept.items() if frame in pair}
         for frame in pair:
             if frame not in self._kept:
@@ -186,6 +189,14 @@ class _Volumes:
                 self._kept[frame] = found
                 self.seconds.append(took)
         return self._kept[pair[0]].volume, self._kept[pair[1]].volume
+
+    def _together(self, solver: SequenceSolver, pair: tuple[int, int]) -> tuple[Any, Any]:
+        """Reconstruct both frames of a pair from each other."""
+        clock, frames = SolverClock(), range(pair[0], pair[1] + 1)
+        found = reconstruction.TASK.call_sequence(solver, self._name, self._data, frames, clock)
+        first, second = (one.volume for one in found)
+        self.seconds.append(clock.seconds / len(frames))
+        return first, second
 
 
 def interval_s(data: Dataset, pair: tuple[int, int]) -> float:

@@ -15,3 +15,11 @@ def test_tables_over_the_density_are_those_of_the_records() -> None:
     first_cells = {line.split("|")[1].strip() for line in text.split("\n") if line.startswith("| ")}
     assert {words for words, _ in script["CASES"]} - first_cells <= {"equal light, 0.50 ppp"}
     assert set(script["PARTS"]) <= first_cells
+
+
+def test_tables_on_correlated_ghosts_are_those_of_the_record() -> None:
+    script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_ghost_bias.py"))
+    for page in script["PAGES"]:
+        text = page.read_text(encoding="utf-8")
+        assert "<!-- ghost bias: " in text
+        assert script["filled"](text) == text, "run python docs/results/fill_ghost_bias.py"

@@ -12,6 +12,11 @@ from sabench.algorithms.tomography.art_updates import (
     sart,
     smart,
 )
+from sabench.algorithms.tomography.motion_tracking import (
+    Displacement,
+    Exposure,
+    enhanced_guesses,
+)
 from sabench.algorithms.tomography.problem import (
     SparseParameters,
     TomographyParameters,
@@ -19,12 +24,15 @@ from sabench.algorithms.tomography.problem import (
 )
 
 __all__ = [
+    "Displacement",
+    "Exposure",
     "Iterate",
     "RecordedLight",
     "SparseParameters",
     "TomographyParameters",
     "TomographyProblem",
     "block_mart",
+    "enhanced_guesses",
     "iterate",
     "mart",
     "sart",

@@ -132,6 +132,13 @@ class TomographyProblem:
             floor,
         )
 
+    def blobs(self, state: Iterate) -> F32:
+        """Return the volume (z, y, x) of the fine voxels' blobs on the fine grid."""
+        fine = supersampling.split(self.grid, self.splits)
+        return supersampling.gather(
+            state.lines.support, state.values, fine, (1, 1, 1), self.sigma_mm
+        )
+
     def _start(self, support: Support, values: F32) -> Iterate:
         lines = ProjectionOperator(self.geometry, support, self.footprint)
         seen = np.rint(lines.adjoint(np.ones_like(self.measured.light)))

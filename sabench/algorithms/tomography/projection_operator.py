@@ -45,6 +45,11 @@ class Support:
         """Count the voxels."""
         return len(self.x)
 
+    def sample(self, volume: F32) -> F32:
+        """Read the voxels' values (n,) from a volume (z, y, x) of the whole grid."""
+        rows = np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
+        return np.asarray(volume.reshape(-1, self.shape[2])[rows, self.x])
+
     def parts(self, count: int) -> I64:
         """Cut the voxels into parts of about the same size: rows (count + 1,)."""
         cuts = np.searchsorted(self.start, np.linspace(0, len(self.x), count + 1))

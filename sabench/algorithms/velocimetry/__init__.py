@@ -1,5 +1,10 @@
 """Velocimetry: three-dimensional correlation of pairs of volumes."""
 
-from sabench.algorithms.velocimetry.multipass import Plan, evaluate, evaluate_once
+from sabench.algorithms.velocimetry.multipass import (
+    CorrelationParameters,
+    Plan,
+    evaluate,
+    evaluate_once,
+)
 
-__all__ = ["Plan", "evaluate", "evaluate_once"]
+__all__ = ["CorrelationParameters", "Plan", "evaluate", "evaluate_once"]

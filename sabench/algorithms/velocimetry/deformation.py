@@ -137,6 +137,30 @@ def deform_pair(
                 out[z, y, x] = other[z, y, x] = 0.0
 
 
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def deform(coefficients: Any, field: Any, origin: Any, step: Any, share: float, out: Any) -> None:
+    """Fill in a volume read at points a share of a field away from its voxels.
+
+    Parameters
+    ----------
+    coefficients : (z, y, x) `spline_coefficients` of the volume.
+    field, origin, step : as for `deform_pair`.
+    share : of the field.
+    out : (z, y, x). It keeps its values where the volume is read beyond its faces.
+    """
+    depth, height, width = out.shape
+    for job in numba.prange(depth * height):
+        z, y = job // height, job % height
+        row = _row_field(field, (z - origin[0]) / step[0], (y - origin[1]) / step[1])
+        positions, corners = (
+            np.empty((3, width), dtype=np.float32),
+            np.empty((3, width), dtype=np.int32),
+        )
+        beyond = np.zeros(width, dtype=np.bool_)
+        _aim(row, origin[2], step[2], share, y, z, positions, corners)
+        _read_row(coefficients, positions, corners, z, y, out, beyond)
+
+
 @numba.njit(cache=True, fastmath=True)
 def _read_row(
     coefficients: Any, positions: Any, corners: Any, z: int, y: int, out: Any, beyond: Any
