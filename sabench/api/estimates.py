@@ -339,6 +339,18 @@ class Velocity(Estimate):
             return np.eye(3)
         return np.vstack([self.plane_axes, cross(*self.plane_axes)])
 
+    def components(self, velocity_mm_s: F64) -> F64:
+        """Resolve velocities (..., 3) along the lattice's axes, without those not measured."""
+        along = velocity_mm_s @ self.axes.T
+        return np.asarray(along if self.plane_axes is None else along * [1.0, 1.0, 0.0])
+
+    def in_own_axes(self) -> Velocity:
+        """Express the field in the lattice's own axes, with the world's origin."""
+        if self.plane_axes is None:
+            return self
+        low = triple(self.axes @ np.asarray(self.low_mm))
+        return Velocity(low, self.step_mm, self.velocity_mm_s @ self.axes.T, self.valid)
+
     @property
     def positions_mm(self) -> F64:
         """Nodes (z, y, x, 3)."""

@@ -20,6 +20,7 @@ from sabench import plugins, tasks
 from sabench.api import (
     CalibrationCase,
     FoundParticles,
+    ImagePair,
     ImageSequence,
     Observation,
     Reconstruction,
@@ -70,7 +71,8 @@ class _Trial:
 
     def case(self) -> Any:
         """Make the case that the solver receives."""
-        case = self.task.case(self.data)
+        algorithm = make_algorithm(self.solver, self.parameters)
+        case = self.task.case_for(algorithm, self.data)
         return _image_sequence(case, list(case)) if isinstance(case, ImageSequence) else case
 
     @cached_property
@@ -226,7 +228,7 @@ def check_solver(
     make_algorithm(solver, parameters or {})
     with tempfile.TemporaryDirectory(prefix="sabench-conform-") as scratch:
         task = tasks.of(plugin.task)
-        data = example(task, plugin.sees, folder or Path(scratch))
+        data = example(task, task.seen_by(plugin), folder or Path(scratch))
         trial = _Trial(solver, parameters or {}, task, data, Path(scratch))
         for law in laws:
             yield _try(law, trial)
@@ -267,6 +269,8 @@ def _arrays(case: Any) -> list[Any]:
         return [frame.images for frame in case]
     if isinstance(case, Observation):
         return [case.images]
+    if isinstance(case, ImagePair):
+        return [case.first.images, case.second.images]
     if isinstance(case, VolumePair):
         return [case.first, case.second]
     return [case.pixels, case.initial_mm, case.known_mm, case.known_sigma_mm]
@@ -282,6 +286,9 @@ def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
     if isinstance(case, ImageSequence):
         frames = [_with_images(frame, change) for frame in case]
         return _image_sequence(case, frames)
+    if isinstance(case, ImagePair):
+        first, second = (_with_images(frame, change) for frame in (case.first, case.second))
+        return ImagePair(first, second, case.interval_s)
     if not isinstance(case, Observation):
         raise _SkippedError("its cases have no images")
     return replace(case, images=change(case.images, int(case.black_dn)))
@@ -292,6 +299,9 @@ def _reverse_cameras(case: Any) -> Any:
     if isinstance(case, ImageSequence):
         frames = [_reverse_cameras(frame) for frame in case]
         return _image_sequence(case, frames)
+    if isinstance(case, ImagePair):
+        first, second = (_reverse_cameras(frame) for frame in (case.first, case.second))
+        return ImagePair(first, second, case.interval_s)
     if isinstance(case, Observation):
         flaws = case.flaws and Flaws(*(kind[::-1].copy() for kind in case.flaws))
         images, cameras = case.images[::-1].copy(), case.cameras[::-1]

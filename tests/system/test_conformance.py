@@ -42,7 +42,7 @@ def _reason(name: str, examples: Path) -> str | None:
     plugin = plugins.load("solvers", name)
     task = tasks.of(plugin.task)
     algorithm = make_algorithm(name, {})
-    return algorithm.skip(task.case(example(task, plugin.sees, examples)))
+    return algorithm.skip(task.case(example(task, task.seen_by(plugin), examples)))
 
 
 @pytest.mark.parametrize("name", sorted(SLOW))

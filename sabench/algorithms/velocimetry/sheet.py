@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +12,7 @@ from sabench.algorithms.velocimetry.multipass import Field
 from sabench.api import Observation, Velocity
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
+from sabench.geometry.plane_sections import cut_box
 from sabench.geometry.rotations import cross, frame_of_normal
 from sabench.utils.arrays import F32, F64, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
@@ -95,8 +95,7 @@ def find_sheet(
     across = _thinnest(grid) if normal is None else np.asarray(normal) / np.linalg.norm(normal)
     points = _probe(grid, through, across)
     views = [
-        _View.of(number, cameras[number], points, across)
-        for number in _candidates(cameras, camera)
+        _View.of(number, cameras[number], points, across) for number in _candidates(cameras, camera)
     ]
     best = max(views, key=lambda view: view.angle)
     best.check(len(views))
@@ -115,14 +114,8 @@ def _thinnest(grid: Grid) -> F64:
     return np.asarray(np.eye(3)[int(edges.argmin())])
 
 
-def _box(grid: Grid) -> tuple[F64, F64]:
-    """Return the corners of the grid's box with the smallest and largest coordinates."""
-    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
-    return low - voxel / 2.0, low + voxel * (np.asarray(grid.shape[::-1]) - 0.5)
-
-
 def _in_box(grid: Grid, points_mm: F64) -> Bool:
-    low, high = _box(grid)
+    low, high = grid.box_mm
     spare = 1e-9 * (high - low)
     inside = (points_mm >= low - spare) & (points_mm <= high + spare)
     return np.asarray(inside.all(axis=-1))
@@ -130,7 +123,7 @@ def _in_box(grid: Grid, points_mm: F64) -> Bool:
 
 def _probe(grid: Grid, point_mm: F64, normal: F64) -> F64:
     """Spread points (n, 3) over the part of a plane that lies in the grid's box."""
-    outline = _outline(*_box(grid), point_mm, normal)
+    outline = cut_box(*grid.box_mm, point_mm, normal)
     if not len(outline):
         raise InputError(
             f"point_mm and normal: expected a plane through the grid, got one beside it, through "
@@ -142,19 +135,6 @@ def _probe(grid: Grid, point_mm: F64, normal: F64) -> F64:
     across, down = (part.ravel() for part in np.meshgrid(*sides.T))
     points = point_mm + across[:, None] * u + down[:, None] * v
     return np.asarray(points[_in_box(grid, points)])
-
-
-def _outline(low: F64, high: F64, point_mm: F64, normal: F64) -> F64:
-    """Cut a box's edges with a plane: corners (n, 3) of the part of the plane in the box."""
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-    away = (corners - point_mm) @ normal
-    cuts = []
-    for one, other in itertools.combinations(range(8), 2):
-        if bin(one ^ other).count("1") == 1 and away[one] * away[other] <= 0.0:
-            length = away[one] - away[other]
-            share = away[one] / length if length else 0.0
-            cuts.append(corners[one] + share * (corners[other] - corners[one]))
-    return np.array(cuts).reshape(-1, 3)
 
 
 def _candidates(cameras: Sequence[CameraModel], name: str | None) -> list[int]:
@@ -242,7 +222,8 @@ def _lay(view: _View, camera: CameraModel, grid: Grid, points_mm: F64, normal: F
     low = np.maximum(every.min(axis=0), some.min(axis=0) - spacing)
     high = np.minimum(every.max(axis=0), some.max(axis=0) + spacing)
     columns, rows = np.floor((high - low)[:2] / edge).astype(int) + 1
-    start = low + [*((high - low)[:2] - (np.array([columns, rows]) - 1) * edge) / 2.0, 0.0]
+    spare = (high - low)[:2] - (np.array([columns, rows]) - 1) * edge
+    start = low + np.array([*(spare / 2.0), 0.0])
     across, down = np.meshgrid(np.arange(columns) * edge, np.arange(rows) * edge)
     steps = np.stack([across, down, np.zeros_like(across)], axis=-1)
     points = (start + steps).reshape(-1, 3) @ axes
