@@ -355,7 +355,7 @@ class Velocity(Estimate):
     def positions_mm(self) -> F64:
         """Nodes (z, y, x, 3)."""
         steps = np.moveaxis(np.indices(self.valid.shape)[::-1], 0, -1) * np.asarray(self.step_mm)
-        return np.asarray(self.low_mm) + steps @ self.axes
+        return np.asarray(np.asarray(self.low_mm) + steps @ self.axes)
 
 
 @dataclass(frozen=True)
