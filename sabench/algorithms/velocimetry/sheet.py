@@ -185,11 +185,12 @@ class _View:
 
     def check(self, count: int) -> None:
         """Raise a DeclinedError for a view of nothing, or along the plane."""
-        who = self.name if count == 1 else f"the best of {count} cameras, {self.name},"
         if self.angle < 0.0:
             who = self.name if count == 1 else f"none of {count} cameras"
-            raise DeclinedError(f"{who} sees the light sheet: its image shows no point of it")
+            what = "no point" if count == 1 else "a point"
+            raise DeclinedError(f"{who} sees {what} of the light sheet in the grid")
         if self.angle < _FLATTEST_DEGREES:
+            who = self.name if count == 1 else f"even the best camera, {self.name},"
             raise DeclinedError(
                 f"{who} sees the light sheet edge-on, at {self.angle:.0f} degrees (at least "
                 f"{_FLATTEST_DEGREES:.0f})"
