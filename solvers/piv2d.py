@@ -22,7 +22,9 @@ class Piv2dParameters(CorrelationParameters):
         None, description="a point in the middle of the light sheet; by default the grid's middle"
     )
     normal: Direction | None = Field(
-        None, description="normal of the light sheet; by default along the grid's shortest edge"
+        None,
+        description="normal of the light sheet; by default across a grid of one plane, or along "
+        "the grid's shortest edge",
     )
     camera: str | None = Field(
         None, description="name; by default the camera that looks most squarely at the sheet"

@@ -233,6 +233,8 @@ def write_lattice(
     with create_hdf5(path) as (file, check), delay_interrupts():
         _begin(file, "ImageData", head)
         for name, values in data.items():
+            if shape[0] == 1:  # VTK reads a plane as an array without this axis
+                values = values[0]
             chunk = (1, *values.shape[1:])
             file.create_dataset(
                 f"VTKHDF/PointData/{name}",

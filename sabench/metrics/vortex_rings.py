@@ -25,17 +25,17 @@ def sample(field: Velocity, values: F64) -> Sampled:
     NaN beyond the nodes. A planar field stands for its depth, half of it on either side.
     """
     low, step, counts = field.low_mm, np.asarray(field.step_mm), field.valid.shape[::-1]
-    several = [axis for axis in (2, 1, 0) if counts[axis] > 1]
+    along = [2, 1, 0] if field.plane_axes is None else [1, 0]
     inner = RegularGridInterpolator(
-        [np.arange(counts[axis]) for axis in several],
-        values.reshape(*(counts[axis] for axis in several), *values.shape[3:]),
+        [np.arange(counts[axis]) for axis in along],
+        values.reshape(*(counts[axis] for axis in along), *values.shape[3:]),
         bounds_error=False,
         fill_value=np.nan,
     )
 
     def at(points: F64) -> F64:
         places = (points - np.asarray(low)) @ field.axes.T / step
-        found = np.asarray(inner(places[:, several]))
+        found = np.asarray(inner(places[:, along]))
         if field.plane_axes is not None:
             found[np.abs(places[:, 2]) > 0.5] = np.nan
         return found

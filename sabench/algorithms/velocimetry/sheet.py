@@ -80,7 +80,8 @@ def find_sheet(
     Parameters
     ----------
     point_mm : a point of the plane; None: the middle of the grid.
-    normal : of the plane, of any length; None: along the grid's shortest edge.
+    normal : of the plane, of any length; None: across the grid's only plane of voxels, or along its
+        shortest edge.
     camera : name; None: the camera that looks most squarely at the plane.
 
     Raises
@@ -103,7 +104,10 @@ def find_sheet(
 
 
 def _thinnest(grid: Grid) -> F64:
-    """Return the unit vector along the shortest edge of the grid's box."""
+    """Return the unit vector across the grid's only plane, or along its box's shortest edge."""
+    single = np.asarray(grid.shape[::-1]) == 1
+    if single.sum() == 1:
+        return single.astype(np.float64)
     edges = np.asarray(grid.voxel_mm) * grid.shape[::-1]
     shortest, next_one = np.sort(edges)[:2]
     if next_one - shortest < 1e-6 * shortest:

@@ -118,7 +118,7 @@ class _Solid:
         return cls(
             _look(scene, field, _SLICE_MM),
             _fastest(scene, field, [deep]),
-            float(np.nanmax(around)),
+            _largest(around),
         )
 
 
@@ -130,7 +130,7 @@ def _look(scene: Scene, field: Velocity, beside_mm: float) -> _Cut:
         sum(r for r, _, _ in cores) / ORIFICE_MM,
         _fastest(scene, field, halves),
         float(np.mean([abs(spin) for _, _, spin in cores])),
-        float(np.nanmax(_around(scene, field, halves), axis=1).mean()),
+        float(np.mean([_largest(line) for line in _around(scene, field, halves)])),
     )
 
 
@@ -145,7 +145,13 @@ def _fastest(scene: Scene, field: Velocity, halves: Sequence[HalfPlane]) -> floa
     lines = [
         velocity(half.points(r, np.zeros_like(r))) @ np.asarray(ring["axis"]) for half in halves
     ]
-    return float(np.nanmax(lines))
+    return _largest(np.array(lines))
+
+
+def _largest(values: F64) -> float:
+    """Find the largest known value; NaN without any."""
+    known = values[~np.isnan(values)]
+    return float(known.max()) if len(known) else float("nan")
 
 
 def _planar_rows(planar: list[_Cut], exact: list[_Cut]) -> Iterator[Item]:
