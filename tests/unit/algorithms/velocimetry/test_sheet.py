@@ -144,12 +144,12 @@ def test_of_several_cameras_the_squarest_or_the_named_one_is_taken(camera: Camer
         tank_camera(**{"cameras.layout.places": [{"center_mm": [250.0, 0.0, -580.0]}]})
     )
     pair = (replace(oblique, name="left"), replace(camera, name="front"))
-    place: Any = ((0.0, 0.0, 131.5), (0.0, 0.0, 1.0))
-    assert find_sheet(pair, GRID, *place).camera == 1
-    assert find_sheet(pair[::-1], GRID, *place).camera == 0
-    assert find_sheet(pair, GRID, *place, "left").camera == 0
+    point, normal = (0.0, 0.0, 131.5), (0.0, 0.0, 1.0)
+    assert find_sheet(pair, GRID, point, normal).camera == 1
+    assert find_sheet(pair[::-1], GRID, point, normal).camera == 0
+    assert find_sheet(pair, GRID, point, normal, "left").camera == 0
     with pytest.raises(InputError, match="camera: expected one of left, front, got right"):
-        find_sheet(pair, GRID, *place, "right")
+        find_sheet(pair, GRID, point, normal, "right")
 
 
 def test_a_camera_that_does_not_see_the_sheet_declines(camera: Camera) -> None:
@@ -162,6 +162,13 @@ def test_a_camera_that_does_not_see_the_sheet_declines(camera: Camera) -> None:
         DeclinedError, match=r"camera_00 sees the light sheet edge-on, at \d degrees"
     ):
         find_sheet((camera,), GRID, (0.0, 0.0, 131.5), (1.0, 0.0, 0.0))
+
+
+def test_a_grid_of_one_plane_is_the_sheet_however_thick(camera: Camera) -> None:
+    thick = Grid((-3.0, -3.0, 131.5), (0.1, 0.1, 10.0), (1, 60, 60))
+    sheet = find_sheet((camera,), thick)
+    assert sheet.axes[2].tolist() == [0.0, 0.0, 1.0]
+    assert sheet.depth_mm == 10.0
 
 
 def test_a_sheet_that_cannot_be_is_named(camera: Camera) -> None:
