@@ -16,7 +16,7 @@ Pixels = tuple[int, int]
 
 
 class Piv2dParameters(CorrelationParameters):
-    """Place of the light sheet, camera, windows and passes; sizes in pixels along x, y."""
+    """Place of the light sheet, camera, windows and passes; sizes in pixels x, y."""
 
     point_mm: Vector | None = Field(
         None, description="a point in the middle of the light sheet; by default the grid's middle"
@@ -37,7 +37,7 @@ class Piv2dParameters(CorrelationParameters):
 
 
 class Piv2d(PlanarVelocimetrySolver):
-    """Multi-pass correlation of one camera's images, mapped to the plane of a light sheet.
+    """Multi-pass correlation of one camera's images, mapped to a light sheet.
 
     The images are resampled through the camera model, with the wall's refraction; `piv3d`'s
     correlation of volumes of one plane then gives the two components in the plane.

@@ -340,7 +340,7 @@ class Velocity(Estimate):
         return np.vstack([self.plane_axes, cross(*self.plane_axes)])
 
     def components(self, velocity_mm_s: F64) -> F64:
-        """Resolve velocities (..., 3) along the lattice's axes, without those not measured."""
+        """Resolve velocities (..., 3) along the lattice's axes, as far as measured."""
         along = velocity_mm_s @ self.axes.T
         return np.asarray(along if self.plane_axes is None else along * [1.0, 1.0, 0.0])
 

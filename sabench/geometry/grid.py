@@ -43,7 +43,7 @@ class Grid:
 
     @property
     def box_mm(self) -> tuple[F64, F64]:
-        """Corners (3,) of the box of all voxels, with the smallest and largest coordinates."""
+        """Corners (3,) of the box of all voxels: smallest and largest coordinates."""
         low, voxel = np.asarray(self.low_mm), np.asarray(self.voxel_mm)
         return low - voxel / 2.0, low + voxel * (np.asarray(self.shape[::-1]) - 0.5)
 

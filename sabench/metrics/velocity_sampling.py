@@ -54,7 +54,9 @@ def _spread(voxels: F64, least: float) -> tuple[F64, I64]:
 
 
 def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
-    """Make the lattice of nodes at which velocities in a light sheet are scored, all at rest.
+    """Make the lattice of nodes at which velocities in a light sheet are scored.
+
+    All of them are at rest.
 
     It is centred in the rectangle around the part of the plane in the scored box; the nodes in the
     box are valid. Its `plane_axes` are as near to the grid's axes as the plane allows.
@@ -88,7 +90,7 @@ def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
 
 
 def lengths_along(axes: F64, voxel_mm: tuple[float, float, float]) -> F64:
-    """Compute lengths (n,) of a voxel along unit vectors (n, 3): the edges, along the edges."""
+    """Compute lengths (n,) of a voxel along unit vectors (n, 3)."""
     return np.asarray(np.linalg.norm(axes * np.asarray(voxel_mm), axis=1))
 
 

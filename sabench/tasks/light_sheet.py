@@ -1,4 +1,4 @@
-"""Light sheets of data sets: where planar velocities are scored, and against what."""
+"""Light sheets of data sets, in which velocities are scored."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LightSheet:
     weights: F64
 
     def average(self, velocity: Callable[[F64], F64], points_mm: F64) -> F64:
-        """Average a velocity (n, 3) at points (n, 3) of the plane over the light across it."""
+        """Average a velocity at points (n, 3) of the plane over the light across it."""
         layers = (velocity(points_mm + offset * self.normal) for offset in self.offsets_mm)
         return np.asarray(sum(w * one for w, one in zip(self.weights, layers, strict=True)))
 
@@ -63,7 +63,7 @@ def _thickest(grid: Grid, normal: F64) -> float:
 
 
 def _across(profile: str, thickness_mm: float) -> tuple[F64, F64]:
-    """Place points (k,) across a sheet, with the light's weights (k,) by Gaussian quadrature."""
+    """Place points (k,) across a sheet, with weights (k,) by Gaussian quadrature."""
     if profile == "top-hat":
         points, weights = np.polynomial.legendre.leggauss(_POINTS)
         return points * thickness_mm / 2.0, weights / 2.0

@@ -1,4 +1,7 @@
-"""Task `velocimetry`: solvers turn two frames, or volumes of them, into a velocity field."""
+"""Task `velocimetry`: solvers turn two frames into a velocity field.
+
+Some solvers take the images, others volumes that are reconstructed from them.
+"""
 
 from __future__ import annotations
 
@@ -230,7 +233,7 @@ def _pair(data: Dataset, first: int) -> tuple[int, int]:
 
 
 def evaluation_nodes(data: Dataset) -> Velocity:
-    """Make the nodes at which fields are scored, at rest: in the light sheet if there is one."""
+    """Make the nodes at which fields are scored: in the light sheet, if there is one."""
     grid, sheet = data.setup.grid, light_sheet(data)
     if sheet is None:
         return evaluation_lattice(grid)

@@ -1,4 +1,4 @@
-"""Velocimetry: window correlation of pairs of volumes, and of images of a light sheet."""
+"""Velocimetry: window correlation of volumes, and of images of a light sheet."""
 
 from sabench.algorithms.velocimetry.multipass import Plan, evaluate, evaluate_once
 from sabench.algorithms.velocimetry.parameters import CorrelationParameters

@@ -10,7 +10,7 @@ from sabench.api import Parameters
 
 
 class CorrelationParameters(Parameters):
-    """Parameters of the multi-pass correlation, whatever the dimensions of its windows."""
+    """Parameters of the multi-pass correlation, planar or three-dimensional."""
 
     overlap: float = Field(
         0.75, ge=0.0, lt=1.0, description="of neighbouring windows, as a part of them"

@@ -72,7 +72,7 @@ def find_sheet(
     normal: tuple[float, float, float] | None = None,
     camera: str | None = None,
 ) -> Sheet:
-    """Lay pixels into the part of a plane that lies in the grid and that a camera sees.
+    """Lay pixels into the part of a plane in the grid that a camera sees.
 
     They are as large as the camera's own pixels are there. Their columns lie along the edge of the
     grid's box, projected on the plane, that is nearest to a row of the camera's image.
@@ -104,7 +104,7 @@ def find_sheet(
 
 
 def _thinnest(grid: Grid) -> F64:
-    """Return the unit vector across the grid's only plane, or along its box's shortest edge."""
+    """Return the unit vector across a grid of one plane, or along its shortest edge."""
     single = np.asarray(grid.shape[::-1]) == 1
     if single.sum() == 1:
         return single.astype(np.float64)
@@ -220,7 +220,7 @@ class _View:
 
 
 def _lay(view: _View, camera: CameraModel, grid: Grid, points_mm: F64, normal: F64) -> Sheet:
-    """Lay pixels over all that a camera sees of a plane, spread over which are `points_mm`."""
+    """Lay pixels over all that a camera sees of a plane; `points_mm` fill it."""
     axes, edge = view.axes(normal), view.pixel_mm
     every, some = points_mm @ axes.T, view.points_mm @ axes.T
     spacing = np.ptp(every, axis=0).max() / (_PROBES - 1)

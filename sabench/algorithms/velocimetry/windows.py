@@ -45,7 +45,7 @@ class Windows:
 
     @classmethod
     def over(cls, shape: Size, size: Size, overlap: float) -> Windows:
-        """Make as many windows as fit; they do not overlap along an axis where they are one voxel.
+        """Make as many windows as fit; those of one voxel do not overlap along its axis.
 
         Raises
         ------

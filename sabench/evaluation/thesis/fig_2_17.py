@@ -1,4 +1,4 @@
-"""Figures 2-17 to 2-19: planar PIV of a light sheet beside the vortex ring of eight cameras."""
+"""Figures 2-17 to 2-19: planar PIV of a light sheet next to 3-D PIV."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class _Cut:
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure core distance, velocity, vorticity and circulation of planar and 3-D PIV."""
+    """Measure cores, velocity, vorticity and circulation of planar and 3-D PIV."""
     sheet, volume = (
         coarsen(load_scene(name), pixels)
         for name in ("vortex-ring-sheet", "vortex-ring-experiment")
@@ -139,7 +139,7 @@ def _around(scene: Scene, field: Velocity, halves: Sequence[HalfPlane]) -> F64:
 
 
 def _fastest(scene: Scene, field: Velocity, halves: Sequence[HalfPlane]) -> float:
-    """Find the largest velocity along the ring's own motion on a line through its cores."""
+    """Find the largest velocity along the ring's motion on a line through its cores."""
     ring, velocity = ring_of(scene), sample(field, field.velocity_mm_s)
     r = np.linspace(0.0, ring["diameter_mm"], 400)
     lines = [

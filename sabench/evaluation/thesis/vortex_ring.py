@@ -1,4 +1,4 @@
-"""Common parts of the tables of the vortex ring's experiment, section 2.3 of the thesis."""
+"""Common parts of tables of the vortex ring's experiment (thesis, section 2.3)."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def ring_of(scene: Scene) -> dict[str, Any]:
 def half_planes(
     scene: Scene, angles: Sequence[float] = ANGLES, beside_mm: float = 0.0
 ) -> list[HalfPlane]:
-    """Make half planes at angles from X to -X, on the side where the whole ring is lit.
+    """Make half planes at angles from X to -X, where the whole ring is lit.
 
     They begin at the ring's axis, or at a line that is moved from it along Z.
     """
