@@ -74,7 +74,7 @@ def test_a_rotation_is_recovered_in_any_plane(camera: Camera, normal: F64) -> No
     turn = rotation_matrices(0.05 * normal)
 
     def motion(points: F64) -> F64:
-        return (points - POINT) @ (turn - np.eye(3)).T
+        return np.asarray((points - POINT) @ (turn - np.eye(3)).T)
 
     field = solved(image_pair((camera,), motion, normal), normal)
     assert rms(errors_px(field, motion, 0.063)) < BOUND_PX
