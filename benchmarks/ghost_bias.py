@@ -108,6 +108,7 @@ def score_velocity(scene: Scene, shots: Sequence[Shot], volumes: Sequence[F32]) 
         found.reshape(shape),
         flow.velocity(points, 0.0).reshape(shape),  # steady, and no particle changes its depth
         measured.reshape(shape[:3]),
+        np.ones(shape[:3], dtype=np.bool_),
         nodes.step_mm,
         scene.interval_s,
         grid.voxel_mm,

@@ -14,11 +14,11 @@ from sabench.algorithms.tomography import (
     SparseParameters,
     enhanced_guesses,
 )
-from sabench.algorithms.velocimetry import CorrelationParameters, evaluate
+from sabench.algorithms.velocimetry import VolumeCorrelationParameters, evaluate
 from sabench.api import ImageSequence, Observation, Reconstruction, SequenceSolver
 
 
-class MteMartParameters(SparseParameters, CorrelationParameters):
+class MteMartParameters(SparseParameters, VolumeCorrelationParameters):
     """Parameters of `block_mart` and of the correlation, and repetitions."""
 
     exposures: int = Field(
@@ -69,7 +69,7 @@ class MteMart(SequenceSolver):
     def _enhance(self, exposures: list[Exposure]) -> list[Exposure]:
         """Measure displacements, and correct the guesses that follow from them."""
         chosen: MteMartParameters = self.parameters
-        plan = chosen.plan(exposures[0].problem.grid.shape)
+        plan = chosen.volume_plan(exposures[0].problem.grid.shape)
         seen = [one.volume(chosen.floor) for one in exposures]
         moves = [
             Displacement.of(evaluate(first, second, plan), exposures[0].problem.splits)

@@ -5,11 +5,11 @@ Window correlation in several passes on volumes that are moved towards each othe
 
 from __future__ import annotations
 
-from sabench.algorithms.velocimetry import CorrelationParameters, evaluate
+from sabench.algorithms.velocimetry import VolumeCorrelationParameters, evaluate
 from sabench.api import VelocimetryParameters, VelocimetrySolver, Velocity, VolumePair
 
 
-class Piv3dParameters(CorrelationParameters, VelocimetryParameters):
+class Piv3dParameters(VolumeCorrelationParameters, VelocimetryParameters):
     """Windows and passes, and the solver that reconstructs the volumes."""
 
 
@@ -29,5 +29,5 @@ class Piv3d(VelocimetrySolver):
 
     def solve(self, case: VolumePair) -> Velocity:
         """Divide displacements at the windows' middles by the time between the volumes."""
-        plan = self.parameters.plan(case.grid.shape)
+        plan = self.parameters.volume_plan(case.grid.shape)
         return evaluate(case.first, case.second, plan).on_grid(case.grid, case.interval_s)

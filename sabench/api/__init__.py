@@ -20,13 +20,21 @@ from sabench.api.generators import (
     TargetGenerator,
 )
 from sabench.api.make import make_algorithm, make_solver
-from sabench.api.observations import CalibrationCase, ImageSequence, Observation, Shown, VolumePair
+from sabench.api.observations import (
+    CalibrationCase,
+    ImagePair,
+    ImageSequence,
+    Observation,
+    Shown,
+    VolumePair,
+)
 from sabench.api.parameters import FileParameters, Parameters, PlugIn
 from sabench.api.solvers import (
     AnySolver,
     BubbleSolver,
     CalibrationSolver,
     ParticleSolver,
+    PlanarVelocimetrySolver,
     SeeThroughSolver,
     SelfCalibrationSolver,
     SequenceSolver,
@@ -46,7 +54,7 @@ from sabench.geometry.rotations import frame_along, rotation_matrices
 from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
-from sabench.utils.fields import LensNumber, Vector
+from sabench.utils.fields import Direction, LensNumber, Vector
 from sabench.utils.progress import progress_bar
 from sabench.utils.rng import stream
 
@@ -75,6 +83,7 @@ __all__ = [
     "CodeGenerator",
     "DeclinedError",
     "Detections",
+    "Direction",
     "Distortion",
     "Domain",
     "FileParameters",
@@ -84,6 +93,7 @@ __all__ = [
     "FoundParticles",
     "Generator",
     "Grid",
+    "ImagePair",
     "ImageSequence",
     "InputError",
     "Layer",
@@ -93,6 +103,7 @@ __all__ = [
     "Parameters",
     "ParticleSolver",
     "Particles",
+    "PlanarVelocimetrySolver",
     "PlugIn",
     "Pose",
     "Rays",

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import decode_cameras, encode_cameras
+from sabench.geometry.rotations import cross
 from sabench.utils.arrays import F32, F64, I64, Bool, triple
 from sabench.utils.errors import InputError
 
@@ -276,19 +277,24 @@ class Calibration(Estimate):
 
 @dataclass(frozen=True)
 class Velocity(Estimate):
-    """Velocity field on a lattice along the world's axes.
+    """Velocity field on a lattice along the world's axes, or in a plane.
 
     Attributes
     ----------
-    low_mm, step_mm : the first node and the spacing of nodes, as (x, y, z).
-    velocity_mm_s : (z, y, x, 3), finite everywhere: where nothing was measured it is interpolated
-        from the neighbours.
+    low_mm, step_mm : the first node, and the spacing of nodes along the lattice's x, y and z.
+    velocity_mm_s : (z, y, x, 3) along the world's axes, finite everywhere: where nothing was
+        measured it is interpolated from the neighbours.
     valid : (z, y, x) where it was measured.
+    plane_axes : (2, 3) unit vectors of the lattice's x and y, if the field lies in a plane and only
+        its components in this plane were measured (planar PIV). The lattice then has a single plane
+        of nodes, `low_mm` is a point of the world, and `step_mm[2]` the depth for which a node
+        stands. None: the lattice lies along the world's axes, and all components were measured.
 
     Raises
     ------
     InputError
-        A spacing that is not a positive number, or a lattice without nodes.
+        A spacing that is not a positive number, a lattice without nodes, axes that are no unit
+        vectors at right angles, or a planar field with several planes of nodes.
     """
 
     GROUP = "velocity"
@@ -297,12 +303,14 @@ class Velocity(Estimate):
         Array("velocity_mm_s", ("planes", "rows", "columns", 3)),
         Array("low_mm", (3,), encode=np.array, decode=triple),
         Array("step_mm", (3,), encode=np.array, decode=triple),
+        Array("plane_axes", (2, 3), optional=True),
     )
 
     low_mm: tuple[float, float, float]
     step_mm: tuple[float, float, float]
     velocity_mm_s: F64
     valid: Bool
+    plane_axes: F64 | None = None
 
     def __post_init__(self) -> None:
         """Check the lattice."""
@@ -310,16 +318,44 @@ class Velocity(Estimate):
             raise InputError(f"step_mm: expected positive numbers, got {self.step_mm}")
         if not self.valid.size:
             raise InputError(f"valid: expected nodes (z, y, x), got {self.valid.shape}")
+        if self.plane_axes is not None:
+            self._check_plane(self.plane_axes)
+
+    def _check_plane(self, axes: F64) -> None:
+        if axes.shape != (2, 3) or not np.allclose(axes @ axes.T, np.eye(2), atol=1e-6):
+            raise InputError(
+                "plane_axes: expected two unit vectors (2, 3) at right angles, got "
+                f"{np.asarray(axes).tolist()}"
+            )
+        if len(self.valid) != 1:
+            raise InputError(
+                f"plane_axes: expected a field of one plane of nodes, got {len(self.valid)} planes"
+            )
+
+    @property
+    def axes(self) -> F64:
+        """Unit vectors (3, 3) of the lattice's x, y and z."""
+        if self.plane_axes is None:
+            return np.eye(3)
+        return np.vstack([self.plane_axes, cross(*self.plane_axes)])
+
+    def components(self, velocity_mm_s: F64) -> F64:
+        """Resolve velocities (..., 3) along the lattice's axes, as far as measured."""
+        along = velocity_mm_s @ self.axes.T
+        return np.asarray(along if self.plane_axes is None else along * [1.0, 1.0, 0.0])
+
+    def in_own_axes(self) -> Velocity:
+        """Express the field in the lattice's own axes, with the world's origin."""
+        if self.plane_axes is None:
+            return self
+        low = triple(self.axes @ np.asarray(self.low_mm))
+        return Velocity(low, self.step_mm, self.velocity_mm_s @ self.axes.T, self.valid)
 
     @property
     def positions_mm(self) -> F64:
         """Nodes (z, y, x, 3)."""
-        counts = self.valid.shape[::-1]
-        x, y, z = (
-            low + step * np.arange(count)
-            for low, step, count in zip(self.low_mm, self.step_mm, counts, strict=True)
-        )
-        return np.stack(np.meshgrid(z, y, x, indexing="ij")[::-1], axis=-1)
+        steps = np.moveaxis(np.indices(self.valid.shape)[::-1], 0, -1) * np.asarray(self.step_mm)
+        return np.asarray(np.asarray(self.low_mm) + steps @ self.axes)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Observations: the data that an experimenter has.
 
-They are one frame, an image sequence, a calibration, or a pair of volumes.
+They are one frame, an image sequence, a calibration, or a pair of frames or volumes.
 """
 
 from __future__ import annotations
@@ -277,3 +277,31 @@ class VolumePair:
                     f"{name} volume: expected one that shows something, got {volume.flat[0]:g} "
                     "everywhere"
                 )
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """Two frames of the same cameras, some time apart.
+
+    Attributes
+    ----------
+    first, second : the frames.
+    interval_s : time between them.
+
+    Raises
+    ------
+    InputError
+        Frames of different numbers of cameras or image sizes.
+    """
+
+    first: Observation
+    second: Observation
+    interval_s: float
+
+    def __post_init__(self) -> None:
+        """Check that both frames have images of the same shape."""
+        if self.first.images.shape != self.second.images.shape:
+            raise InputError(
+                f"second frame: expected images {self.first.images.shape} (camera, row, column) as "
+                f"in the first one, got {self.second.images.shape}"
+            )

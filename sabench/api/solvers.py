@@ -16,7 +16,14 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from sabench.api.estimates import Calibration, Detections, FoundParticles, Reconstruction, Velocity
-from sabench.api.observations import CalibrationCase, ImageSequence, Observation, Shown, VolumePair
+from sabench.api.observations import (
+    CalibrationCase,
+    ImagePair,
+    ImageSequence,
+    Observation,
+    Shown,
+    VolumePair,
+)
 from sabench.api.parameters import Parameters, PlugIn
 
 TaskName = Literal[
@@ -145,6 +152,24 @@ class VelocimetrySolver(PlugIn):
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 
+class PlanarVelocimetrySolver(PlugIn):
+    """Base of a velocimetry algorithm that needs no volumes.
+
+    `solve` turns two frames into a velocity field in a plane.
+    """
+
+    task: ClassVar[TaskName] = "velocimetry"
+    sees: ClassVar[Shown] = "particles"
+
+    def skip(self, case: ImagePair) -> str | None:
+        """Give the reason why this algorithm cannot take the case; None if it can."""
+        return None
+
+    def solve(self, case: ImagePair) -> Velocity:
+        """Measure the velocity field of a pair, with `plane_axes`."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
 class BubbleSolver(PlugIn):
     """Base of an algorithm that finds bubbles.
 
@@ -190,4 +215,5 @@ AnySolver = (
     | CalibrationSolver
     | SelfCalibrationSolver
     | VelocimetrySolver
+    | PlanarVelocimetrySolver
 )

@@ -41,6 +41,18 @@ class Grid:
         )
         return x, y, z
 
+    @property
+    def box_mm(self) -> tuple[F64, F64]:
+        """Corners (3,) of the box of all voxels: smallest and largest coordinates."""
+        low, voxel = np.asarray(self.low_mm), np.asarray(self.voxel_mm)
+        return low - voxel / 2.0, low + voxel * (np.asarray(self.shape[::-1]) - 0.5)
+
+    @property
+    def scored_box_mm(self) -> tuple[F64, F64]:
+        """Corners (3,) of the box that scores see."""
+        (low, high), cut = self.box_mm, np.asarray(self.crop) * np.asarray(self.voxel_mm)
+        return low + cut, high - cut
+
     def to_voxels(self, points_mm: F64) -> F64:
         """Convert world points (n, 3) to fractional voxel indices (x, y, z)."""
         return np.asarray((points_mm - np.asarray(self.low_mm)) / np.asarray(self.voxel_mm))

@@ -30,9 +30,12 @@ def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:
 
 
 def inner(shape: tuple[int, int, int]) -> Bool:
-    """Mark the nodes (z, y, x) of a lattice whose differences are central ones."""
+    """Mark the nodes (z, y, x) of a lattice whose differences are central ones.
+
+    Axes of a single node do not count.
+    """
     out = np.zeros(shape, dtype=np.bool_)
-    out[1:-1, 1:-1, 1:-1] = True
+    out[tuple(slice(1, -1) if count > 1 else slice(None) for count in shape)] = True
     return out
 
 

@@ -21,7 +21,7 @@ from sabench.metrics.bubble_detection import AnyBubbles, match
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.synthesised_field import true_field
 from sabench.scenes import BubbleWorld
-from sabench.tasks.velocimetry import true_velocity
+from sabench.tasks.velocimetry import truth_at
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
@@ -114,16 +114,17 @@ def _write_reconstruction(root: Path, data: Dataset, frame: int, found: Reconstr
 
 
 def _write_velocity(root: Path, data: Dataset, frame: int, field: Velocity) -> None:
-    values = _field(field, gradient(field.velocity_mm_s, field.step_mm)) | {
-        "valid": field.valid.astype(np.uint8)
-    }
+    own = field.in_own_axes()
+    slopes = gradient(own.velocity_mm_s, own.step_mm)
+    values = _field(field, slopes) | {"valid": field.valid.astype(np.uint8)}
+    if field.plane_axes is not None:
+        values["vorticity_1_s"] = vorticity(slopes)[..., 2:] * field.axes[2]
     if data.has_truth:
         pair = next(pair for pair in data.setup.pairs() if pair[0] == frame)
-        exact = true_velocity(data, pair, field.positions_mm.reshape(-1, 3)).reshape(
-            field.velocity_mm_s.shape
-        )
+        exact = truth_at(data, pair, field)
         values |= {"exact_mm_s": exact, "error_mm_s": field.velocity_mm_s - exact}
-    write_lattice(root / f"velocity_{frame:04d}.vtkhdf", field.low_mm, field.step_mm, values)
+    path = root / f"velocity_{frame:04d}.vtkhdf"
+    write_lattice(path, field.low_mm, field.step_mm, values, field.axes)
 
 
 def _write_detections(root: Path, data: Dataset, frame: int, found: Detections) -> None:
@@ -211,20 +212,29 @@ def _field(field: Velocity, slopes: F64) -> Data:
 
 
 def write_lattice(
-    path: Path, low_mm: tuple[float, float, float], step_mm: tuple[float, float, float], data: Data
+    path: Path,
+    low_mm: tuple[float, float, float],
+    step_mm: tuple[float, float, float],
+    data: Data,
+    axes: F64 | None = None,
 ) -> None:
-    """Write arrays (z, y, x) or (z, y, x, 3) on a lattice as VTK's image data."""
+    """Write arrays (z, y, x) or (z, y, x, 3) on a lattice as VTK's image data.
+
+    Its axes are the rows of a matrix (3, 3), by default the world's; VTK has them as columns.
+    """
     shape = next(iter(data.values())).shape[:3]
     ends = [index for count in shape[::-1] for index in (0, count - 1)]
     head = {
         "WholeExtent": np.array(ends),
         "Origin": np.array(low_mm),
         "Spacing": np.array(step_mm),
-        "Direction": np.eye(3).ravel(),
+        "Direction": (np.eye(3) if axes is None else axes.T).ravel(),
     }
     with create_hdf5(path) as (file, check), delay_interrupts():
         _begin(file, "ImageData", head)
         for name, values in data.items():
+            if shape[0] == 1:  # VTK reads a plane as an array without this axis
+                values = values[0]
             chunk = (1, *values.shape[1:])
             file.create_dataset(
                 f"VTKHDF/PointData/{name}",

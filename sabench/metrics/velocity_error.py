@@ -23,7 +23,8 @@ def velocity_scores(
 ) -> dict[str, float]:
     """Score a velocity field on a lattice; NaN where nothing was measured.
 
-    Derivatives are compared at nodes whose six neighbours were measured, too.
+    Derivatives are compared at nodes whose neighbours along all axes were measured, too. In a
+    lattice of one plane these are four, and the vorticity is the one about the plane's normal.
 
     Parameters
     ----------
@@ -69,7 +70,9 @@ def _derivative_figures(
     """
     known = _with_neighbours(valid)
     slopes, true = (gradient(field, step_mm)[known] for field in (estimate, truth))
-    spin, true_spin = vorticity(slopes), vorticity(true)
+    several = np.asarray(valid.shape[::-1]) > 1
+    about = [axis for axis in range(3) if np.delete(several, axis).all()]
+    spin, true_spin = vorticity(slopes)[..., about], vorticity(true)[..., about]
     return {
         "divergence_1_s": root_mean_square(divergence(slopes) - divergence(true)),
         "vorticity_percent": 100.0
@@ -79,9 +82,9 @@ def _derivative_figures(
 
 
 def _with_neighbours(valid: Bool) -> Bool:
-    """Mark the measured nodes (z, y, x) whose six neighbours were measured."""
+    """Mark the measured nodes (z, y, x) whose neighbours were measured."""
     known = valid & inner(valid.shape)
-    for axis in range(3):
+    for axis in np.flatnonzero(np.asarray(valid.shape) > 1):
         for shift in (1, -1):
             known &= np.roll(valid, shift, axis=axis)
     return np.asarray(known)

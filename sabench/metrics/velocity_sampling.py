@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,10 @@ import numpy.typing as npt
 
 from sabench.api import Velocity
 from sabench.geometry.grid import Grid
+from sabench.geometry.plane_sections import cut_box
+from sabench.geometry.rotations import frame_of_normal
 from sabench.utils.arrays import F64, I64, Bool, triple
+from sabench.utils.errors import InputError
 
 # voxels between nodes: 8 over the golden ratio. Windows are a whole number of voxels apart, so that
 # the nodes lie everywhere between those of any estimate, and none gains by where its own lie
@@ -28,9 +32,7 @@ def evaluation_lattice(grid: Grid) -> Velocity:
     """
     crop, size = np.asarray(grid.crop), np.asarray(grid.shape[::-1])
     voxels = (size - 2 * crop).astype(np.float64)
-    spacing = max(_SPACING, float(np.cbrt(voxels.prod() / _MOST)))
-    steps = np.maximum(np.minimum(spacing, voxels / _LEAST), 1.0)
-    counts = np.maximum(1, np.floor(voxels / steps * (1.0 + 1e-12))).astype(np.int64)
+    steps, counts = _spread(voxels, float(np.cbrt(voxels.prod() / _MOST)))
     first = (size - 1) / 2.0 - (counts - 1) / 2.0 * steps
     shape = tuple(counts[::-1].tolist())
     voxel_mm = np.asarray(grid.voxel_mm)
@@ -40,6 +42,56 @@ def evaluation_lattice(grid: Grid) -> Velocity:
         np.zeros((*shape, 3)),
         np.ones(shape, dtype=np.bool_),
     )
+
+
+def _spread(voxels: F64, least: float) -> tuple[F64, I64]:
+    """Compute the spacing and the number of nodes along edges of a box.
+
+    Edges and the least spacing are in voxels.
+    """
+    steps = np.maximum(np.minimum(max(_SPACING, least), voxels / _LEAST), 1.0)
+    return steps, np.maximum(1, np.floor(voxels / steps * (1.0 + 1e-12))).astype(np.int64)
+
+
+def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
+    """Make the lattice of nodes at which velocities in a light sheet are scored.
+
+    All of them are at rest.
+
+    It is centred in the rectangle around the part of the plane in the scored box; the nodes in the
+    box are valid. Its `plane_axes` are as near to the grid's axes as the plane allows.
+
+    Raises
+    ------
+    InputError
+        A plane beside the scored part of the grid.
+    """
+    low, high = grid.scored_box_mm
+    outline = cut_box(low, high, point_mm, normal)
+    if not len(outline):
+        raise InputError(
+            f"illumination: expected a light sheet through the scored part of the grid, from "
+            f"{np.round(low, 3).tolist()} to {np.round(high, 3).tolist()} mm, got one beside it"
+        )
+    axes = frame_of_normal(normal)
+    flat = outline @ axes.T
+    edge_mm = lengths_along(axes, grid.voxel_mm)
+    start, end = flat.min(axis=0), flat.max(axis=0)
+    voxels = ((end - start) / edge_mm)[:2]
+    steps, counts = _spread(voxels, math.sqrt(float(voxels.prod()) / _MOST))
+    step_mm = [*(steps * edge_mm[:2]), edge_mm[2]]
+    first = (start + end) / 2.0 - [*((counts - 1) / 2.0 * step_mm[:2]), 0.0]
+    shape = (1, *counts[::-1].tolist())
+    field = Velocity(
+        triple(first @ axes), triple(step_mm), np.zeros((*shape, 3)), np.ones(shape, bool), axes[:2]
+    )
+    inside = ((field.positions_mm >= low) & (field.positions_mm <= high)).all(axis=-1)
+    return replace(field, valid=np.asarray(inside))
+
+
+def lengths_along(axes: F64, voxel_mm: tuple[float, float, float]) -> F64:
+    """Compute lengths (n,) of a voxel along unit vectors (n, 3)."""
+    return np.asarray(np.linalg.norm(axes * np.asarray(voxel_mm), axis=1))
 
 
 def sample_velocity(field: Velocity, points_mm: F64) -> tuple[F64, Bool]:
@@ -53,7 +105,7 @@ def sample_velocity(field: Velocity, points_mm: F64) -> tuple[F64, Bool]:
     outermost nodes. A lattice of a single node measures nothing.
     """
     counts = np.asarray(field.valid.shape[::-1])
-    places = (points_mm - np.asarray(field.low_mm)) / np.asarray(field.step_mm)
+    places = (points_mm - np.asarray(field.low_mm)) @ field.axes.T / np.asarray(field.step_mm)
     inside = ((places >= -0.5) & (places <= counts - 0.5)).all(axis=1) & (counts.prod() > 1)
     velocity = np.zeros((len(points_mm), 3))
     measured = np.zeros(len(points_mm), dtype=np.bool_)

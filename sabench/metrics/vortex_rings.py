@@ -22,17 +22,37 @@ _FINE = 121  # points along each side of the square in which a core is searched
 def sample(field: Velocity, values: F64) -> Sampled:
     """Interpolate values (z, y, x, ...) linearly between a field's nodes.
 
-    NaN beyond the nodes.
+    NaN beyond the nodes. A planar field stands for its depth, half of it on either side.
     """
-    nodes = field.positions_mm
-    axes = nodes[:, 0, 0, 2], nodes[0, :, 0, 1], nodes[0, 0, :, 0]
-    inner = RegularGridInterpolator(axes, values, bounds_error=False, fill_value=np.nan)
-    return lambda points: np.asarray(inner(points[:, ::-1]))
+    low, step, counts = field.low_mm, np.asarray(field.step_mm), field.valid.shape[::-1]
+    along = [2, 1, 0] if field.plane_axes is None else [1, 0]
+    inner = RegularGridInterpolator(
+        [np.arange(counts[axis]) for axis in along],
+        values.reshape(*(counts[axis] for axis in along), *values.shape[3:]),
+        bounds_error=False,
+        fill_value=np.nan,
+    )
+
+    def at(points: F64) -> F64:
+        places = (points - np.asarray(low)) @ field.axes.T / step
+        found = np.asarray(inner(places[:, along]))
+        if field.plane_axes is not None:
+            found[np.abs(places[:, 2]) > 0.5] = np.nan
+        return found
+
+    return at
 
 
 def spin_of(field: Velocity) -> Sampled:
-    """Interpolate a field's vorticity linearly between its nodes."""
-    return sample(field, vorticity(gradient(field.velocity_mm_s, field.step_mm)))
+    """Interpolate a field's vorticity linearly between its nodes.
+
+    Of a planar field, it is the part about the plane's normal.
+    """
+    own = field.in_own_axes()
+    spin = vorticity(gradient(own.velocity_mm_s, own.step_mm))
+    if field.plane_axes is not None:
+        spin[..., :2] = 0.0
+    return sample(field, spin @ field.axes)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ plug-in call it.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ from sabench import plugins, tasks
 from sabench.api import (
     CalibrationCase,
     FoundParticles,
+    ImagePair,
     ImageSequence,
     Observation,
     Reconstruction,
@@ -72,7 +73,7 @@ class _Trial:
 
     def case(self) -> Any:
         """Make the case that the solver receives."""
-        case = first_case(self.solver, self.data)
+        case = first_case(self.solver, self.data, self.parameters)
         return _image_sequence(case, list(case)) if isinstance(case, ImageSequence) else case
 
     @cached_property
@@ -251,12 +252,12 @@ def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
     return Finding(name, "obeyed")
 
 
-def first_case(solver: str, data: Dataset) -> Any:
+def first_case(solver: str, data: Dataset, parameters: Mapping[str, Any] | None = None) -> Any:
     """Make the first case of a data set as a solver receives it."""
-    plugin = plugins.load("solvers", solver)
-    if issubclass(plugin, SequenceSolver):
+    algorithm = make_algorithm(solver, dict(parameters or {}))
+    if isinstance(algorithm, SequenceSolver):
         return image_sequence(data, data.setup.sequences()[0])[0]
-    return tasks.of(plugin.task).case(data)
+    return tasks.of(algorithm.task).case_for(algorithm, data)
 
 
 def example_for(solver: str, folder: Path) -> Dataset:
@@ -266,7 +267,7 @@ def example_for(solver: str, folder: Path) -> Dataset:
     """
     plugin = plugins.load("solvers", solver)
     task = tasks.of("velocimetry" if issubclass(plugin, SequenceSolver) else plugin.task)
-    return example(task, plugin.sees, folder)
+    return example(task, task.seen_by(plugin), folder)
 
 
 def example(task: Task, sees: str, folder: Path) -> Dataset:
@@ -286,6 +287,8 @@ def _arrays(case: Any) -> list[Any]:
         return [frame.images for frame in case]
     if isinstance(case, Observation):
         return [case.images]
+    if isinstance(case, ImagePair):
+        return [case.first.images, case.second.images]
     if isinstance(case, VolumePair):
         return [case.first, case.second]
     return [case.pixels, case.initial_mm, case.known_mm, case.known_sigma_mm]
@@ -301,6 +304,9 @@ def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
     if isinstance(case, ImageSequence):
         frames = [_with_images(frame, change) for frame in case]
         return _image_sequence(case, frames)
+    if isinstance(case, ImagePair):
+        first, second = (_with_images(frame, change) for frame in (case.first, case.second))
+        return ImagePair(first, second, case.interval_s)
     if not isinstance(case, Observation):
         raise _SkippedError("its cases have no images")
     return replace(case, images=change(case.images, int(case.black_dn)))
@@ -311,6 +317,9 @@ def _reverse_cameras(case: Any) -> Any:
     if isinstance(case, ImageSequence):
         frames = [_reverse_cameras(frame) for frame in case]
         return _image_sequence(case, frames)
+    if isinstance(case, ImagePair):
+        first, second = (_reverse_cameras(frame) for frame in (case.first, case.second))
+        return ImagePair(first, second, case.interval_s)
     if isinstance(case, Observation):
         flaws = case.flaws and Flaws(*(kind[::-1].copy() for kind in case.flaws))
         images, cameras = case.images[::-1].copy(), case.cameras[::-1]

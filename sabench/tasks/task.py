@@ -15,7 +15,7 @@ import numpy as np
 
 from sabench.api.estimates import Estimate
 from sabench.api.observations import Observation, Shown
-from sabench.api.solvers import TaskName
+from sabench.api.solvers import AnySolver, TaskName
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.plotting import pictures
@@ -183,6 +183,14 @@ class Task(ABC):
     @abstractmethod
     def case(self, data: Dataset) -> Any:
         """Make the first case of a data set as a solver receives it."""
+
+    def case_for(self, algorithm: Any, data: Dataset) -> Any:
+        """Make the first case as one of the task's solvers receives it."""
+        return self.case(data)
+
+    def seen_by(self, plugin: type[AnySolver]) -> str:
+        """Name what one of the task's solvers has to see, by which its example is chosen."""
+        return plugin.sees
 
     @abstractmethod
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:

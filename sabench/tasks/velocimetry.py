@@ -1,6 +1,6 @@
-"""Task `velocimetry`: solvers turn two volumes into a velocity field.
+"""Task `velocimetry`: solvers turn two frames into a velocity field.
 
-The volumes are reconstructed from pairs of frames.
+Some solvers take the images, others volumes that are reconstructed from them.
 """
 
 from __future__ import annotations
@@ -8,24 +8,39 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from sabench.api import Reconstruction, SequenceSolver, Velocity, VolumePair
+from sabench.api import (
+    AnySolver,
+    ImagePair,
+    PlanarVelocimetrySolver,
+    Reconstruction,
+    SequenceSolver,
+    Velocity,
+    VolumePair,
+)
 from sabench.api.make import make_reconstruction_solver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.metrics.averages import finite_or_none
 from sabench.metrics.velocity_error import velocity_scores
-from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
+from sabench.metrics.velocity_sampling import (
+    evaluation_lattice,
+    lengths_along,
+    planar_lattice,
+    sample_velocity,
+)
 from sabench.plotting.drawing import draw
 from sabench.tasks import reconstruction
 from sabench.tasks.figures.velocity import field_figure
+from sabench.tasks.light_sheet import light_sheet
 from sabench.tasks.solver_call import SolverClock, call_solver
 from sabench.tasks.task import Captions, Figures, Gate, Score, Source, Task, check_estimate
 from sabench.utils import memory
-from sabench.utils.arrays import F64, Bool
+from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
@@ -36,7 +51,7 @@ _NEIGHBOURS = 8  # true particles whose mean replaces the flow where a data set 
 
 
 class VelocimetryTask(Task):
-    """Measurement of velocity fields in pairs of volumes."""
+    """Measurement of velocity fields in pairs of frames."""
 
     name = "velocimetry"
     shown = "particles"
@@ -108,7 +123,7 @@ class VelocimetryTask(Task):
         return VolumePair(first, second, data.setup.grid, interval_s(data, pair))
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
-        """Reconstruct every pair and measure its field.
+        """Measure the field of every pair, of reconstructed volumes or of images.
 
         Returns the seconds without those of reconstruction.
         """
@@ -116,26 +131,39 @@ class VelocimetryTask(Task):
         if not pairs:
             frames = data.setup.frames
             raise InputError(f"{data.root}: expected pairs of frames, got {frames} that make none")
-        volumes = _Volumes(data, algorithm.parameters.reconstruction)
+        planar = isinstance(algorithm, PlanarVelocimetrySolver)
+        volumes = None if planar else _Volumes(data, algorithm.parameters.reconstruction)
         seconds = []
         for pair in progress_bar(pairs, f"velocity by {name}"):
-            case = VolumePair(*volumes.reconstruct(pair), data.setup.grid, interval_s(data, pair))
+            case = volumes.pair(pair) if volumes else _images(data, pair)
             field, took = call_solver(algorithm, name, case, Velocity, f" on frame {pair[0]}")
             seconds.append(took)
             check_estimate(field, name, data, pair[0])
             writer.add(field, pair[0])
             memory.trim()
-        writer.set_reconstruction(float(np.mean(volumes.seconds)))
+        if volumes:
+            writer.set_reconstruction(float(np.mean(volumes.seconds)))
         return seconds
+
+    def seen_by(self, plugin: type[AnySolver]) -> str:
+        """Name what a solver has to see: planar ones need a light sheet."""
+        planar = issubclass(plugin, PlanarVelocimetrySolver)
+        return "light_sheet" if planar else super().seen_by(plugin)
+
+    def case_for(self, algorithm: Any, data: Dataset) -> VolumePair | ImagePair:
+        """Make the first pair as a solver receives it."""
+        if isinstance(algorithm, PlanarVelocimetrySolver):
+            return _images(data, data.setup.pairs()[0])
+        return self.case(data)
 
     def truth(self, data: Dataset, frame: int) -> Velocity:
         """Make the true velocity at the evaluation nodes."""
         lattice = self.empty(data, frame)
-        return replace(lattice, velocity_mm_s=_truth_at(data, _pair(data, frame), lattice))
+        return replace(lattice, velocity_mm_s=truth_at(data, _pair(data, frame), lattice))
 
     def empty(self, data: Dataset, frame: int) -> Velocity:
         """Make a field at rest: what an estimate that sees no motion returns."""
-        return evaluation_lattice(data.setup.grid)
+        return evaluation_nodes(data)
 
     def wrong(self, data: Dataset, frame: int) -> Velocity:
         """Slow the true velocity by a tenth, add a wave, and leave one corner unmeasured."""
@@ -160,9 +188,11 @@ class VelocimetryTask(Task):
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the first pair's field, its errors and a profile as a PNG."""
         pair = data.setup.pairs()[0]
-        field = self.read(data, source, pair[0])
-        exact = _truth_at(data, pair, field)
-        voxel = np.asarray(data.setup.grid.voxel_mm) / interval_s(data, pair)
+        given = self.read(data, source, pair[0])
+        exact = truth_at(data, pair, given) @ given.axes.T
+        field = given.in_own_axes()
+        edges_mm = lengths_along(given.axes, data.setup.grid.voxel_mm)
+        voxel = edges_mm / interval_s(data, pair)
         label = source.solver if isinstance(source, Result) else source
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of arrows and axes without length
@@ -178,7 +208,7 @@ class _Volumes:
         self._kept: dict[int, Reconstruction] = {}
         self.seconds: list[float] = []
 
-    def reconstruct(self, pair: tuple[int, int]) -> tuple[Any, Any]:
+    def pair(self, pair: tuple[int, int]) -> VolumePair:
         """Reconstruct the volumes of a pair, unless they are already there."""
         if isinstance(self._solver, SequenceSolver):
             return self._together(self._solver, pair)
@@ -188,15 +218,22 @@ class _Volumes:
                 found, took = reconstruction.TASK.call(self._solver, self._name, self._data, frame)
                 self._kept[frame] = found
                 self.seconds.append(took)
-        return self._kept[pair[0]].volume, self._kept[pair[1]].volume
+        first, second = (self._kept[frame].volume for frame in pair)
+        return VolumePair(first, second, self._data.setup.grid, interval_s(self._data, pair))
 
-    def _together(self, solver: SequenceSolver, pair: tuple[int, int]) -> tuple[Any, Any]:
+    def _together(self, solver: SequenceSolver, pair: tuple[int, int]) -> VolumePair:
         """Reconstruct both frames of a pair from each other."""
         clock, frames = SolverClock(), range(pair[0], pair[1] + 1)
         found = reconstruction.TASK.call_sequence(solver, self._name, self._data, frames, clock)
         first, second = (one.volume for one in found)
         self.seconds.append(clock.seconds / len(frames))
-        return first, second
+        return VolumePair(first, second, self._data.setup.grid, interval_s(self._data, pair))
+
+
+def _images(data: Dataset, pair: tuple[int, int]) -> ImagePair:
+    """Read the frames of a pair."""
+    first, second = (data.observation(frame) for frame in pair)
+    return ImagePair(first, second, interval_s(data, pair))
 
 
 def interval_s(data: Dataset, pair: tuple[int, int]) -> float:
@@ -208,19 +245,30 @@ def _pair(data: Dataset, first: int) -> tuple[int, int]:
     return next(pair for pair in data.setup.pairs() if pair[0] == first)
 
 
+def evaluation_nodes(data: Dataset) -> Velocity:
+    """Make the nodes at which fields are scored: in the light sheet, if there is one."""
+    grid, sheet = data.setup.grid, light_sheet(data)
+    if sheet is None:
+        return evaluation_lattice(grid)
+    return planar_lattice(grid, sheet.point_mm, sheet.normal)
+
+
 def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[str, float]:
-    """Score one pair's field, sampled at the evaluation nodes outside bodies."""
-    grid = data.setup.grid
-    nodes = evaluation_lattice(grid)
+    """Score one pair's field, sampled at the evaluation nodes outside bodies.
+
+    In a light sheet, the components in its plane count, along the nodes' axes.
+    """
+    nodes = evaluation_nodes(data)
     sampled, measured = sample_velocity(field, nodes.positions_mm.reshape(-1, 3))
+    counted = nodes.components(sampled.reshape(nodes.velocity_mm_s.shape))
     return velocity_scores(
-        sampled.reshape(nodes.velocity_mm_s.shape),
-        _truth_at(data, pair, nodes),
+        counted,
+        nodes.components(truth_at(data, pair, nodes)),
         measured.reshape(nodes.valid.shape),
-        _in_fluid(data, pair, nodes),
+        _in_fluid(data, pair, nodes) & nodes.valid,
         nodes.step_mm,
         interval_s(data, pair),
-        grid.voxel_mm,
+        triple(lengths_along(nodes.axes, data.setup.grid.voxel_mm)),
     )
 
 
@@ -234,10 +282,17 @@ def _in_fluid(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> Bool:
     return fluid.reshape(lattice.valid.shape)
 
 
-def _truth_at(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> F64:
-    """Compute the true velocity (z, y, x, 3) at the nodes of a lattice."""
-    points = lattice.positions_mm
-    return true_velocity(data, pair, points.reshape(-1, 3)).reshape(points.shape)
+def truth_at(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> F64:
+    """Compute the true velocity (z, y, x, 3) at the nodes of a lattice.
+
+    For a planar one in a light sheet, it is the mean over the light across the sheet, without the
+    component across the plane.
+    """
+    points = lattice.positions_mm.reshape(-1, 3)
+    sheet = None if lattice.plane_axes is None else light_sheet(data)
+    exact = partial(true_velocity, data, pair)
+    velocity = exact(points) if sheet is None else sheet.average(exact, points)
+    return (lattice.components(velocity) @ lattice.axes).reshape(lattice.velocity_mm_s.shape)
 
 
 def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:

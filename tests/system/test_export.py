@@ -109,6 +109,30 @@ def test_results_are_what_vtk_reads(moving: Dataset, tmp_path: Path) -> None:
     assert open_result(tmp_path / "piv.h5", moving).task == "velocimetry"
 
 
+def test_a_planar_result_lies_in_its_plane_in_vtk(moving: Dataset, tmp_path: Path) -> None:
+    from sabench.interop.export import export
+
+    rng = np.random.default_rng(0)
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
+    shape = (1, 4, 5)
+    plane = rng.random((*shape, 2)) @ axes
+    field = Velocity(
+        (-1.0, -1.0, 0.5), (0.5, 0.25, 1.0), plane, np.ones(shape, dtype=np.bool_), axes
+    )
+    with result_writer(tmp_path / "piv.h5", moving, "piv2d", "velocimetry", {}) as writer:
+        writer.add(field, 0)
+    again = open_result(tmp_path / "piv.h5", moving).read(Velocity, 0)
+    np.testing.assert_array_equal(again.positions_mm, field.positions_mm)
+    export(moving, tmp_path / "vtk", tmp_path / "piv.h5")
+    image, values = opened(tmp_path / "vtk/velocity_0000.vtkhdf")
+    points = [image.GetPoint(number) for number in range(image.GetNumberOfPoints())]
+    np.testing.assert_allclose(points, field.positions_mm.reshape(-1, 3), atol=1e-12)
+    np.testing.assert_allclose(values["velocity_mm_s"], plane.reshape(-1, 3))
+    np.testing.assert_allclose(values["vorticity_1_s"] @ axes.T, 0.0, atol=1e-12)
+    assert np.isfinite(values["vorticity_1_s"]).all()
+    np.testing.assert_allclose(values["exact_mm_s"] @ field.axes[2], 0.0, atol=1e-9)
+
+
 def test_an_exported_flow_carries_particles_again(moving: Dataset, tmp_path: Path) -> None:
     """`from_field` of one run reads the export of another."""
     from sabench.interop.export import export

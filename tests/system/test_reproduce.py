@@ -127,6 +127,7 @@ SLOW = (
     "three-phases",
     "fig-6-5",
     "table-5-2",
+    "fig-2-17",
     "fig-2-18",
     "fig-4-16",
     "fig-4-18",
@@ -143,6 +144,7 @@ def seen_by_nine(name: str) -> Scene:
 
 SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and cameras
     "fig-2-7-cameras": {"_CALIBRATIONS": ("refractive_autocal",), "_RECONSTRUCTIONS": ("msa",)},
+    "fig-2-17": {"_SOLVERS": (("asa", "piv3d_plain"),)},
     "fig-2-18": {"_VOLUMES": ("asa",), "_PIV": ("piv3d_plain",)},
     "fig-1-3": {"_METHODS": ("additive",), "load_scene": seen_by_nine},
     "fig-6-5": {"_SOLVERS": ("minimum_image",)},

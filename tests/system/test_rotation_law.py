@@ -16,12 +16,14 @@ from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F64
 from tests.helpers.bubble_scenes import small
 from tests.helpers.calibration_cases import calibration_scene, case_of
+from tests.helpers.light_sheets import GRID, image_pair, tank_camera
 from tests.helpers.small_particles import make_small, rotate_cameras, rotate_rig
 
 ROTATIONS = [
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),  # X to Z, Y to X, Z to Y
     np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),  # X to Z, Z to -X
 ]
+SHEAR = np.array([[0.3, 1.0, 0.0], [-0.5, 0.2, 0.0], [0.0, 0.0, 0.0]])
 PARTICLES = ["ray_triangulation", "inverse_rendering", "shake_the_box", "optv"]
 TOMOGRAPHY = ["block_mart", "mart", "mfg_mart", "mlos_sart", "mlos_smart", "smart"]
 CALIBRATIONS = [
@@ -163,6 +165,20 @@ def test_velocities_follow_the_rig(name: str, rotation: F64) -> None:
     before, after = (np.ascontiguousarray(rotate_field(one, rotation)) for one in (first, second))
     turned = solver.solve(VolumePair(before, after, grid, 1.0)).velocity_mm_s
     np.testing.assert_allclose(turned, rotate_field(field, rotation) @ rotation.T, atol=2e-2)
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_a_light_sheet_follows_the_rig(rotation: F64) -> None:
+    camera, grid = tank_camera(), replace(GRID, shape=(3, 64, 80), low_mm=(-7.9, -6.3, 131.3))
+    case = image_pair((camera,), lambda points: 0.02 * points @ SHEAR, grid=grid, per_mm3=20.0)
+    turned = replace(
+        case, first=rotate_rig(case.first, rotation), second=rotate_rig(case.second, rotation)
+    )
+    one, other = (make("piv2d").solve(each) for each in (case, turned))
+    assert one.valid.sum() > 300
+    np.testing.assert_array_equal(one.valid, other.valid)
+    np.testing.assert_allclose(one.positions_mm @ rotation.T, other.positions_mm, atol=1e-9)
+    np.testing.assert_allclose(one.velocity_mm_s @ rotation.T, other.velocity_mm_s, atol=1e-2)
 
 
 @pytest.mark.parametrize("name", PLANES)

@@ -1,10 +1,19 @@
-"""Velocimetry: three-dimensional correlation of pairs of volumes."""
+"""Velocimetry: window correlation of volumes, and of images of a light sheet."""
 
-from sabench.algorithms.velocimetry.multipass import (
+from sabench.algorithms.velocimetry.multipass import Plan, evaluate, evaluate_once
+from sabench.algorithms.velocimetry.parameters import (
     CorrelationParameters,
-    Plan,
-    evaluate,
-    evaluate_once,
+    VolumeCorrelationParameters,
 )
+from sabench.algorithms.velocimetry.sheet import Sheet, find_sheet, light_in_sheet
 
-__all__ = ["CorrelationParameters", "Plan", "evaluate", "evaluate_once"]
+__all__ = [
+    "CorrelationParameters",
+    "Plan",
+    "Sheet",
+    "VolumeCorrelationParameters",
+    "evaluate",
+    "evaluate_once",
+    "find_sheet",
+    "light_in_sheet",
+]

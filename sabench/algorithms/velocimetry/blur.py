@@ -22,6 +22,8 @@ def widths(volume: F32) -> Widths:
     mean, total = float(volume.mean(dtype=np.float64)), _inner(volume, volume)
     z, y, x = (
         _width(_inner(one, other) / one.size - mean**2, total / volume.size - mean**2)
+        if one.size
+        else math.inf  # a single voxel along this axis
         for one, other in (
             (volume[1:], volume[:-1]),
             (volume[:, 1:], volume[:, :-1]),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field as Option
 
 from sabench.algorithms.velocimetry.blur import widen, widths
 from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
@@ -23,12 +22,11 @@ from sabench.algorithms.velocimetry.windows import (
     by_shifts,
     by_spectra,
 )
-from sabench.api import Parameters, Velocity
+from sabench.api import Velocity
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, Bool, triple
 from sabench.utils.progress import progress_bar
 
-Voxels = tuple[int, int, int]
 # vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel; what it weighs beyond that is under 1 %
 _KERNEL = 0.65
 
@@ -65,68 +63,6 @@ class Plan:
     smoothing: float
     width: float
     taper: float | None
-
-
-class CorrelationParameters(Parameters):
-    """Windows and passes of the correlation; sizes in voxels along x, y, z."""
-
-    first_window: Voxels = Option(
-        (64, 64, 32), description="of the first pass; displacements up to a quarter of it are found"
-    )
-    window: Voxels = Option((32, 32, 16), description="of the later passes")
-    overlap: float = Option(
-        0.75, ge=0.0, lt=1.0, description="of neighbouring windows, as a part of them"
-    )
-    passes: int = Option(4, ge=1, le=20, description="after the first")
-    reach: Voxels = Option((1, 1, 1), description="largest shift that a later pass looks for")
-    least_ratio: float = Option(
-        1.2, ge=1.0, description="of the highest to the second highest peak in the first pass"
-    )
-    least_height: float = Option(
-        0.1, ge=0.0, lt=1.0, description="normalised correlation of a measured vector"
-    )
-    median: float = Option(
-        2.0,
-        gt=0.0,
-        description="test against the neighbours' median, in their own median distances from it",
-    )
-    smoothing: float = Option(
-        0.35,
-        ge=0.0,
-        description="standard deviation of the Gaussian on the field that moves the volumes, as "
-        "a part of the windows",
-    )
-    width: float = Option(
-        0.7,
-        ge=0.0,
-        description="standard deviation in voxels to which narrower particles are blurred, for "
-        "splines to follow them",
-    )
-    taper: float | None = Option(
-        None,
-        gt=0.0,
-        description="standard deviation of the later windows' Gaussian weights, as a part of them",
-    )
-
-    def plan(self, shape: Size) -> Plan:
-        """Make the plan for volumes (z, y, x), which the first window has to fit."""
-        z, y, x = (
-            min(own, 2 * (there // 2))
-            for own, there in zip(self.first_window[::-1], shape, strict=True)
-        )
-        return Plan(
-            (z, y, x),
-            self.window[::-1],
-            self.overlap,
-            self.passes,
-            self.reach[::-1],
-            self.least_ratio,
-            self.least_height,
-            self.median,
-            self.smoothing,
-            self.width,
-            self.taper,
-        )
 
 
 @dataclass(frozen=True)

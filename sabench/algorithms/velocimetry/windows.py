@@ -45,7 +45,7 @@ class Windows:
 
     @classmethod
     def over(cls, shape: Size, size: Size, overlap: float) -> Windows:
-        """Make as many windows as fit.
+        """Make as many windows as fit; those of one voxel do not overlap along its axis.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class Windows:
                 f"window: expected one that fits into the volume of {_xyz(shape)} voxels, got "
                 f"{_xyz(size)}"
             )
-        parts = [round(own * (1.0 - overlap)) for own in size]
+        parts = [1 if own == 1 else round(own * (1.0 - overlap)) for own in size]
         if any(part < 1 or own % part for own, part in zip(size, parts, strict=True)):
             raise InputError(
                 f"overlap: expected a part of {_xyz(size)} voxels that leaves whole steps which "

@@ -19,6 +19,7 @@ TABLES = {
     "fig-2-6": "Q against density for every baseline",
     "fig-2-7": "Q against the number of cameras, and against the mapping error",
     "table-2-2": "precision of the velocity in two vortex rings",
+    "fig-2-17": "planar PIV of a light sheet beside the 3-D result (figures 2-17 to 2-19)",
     "fig-2-18": "vortex ring and eight cameras: profiles, core, circulation (figures 2-16 to 2-19)",
     "section-2-3-2": "yield of particles with and without self-calibration",
     "table-2-3": "particles per pixel of all cameras together",

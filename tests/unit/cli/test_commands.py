@@ -64,7 +64,7 @@ def test_a_piped_list_has_one_whole_line_for_each_entry(command: Command) -> Non
 
 def test_a_list_can_be_filtered(command: Command) -> None:
     found = json.loads(command("list", "--task", "velocimetry", "--json").stdout)
-    assert [one["name"] for one in found] == ["piv3d", "piv3d_plain"]
+    assert [one["name"] for one in found] == ["piv2d", "piv3d", "piv3d_plain"]
     assert {one["task"] for one in found} == {"velocimetry"}
     suites = json.loads(command("list", "--kind", "suite", "--json").stdout)
     assert {one["kind"] for one in suites} == {"suite"}

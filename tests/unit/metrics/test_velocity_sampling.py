@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from sabench.api import Velocity
 from sabench.geometry.grid import Grid
-from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
+from sabench.geometry.plane_sections import cut_box
+from sabench.metrics.velocity_sampling import evaluation_lattice, planar_lattice, sample_velocity
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 
@@ -111,3 +113,81 @@ def test_a_single_node_measures_nothing() -> None:
 def test_a_spacing_that_is_none_is_refused(step: float) -> None:
     with pytest.raises(InputError, match="step_mm: expected positive numbers"):
         Velocity((0.0,) * 3, (1.0, 1.0, step), np.zeros((2, 2, 2, 3)), np.ones((2, 2, 2), bool))
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.0, 0.6, 0.8), (0.48, -0.36, 0.8)])
+def test_planar_nodes_fill_the_sheet_in_the_scored_part(
+    normal: tuple[float, float, float],
+) -> None:
+    middle = np.asarray(GRID.low_mm) + (np.asarray(GRID.shape[::-1]) - 1) / 2.0 * GRID.voxel_mm
+    lattice = planar_lattice(GRID, middle, np.asarray(normal))
+    points = lattice.positions_mm[lattice.valid]
+    np.testing.assert_allclose((points - middle) @ normal, 0.0, atol=1e-12)
+    assert GRID.in_scored(GRID.to_voxels(points)).all()
+    section = cut_box(*GRID.scored_box_mm, middle, np.asarray(normal))
+    area = ConvexHull(section @ lattice.axes[:2].T).volume
+    assert len(points) * np.prod(lattice.step_mm[:2]) == pytest.approx(area, rel=0.1)
+
+
+def test_planar_nodes_of_a_single_plane_are_those_of_its_grid() -> None:
+    single = Grid((-3.0, 1.0, 20.0), (0.05, 0.05, 2.0), (1, 100, 120), (10, 8, 0))
+    lattice = planar_lattice(single, np.array([0.0, 2.0, 20.0]), np.array([0.0, 0.0, 1.0]))
+    expected = evaluation_lattice(single)
+    np.testing.assert_allclose(lattice.positions_mm, expected.positions_mm)
+    np.testing.assert_allclose(lattice.step_mm, expected.step_mm)
+    assert lattice.valid.all()
+
+
+def test_a_sheet_beside_the_scored_part_is_named() -> None:
+    with pytest.raises(InputError, match="illumination: expected a light sheet through the scored"):
+        planar_lattice(GRID, np.array([0.0, 0.0, 90.0]), np.array([0.0, 0.0, 1.0]))
+
+
+def tilted_field() -> Velocity:
+    """A linear field at nodes of a plane across (0, 0.6, 0.8), 0.4 mm deep."""
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
+    shape = (1, 9, 11)
+    field = Velocity(
+        (1.0, 2.0, 3.0), (0.5, 0.25, 0.4), np.zeros((*shape, 3)), np.ones(shape, bool), axes
+    )
+    return replace(field, velocity_mm_s=linear(field.positions_mm))
+
+
+def test_a_planar_field_is_measured_in_its_cells_only() -> None:
+    field = tilted_field()
+    np.testing.assert_allclose(field.axes[2], [0.0, 0.6, 0.8])
+    np.testing.assert_allclose(field.positions_mm[0, 8, 10], [6.0, 3.6, 1.8])
+    inside = field.positions_mm[0, 4, 5] + np.array([0.1, 0.05 * 0.8, -0.05 * 0.6])
+    offsets = np.array([0.0, 0.19, -0.19, 0.21, -0.21])[:, None] * field.axes[2]
+    velocity, measured = sample_velocity(field, inside + offsets)
+    assert measured.tolist() == [True, True, True, False, False]
+    np.testing.assert_allclose(velocity[0], linear(inside[None])[0])
+
+
+def test_a_planar_field_in_its_own_axes_is_the_same_field() -> None:
+    field = tilted_field()
+    own = field.in_own_axes()
+    assert own.plane_axes is None
+    np.testing.assert_allclose(own.positions_mm @ field.axes, field.positions_mm)
+    np.testing.assert_allclose(own.velocity_mm_s @ field.axes, field.velocity_mm_s)
+    flat = field.components(field.velocity_mm_s)
+    np.testing.assert_allclose(flat[..., 2], 0.0)
+    np.testing.assert_allclose(flat[..., :2], own.velocity_mm_s[..., :2])
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [np.eye(3), np.array([[1.0, 0.0, 0.0], [0.1, 1.0, 0.0]]), 2.0 * np.eye(3)[:2]],
+)
+def test_axes_of_a_plane_that_are_none_are_refused(axes: F64) -> None:
+    with pytest.raises(InputError, match="plane_axes: expected two unit vectors"):
+        replace(tilted_field(), plane_axes=axes)
+
+
+def test_a_planar_field_has_one_plane() -> None:
+    with pytest.raises(
+        InputError, match="plane_axes: expected a field of one plane of nodes, got 2"
+    ):
+        Velocity(
+            (0.0,) * 3, (1.0,) * 3, np.zeros((2, 2, 2, 3)), np.ones((2, 2, 2), bool), np.eye(3)[:2]
+        )

@@ -56,6 +56,27 @@ def test_a_rotation_s_circulation_is_its_vorticity_times_the_area() -> None:
     )  # a part of it lies beyond the field
 
 
+def test_a_planar_field_has_the_same_circulation_in_its_plane() -> None:
+    rotation = flow_of(
+        "linear_flow", gradient_1_s=[[0.0, -3.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    )
+    solid = on_lattice(rotation)
+    half = half_plane((0.0, 0.0, 0.3), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), 0.0)
+    plane = Velocity(
+        (*solid.low_mm[:2], 0.3),
+        solid.step_mm,
+        solid.velocity_mm_s[:1],
+        solid.valid[:1],
+        np.eye(3)[:2],
+    )
+    values = [sample(one, one.velocity_mm_s) for one in (solid, plane)]
+    one, other = (circulation(each, half, 6.0, 1.0, 8.0, 5.0) for each in values)
+    assert one == pytest.approx(other)
+    point = np.array([[1.0, 2.0, 0.3]])
+    np.testing.assert_allclose(spin_of(plane)(point), [[0.0, 0.0, 6.0]])
+    assert np.isnan(spin_of(plane)(point + 0.6)).all()
+
+
 def test_a_gradient_has_no_circulation() -> None:
     """Its values at a rectangle's opposite ends differ, and add up to nothing all the same."""
 
