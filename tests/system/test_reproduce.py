@@ -98,7 +98,7 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
     "fig-6-5": {"_SOLVERS": ("minimum_image",)},
     "table-5-2": {"_HEIGHTS": (21,), "_SOLVER": "minimum_image"},
     "fig-4-16": {"STARTS": (0.01,)},
-    "fig-4-25": {"_STEPS": {"test 1": 4.0}},
+    "fig-4-25": {"STEPS": {"test 1": 4.0}},
 }
 
 

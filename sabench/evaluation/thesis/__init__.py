@@ -31,8 +31,10 @@ TABLES = {
     "fig-4-12": "auto-calibration error against noise and initial guess (figures 4-11 to 4-15)",
     "fig-4-16": "auto-calibration on random subsets of the cameras",
     "fig-4-18": "held-out points by estimated, exact and linear cameras (figures 4-18 to 4-21)",
+    "fig-4-23": "reprojection error by camera in three tests of a traversed grid (figure 4-24)",
     "fig-4-25": "plane spacing of a grid from poor initial guesses (figures 4-25 and 4-26)",
     "fig-4-27": "cameras refitted to moved points",
+    "fig-4-28": "differences between the three tests, before and after alignment (to figure 4-31)",
 }
 
 
