@@ -28,6 +28,8 @@ TABLES = {
     "fig-6-5": "refocused liquid jet in a cross-flow, and detected drops (figures 6-4 and 6-5)",
     "fig-4-6": "error of camera models without refraction",
     "fig-4-9": "Newton's iteration for the path through a wall",
+    "table-4-1": "variables of the simulated calibrations, as drawn",
+    "appendix-c": "simulated calibrations of 3, 7 and 13 cameras in full (figures C-1 to C-21)",
     "fig-4-12": "auto-calibration error against noise and initial guess (figures 4-11 to 4-15)",
     "fig-4-16": "auto-calibration on random subsets of the cameras",
     "fig-4-18": "held-out points by estimated, exact and linear cameras (figures 4-18 to 4-21)",

@@ -30,7 +30,9 @@ from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place
 
 # mm of the volume's middle that a pixel of the central camera sees, as the thesis gives it
 D_PIX = 0.052
+CAMERAS = (3, 7, 13)
 NOISES = (0.1, 0.5, 1.0, 2.0)
+EVERY_NOISE = (0.0, *NOISES)
 STARTS = (0.001, 0.005, 0.01, 0.1, 0.2)
 BASELINE = 0.3
 SOLVERS = {"alternating": "refractive_autocal_alternating", "joint": "refractive_autocal"}

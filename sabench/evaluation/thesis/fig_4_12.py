@@ -12,6 +12,7 @@ import numpy as np
 
 from sabench.evaluation.thesis.chapter_4 import (
     BASELINE,
+    CAMERAS,
     D_PIX,
     NOISES,
     SOLVERS,
@@ -27,7 +28,6 @@ from sabench.evaluation.thesis.common import Item, Row, claim, make_row
 from sabench.plotting.charts import Curve, Figure, Panel
 
 SEEDS = 5
-_CAMERAS = (3, 7, 13)
 _MEAN, _STD = 0.33, 1.17  # largest mean and scatter with 7 cameras at 2 px, in D_PIX
 
 
@@ -37,7 +37,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     The measured error is relative to the noise, the true error to the measured one.
     """
     panels = []
-    for cameras in _CAMERAS:
+    for cameras in CAMERAS:
         found = {}
         for noise in NOISES:
             found[noise] = measure(cameras, noise, seeds)

@@ -33,7 +33,7 @@ SEEDS = 5
 _SMALL_PX = 0.4  # error of the mapping from which refocusing suffers, as chapter 4 says
 _SHOWN = ((1, PLANES - 1), (3, MIDDLE))  # camera and plane of figure 4-24, a and b
 _POINT = 27  # of the grid, shown in detail
-_ZOOM_PX = 5
+_ZOOM_PX = 25
 _LIGHT: Mapping[str, Any] = {
     "targets.pattern": "circles",
     "lighting": {"lamps": [{"center_mm": [side, 0.0, -400.0]} for side in (-300.0, 300.0)]},
@@ -108,7 +108,9 @@ def _bars(
         for name in SOLVERS
         for what, values in (("mean", means), ("standard deviation", scatters))
     ]
-    return Figure("fig-4-23", "Figure 4-23: reprojection error by camera and test", tuple(panels))
+    return Figure(
+        "fig-4-23", "Figure 4-23: reprojection error by camera and test", tuple(panels), across=2
+    )
 
 
 def _images(seed: int) -> Iterator[Item]:
@@ -121,7 +123,7 @@ def _images(seed: int) -> Iterator[Item]:
         image = photograph(scene, plane, camera - 1, seed)
         points = _points(camera - 1, plane, seed)
         title = f"({letter}) camera {camera}, plane {plane + 1}"
-        panels += [_overlay(title, image, points), _detail(title, image, points)]
+        panels += [_overlay(title, image, points), *_detail(title, image, points)]
         off.append(detect(image, target, points["true"]) - points["true"])
     yield make_row(
         "rendered circles of figure 4-24: noise of a detected coordinate, px",
@@ -130,7 +132,7 @@ def _images(seed: int) -> Iterator[Item]:
         f"images a, b: {', '.join(f'{np.isfinite(own).all(axis=1).sum()}' for own in off)} points",
     )
     words = "Figure 4-24: measured and reprojected points, randomised solver"
-    yield Figure("fig-4-24", words, tuple(panels), across=2)
+    yield Figure("fig-4-24", words, tuple(panels), across=3)
 
 
 def _points(camera: int, plane: int, seed: int) -> dict[str, F64]:
@@ -152,15 +154,20 @@ def _overlay(title: str, image: U16, points: dict[str, F64]) -> Panel:
     return Panel(title, "px", "px", (seen, *clouds))
 
 
-def _detail(title: str, image: U16, points: dict[str, F64]) -> Panel:
-    """Show the surroundings of one point."""
-    column, row = np.rint(points["true"][_POINT]).astype(int)
-    left, top = column - _ZOOM_PX, row - _ZOOM_PX
-    right, bottom = column + _ZOOM_PX, row + _ZOOM_PX
-    cut = image[top : bottom + 1, left : right + 1].astype(np.float64)
-    marks = (
-        Curve(name, [float(own[_POINT, 0])], [float(own[_POINT, 1])])
-        for name, own in points.items()
+def _detail(title: str, image: U16, points: dict[str, F64]) -> tuple[Panel, Panel]:
+    """Show one circle, and its points relative to the true one."""
+    true = points["true"][_POINT]
+    (left, top), (right, bottom) = (
+        np.rint(true + side * _ZOOM_PX).astype(int).tolist() for side in (-1, 1)
     )
+    cut = image[top : bottom + 1, left : right + 1].astype(np.float64)
     seen = Picture(cut, (float(left), float(top)), (float(right), float(bottom)))
-    return Panel(f"{title}, point {_POINT}", "px", "px", (seen, *marks))
+    marks = [
+        (name, own[_POINT].tolist(), (own[_POINT] - true).tolist()) for name, own in points.items()
+    ]
+    circle = (Curve(name, [at[0]], [at[1]]) for name, at, _ in marks)
+    near = tuple(Curve(name, [off[0]], [off[1]]) for name, _, off in marks)
+    return (
+        Panel(f"{title}, point {_POINT}", "px", "px", (seen, *circle)),
+        Panel("relative to the true point", "columns, px", "rows, px", near),
+    )
