@@ -25,6 +25,7 @@ TABLES = {
     "fig-2-7-cameras": "Q with the cameras of every calibration; same images through a wall",
     "fig-1-3": "code behind bubbles, read in single views and in refocused planes",
     "table-5-2": "three plunging jets from detected bubbles (table 5.2, figures 5-18 to 5-20)",
+    "fig-6-3": "sharpness of the calibration grid, in single images and refocused",
     "fig-6-5": "refocused liquid jet in a cross-flow, and detected drops (figures 6-4 and 6-5)",
     "fig-4-6": "error of camera models without refraction",
     "fig-4-9": "Newton's iteration for the path through a wall",
