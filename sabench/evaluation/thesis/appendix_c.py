@@ -26,7 +26,8 @@ from sabench.evaluation.thesis.chapter_4 import (
     measure,
     stds,
 )
-from sabench.evaluation.thesis.common import AGREES, Item, claim, make_row
+from sabench.evaluation.thesis.common import AGREES, Item, Row, claim, make_row
+from sabench.geometry.projective_camera import fit_projective
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
@@ -46,8 +47,8 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for cameras in CAMERAS:
         rounds = _follow(cameras, seeds)
         yield from _round_rows(cameras, rounds)
+        yield _start_claim(cameras, seeds)
         yield _round_figure(cameras, rounds)
-    for cameras in CAMERAS:
         found = {noise: measure(cameras, noise, seeds) for noise in EVERY_NOISE}
         yield from _final_rows(cameras, found)
         yield _final_figure(cameras, found)
@@ -81,13 +82,6 @@ def _round_rows(cameras: int, found: Rounds) -> Iterator[Item]:
             f"largest mean error {before:.3g} px before, {after:.3g} px after",
         )
     farthest = [own for noise in EVERY_NOISE for own in found[noise, STARTS[-1]]]
-    before = float(np.mean([own[0] for own in farthest]))
-    yield claim(
-        f"{cameras} cameras, start {STARTS[-1]:g}: mean error before the first round, px",
-        "of the order of 100 px",
-        before,
-        10.0**1.5 <= before < 10.0**2.5,
-    )
     needed = [int(np.argmax(np.array(own) < _NEAR_PX)) for own in farthest]
     yield claim(
         f"{cameras} cameras, start {STARTS[-1]:g}: rounds to {_NEAR_PX:g} px",
@@ -106,6 +100,28 @@ def _round_rows(cameras: int, found: Rounds) -> Iterator[Item]:
         float(max(count for start, count in most.items() if start != 0.1)),
         max(count for start, count in most.items() if start != 0.1) < most[0.1],
         f"by start: {', '.join(f'{start:g}: {count}' for start, count in most.items())}",
+    )
+
+
+def _start_claim(cameras: int, seeds: Sequence[int]) -> Row:
+    """Measure the error of the errant points by linear cameras fitted to them, as the thesis starts.
+
+    Our alternation starts from rigid boards and from cameras that are off on their own.
+    """
+    errors = []
+    for seed in seeds:
+        given = board(cameras, BASELINE, 0.0, STARTS[-1], seed)
+        points = given.case.initial_mm.reshape(-1, 3)
+        for camera, pixels in zip(given.cameras, given.case.pixels, strict=True):
+            seen = pixels.reshape(-1, 2)
+            fitted = fit_projective(camera.name, camera.rows, camera.columns, points, seen)
+            errors.append(float(np.linalg.norm(fitted.project(points)[0] - seen, axis=1).mean()))
+    before = float(np.mean(errors))
+    return claim(
+        f"{cameras} cameras, start {STARTS[-1]:g}: mean error by linear cameras before, px",
+        "of the order of 100 px",
+        before,
+        10.0**1.5 <= before < 10.0**2.5,
     )
 
 

@@ -25,7 +25,7 @@ from sabench.evaluation.thesis.chapter_4 import (
 from sabench.evaluation.thesis.common import AGREES, Item, claim, coarsen, make_row
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.geometry.projective import Projective
+from sabench.geometry.projective_camera import Projective
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.edge_sharpness import EdgeSharpness, measure_sharpness
 from sabench.plotting.charts import Curve, Figure, Panel, Picture
@@ -187,7 +187,8 @@ def _grid(given: Board) -> Grid:
 
 def _refocus(given: Board, images: F32, cameras: tuple[CameraModel, ...]) -> F64:
     """Average the images on the reference plane."""
-    return refocus_sum(images, cameras, _grid(given))[0].astype(np.float64) / len(images)
+    total = refocus_sum(images, cameras, _grid(given))[0]
+    return np.asarray(total, dtype=np.float64) / len(images)
 
 
 def _refocused(given: Board, plane: F64) -> EdgeSharpness:
