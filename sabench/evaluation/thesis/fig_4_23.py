@@ -118,19 +118,18 @@ def _images(seed: int) -> Iterator[Item]:
     scene = override(make_traverse(), dict(_LIGHT), "traversed grid of circles")
     target = place(scene, seed).target
     panels: list[Panel] = []
-    off = []
     for letter, (camera, plane) in zip("ab", _SHOWN, strict=True):
         image = photograph(scene, plane, camera - 1, seed)
         points = _points(camera - 1, plane, seed)
         title = f"({letter}) camera {camera}, plane {plane + 1}"
         panels += [_overlay(title, image, points), *_detail(title, image, points)]
-        off.append(detect(image, target, points["true"]) - points["true"])
-    yield make_row(
-        "rendered circles of figure 4-24: noise of a detected coordinate, px",
-        None,
-        [float(np.nanstd(own)) for own in off],
-        f"images a, b: {', '.join(f'{np.isfinite(own).all(axis=1).sum()}' for own in off)} points",
-    )
+        off = detect(image, target, points["true"]) - points["true"]
+        yield make_row(
+            f"{title}, rendered: noise of a detected coordinate, px",
+            None,
+            [float(np.nanstd(off))],
+            f"{np.isfinite(off).all(axis=1).sum()} of {len(off)} circles",
+        )
     words = "Figure 4-24: measured and reprojected points, randomised solver"
     yield Figure("fig-4-24", words, tuple(panels), across=3)
 

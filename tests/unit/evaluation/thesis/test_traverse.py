@@ -71,10 +71,9 @@ def test_linear_cameras_are_brought_to_the_reference_plane() -> None:
     given = _join(draw(_scene(None), 1), draw(_reference(None), 1))
     turned = given.points_mm @ rotation_matrices(np.array([0.1, 0.2, 0.3])).T * 1.1 + 5.0
     cameras = tuple(
-        fit_projective(
-            camera.name, camera.rows, camera.columns, turned.reshape(-1, 3), own.reshape(-1, 2)
-        )
+        fit_projective(camera.name, camera.rows, camera.columns, turned[seen], own[seen])
         for camera, own in zip(given.cameras, given.exact, strict=True)
+        for seen in [np.isfinite(own).all(axis=-1)]
     )
     noiseless = replace(given, case=replace(given.case, pixels=given.exact))
     found = Calibration(_to_reference(cameras, noiseless), given.points_mm)
