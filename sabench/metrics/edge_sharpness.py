@@ -38,8 +38,8 @@ def measure_sharpness(values: F64, corners: F64, pitch_mm: float) -> EdgeSharpne
     Parameters
     ----------
     values : (rows, columns) image, linear in the light.
-    corners : (m, n, 2) pixels (column, row) of the inner corners, neighbours along the last axis
-        but one and the first.
+    corners : (m, n, 2) pixels (column, row) of the inner corners, neighbours along the first two
+        axes; NaN where unknown.
     pitch_mm : distance of neighbouring corners.
 
     Source: ISO 12233 (slanted edge), with all edges of the board in one edge spread.
@@ -54,12 +54,12 @@ def measure_sharpness(values: F64, corners: F64, pitch_mm: float) -> EdgeSharpne
     if not samples:
         raise ValueError("expected edges of a checkerboard in the image, got none")
     distance, level = np.concatenate(samples, axis=1)
-    pixel_mm = pitch_mm / float(np.linalg.norm(np.diff(corners, axis=1), axis=-1).mean())
+    pixel_mm = pitch_mm / float(np.nanmean(np.linalg.norm(np.diff(corners, axis=1), axis=-1)))
     return _sharpness(*_edge_spread(distance, level, pixel_mm / _FINE, _ACROSS * pitch_mm))
 
 
 def _strips(values: F64, corners: F64, pitch_mm: float) -> list[F64]:
-    """Collect distances from an edge (mm) and levels (2, k) of the edges along the second axis."""
+    """Collect distances (mm) and levels (2, k) of edges along the second axis."""
     rows, columns = len(corners), corners.shape[1] - 1
     found = []
     for row in range(rows):
@@ -76,10 +76,10 @@ def _strips(values: F64, corners: F64, pitch_mm: float) -> list[F64]:
 
 
 def _strip(values: F64, origin: F64, axes: F64) -> F64 | None:
-    """Read the strip across one edge from its start along `axes` (2, 2); distance in pitches.
+    """Read the strip across one edge from its start along `axes` (2, 2).
 
-    The levels are 0 on the dark side and 1 on the bright side. None where the strip leaves the
-    image.
+    Returns distances in pitches, and levels: 0 on the dark side, 1 on the bright side. None where
+    the strip leaves the image or its corners are unknown.
     """
     ends = (
         origin
@@ -89,7 +89,13 @@ def _strip(values: F64, origin: F64, axes: F64) -> F64 | None:
         @ axes.T
     )
     (left, top), (right, bottom) = np.floor(ends.min(axis=0)), np.ceil(ends.max(axis=0))
-    if left < 0 or top < 0 or right >= values.shape[1] or bottom >= values.shape[0]:
+    if (
+        not np.isfinite(ends).all()
+        or left < 0
+        or top < 0
+        or right >= values.shape[1]
+        or bottom >= values.shape[0]
+    ):
         return None
     x, y = np.meshgrid(np.arange(left, right + 1), np.arange(top, bottom + 1))
     along, across = np.linalg.solve(axes, np.stack([x.ravel(), y.ravel()]) - origin[:, None])

@@ -244,7 +244,7 @@ def _point_rows(cameras: int, found: Mapping[float, Draws]) -> Iterator[Item]:
 
 
 def _start_rows(head: str, name: str, means: F64, scatters: F64) -> Iterator[Item]:
-    """Compare errors along Z (noise, start) of the farthest initial guess with the nearest.
+    """Compare errors along Z (noise, start) of the farthest and nearest guesses.
 
     What the thesis says of its alternation is decided for the alternation alone.
     """

@@ -161,9 +161,9 @@ def places_of(answer: Calibration, given: Board) -> F64:
 
 
 def reprojection(answer: Calibration, given: Board, pixels: F64) -> F64:
-    """Compute the distances of reprojected points to pixels (camera, frame, point, 2), px.
+    """Compute distances of reprojections to pixels (camera, frame, point, 2).
 
-    Returns (camera, frame, point); NaN where there is no pixel.
+    Returns (camera, frame, point), px; NaN where there is no pixel.
     """
     flat = places_of(answer, given).reshape(-1, 3)
     again = np.stack([camera.project(flat)[0] for camera in answer.cameras])
@@ -251,7 +251,7 @@ def _measure_one(name: str, cameras: int, noise: float, start: float, seed: int)
 
 
 def follow_rounds(given: Board) -> tuple[float, ...]:
-    """Compute the largest mean error of a camera (px) before the alternation and per round."""
+    """Compute a camera's largest mean error (px) at the start and per round."""
     problem = CalibrationProblem.from_case(given.case, FreeParameters())
     return alternate(problem.start, problem.seen, FreeParameters(), 0.001, 1000).errors_px
 

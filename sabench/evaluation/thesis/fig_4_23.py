@@ -43,7 +43,7 @@ _LIGHT: Mapping[str, Any] = {
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure mean and scatter of each camera's reprojection error, per solver and test."""
+    """Measure each camera's reprojection error, per solver and test."""
     means: dict[tuple[str, str], list[F64]] = {}
     scatters: dict[tuple[str, str], list[F64]] = {}
     for seed in progress_bar(seeds, "traversed grids"):
@@ -71,7 +71,7 @@ def _errors(done: Traversed) -> F64:
 
 
 def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
-    """Decide what section 4.4.3 says of figure 4-23; means are (seed, camera) per test."""
+    """Judge the claims on figure 4-23; means are (seed, camera) per test."""
     first = means["test 1"]
     change = float(max(np.abs(own / first - 1.0).max() for own in means.values()))
     yield claim(

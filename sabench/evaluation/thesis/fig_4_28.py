@@ -137,7 +137,7 @@ def _refit_figure(refits: dict[tuple[str, str], list[Refit]]) -> Figure:
 
 
 def _plane_rows(name: str, draws: Sequence[Tests]) -> Iterator[Item]:
-    """Decide whether the similarity's scale is one, and measure the rotation that it undoes."""
+    """Measure scale and rotation of the similarity to the reference plane."""
     fits = [{test: _to_plane(one) for test, one in own.items()} for own in draws]
     off = max(
         abs(np.cbrt(np.linalg.det(fit[:3, :3])) - 1.0) for own in fits for fit in own.values()
@@ -162,7 +162,7 @@ def _angle_deg(matrix: F64) -> float:
 
 
 def _to_plane(one: Traversed) -> F64:
-    """Fit the similarity (4, 4) from the estimated reference plane to its known place."""
+    """Fit the similarity (4, 4) of the estimated reference plane to the known one."""
     return fit_similarity(one.points_mm[MIDDLE], one.given.points_mm[MIDDLE])
 
 

@@ -23,7 +23,7 @@ _EDGE_MM = 50.0
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure noise and initial errors that are drawn, and the array's and boards' sizes."""
+    """Measure noise and initial errors as drawn, and sizes of array and boards."""
     for noise in EVERY_NOISE:
         drawn = [board(13, BASELINE, noise, 0.2, seed) for seed in seeds]
         yield make_row(

@@ -1,4 +1,4 @@
-"""Common parts of figures 4-23 to 4-31: a traversed grid, calibrated in three tests.
+"""Common parts of figures 4-23 to 4-31: a traversed grid in three tests.
 
 The images are the same in all tests; the nominal spacing of the planes is right, half of the true
 one, or a quarter of it.

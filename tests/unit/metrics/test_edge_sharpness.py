@@ -60,3 +60,11 @@ def test_an_image_without_edges_is_refused() -> None:
     image, corners = blurred(1.0)
     with pytest.raises(ValueError, match="expected edges"):
         measure_sharpness(image, corners + 1000.0, PITCH_MM)
+
+
+def test_unknown_corners_are_left_out() -> None:
+    image, corners = blurred(1.5)
+    some = corners.copy()
+    some[0, 0] = np.nan
+    every, part = (measure_sharpness(image, own, PITCH_MM) for own in (corners, some))
+    assert part.width_mm == pytest.approx(every.width_mm, rel=0.02)
