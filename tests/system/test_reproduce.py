@@ -106,7 +106,11 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
     "appendix-c": {"STARTS": (0.001,), "EVERY_NOISE": (0.5,)},
     "fig-4-23": {"SOLVERS": JOINT, "STEPS": {"test 1": 4.0}},
     "fig-4-28": {"SOLVERS": JOINT},
-    "fig-6-3": {"_SHIFTS_PX": (), "coarsen": lambda scene, pixels: coarsen(scene, 160)},
+    "fig-6-3": {
+        "_SHIFTS_PX": (),
+        "_SOLVERS": {"linear": "linear_autocal"},
+        "coarsen": lambda scene, pixels: coarsen(scene, 160),
+    },
     "fig-4-25": {"STEPS": {"test 1": 4.0}},
 }
 
