@@ -48,8 +48,8 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         "each combination of the three variables",
         float(len(CAMERAS) * len(EVERY_NOISE) * len(STARTS)),
         True,
-        f"cameras {CAMERAS}, measured by `appendix-c`; the scan shows the table without numbers, "
-        "the text, figure 4-12 and appendix C name them",
+        f"cameras {CAMERAS}, measured by `appendix-c`; noise and starts are those that the text, "
+        "figure 4-12 and appendix C name",
     )
 
 
