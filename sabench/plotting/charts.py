@@ -89,7 +89,7 @@ class Circles:
 class Picture:
     """Grey image (rows, columns), from its least to its largest value.
 
-    It is alone in its panel; y points downwards.
+    It comes first in its panel, under clouds and curves; y points downwards.
 
     Attributes
     ----------

@@ -15,7 +15,7 @@ import pytest
 
 from sabench.evaluation.suite_loading import override
 from sabench.evaluation.thesis import TABLES, reproduce, table_2_1_best
-from sabench.evaluation.thesis.common import Row
+from sabench.evaluation.thesis.common import Row, coarsen
 from sabench.scenes import Scene, load_scene
 from tests.conftest import Command
 from tests.system.test_board import block
@@ -131,7 +131,11 @@ SLOW = (
     "fig-2-18",
     "fig-4-16",
     "fig-4-18",
+    "fig-4-23",
     "fig-4-25",
+    "fig-4-28",
+    "fig-6-3",
+    "appendix-c",
     "fig-2-7-cameras",
 )
 
@@ -142,6 +146,7 @@ def seen_by_nine(name: str) -> Scene:
     return override(load_scene(name), {"cameras.layout": layout}, name)
 
 
+JOINT = {"joint": "refractive_autocal"}
 SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and cameras
     "fig-2-7-cameras": {"_CALIBRATIONS": ("refractive_autocal",), "_RECONSTRUCTIONS": ("msa",)},
     "fig-2-17": {"_SOLVERS": (("asa", "piv3d_plain"),)},
@@ -160,7 +165,15 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
     },
     "table-5-2": {"_HEIGHTS": (21,), "_SOLVER": "minimum_image"},
     "fig-4-16": {"STARTS": (0.01,)},
-    "fig-4-25": {"_STEPS": {"test 1": 4.0}},
+    "appendix-c": {"STARTS": (0.001,), "EVERY_NOISE": (0.5,)},
+    "fig-4-23": {"SOLVERS": JOINT, "STEPS": {"test 1": 4.0}},
+    "fig-4-28": {"SOLVERS": JOINT},
+    "fig-6-3": {
+        "_SHIFTS_PX": (),
+        "_SOLVERS": {"linear": "linear_autocal"},
+        "coarsen": lambda scene, pixels: coarsen(scene, 160),
+    },
+    "fig-4-25": {"STEPS": {"test 1": 4.0}},
 }
 
 

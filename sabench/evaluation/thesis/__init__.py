@@ -29,17 +29,22 @@ TABLES = {
     "fig-2-7-cameras": "Q with the cameras of every calibration; same images through a wall",
     "fig-1-3": "code behind bubbles, read in single views and in refocused planes",
     "table-5-2": "three plunging jets from detected bubbles (table 5.2, figures 5-18 to 5-20)",
+    "fig-6-3": "sharpness of the calibration grid, in single images and refocused",
     "fig-6-5": "refocused liquid jet in a cross-flow, and detected drops (figures 6-4 and 6-5)",
     "flow-behind-bodies": "chapter 6: flow through a reef and behind a propeller",
     "drops-over-time": "chapter 6: drops of a liquid jet, counted over time",
     "three-phases": "chapter 6: bubbles, a body and tracers in one picture, score per phase",
     "fig-4-6": "error of camera models without refraction",
     "fig-4-9": "Newton's iteration for the path through a wall",
+    "table-4-1": "variables of the simulated calibrations, as drawn",
+    "appendix-c": "simulated calibrations of 3, 7 and 13 cameras in full (figures C-1 to C-21)",
     "fig-4-12": "auto-calibration error against noise and initial guess (figures 4-11 to 4-15)",
     "fig-4-16": "auto-calibration on random subsets of the cameras",
     "fig-4-18": "held-out points by estimated, exact and linear cameras (figures 4-18 to 4-21)",
+    "fig-4-23": "reprojection error by camera in three tests of a traversed grid (figure 4-24)",
     "fig-4-25": "plane spacing of a grid from poor initial guesses (figures 4-25 and 4-26)",
     "fig-4-27": "cameras refitted to moved points",
+    "fig-4-28": "differences between the three tests, before and after alignment (to figure 4-31)",
 }
 
 

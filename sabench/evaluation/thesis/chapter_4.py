@@ -1,4 +1,4 @@
-"""Common parts of chapter 4's tables: camera array, noisy boards, errors."""
+"""Common parts of chapter 4's tables: camera array, noisy boards, errors, runs."""
 
 from __future__ import annotations
 
@@ -9,21 +9,33 @@ from typing import Any
 
 import numpy as np
 
+from sabench.algorithms.calibration.alternating import alternate
+from sabench.algorithms.calibration.parameters import FreeParameters
+from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.geometry.camera import Camera
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.alignment import fit_alignment
+from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.utils.arrays import F64
+from sabench.simulation.camera_view import render
+from sabench.simulation.frames import Frames
+from sabench.simulation.rendering.sensor import expose
+from sabench.utils.arrays import F64, U16
+from sabench.utils.progress import progress_bar
 from sabench.utils.rng import stream
 from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
 
 # mm of the volume's middle that a pixel of the central camera sees, as the thesis gives it
 D_PIX = 0.052
+CAMERAS = (3, 7, 13)
 NOISES = (0.1, 0.5, 1.0, 2.0)
+EVERY_NOISE = (0.0, *NOISES)
 STARTS = (0.001, 0.005, 0.01, 0.1, 0.2)
+BASELINE = 0.3
+SOLVERS = {"alternating": "refractive_autocal_alternating", "joint": "refractive_autocal"}
 _INNER = ((-1, -1), (0, -1), (1, -1), (-1, 0), (0, 0), (1, 0), (-1, 1), (0, 1), (1, 1))
 _OUTER = ((-2, 0), (2, 0), (0, -2), (0, 2))
 _CHOSEN = {
@@ -127,6 +139,12 @@ def draw(scene: Scene, seed: int) -> Board:
     return Board(case, true, placed.points_mm, exact)
 
 
+def photograph(scene: Scene, frame: int, camera: int, seed: int) -> U16:
+    """Render a scene's target as one camera records it: (rows, columns) grey values."""
+    content = Frames(scene, build_rig(scene, scene.title), seed).at(frame)
+    return expose(scene.sensor, render(content, camera).photons, content.sensor_noise(camera))
+
+
 def solve_case(solver: str, given: Board, **parameters: Any) -> Calibration:
     """Solve a case."""
     algorithm: Any = make_algorithm(solver, parameters)
@@ -142,17 +160,19 @@ def places_of(answer: Calibration, given: Board) -> F64:
     return triangulate(answer.cameras, flat).reshape(given.points_mm.shape)
 
 
-def reprojection(answer: Calibration, given: Board) -> tuple[float, float]:
-    """Compute mean true and measured reprojection errors, px."""
+def reprojection(answer: Calibration, given: Board, pixels: F64) -> F64:
+    """Compute distances of reprojections to pixels (camera, frame, point, 2).
+
+    Returns (camera, frame, point), px; NaN where there is no pixel.
+    """
     flat = places_of(answer, given).reshape(-1, 3)
-    again = np.stack([camera.project(flat)[0] for camera in answer.cameras]).reshape(
-        given.exact.shape
-    )
-    true, measured = (
-        float(np.nanmean(np.linalg.norm(again - other, axis=-1)))
-        for other in (given.exact, given.case.pixels)
-    )
-    return true, measured
+    again = np.stack([camera.project(flat)[0] for camera in answer.cameras])
+    return np.asarray(np.linalg.norm(again.reshape(pixels.shape) - pixels, axis=-1))
+
+
+def by_camera(errors: F64) -> F64:
+    """Average errors (camera, frame, point) over the points that each camera sees."""
+    return np.asarray(np.nanmean(errors.reshape(len(errors), -1), axis=1))
 
 
 def point_errors(answer: Calibration, given: Board, how: Any = "lateral") -> F64:
@@ -188,3 +208,73 @@ def with_points(given: Board, points_mm: F64) -> Board:
 def stds(errors: Sequence[F64]) -> F64:
     """Compute the root mean square over draws of the scatter along each axis."""
     return np.asarray(np.sqrt(np.mean([np.nanstd(one, axis=0) ** 2 for one in errors], axis=0)))
+
+
+@dataclass(frozen=True)
+class Found:
+    """Errors of one solver on one draw.
+
+    Attributes
+    ----------
+    true_px, measured_px : mean reprojection error of each camera (M,) against the true pixels and
+        against the measured ones.
+    errors_mm : (n, 3) of the boards' points.
+    """
+
+    true_px: F64
+    measured_px: F64
+    errors_mm: F64
+
+
+Draws = dict[tuple[str, float], list[Found]]  # of a solver and a start
+
+
+def measure(cameras: int, noise: float, seeds: Sequence[int]) -> Draws:
+    """Calibrate from every initial guess by both solvers."""
+    steps = [(start, seed) for start in STARTS for seed in seeds]
+    found: Draws = {(name, start): [] for name in SOLVERS for start in STARTS}
+    for start, seed in progress_bar(steps, f"{cameras} cameras, {noise:g} px"):
+        for name in SOLVERS:
+            found[name, start].append(_measure_one(name, cameras, noise, start, seed))
+    return found
+
+
+@functools.cache
+def _measure_one(name: str, cameras: int, noise: float, start: float, seed: int) -> Found:
+    given = board(cameras, BASELINE, noise, start, seed)
+    answer = solve_case(SOLVERS[name], given)
+    true, measured = (
+        by_camera(reprojection(answer, given, pixels))
+        for pixels in (given.exact, given.case.pixels)
+    )
+    return Found(true, measured, point_errors(answer, given))
+
+
+def follow_rounds(given: Board) -> tuple[float, ...]:
+    """Compute a camera's largest mean error (px) at the start and per round."""
+    problem = CalibrationProblem.from_case(given.case, FreeParameters())
+    return alternate(problem.start, problem.seen, FreeParameters(), 0.001, 1000).errors_px
+
+
+def draw_points(name: str, title: str, found: dict[float, Draws]) -> Figure:
+    """Draw errors of the points along X, Y, Z by initial guess, one column per noise.
+
+    Each error has a mean and a scatter.
+    """
+    upper, lower = [], []
+    for noise, draws in found.items():
+        means, scatters = [], []
+        for solver in SOLVERS:
+            errors = [[one.errors_mm for one in draws[solver, start]] for start in STARTS]
+            mean = np.array(
+                [np.mean([np.abs(one.mean(axis=0)) for one in own], axis=0) for own in errors]
+            )
+            scatter = np.array([stds(own) for own in errors])
+            means.append(Curve(f"Z, {solver}", STARTS, mean[:, 2].tolist()))
+            scatters += [
+                Curve(f"{axis}, {solver}", STARTS, scatter[:, number].tolist())
+                for number, axis in enumerate("XYZ")
+            ]
+        upper.append(Panel(f"{noise:g} px: mean along Z", "start", "mm", tuple(means), "xy"))
+        lower.append(Panel(f"{noise:g} px: scatter", "start", "mm", tuple(scatters), "xy"))
+    return Figure(name, title, (*upper, *lower), across=len(found))
