@@ -161,9 +161,7 @@ def lower_bound(
     pixels, weights = np.nan_to_num(case.pixels), good.astype(np.float64)
     seen = BoardImages(board, pixels, weights, anchors, frame.beyond_kernels)
     try:
-        return limit(
-            frame.state(board, truth_mm), seen, FreeParameters.from_names(case.unknown), noise_px
-        )
+        return limit(frame.state(board, truth_mm), seen, FreeParameters.from_case(case), noise_px)
     except np.linalg.LinAlgError:  # positions and cameras far from anything real
         return None
 

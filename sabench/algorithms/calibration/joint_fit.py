@@ -24,6 +24,7 @@ from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.algorithms.calibration.robust import Robust, adjust, median_noise
 from sabench.geometry.rigid_motion import RigidMotion
+from sabench.utils.arrays import F64
 
 _LEAST_NOISE_PX = 1e-3  # with which known places are weighed
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
@@ -41,6 +42,8 @@ def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
     An end state that cannot be is left by other starts, see `end_state.list_faults`. If all of them
     fail, the last one is returned: `input_checks.check_fit` refuses it.
     """
+    if not free.cameras:
+        return _weigh(problem, adjust(problem.start, problem.seen, free, moving="boards"), free)
     if fixes_world(problem):
         placed = _place_cameras(problem, free)
         return _weigh(replace(problem, start=placed.fit.state), placed, free)
@@ -83,11 +86,15 @@ def _weigh(problem: CalibrationProblem, found: Robust, free: FreeParameters) -> 
 
 def make_prior(nominal: State, noise_px: float) -> Prior:
     """Weigh nominal thicknesses, indices, wall and flat boards against the noise."""
+    return Prior(nominal.shared, (noise_px / nominal_sigmas(nominal)) ** 2)
+
+
+def nominal_sigmas(nominal: State) -> F64:
+    """Return standard deviations of the nominal values, in the order of `State.shared`."""
     thick = THICKNESS * np.maximum(nominal.thicknesses, 1e-3)
     index = np.full(len(nominal.indices), INDEX)
     bend = np.full(BEND, _BEND_MM)
-    sigma = np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM], bend])
-    return Prior(nominal.shared, (noise_px / sigma) ** 2)
+    return np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM], bend])
 
 
 def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParameters) -> Robust:
