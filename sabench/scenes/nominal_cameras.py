@@ -25,23 +25,21 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
     spec = scene.calibration
     if spec is None:
         return cameras
-    if spec.errs_in_wall:
-        cameras = _behind_nominal_wall(cameras, spec, seed)
+    if spec.errs_in_wall and isinstance(wall := cameras[0].wall, Wall):
+        nominal = draw_nominal_wall(wall, spec, seed)
+        cameras = tuple(replace(camera, wall=nominal) for camera in cameras)
     return tuple(
         _perturb(_shift(_drop_unmeasured(camera, spec), spec, seed, number), spec, seed, number)
         for number, camera in enumerate(cameras)
     )
 
 
-def _behind_nominal_wall(
-    cameras: tuple[Camera, ...], spec: Calibration, seed: int
-) -> tuple[Camera, ...]:
-    """Put all cameras behind one wall that is off in place, tilt, thickness and indices.
+def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
+    """Draw a wall that is off in place, tilt, thickness and indices.
 
-    The wall turns about its point.
+    It turns about the point of the true one.
     """
-    wall, rng = cameras[0].wall, stream(seed, "nominal wall")
-    assert isinstance(wall, Wall)  # as `Scene` has checked
+    rng = stream(seed, "nominal wall")
     axes = frame_of_normal(np.asarray(wall.normal))
     along, right, down, fluid = rng.standard_normal(4)
     turn = rotation_matrices(np.deg2rad(spec.wall_deg) * np.array([right, down, 0.0]))
@@ -54,14 +52,13 @@ def _behind_nominal_wall(
         )
         for layer, thick, dense in zip(wall.layers, thicker.tolist(), denser.tolist(), strict=True)
     )
-    nominal = replace(
+    return replace(
         wall,
         point_mm=triple(np.asarray(wall.point_mm) + spec.wall_mm * along * axes[2]),
         normal=triple(axes.T @ turn[:, 2]),
         layers=layers,
         fluid_index=wall.fluid_index + spec.fluid_index * float(fluid),
     )
-    return tuple(replace(camera, wall=nominal) for camera in cameras)
 
 
 def _drop_unmeasured(camera: Camera, spec: Calibration) -> Camera:

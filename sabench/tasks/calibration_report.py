@@ -189,7 +189,7 @@ def _bound(
     bound, nominal = limit(state, seen, free, noise), common_plane(case.cameras)
     if nominal is None or frame.wall is None:
         return bound, ()
-    return bound, wall_unknowns(nominal, frame.wall, state, free, bound.shared_std)
+    return bound, wall_unknowns(nominal, frame.wall, free, bound.shared_std)
 
 
 def _expected_mm(

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.algorithms.calibration.joint_fit import nominal_sigmas
-from sabench.algorithms.calibration.parameters import WALL, FreeParameters, State
+from sabench.algorithms.calibration.parameters import WALL, FreeParameters
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rotations import frame_of_normal
 from sabench.utils.arrays import F64
 
-_SHOWN = 0.5  # part of a nominal value's standard deviation that what data show stays below
+# errors of what a data sheet, a ruler and a spirit level show, without any calibration
+_INDEX, _THICKNESS_MM, _TILT_DEG, _PLACE_MM = 0.01, 0.5, 0.5, 1.0
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class WallUnknown:
         normal through the world's origin.
     std : smallest standard deviation that the data allow without the nominal value (Cramer-Rao
         bound); None where nothing shows it.
-    shown : whether the data say clearly more than the nominal value.
+    shown : whether they say more than a data sheet, a ruler and a spirit level.
     """
 
     name: str
@@ -45,33 +45,33 @@ def media_of(wall: Wall) -> tuple[str, ...]:
 
 
 def wall_unknowns(
-    nominal: Wall, found: Wall, state: State, free: FreeParameters, shared_std: F64
+    nominal: Wall, found: Wall, free: FreeParameters, shared_std: F64
 ) -> tuple[WallUnknown, ...]:
     """List the free unknowns of a wall.
 
     Parameters
     ----------
-    state : of the calibration, in the frame of the wall.
     shared_std : (s,) bound of what all cameras share, see `cramer_rao.Limit`.
     """
     names = [
-        *((f"index of {name}", "") for name in media_of(nominal)),
-        *((f"thickness of {layer.name}", "mm") for layer in nominal.layers),
-        ("tilt of the wall about X", "deg"),
-        ("tilt of the wall about Y", "deg"),
-        ("place of the wall", "mm"),
+        *((f"index of {name}", "", _INDEX) for name in media_of(nominal)),
+        *((f"thickness of {layer.name}", "mm", _THICKNESS_MM) for layer in nominal.layers),
+        ("tilt of the wall about X", "deg", _TILT_DEG),
+        ("tilt of the wall about Y", "deg", _TILT_DEG),
+        ("place of the wall", "mm", _PLACE_MM),
     ]
     scales = np.ones(len(names))
     scales[-WALL:-1] = math.degrees(1.0)
     before, after = (_values(wall, nominal).tolist() for wall in (nominal, found))
-    sigmas = nominal_sigmas(state)
-    _, shared = free.columns(len(state.indices))
+    _, shared = free.columns(len(nominal.indices))
     rows = []
     for number, std in zip(shared.tolist(), shared_std.tolist(), strict=True):
         if number < len(names):
-            own = std * float(scales[number]) if math.isfinite(std) else None
-            shown = std < _SHOWN * float(sigmas[number])
-            rows.append(WallUnknown(*names[number], before[number], after[number], own, shown))
+            name, unit, measured = names[number]
+            own = std * float(scales[number])
+            known = own if math.isfinite(own) else None
+            figures = before[number], after[number], known
+            rows.append(WallUnknown(name, unit, *figures, own < measured))
     return tuple(rows)
 
 
@@ -91,10 +91,7 @@ def warn_of_unknowns(unknowns: Sequence[WallUnknown]) -> Iterator[str]:
     hidden = [one for one in unknowns if not one.shown]
     if hidden:
         listed = " and ".join(_standard_deviation(one) for one in hidden)
-        yield (
-            f"The data do not show the {listed}; the fit stays near what is nominal: measure what "
-            "is listed, and take it out of the unknowns."
-        )
+        yield f"The data hardly show the {listed}: measure it, and take it out of the unknowns."
 
 
 def _standard_deviation(one: WallUnknown) -> str:

@@ -24,7 +24,6 @@ from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.algorithms.calibration.robust import Robust, adjust, median_noise
 from sabench.geometry.rigid_motion import RigidMotion
-from sabench.utils.arrays import F64
 
 _LEAST_NOISE_PX = 1e-3  # with which known places are weighed
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
@@ -86,15 +85,11 @@ def _weigh(problem: CalibrationProblem, found: Robust, free: FreeParameters) -> 
 
 def make_prior(nominal: State, noise_px: float) -> Prior:
     """Weigh nominal thicknesses, indices, wall and flat boards against the noise."""
-    return Prior(nominal.shared, (noise_px / nominal_sigmas(nominal)) ** 2)
-
-
-def nominal_sigmas(nominal: State) -> F64:
-    """Return standard deviations of the nominal values, in the order of `State.shared`."""
     thick = THICKNESS * np.maximum(nominal.thicknesses, 1e-3)
     index = np.full(len(nominal.indices), INDEX)
     bend = np.full(BEND, _BEND_MM)
-    return np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM], bend])
+    sigma = np.concatenate([index, thick, [_WALL_TILT, _WALL_TILT, _WALL_SHIFT_MM], bend])
+    return Prior(nominal.shared, (noise_px / sigma) ** 2)
 
 
 def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParameters) -> Robust:
