@@ -457,18 +457,25 @@ def measure_wall(seeds: int) -> list[dict[str, Any]]:
 
 
 def wall_table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Format a record of walls as the table of docs/results/by-suite.md."""
-    yield "| setup | unknown | quantity | bound | rms error | error over bound | shown |"
-    yield "|---|---|---|---|---|---|---|"
+    """Format a record of walls as the table of docs/tasks/calibration.md."""
+    yield f"| unknown | quantity | {' | '.join(_SETUPS)} |"
+    yield "|---|---|" + "---|" * len(_SETUPS)
+    lines: dict[tuple[str, str], list[str]] = {}
     for row in rows:
-        low, high = row["interval_95"]
-        unit = f" {row['unit']}" if row["unit"] else ""
-        ratio = f"{row['error_over_bound']:.2f} ({low:.2f} to {high:.2f})"
-        bound = "none" if row["bound"] is None else f"{row['bound']:g}{unit}"
-        figures = f"{bound} | {row['rms_error']:g}{unit} | {ratio}"
-        shown = f"{row['shown']} of {row['seeds']}"
         names = ", ".join(f"`{name}`" for name in row["unknown"])
-        yield f"| {row['setup']} | {names} | {row['quantity']} | {figures} | {shown} |"
+        lines.setdefault((names, row["quantity"]), []).append(_wall_cell(row))
+    for (names, quantity), cells in lines.items():
+        yield f"| {names} | {quantity} | {' | '.join(cells)} |"
+
+
+def _wall_cell(row: dict[str, Any]) -> str:
+    """Format bound and error over bound, or the error where the data show nothing."""
+    low, high = row["interval_95"]
+    unit = f" {row['unit']}" if row["unit"] else ""
+    bound = "none" if row["bound"] is None else f"{row['bound']:g}{unit}"
+    if 2 * row["shown"] < row["seeds"]:
+        return f"not shown: {bound}"
+    return f"{bound}; {row['error_over_bound']:.2f} ({low:.2f} to {high:.2f})"
 
 
 if __name__ == "__main__" and sys.argv[1:2] == ["wall"]:

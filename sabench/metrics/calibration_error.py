@@ -208,12 +208,12 @@ def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
         abs(one.thickness_mm - true.thickness_mm)
         for one, true in zip(estimate.layers, truth.layers, strict=True)
     ]
-    turn = np.cross(estimate.normal, truth.normal)
+    turn = np.clip(np.linalg.norm(np.cross(estimate.normal, truth.normal)), 0.0, 1.0)
     return {
         "index_error": float(np.abs(estimate.indices - truth.indices).max()),
         "thickness_error_mm": max(thickness, default=0.0),
         "wall_place_error_mm": abs(float(truth.depth_of(np.asarray(estimate.point_mm)))),
-        "wall_tilt_error_deg": float(np.rad2deg(np.arcsin(min(1.0, np.linalg.norm(turn))))),
+        "wall_tilt_error_deg": float(np.rad2deg(np.arcsin(turn))),
     }
 
 

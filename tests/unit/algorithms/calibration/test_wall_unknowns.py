@@ -142,10 +142,11 @@ def test_what_the_data_hardly_show_is_a_sentence() -> None:
 
 
 def test_known_cameras_have_no_unknown_lenses() -> None:
-    for unknown, words in (
-        (("wall", "k1"), "unknown: expected wall, thickness, layer_index, fluid_index or bend"),
-        ((), "unknown: expected one or more of wall, thickness"),
-    ):
+    faulty: dict[tuple[Unknown, ...], str] = {
+        ("wall", "k1"): "unknown: expected wall, thickness, layer_index, fluid_index or bend",
+        (): "unknown: expected one or more of wall, thickness",
+    }
+    for unknown, words in faulty.items():
         case, _ = known_case(unknown)
         with pytest.raises(InputError, match=words):
             solve(case)
