@@ -59,6 +59,15 @@ def find_rim(solid: Solid, eye_mm: F64) -> Rim:
     return Rim(position, normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None])
 
 
+def sphere_mesh(matrix: F64, center_mm: F64) -> Solid:
+    """Make the image of a unit sphere under a matrix (3, 3), moved to a centre (3,)."""
+    import trimesh
+
+    unit = trimesh.creation.icosphere(subdivisions=3)
+    vertices = np.asarray(unit.vertices, dtype=np.float64)
+    return Solid(vertices @ matrix.T + center_mm, np.asarray(unit.faces, dtype=np.int64))
+
+
 def _vertex_normals(solid: Solid) -> F64:
     """Compute outward normals (v, 3) of vertices, weighed by the areas of their faces."""
     corners = solid.vertices_mm[solid.faces]

@@ -26,6 +26,7 @@ TABLES = {
     "fig-1-3": "code behind bubbles, read in single views and in refocused planes",
     "table-5-2": "three plunging jets from detected bubbles (table 5.2, figures 5-18 to 5-20)",
     "fig-6-5": "refocused liquid jet in a cross-flow, and detected drops (figures 6-4 and 6-5)",
+    "fig-6-6": "edges of the jet in refocused planes, and errors of their depths",
     "fig-4-6": "error of camera models without refraction",
     "fig-4-9": "Newton's iteration for the path through a wall",
     "fig-4-12": "auto-calibration error against noise and initial guess (figures 4-11 to 4-15)",
