@@ -196,9 +196,10 @@ def _reprojection_scores(
 
 
 def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
-    """Compute the largest errors of refractive indices and thicknesses, and of place and tilt.
+    """Compute errors of a wall's indices, thicknesses, place and tilt.
 
-    The place is that of the estimated wall's point along the true normal. None where one of the
+    Of indices and thicknesses the largest ones. The place is that of the estimated wall's point
+    along the true normal. None where one of the
     walls is missing or they have different numbers of layers.
     """
     if truth is None or estimate is None or len(estimate.layers) != len(truth.layers):

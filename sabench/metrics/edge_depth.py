@@ -41,9 +41,9 @@ class Rim:
 
 
 def find_rim(solid: Solid, eye_mm: F64) -> Rim:
-    """Find the rim of a surface as seen from an eye (3,), one point in every face it crosses.
+    """Find the rim of a surface as seen from an eye (3,).
 
-    It is where the interpolated normals of the vertices are across the line of sight.
+    One point in every face that it crosses. It is where the interpolated normals of the vertices are across the line of sight.
     """
     normals = _vertex_normals(solid)
     facing = np.einsum("vi,vi->v", normals, solid.vertices_mm - eye_mm)
@@ -69,7 +69,7 @@ def sphere_mesh(matrix: F64, center_mm: F64) -> Solid:
 
 
 def _vertex_normals(solid: Solid) -> F64:
-    """Compute outward normals (v, 3) of vertices, weighed by the areas of their faces."""
+    """Compute outward normals (v, 3) of vertices, weighed by areas of faces."""
     corners = solid.vertices_mm[solid.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(solid.vertices_mm)

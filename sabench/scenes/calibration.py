@@ -95,7 +95,7 @@ class Calibration(Table):
 
     @property
     def errs_in_wall(self) -> bool:
-        """Whether the nominal wall is not the true one."""
+        """Truth of a nominal wall that is not the true one."""
         return any(
             (
                 self.wall_mm,

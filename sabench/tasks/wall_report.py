@@ -76,7 +76,10 @@ def wall_unknowns(
 
 
 def _values(wall: Wall, nominal: Wall) -> F64:
-    """List indices, thicknesses, tilts (deg) and place (mm) of a wall against the nominal one."""
+    """List indices, thicknesses, tilts (deg) and place (mm) of a wall.
+
+    Tilts and place count from the nominal wall.
+    """
     axes = frame_of_normal(np.asarray(nominal.normal))
     right, down, along = axes @ np.asarray(wall.normal)
     place = np.asarray(wall.point_mm) @ np.asarray(wall.normal) / along

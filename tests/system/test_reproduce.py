@@ -76,6 +76,7 @@ def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) 
 SLOW = (
     "fig-1-3",
     "fig-6-5",
+    "fig-6-6",
     "table-5-2",
     "fig-2-18",
     "fig-4-16",

@@ -10,9 +10,9 @@ from sabench.utils.arrays import F64
 
 
 def follow_wall(state: State, free: FreeParameters) -> F64:
-    """Differentiate all unknowns but the boards' by the shared ones, with known cameras.
+    """Differentiate cameras' and shared unknowns by the shared ones.
 
-    In the frame of the wall, cameras that are known in the world move when the wall does: a turn r
+    The cameras are known. In the frame of the wall, cameras that are known in the world move when the wall does: a turn r
     and a shift z of the wall R x + t move a point x by -R^-1 (r x R x + z), see
     `State.apply_steps`.
 

@@ -74,7 +74,7 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
 
 
 def gradient(planes: F32) -> tuple[F32, F32]:
-    """Differentiate planes (z, y, x) along x and along y by derivatives of a Gaussian.
+    """Differentiate planes (z, y, x) along x and y by Gaussian derivatives.
 
     The unit is the height of a step: a sharp edge of height 1 gives 1.
     """
@@ -118,7 +118,7 @@ def _refine_across(
 
 
 def _refine_depth(height: F32, z: I64, y: I64, x: I64, planes: int) -> F64:
-    """Find how far (n,) in planes the sharpest plane is from the sharpest one of the stack.
+    """Refine the depths (n,) of the sharpest planes, in planes.
 
     A parabola is fitted to the logarithms of the heights on the planes around, weighed by their
     squares, since noise is the same for all heights.

@@ -114,4 +114,4 @@ def _depth_map(grid: Grid, points: F64) -> Slice:
     column, row = np.round((points[:, :2] - low) / step).astype(np.int64).T
     inside = (row >= 0) & (row < len(y)) & (column >= 0) & (column < len(x))
     values[row[inside], column[inside]] = points[inside, 2]
-    return Slice("depth Z, mm", x, y, values, signed=True)
+    return Slice("depth Z, mm", x, y, values)
