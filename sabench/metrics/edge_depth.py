@@ -43,7 +43,8 @@ class Rim:
 def find_rim(solid: Solid, eye_mm: F64) -> Rim:
     """Find the rim of a surface as seen from an eye (3,).
 
-    One point in every face that it crosses. It is where the interpolated normals of the vertices are across the line of sight.
+    One point in every face that it crosses. It is where the interpolated normals of the vertices
+    are across the line of sight.
     """
     normals = _vertex_normals(solid)
     facing = np.einsum("vi,vi->v", normals, solid.vertices_mm - eye_mm)

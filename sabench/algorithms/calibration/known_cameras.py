@@ -12,7 +12,7 @@ from sabench.utils.arrays import F64
 def follow_wall(state: State, free: FreeParameters) -> F64:
     """Differentiate cameras' and shared unknowns by the shared ones.
 
-    The cameras are known. In the frame of the wall, cameras that are known in the world move when the wall does: a turn r
+    In the frame of the wall, cameras that are known in the world move when the wall does: a turn r
     and a shift z of the wall R x + t move a point x by -R^-1 (r x R x + z), see
     `State.apply_steps`.
 
