@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import convolve1d, map_coordinates, maximum_filter1d
 
 from sabench.geometry.grid import Grid
-from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.arrays import F32, F64, I64, Bool
 
 _WIDTH = 1.0  # standard deviation of the Gaussian whose derivative is the gradient, voxels
 _REACH = 4  # standard deviations to which it is sampled
@@ -62,11 +62,14 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
         height[part] = np.hypot(along_x, along_y)
     highest = maximum_filter1d(height, 2 * planes + 1, axis=0, mode="nearest")
     z, y, x = np.nonzero((height >= least) & (height == highest))
-    inner = (z > 0) & (z < len(stack) - 1)  # edges that are sharpest on a face lie beyond it
+    inner = np.flatnonzero(
+        (z > 0) & (z < len(stack) - 1)
+    )  # edges that are sharpest on a face lie beyond it
     z, y, x = z[inner], y[inner], x[inner]
     normal = _directions(stack, z, y, x)
     aside, sharpest = _refine_across(height, z, y, x, normal)
-    z, y, x, normal, aside = (one[sharpest] for one in (z, y, x, normal, aside))
+    z, y, x = z[sharpest], y[sharpest], x[sharpest]
+    normal, aside = normal[sharpest], aside[sharpest]
     depth = _refine_depth(height, z, y, x, planes)
     voxels = np.column_stack([x + aside * normal[:, 0], y + aside * normal[:, 1], z + depth])
     position = voxels * np.asarray(grid.voxel_mm) + np.asarray(grid.low_mm)
@@ -100,9 +103,7 @@ def _directions(stack: F32, z: I64, y: I64, x: I64) -> F64:
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))
 
 
-def _refine_across(
-    height: F32, z: I64, y: I64, x: I64, normal: F64
-) -> tuple[F64, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+def _refine_across(height: F32, z: I64, y: I64, x: I64, normal: F64) -> tuple[F64, Bool]:
     """Find how far (n,) the maximum along the normal is from a voxel.
 
     Also returns which voxels have it within themselves.
