@@ -62,9 +62,8 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
         height[part] = np.hypot(along_x, along_y)
     highest = maximum_filter1d(height, 2 * planes + 1, axis=0, mode="nearest")
     z, y, x = np.nonzero((height >= least) & (height == highest))
-    inner = np.flatnonzero(
-        (z > 0) & (z < len(stack) - 1)
-    )  # edges that are sharpest on a face lie beyond it
+    # edges that are sharpest on the first or last plane lie beyond it
+    inner = np.flatnonzero((z > 0) & (z < len(stack) - 1))
     z, y, x = z[inner], y[inner], x[inner]
     normal = _directions(stack, z, y, x)
     aside, sharpest = _refine_across(height, z, y, x, normal)
