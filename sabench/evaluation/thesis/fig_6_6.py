@@ -39,7 +39,7 @@ _WHAT = {
     "median_mm": "depth error of visible edges, median, mm",
     "bias_mm": "depth error, signed median, mm",
     "located": "visible edges with an edge found within 0.3 mm in X and Y",
-    "recall": "of these also within 1 mm in depth",
+    "recall": "visible edges with one found within 1 mm in depth, too",
     "precision": "edges found that are true edges to within 1 mm in depth",
 }
 
