@@ -53,7 +53,7 @@ class RefractiveAutocal(CalibrationSolver):
 
     Images only show the positions of the cameras and boards relative to the wall. Known points
     determine its position in the world. Free indices, thicknesses and walls stay near their nominal
-    values where the data do not show them.
+    values where the data do not show them. Known cameras stay as they are.
     """
 
     name = "refractive_autocal"
@@ -85,4 +85,5 @@ class RefractiveAutocal(CalibrationSolver):
             indices=tuple(sorted({*free.indices, *chosen.indices})),
             thicknesses=tuple(sorted({*free.thicknesses, *chosen.thicknesses})),
             wall=free.wall or chosen.wall,
+            cameras=not case.known_cameras,
         )

@@ -186,7 +186,9 @@ class CalibrationCase:
     known_sigma_mm : the same shape, their standard deviations.
     unknown : parameters that were not measured, besides the focal lengths: "principal_point",
         names of coefficients of distortion and "tilt" of the lenses; "wall" (its place and tilt),
-        "thickness" of its layers, "fluid_index", and the "bend" of a board.
+        "thickness" and "layer_index" of its layers, "fluid_index", and the "bend" of a board.
+    known_cameras : whether the cameras are exact and only the wall and the target are not, as after
+        a calibration without the tank.
 
     Raises
     ------
@@ -201,6 +203,7 @@ class CalibrationCase:
     known_mm: F64
     known_sigma_mm: F64
     unknown: tuple[Unknown, ...] = ()
+    known_cameras: bool = False
 
     def __post_init__(self) -> None:
         """Check the shapes, and that every camera sees some of the target."""

@@ -250,7 +250,18 @@ def _show_calibration(report: Report, out: Path) -> None:
         good = ", ".join(text for text, there in figures if there)
         say(f"{held.frames} {what} held out{lost}: {good}")
     _show_expected(report)
+    _show_wall(report)
     say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
+
+
+def _show_wall(report: Report) -> None:
+    if not report.wall:
+        return
+    rows = []
+    for one in report.wall:
+        figures = [tables.format_number(value, 4) for value in (one.nominal, one.found, one.std)]
+        rows.append([one.name, one.unit or "-", *figures, "yes" if one.shown else "no"])
+    tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], rows)
 
 
 def _show_expected(report: Report) -> None:

@@ -28,7 +28,7 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.wall_records import WallRecord, WallsRecord
 from sabench.images.preprocessing import Step
 from sabench.utils.errors import InputError
-from sabench.utils.fields import LensNumber
+from sabench.utils.fields import LensNumber, WallNumber
 from sabench.utils.files import canonical_json, inside, read_json
 
 _MOST_DN = 65535  # of 16 bits
@@ -57,7 +57,8 @@ class CamerasFile(Record):
     cameras: tuple[CameraEntry, ...] = Field(min_length=1)
     grid: Grid
     sensor: SensorLevels
-    unknown: tuple[LensNumber, ...] = ()
+    unknown: tuple[LensNumber | WallNumber, ...] = ()
+    known_cameras: bool = False
     times_s: tuple[float, ...] | None = None
     pulses: int = Field(1, ge=1)
     preprocessing: tuple[Step, ...] = ()
@@ -79,7 +80,7 @@ class CamerasFile(Record):
 
     def walls_of_cameras(self) -> tuple[WallRecord | None, ...]:
         """List the wall that each camera looks through."""
-        return self.wall if isinstance(self.wall, tuple) else (self.wall,) * len(self.cameras)
+        return _walls(self.wall, len(self.cameras))
 
     def time_s(self, frame: int) -> float:
         """Compute the time of a frame."""
@@ -101,10 +102,14 @@ class CamerasFile(Record):
 
 
 class TrueCamerasFile(Record):
-    """true_cameras.json: the true cameras, where cameras.json holds others."""
+    """true_cameras.json: the true cameras, where cameras.json holds others.
+
+    `wall` is there where the true wall is not the nominal one.
+    """
 
     format: str
     version: int
+    wall: WallsRecord | None = None
     cameras: tuple[Camera, ...]
 
 
@@ -132,8 +137,7 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
         setup = read_cameras(path.parent)
         return setup.cameras, setup.grid
     loaded = read_versioned(CalibratedFile, path)
-    one = loaded.wall
-    walls = one if isinstance(one, tuple) else (one,) * len(loaded.cameras)
+    walls = _walls(loaded.wall, len(loaded.cameras))
     _check_names(loaded.cameras, path)
     _check_cameras(loaded.cameras, path)
     check_walls(path, walls, len(loaded.cameras))
@@ -157,10 +161,12 @@ def read_cameras(root: Path) -> CamerasFile:
 def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
     """Read the true cameras of a data set whose cameras.json holds others.
 
-    They have the same names and image sizes, and are behind the same walls.
+    They have the same names and image sizes, and are behind the same walls unless the file has
+    others.
     """
     path = inside(root, TRUE_CAMERAS)
-    cameras = read_versioned(TrueCamerasFile, path).cameras
+    loaded = read_versioned(TrueCamerasFile, path)
+    cameras = loaded.cameras
     expected, got = (
         [(c.name, c.rows, c.columns) for c in group] for group in (nominal.cameras, cameras)
     )
@@ -170,9 +176,15 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
             f"{got}"
         )
     _check_cameras(cameras, path)
-    walls = nominal.walls_of_cameras()
+    walls = _walls(loaded.wall, len(cameras)) if loaded.wall else nominal.walls_of_cameras()
+    check_walls(path, walls, len(cameras))
     check_lengths(path, walls, cameras, nominal.grid)
     return behind(walls, cameras)
+
+
+def _walls(wall: WallsRecord | None, cameras: int) -> tuple[WallRecord | None, ...]:
+    """List the wall of each camera, of a file's one wall or its list."""
+    return wall if isinstance(wall, tuple) else (wall,) * cameras
 
 
 def _check_names(cameras: Sequence[CameraModel], path: Path) -> None:

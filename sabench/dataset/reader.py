@@ -316,6 +316,7 @@ class Dataset:
             arrays["known_mm"],
             arrays["known_sigma_mm"],
             setup.unknown,
+            setup.known_cameras,
         )
 
     def placed(self) -> Placed:

@@ -121,10 +121,12 @@ def dataset_writer(
         root.mkdir()
         (root / schema.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
         keys = _observation(scene, len(nominal)) | ({"shows": shows} if shows else {})
-        keys |= {"wall": wall_entry(rig.cameras), "grid": rig.grid}
+        keys |= {"wall": wall_entry(nominal), "grid": rig.grid}
         write_cameras(root / schema.CAMERAS, nominal, **keys)
         if scene.calibration:
-            write_cameras(root / schema.TRUE_CAMERAS, rig.cameras)
+            true = wall_entry(rig.cameras)
+            walls = {"wall": true} if true != wall_entry(nominal) else {}
+            write_cameras(root / schema.TRUE_CAMERAS, rig.cameras, **walls)
         with create_hdf5(root / schema.TRUTH) as (truth, check):
             with delay_interrupts():
                 truth.attrs["format"], truth.attrs["version"] = schema.FORMAT, schema.VERSION
@@ -178,6 +180,8 @@ def _observation(scene: Scene, cameras: int) -> dict[str, Any]:
         keys["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
     if scene.unknown:
         keys["unknown"] = scene.unknown
+    if scene.calibration and scene.calibration.known_cameras:
+        keys["known_cameras"] = True
     return keys
 
 

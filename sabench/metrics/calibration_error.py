@@ -161,9 +161,7 @@ def lower_bound(
     pixels, weights = np.nan_to_num(case.pixels), good.astype(np.float64)
     seen = BoardImages(board, pixels, weights, anchors, frame.beyond_kernels)
     try:
-        return limit(
-            frame.state(board, truth_mm), seen, FreeParameters.from_names(case.unknown), noise_px
-        )
+        return limit(frame.state(board, truth_mm), seen, FreeParameters.from_case(case), noise_px)
     except np.linalg.LinAlgError:  # positions and cameras far from anything real
         return None
 
@@ -198,19 +196,25 @@ def _reprojection_scores(
 
 
 def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
-    """Compute the largest errors of refractive indices and of thicknesses.
+    """Compute errors of a wall's indices, thicknesses, place and tilt.
 
-    None where one of the walls is missing or they have different numbers of layers.
+    Of indices and thicknesses the largest ones. The place is that of the estimated wall's point
+    along the true normal. None where one of the
+    walls is missing or they have different numbers of layers.
     """
     if truth is None or estimate is None or len(estimate.layers) != len(truth.layers):
-        return {"index_error": None, "thickness_error_mm": None}
+        names = ("index_error", "thickness_error_mm", "wall_place_error_mm", "wall_tilt_error_deg")
+        return dict.fromkeys(names)
     thickness = [
         abs(one.thickness_mm - true.thickness_mm)
         for one, true in zip(estimate.layers, truth.layers, strict=True)
     ]
+    turn = np.clip(np.linalg.norm(np.cross(estimate.normal, truth.normal)), 0.0, 1.0)
     return {
         "index_error": float(np.abs(estimate.indices - truth.indices).max()),
         "thickness_error_mm": max(thickness, default=0.0),
+        "wall_place_error_mm": abs(float(truth.depth_of(np.asarray(estimate.point_mm)))),
+        "wall_tilt_error_deg": float(np.rad2deg(np.arcsin(turn))),
     }
 
 

@@ -5,11 +5,11 @@ Errors of the nominal cameras and of the detection of targets.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, get_args
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from sabench.utils.fields import LensNumber, Positive, Table
+from sabench.utils.fields import LensNumber, Positive, Table, WallNumber
 
 
 class KnownPoint(Table):
@@ -66,11 +66,57 @@ class Calibration(Table):
         "centre",
     )
     known: tuple[KnownPoint, ...] = Field((), description="points whose positions are known")
-    unknown: tuple[LensNumber, ...] | None = Field(
-        None,
-        description="unmeasured numbers of the lenses; solvers receive their names, and zero for "
-        "coefficients of distortion; `tilt` is that of the sensors against the lenses",
+    wall_mm: float = Field(
+        0.0, ge=0.0, description="standard deviation of the plane wall's place along its normal"
     )
+    wall_deg: float = Field(
+        0.0, ge=0.0, le=10.0, description="standard deviation of the wall's tilt about two axes"
+    )
+    thickness_percent: float = Field(
+        0.0, ge=0.0, le=20.0, description="standard deviation of the thickness of every layer"
+    )
+    layer_index: float = Field(
+        0.0, ge=0.0, le=0.05, description="standard deviation of the index of every layer"
+    )
+    fluid_index: float = Field(
+        0.0, ge=0.0, le=0.05, description="standard deviation of the fluid's index"
+    )
+    known_cameras: bool = Field(
+        False,
+        description="solvers learn that the nominal cameras are the true ones, and that only the "
+        "wall and the target are not",
+    )
+    unknown: tuple[LensNumber | WallNumber, ...] | None = Field(
+        None,
+        description="unmeasured numbers of the lenses and the wall; solvers receive their names, "
+        "and zero for coefficients of distortion; `tilt` is that of the sensors against the "
+        "lenses, `wall` the place and tilt of the wall",
+    )
+
+    @property
+    def errs_in_wall(self) -> bool:
+        """Truth of a nominal wall that is not the true one."""
+        return any(
+            (
+                self.wall_mm,
+                self.wall_deg,
+                self.thickness_percent,
+                self.layer_index,
+                self.fluid_index,
+            )
+        )
+
+    @model_validator(mode="after")
+    def _check_known(self) -> Calibration:
+        """Check that known cameras have no errors and no unknowns."""
+        if not self.known_cameras:
+            return self
+        errors = ("shift_px", "center_mm", "turn_deg", "focal_percent", "tilt_deg")
+        if wrong := [name for name in errors if getattr(self, name)]:
+            raise ValueError(f"known_cameras: expected cameras without errors, got {wrong[0]}")
+        if wrong := [name for name in self.unknown or () if name in get_args(LensNumber)]:
+            raise ValueError(f"known_cameras: expected unknowns of the wall, got {wrong[0]}")
+        return self
 
 
 class Detection(Table):

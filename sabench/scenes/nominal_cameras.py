@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.refraction import Wall
+from sabench.geometry.rotations import frame_of_normal, rotation_matrices
 from sabench.scenes.calibration import Calibration
 from sabench.scenes.scene import Scene
 from sabench.utils.arrays import triple
@@ -24,9 +25,39 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
     spec = scene.calibration
     if spec is None:
         return cameras
+    if spec.errs_in_wall and isinstance(wall := cameras[0].wall, Wall):
+        nominal = draw_nominal_wall(wall, spec, seed)
+        cameras = tuple(replace(camera, wall=nominal) for camera in cameras)
     return tuple(
         _perturb(_shift(_drop_unmeasured(camera, spec), spec, seed, number), spec, seed, number)
         for number, camera in enumerate(cameras)
+    )
+
+
+def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
+    """Draw a wall that is off in place, tilt, thickness and indices.
+
+    It turns about the point of the true one.
+    """
+    rng = stream(seed, "nominal wall")
+    axes = frame_of_normal(np.asarray(wall.normal))
+    along, right, down, fluid = rng.standard_normal(4)
+    turn = rotation_matrices(np.deg2rad(spec.wall_deg) * np.array([right, down, 0.0]))
+    thicker, denser = rng.standard_normal((2, len(wall.layers)))
+    layers = tuple(
+        replace(
+            layer,
+            thickness_mm=layer.thickness_mm * (1.0 + spec.thickness_percent / 100.0 * thick),
+            index=layer.index + spec.layer_index * dense,
+        )
+        for layer, thick, dense in zip(wall.layers, thicker.tolist(), denser.tolist(), strict=True)
+    )
+    return replace(
+        wall,
+        point_mm=triple(np.asarray(wall.point_mm) + spec.wall_mm * along * axes[2]),
+        normal=triple(axes.T @ turn[:, 2]),
+        layers=layers,
+        fluid_index=wall.fluid_index + spec.fluid_index * float(fluid),
     )
 
 

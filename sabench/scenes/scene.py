@@ -28,7 +28,7 @@ from sabench.scenes.wall import (
 )
 from sabench.scenes.world import BubbleWorld, ParticleWorld, TargetWorld, World, world_faults
 from sabench.utils.errors import InputError
-from sabench.utils.fields import LensNumber, Positive, Table
+from sabench.utils.fields import LensNumber, Positive, Table, WallNumber
 from sabench.utils.files import digest
 from sabench.utils.validation import join_faults, nearest, refuse
 
@@ -110,6 +110,10 @@ class Scene(Table):
         steps = step_faults(scene.preprocessing or (), scene.frames)
         faults += [("preprocessing", fault) for fault in steps]
         faults += idle_keys(scene.world, scene.walls, scene.cameras, scene.illumination)
+        if scene.calibration and scene.calibration.errs_in_wall and scene.plane is None:
+            faults.append(
+                ("calibration", "errors of the wall: expected one plane wall in the scene")
+            )
         refuse(faults)
         return scene
 
@@ -170,8 +174,8 @@ class Scene(Table):
         return self.particle_world.illumination
 
     @property
-    def unknown(self) -> tuple[LensNumber, ...]:
-        """Unmeasured numbers of the lenses."""
+    def unknown(self) -> tuple[LensNumber | WallNumber, ...]:
+        """Unmeasured numbers of the lenses and the wall."""
         return (self.calibration.unknown if self.calibration else None) or ()
 
     def time_s(self, frame: int) -> float:

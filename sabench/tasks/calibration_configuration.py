@@ -88,9 +88,15 @@ class Configuration(Table):
         "and without `target`, points.csv has the measured place of every point",
     )
     up: Direction = Field(_UP, description="direction of the world that images show upwards")
-    array: ArraySpec
+    array: ArraySpec | None = None
     wall: WallTable | None = None
-    cameras: Annotated[tuple[CameraSpec, ...], Field(min_length=1)]
+    cameras: tuple[CameraSpec, ...] = ()
+    known_cameras: str | None = Field(
+        None,
+        min_length=1,
+        description="cameras.json of an earlier calibration, as without the tank, in place of "
+        "`array` and `cameras`: only the wall and the target are unknown",
+    )
     target_mm: Vector | None = Field(
         None,
         description="initial guess of the target's position; by default the mean of aim_mm",

@@ -15,6 +15,7 @@ from sabench.algorithms.calibration.initial_poses import place_boards, upright_a
 from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import CalibrationCase
 from sabench.api.truth import Target
+from sabench.dataset.camera_files import read_calibrated
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.images.photographs import read_photographs
@@ -67,7 +68,10 @@ def read_case(folder: Path) -> Recording:
         raise InputError(f"{path}: expected a TOML file, got {error}") from error
     configuration = validate(Configuration, values, str(path))
     _check_lengths(configuration, str(path))
-    cameras = _cameras(configuration, str(path))
+    if configuration.known_cameras is None:
+        cameras = _cameras(configuration, str(path))
+    else:
+        cameras = _known_cameras(configuration, folder)
     target = _target(configuration, folder)
     plain = target.points_mm @ upright_axes(cameras).T + np.asarray(_middle(configuration))
     names = [camera.name for camera in cameras]
@@ -92,6 +96,7 @@ def read_case(folder: Path) -> Recording:
         seen.known_mm,
         seen.sigma_mm,
         configuration.unknown,
+        configuration.known_cameras is not None,
     )
     return Recording(replace(case, initial_mm=place_boards(case)), seen.frames, seen.points)
 
@@ -119,9 +124,10 @@ def _middle(configuration: Configuration) -> Vector:
 def _check_lengths(configuration: Configuration, source: str) -> None:
     """Check that lengths and coordinates are such as a laboratory has."""
     target, array = configuration.target, configuration.array
+    lengths = (array.pixel_mm, array.focal_length_mm, array.principal_distance_mm) if array else ()
     given: dict[str, tuple[float, ...]] = {
         "target_mm": configuration.target_mm or (0.0,),
-        "array": (array.pixel_mm, array.focal_length_mm, array.principal_distance_mm or 0.0),
+        "array": tuple(length or 0.0 for length in (*lengths, 0.0)),
     }
     if target is not None:
         given["target"] = (target.pitch_mm, target.mark_mm)
@@ -143,6 +149,8 @@ def _check_lengths(configuration: Configuration, source: str) -> None:
 def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
     walls = build_walls(configuration.wall)
     shared, cameras = configuration.array, []
+    if shared is None or not configuration.cameras:
+        raise InputError(f"{source}: expected tables array and cameras, or known_cameras, got less")
     names = [spec.name for spec in configuration.cameras]
     if len(set(names)) != len(names):
         raise InputError(f"{source}: cameras: expected different names, got {names}")
@@ -174,6 +182,25 @@ def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
                 "wall?"
             ) from error
     return tuple(cameras)
+
+
+def _known_cameras(configuration: Configuration, folder: Path) -> tuple[Camera, ...]:
+    """Read the cameras of an earlier calibration, and put them in front of the wall."""
+    path = folder / CONFIGURATION
+    if configuration.array is not None or configuration.cameras:
+        raise InputError(f"{path}: expected either known_cameras or array and cameras, got both")
+    if configuration.target_mm is None:
+        raise InputError(f"{path}: target_mm: expected it with known_cameras, got none")
+    read, _ = read_calibrated(inside(folder, configuration.known_cameras or ""))
+    walls, middle = build_walls(configuration.wall), np.asarray(configuration.target_mm)
+    cameras = tuple(
+        replace(camera, wall=wall_towards(walls, np.asarray(camera.center_mm), middle))
+        for camera in read
+        if isinstance(camera, Camera)
+    )
+    if len(cameras) < len(read):
+        raise InputError(f"{path}: known_cameras: expected pinholes, got another camera model")
+    return cameras
 
 
 def _enter_known(configuration: Configuration, seen: Sightings, source: str) -> None:

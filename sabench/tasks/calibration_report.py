@@ -19,7 +19,6 @@ from sabench.algorithms.calibration.unknown_selection import Nested
 from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
-from sabench.geometry.refraction import Wall
 from sabench.tasks.calibration_folder import Recording
 from sabench.tasks.held_out_calibration import (
     HeldOut,
@@ -28,6 +27,12 @@ from sabench.tasks.held_out_calibration import (
     rms_px,
     target_places,
     unknowns_of,
+)
+from sabench.tasks.wall_report import (
+    WallUnknown,
+    media_of,
+    wall_unknowns,
+    warn_of_unknowns,
 )
 from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
@@ -53,6 +58,7 @@ class Report:
     std_mm : expected standard deviation of the target's points along the wall's X and Y and its
         normal, with the misfit; None without frames to hold out and without a bound.
     noise_std_mm : the same if there were only noise: the Cramer-Rao bound.
+    wall : unknowns of the wall, and what the data show of them; empty without any.
     depth_mm : standard deviation of the distance of all points together from the wall; None without
         a wall.
     held_out : errors of frames that the fit did not see; None where there are too few.
@@ -68,6 +74,7 @@ class Report:
     true_px: float | None
     std_mm: tuple[float, float, float] | None
     noise_std_mm: tuple[float, float, float] | None
+    wall: tuple[WallUnknown, ...]
     depth_mm: float | None
     held_out: HeldOut | None
     cameras: tuple[dict[str, Any], ...]
@@ -105,13 +112,14 @@ def report_on(
     seen = np.where(used[..., None], errors, np.nan)
     misfit = _misfit_px(case, seen)
     noise = _noise_px(case, answer, seen)
-    bound = _bound(case, answer, points, used, noise)
+    bound, wall = _bound(case, answer, points, used, noise)
     std = _expected_mm(bound, held_out)
     walled = any(camera.wall for camera in case.cameras)
     depth = _depth_mm(bound, held_out) if walled else None
     report = Report(
         (
             *answer.remarks,
+            *warn_of_unknowns(wall),
             *_warn_of_depth(case, points, depth),
             *_warn_of_model(case, answer, misfit, noise),
         ),
@@ -122,6 +130,7 @@ def report_on(
         None if bound is None else float(np.hypot(bound.reprojection_px, np.sqrt(2.0) * misfit)),
         std,
         None if bound is None else triple(bound.point_std_mm),
+        wall,
         depth,
         held_out,
         tuple(
@@ -140,8 +149,8 @@ def report_on(
 def _noise_px(case: CalibrationCase, answer: Calibration, errors: F64) -> float:
     """Compute the standard deviation of a pixel coordinate, unknowns allowed for."""
     there = np.isfinite(errors[..., 0])
-    per_camera = FreeParameters.from_names(case.unknown).per_camera
-    unknowns = per_camera * len(answer.cameras)
+    free = FreeParameters.from_case(case)
+    unknowns = free.per_camera * len(answer.cameras) if free.cameras else 0
     if not places_rigidly(answer.cameras, answer):
         return rms_px(errors, unknowns_of(answer.cameras, case, answer)) or 0.0
     unknowns += 6 * int(there.any(axis=(0, 2)).sum())
@@ -159,13 +168,15 @@ def _misfit_px(case: CalibrationCase, errors: F64) -> float:
 
 def _bound(
     case: CalibrationCase, answer: Calibration, points: F64, used: Bool, noise: float
-) -> Limit | None:
-    """Compute the Cramer-Rao bound of pinholes that look at boards; None for others."""
+) -> tuple[Limit | None, tuple[WallUnknown, ...]]:
+    """Compute the Cramer-Rao bound of pinholes that look at boards; None for others.
+
+    It comes with the unknowns of the wall.
+    """
     cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
     if not places_rigidly(answer.cameras, answer):
-        return None
-    frame = Frame.from_cameras(cameras, points)
-    layers = len(frame.wall.layers) if frame.wall else 0
+        return None, ()
+    frame, free = Frame.from_cameras(cameras, points), FreeParameters.from_case(case)
     board = points[int(np.argmax(used.any(axis=(0, 2))))]  # with its bend
     seen = BoardImages(
         board - board.mean(axis=0),
@@ -175,7 +186,10 @@ def _bound(
         frame.beyond_kernels,
     )
     state = frame.state(seen.board, points)
-    return limit(state, seen, FreeParameters.from_names(case.unknown, layers), noise)
+    bound, nominal = limit(state, seen, free, noise), common_plane(case.cameras)
+    if nominal is None or frame.wall is None:
+        return bound, ()
+    return bound, wall_unknowns(nominal, frame.wall, free, bound.shared_std)
 
 
 def _expected_mm(
@@ -232,16 +246,12 @@ def _warn_of_model(
                 f"{before.thickness_mm:.3g} mm is nominal: measure it, and take it out of the "
                 "unknowns."
             )
-    for name, old, new in zip(_media(nominal), nominal.indices, found.indices, strict=True):
+    for name, old, new in zip(media_of(nominal), nominal.indices, found.indices, strict=True):
         if abs(new - old) > INDEX:
             yield (
                 f"The fit gives {name} an index of {new:.4g} where {old:.4g} is nominal: measure "
                 "it, and take it out of the unknowns."
             )
-
-
-def _media(wall: Wall) -> tuple[str, ...]:
-    return "the cameras' medium", *(layer.name for layer in wall.layers), "the fluid"
 
 
 def _line(

@@ -21,7 +21,8 @@ Positive = Annotated[float, Field(gt=0.0)]
 TiltAngle = Annotated[float, Field(gt=-90.0, lt=90.0)]
 Index = Annotated[float, Field(ge=1.0, le=4.0)]
 LensNumber = Literal["principal_point", "k1", "k2", "p1", "p2", "k3", "tilt"]
-Unknown = LensNumber | Literal["wall", "thickness", "fluid_index", "bend"]
+WallNumber = Literal["wall", "thickness", "layer_index", "fluid_index"]
+Unknown = LensNumber | WallNumber | Literal["bend"]
 
 
 class Table(BaseModel):

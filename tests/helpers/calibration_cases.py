@@ -48,6 +48,7 @@ def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera,
         known.known_mm,
         known.known_sigma_mm,
         scene.unknown,
+        bool(scene.calibration and scene.calibration.known_cameras),
     )
     return case, cameras, placed.points_mm, exact
 

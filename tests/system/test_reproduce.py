@@ -126,6 +126,7 @@ SLOW = (
     "drops-over-time",
     "three-phases",
     "fig-6-5",
+    "fig-6-6",
     "table-5-2",
     "fig-2-17",
     "fig-2-18",

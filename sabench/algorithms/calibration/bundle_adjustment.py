@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from sabench.algorithms.calibration import any_wall
 from sabench.algorithms.calibration.kernels import BEND
+from sabench.algorithms.calibration.known_cameras import follow_wall
 from sabench.algorithms.calibration.normal_equations import equations, misses
 from sabench.algorithms.calibration.parameters import (
     Frame,
@@ -149,7 +150,20 @@ def normal_equations(
     normal = Normal(*_equations(state, seen, free, scale))
     if seen.anchors:
         normal = _with_anchors(normal, state, seen, free)
-    return normal if seen.prior is None else _with_prior(normal, state, seen.prior, free)
+    if seen.prior is not None:
+        normal = _with_prior(normal, state, seen.prior, free)
+    return normal if free.cameras else _hold_cameras(normal, state, free)
+
+
+def _hold_cameras(normal: Normal, state: State, free: FreeParameters) -> Normal:
+    """Leave only the shared unknowns, with cameras that are known in the world."""
+    slopes = follow_wall(state, free)
+    return replace(
+        normal,
+        aa=slopes.T @ normal.aa @ slopes,
+        ab=np.einsum("ps,kpb->ksb", slopes, normal.ab),
+        a=slopes.T @ normal.a,
+    )
 
 
 def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreeParameters) -> Normal:

@@ -5,18 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import ellipe
 
 from sabench.algorithms.calibration import any_wall
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
 from sabench.algorithms.calibration.kernels import BOARD
+from sabench.algorithms.calibration.known_cameras import follow_wall
 from sabench.algorithms.calibration.normal_equations import spreads
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.geometry.rotations import skew
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, Bool
 
 # eigenvalues below this fraction of the largest belong to what the observations leave open
 _FREE = 1e-13
+_SHOWN = 1e-6  # square of an unknown's part in what is left open, below which it is none of it
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,9 @@ class Limit:
     point_std_mm : (3,) scatter of the points' errors about their mean, after the points have been
         aligned by a shift in X and Y and a rotation about Z.
     point_mean_mm : (3,) of the mean error; along X and Y it is zero by that alignment.
+    shared_std : (s,) of what all cameras share, in the order of `FreeParameters.columns`: indices,
+        thicknesses (mm), tilt (rad) and place (mm) of the wall, bend (mm); infinite where nothing
+        shows it.
     unknowns, equations : their numbers, what is left open not counted.
     """
 
@@ -37,6 +43,7 @@ class Limit:
     reprojection_rms_px: float
     point_std_mm: F64
     point_mean_mm: F64
+    shared_std: F64
     unknowns: int
     equations: int
 
@@ -52,8 +59,11 @@ class Limit:
 def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float) -> Limit:
     """Compute the bound at the true state for pixel coordinates with normal noise."""
     information = _whole(state, seen, free)
-    covariance, rank = _inverse(information)
+    covariance, rank, shown = _inverse(information)
     covariance *= noise_px**2
+    size = len(covariance) - BOARD * len(state.board_positions)
+    shared = np.arange(size - len(free.columns(len(state.indices))[1]), size)
+    variances = np.where(shown, np.diagonal(covariance), np.inf)[shared]
     pairs = _spreads(state, seen, free, covariance)
     known = np.isfinite(pairs[..., 0])
     uu, vv, uv = pairs[known].T
@@ -63,6 +73,7 @@ def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float
         float(np.sqrt((uu + vv).mean())),
         std,
         mean,
+        np.sqrt(variances),
         rank,
         2 * int(known.sum()),
     )
@@ -71,11 +82,14 @@ def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float
 def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: F64) -> F64:
     """Compute covariances (M, K, m, 3) of computed pixels: column, row and both."""
     pair = seen.pixels, seen.weights
+    if not free.cameras:
+        boards = BOARD * len(state.board_positions)
+        slopes = block_diag(follow_wall(state, free), np.eye(boards))
+        covariance = slopes @ covariance @ slopes.T
     if seen.frame is not None:
         return any_wall.spreads(seen.frame, state, seen.board, pair, free, covariance)
-    boards = state.boards(seen.board)
     columns = free.columns(len(state.indices))
-    return np.asarray(spreads(state.array(), boards, pair, columns, covariance))
+    return np.asarray(spreads(state.array(), state.boards(seen.board), pair, columns, covariance))
 
 
 def _whole(state: State, seen: BoardImages, free: FreeParameters) -> F64:
@@ -97,8 +111,8 @@ def _whole(state: State, seen: BoardImages, free: FreeParameters) -> F64:
     return whole
 
 
-def _inverse(information: F64) -> tuple[F64, int]:
-    """Compute a generalised inverse and the rank.
+def _inverse(information: F64) -> tuple[F64, int, Bool]:
+    """Compute a generalised inverse, the rank, and which unknowns are determined.
 
     Quantities that do not depend on the undetermined directions have the same variance in any of
     these inverses.
@@ -107,7 +121,8 @@ def _inverse(information: F64) -> tuple[F64, int]:
     values, vectors = np.linalg.eigh(information * scale * scale[:, None])
     there = values > _FREE * values[-1]
     half = scale[:, None] * vectors[:, there] / np.sqrt(values[there])
-    return half @ half.T, int(there.sum())
+    shown = np.sum(vectors[:, ~there] ** 2, axis=1) < _SHOWN
+    return half @ half.T, int(there.sum()), shown
 
 
 def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]:

@@ -41,6 +41,8 @@ def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
     An end state that cannot be is left by other starts, see `end_state.list_faults`. If all of them
     fail, the last one is returned: `input_checks.check_fit` refuses it.
     """
+    if not free.cameras:
+        return _weigh(problem, adjust(problem.start, problem.seen, free, moving="boards"), free)
     if fixes_world(problem):
         placed = _place_cameras(problem, free)
         return _weigh(replace(problem, start=placed.fit.state), placed, free)

@@ -13,6 +13,7 @@ import numpy as np
 
 from sabench.algorithms.calibration.kernels import BEND, CAMERA
 from sabench.algorithms.calibration.wall_frame import common_plane, has_plane_wall, wall_frame
+from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
@@ -21,7 +22,7 @@ from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64, I64, triple
 
 _DISTORTION = ("k1", "k2", "p1", "p2", "k3")
-_WALL = 3  # rotations about X and Y, shift along Z
+WALL = 3  # rotations about X and Y, shift along Z
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class FreeParameters:
     thicknesses : numbers of layers.
     wall : tilt and position of the wall, which only known places in the world show.
     bend : of the board, the same in all frames: a quadratic of three terms.
+    cameras : rotation, centre and focal length of every camera; otherwise all cameras are known, in
+        the world's frame, and have no unknowns.
     """
 
     principal_point: bool = False
@@ -46,15 +49,24 @@ class FreeParameters:
     tilt: bool = False
     wall: bool = False
     bend: bool = False
+    cameras: bool = True
+
+    @classmethod
+    def from_case(cls, case: CalibrationCase) -> FreeParameters:
+        """Make from a case's unknowns, its wall and whether its cameras are known."""
+        wall = case.cameras[0].wall
+        free = cls.from_names(case.unknown, len(wall.layers) if wall else 0)
+        return replace(free, cameras=not case.known_cameras)
 
     @classmethod
     def from_names(cls, unknown: Iterable[str], layers: int = 0) -> FreeParameters:
         """Make from the names of a case's unknowns, with a wall of some layers."""
         names = set(unknown)
+        solids = tuple(range(1, layers + 1)) if "layer_index" in names else ()
         return cls(
             "principal_point" in names,
             tuple(name for name in _DISTORTION if name in names),
-            (layers + 1,) if "fluid_index" in names else (),
+            solids + ((layers + 1,) if "fluid_index" in names else ()),
             tuple(range(layers)) if "thickness" in names else (),
             "tilt" in names,
             "wall" in names,
@@ -80,7 +92,7 @@ class FreeParameters:
             + [14, 15] * self.tilt
         )
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
-        shared += [2 * media - 2 + number for number in range(_WALL)] * self.wall
+        shared += [2 * media - 2 + number for number in range(WALL)] * self.wall
         shared += [2 * media + 1 + number for number in range(BEND)] * self.bend
         return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
 
@@ -140,26 +152,30 @@ class State:
     def apply_steps(self, cameras: F64, shared: F64, boards: F64, free: FreeParameters) -> State:
         """Apply steps of the cameras' unknowns (M, f), the shared (s,) and the boards'.
 
-        The boards' steps are (K, 6).
+        The boards' steps are (K, 6). Known cameras stay in the world when the wall moves, boards
+        move with it.
         """
         own, common = free.columns(len(self.indices))
         full = np.zeros((len(self.rotations), CAMERA))
         full[:, own] = cameras
-        media = np.concatenate([self.indices, self.thicknesses, np.zeros(_WALL), self.bend])
+        media = np.concatenate([self.indices, self.thicknesses, np.zeros(WALL), self.bend])
         media[common] += shared
         count = len(self.indices)
         media, (right, down, along), bend = np.split(media, [2 * count - 2, 2 * count + 1])
         turn = rotation_matrices(np.array([right, down, 0.0]))
         shift = self.wall.shift + np.array([0.0, 0.0, along])
+        wall = RigidMotion(turn @ self.wall.rotation, shift)
+        kept = RigidMotion.none() if free.cameras else wall.inverse().after(self.wall)
+        turned = rotation_matrices(full[:, :3]) @ self.rotations @ kept.rotation.T
         return State(
-            np.ascontiguousarray(rotation_matrices(full[:, :3]) @ self.rotations),
-            self.centers + full[:, 3:6],
+            np.ascontiguousarray(turned),
+            kept(self.centers + full[:, 3:6]),
             self.lenses + full[:, 6:],
             media[:count].copy(),
             media[count:].copy(),
             np.ascontiguousarray(rotation_matrices(boards[:, :3]) @ self.board_rotations),
             self.board_positions + boards[:, 3:],
-            RigidMotion(turn @ self.wall.rotation, shift),
+            wall,
             bend,
         )
 
@@ -298,7 +314,12 @@ def _pose(board: F64, points: F64) -> RigidMotion:
 
 
 def steps_of(vector: F64, cameras: int, free: FreeParameters, media: int) -> tuple[F64, F64]:
-    """Split a vector of the cameras' and shared unknowns into (M, f) and (s,)."""
+    """Split a vector of the cameras' and shared unknowns into (M, f) and (s,).
+
+    The steps of known cameras are 0.
+    """
     own, _ = free.columns(media)
+    if not free.cameras:
+        return np.zeros((cameras, len(own))), vector
     split = cameras * len(own)
     return vector[:split].reshape(cameras, len(own)), vector[split:]

@@ -17,7 +17,7 @@ from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
 from sabench.utils.arrays import Bool
 from sabench.utils.errors import InputError
-from sabench.utils.fields import LensNumber
+from sabench.utils.fields import LensNumber, WallNumber
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class CalibrationProblem:
             nothing is known beforehand.
         """
         check_case(case)
-        check_count(case, free.per_camera)
+        check_count(case, free.per_camera if free.cameras else 0)
         enough = min(3, case.initial_mm.shape[1])
         for number, points in enumerate(case.initial_mm):
             if np.isfinite(points).all(axis=1).sum() < enough and case.found[:, number].any():
@@ -57,6 +57,8 @@ class CalibrationProblem:
                 )
         frame = Frame.from_cameras(case.cameras, case.initial_mm)
         found = case.found
+        if not free.cameras:
+            check_known_cameras(case)
         if free != free.of_lenses:
             check_plane_wall(case.cameras)
             check_shared(case, frame, free)
@@ -73,6 +75,8 @@ class CalibrationProblem:
 
         Only motions that change neither the images nor the known coordinates are allowed.
         """
+        if self.case.known_cameras:
+            return state
         points, initial = state.points(self.seen.board), self.frame.motion(self.case.initial_mm)
         there = np.isfinite(initial).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
         known = np.isfinite(self.case.known_mm).all(axis=-1)
@@ -151,10 +155,31 @@ def check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> N
             )
     if free.bend and (np.ptp(case.target.points_mm, axis=0)[:2].min() <= 0.0):
         raise InputError("bend: expected a board, got a target whose points are on a line")
-    if free.wall and (frame.wall is None or np.isfinite(case.known_mm).all(axis=-1).sum() < 3):
+    places = int(np.isfinite(case.known_mm).all(axis=-1).sum())
+    if free.wall and (frame.wall is None or (free.cameras and places < 3)):
         raise InputError(
-            "wall: expected a wall and three points or more with known x, y and z, since images "
-            "do not show the wall's place in the world"
+            "wall: expected a wall and three points or more with known x, y and z, or known "
+            "cameras, since images do not show the wall's place in the world"
+        )
+
+
+def check_known_cameras(case: CalibrationCase) -> None:
+    """Refuse unknowns of lenses that are known, and a case without any unknown.
+
+    Raises
+    ------
+    InputError
+        The sentence lists the unknowns that a wall has.
+    """
+    if wrong := [name for name in case.unknown if name in get_args(LensNumber)]:
+        raise InputError(
+            f"unknown: expected {', '.join(get_args(WallNumber))} or bend, since the cameras are "
+            f"known, got {', '.join(wrong)}"
+        )
+    if not case.unknown:
+        raise InputError(
+            f"unknown: expected one or more of {', '.join(get_args(WallNumber))}, since the "
+            "cameras are known, got none"
         )
 
 

@@ -3,6 +3,7 @@
 Images of all cameras are summed or multiplied on planes of the world.
 """
 
+from sabench.algorithms.refocus.edges import Edges, find_edges
 from sabench.algorithms.refocus.plane_view import find_edge_on
 from sabench.algorithms.refocus.synthetic_aperture import (
     count_views,
@@ -20,12 +21,14 @@ from sabench.algorithms.refocus.thresholding import (
 )
 
 __all__ = [
+    "Edges",
     "ExtractionParameters",
     "auto_k",
     "count_views",
     "extract",
     "extract_particles",
     "find_edge_on",
+    "find_edges",
     "occupancy",
     "refocus_by_shifts",
     "refocus_log2",

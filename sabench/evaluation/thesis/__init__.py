@@ -34,6 +34,7 @@ TABLES = {
     "flow-behind-bodies": "chapter 6: flow through a reef and behind a propeller",
     "drops-over-time": "chapter 6: drops of a liquid jet, counted over time",
     "three-phases": "chapter 6: bubbles, a body and tracers in one picture, score per phase",
+    "fig-6-6": "edges of the jet in refocused planes, and errors of their depths",
     "fig-4-6": "error of camera models without refraction",
     "fig-4-9": "Newton's iteration for the path through a wall",
     "table-4-1": "variables of the simulated calibrations, as drawn",

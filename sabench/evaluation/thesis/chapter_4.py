@@ -135,6 +135,7 @@ def draw(scene: Scene, seed: int) -> Board:
         known.known_mm,
         known.known_sigma_mm,
         scene.unknown,
+        bool(scene.calibration and scene.calibration.known_cameras),
     )
     return Board(case, true, placed.points_mm, exact)
 

@@ -209,9 +209,13 @@ def wall(*layers: Layer, fluid_index: float = 1.333) -> Wall:
 def test_errors_of_the_wall() -> None:
     truth = wall(Layer("glass", 1.52, 5.0))
     estimate = wall(Layer("glass", 1.50, 5.4), fluid_index=1.34)
+    tilted = (0.0, np.sin(0.01), np.cos(0.01))
+    estimate = replace(estimate, point_mm=(0.0, 0.0, truth.point_mm[2] - 0.3), normal=tilted)
     assert wall_scores(estimate, truth) == {
         "index_error": pytest.approx(0.02),
         "thickness_error_mm": pytest.approx(0.4),
+        "wall_place_error_mm": pytest.approx(0.3),
+        "wall_tilt_error_deg": pytest.approx(np.rad2deg(0.01)),
     }
     assert wall_scores(None, truth)["index_error"] is None
     assert wall_scores(wall(), truth)["thickness_error_mm"] is None

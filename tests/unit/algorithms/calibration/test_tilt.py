@@ -54,7 +54,7 @@ def expected_deg(scene: Scene, free: FreeParameters, seed: int) -> Any:
         np.asarray(case.found, dtype=np.float64),
     )
     state = frame.state(case.target.points_mm, points)
-    covariance, _ = _inverse(_whole(state, seen, free))
+    covariance, _, _ = _inverse(_whole(state, seen, free))
     own, size = list(free.columns(len(state.indices))[0]), free.per_camera
     rows = [
         number * size + own.index(column) for number in range(len(cameras)) for column in (14, 15)

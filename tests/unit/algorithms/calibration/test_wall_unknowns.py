@@ -1,0 +1,152 @@
+"""The wall as an unknown: with known cameras, and what images show of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
+from sabench.algorithms.calibration.cramer_rao import _inverse, _whole, limit
+from sabench.algorithms.calibration.joint_fit import make_prior
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
+from sabench.api import CalibrationCase
+from sabench.geometry.camera import Camera, aim
+from sabench.geometry.refraction import Wall
+from sabench.tasks.wall_report import wall_unknowns, warn_of_unknowns
+from sabench.utils.arrays import F64, triple
+from sabench.utils.errors import InputError
+from sabench.utils.fields import Unknown
+from tests.helpers.calibration_tanks import MIDDLE, WALL, make_tank, solve, with_places
+
+N, M = 1.5, 1.333  # glass and fluid of WALL
+ALL: tuple[Unknown, ...] = ("wall", "thickness", "layer_index", "fluid_index")
+
+
+def known_case(unknown: tuple[Unknown, ...] = ALL) -> tuple[CalibrationCase, F64]:
+    """Return a case with known cameras and places, and the true places."""
+    case, cameras, places = make_tank()
+    case = replace(with_places(case, places), cameras=cameras, initial_mm=places + 0.3)
+    return replace(case, known_cameras=True, unknown=unknown), places
+
+
+def test_gradients_with_known_cameras_are_those_of_the_cost() -> None:
+    case, _ = known_case()
+    free = FreeParameters.from_case(case)
+    problem = CalibrationProblem.from_case(case, free)
+    anchors = make_anchors(problem.case, problem.frame, 0.1)
+    seen = replace(problem.seen, anchors=anchors, prior=make_prior(problem.start, 0.1))
+    shared = np.array([1e-3, 2e-3, 0.1, 2e-2, -1e-2, 3.0])  # a state away from none
+    still, boards = np.zeros((3, 7)), np.zeros((6, 6))
+    state = problem.start.apply_steps(still, shared, boards, free)
+    normal = normal_equations(state, seen, free)
+    for number, step in enumerate((1e-6, 1e-6, 1e-5, 1e-7, 1e-7, 1e-4)):
+        costs = []
+        for sign in (1.0, -1.0):
+            vector = np.zeros(6)
+            vector[number] = sign * step
+            there = state.apply_steps(still, vector, boards, free)
+            costs.append(normal_equations(there, seen, free).cost)
+        assert normal.a[number] == pytest.approx(-(costs[0] - costs[1]) / (4.0 * step), rel=1e-5)
+    moved = problem.frame.build_cameras(state)
+    for camera, own in zip(moved, case.cameras, strict=True):
+        np.testing.assert_allclose(camera.center_mm, own.center_mm, atol=1e-9)
+        np.testing.assert_allclose(camera.rotation, own.rotation, atol=1e-12)
+
+
+def bound_of(case: CalibrationCase, cameras: tuple[Camera, ...], places: F64) -> tuple[F64, F64]:
+    """Return the covariance of the shared unknowns, and their bound, at the truth."""
+    frame, free = Frame.from_cameras(cameras, places), FreeParameters.from_case(case)
+    state, board = frame.state(case.target.points_mm, places), case.target.points_mm
+    anchors = make_anchors(case, frame, 0.05)
+    weights = np.ones(case.pixels.shape[:3])
+    seen = BoardImages(board, np.nan_to_num(case.pixels), weights, anchors)
+    covariance, _, _ = _inverse(_whole(state, seen, free))
+    count = len(free.columns(len(state.indices))[1])
+    return covariance[:count, :count], limit(state, seen, free, 0.05).shared_std
+
+
+@pytest.mark.parametrize("unknown", [("wall",), ("wall", "thickness")])
+def test_a_wall_in_front_of_known_cameras_is_found(unknown: tuple[Unknown, ...]) -> None:
+    case, places = known_case(unknown)
+    layers = (replace(WALL.layers[0], thickness_mm=8.7),) if "thickness" in unknown else WALL.layers
+    tilted = triple(np.array([np.sin(0.02), 0.0, np.cos(0.02)]))
+    off = replace(WALL, point_mm=(0.0, 0.0, -10.0), normal=tilted, layers=layers)
+    nominal = tuple(replace(camera, wall=off) for camera in case.cameras)
+    answer = solve(replace(case, cameras=nominal))
+    found = answer.cameras[0]
+    assert isinstance(found, Camera)
+    assert isinstance(found.wall, Wall)
+    np.testing.assert_allclose(found.center_mm, case.cameras[0].center_mm, atol=1e-9)
+    _, std = bound_of(case, case.cameras, places)
+    free = FreeParameters.from_case(case)
+    for one in wall_unknowns(WALL, found.wall, free, std):
+        assert one.std is not None
+        assert abs(one.found - one.nominal) < 3.5 * one.std, one
+
+
+@pytest.mark.parametrize(
+    ("places_known", "expected"),
+    [
+        (True, (1.0 / M - 1.0 / N) / (1.0 - 1.0 / M)),
+        (False, (1.0 / M**2 - 1.0 / N**2) / N / (1.0 - 1.0 / M**2)),
+    ],
+)
+def test_thickness_and_place_are_one_at_small_angles(places_known: bool, expected: float) -> None:
+    """To leading order in the angle, images show one combination of place and thickness.
+
+    The derivation is in docs/tasks/calibration.md.
+    """
+    stds, ratios = [], []
+    for narrow in (0.5, 0.25):
+        case, cameras, places = make_tank()
+        scale = np.array([narrow, narrow, 1.0])
+        cameras = tuple(
+            aim(replace(camera, center_mm=triple(camera.center_mm * scale)), MIDDLE)
+            for camera in cameras
+        )
+        case = with_places(case, places) if places_known else case
+        case = replace(case, cameras=cameras, known_cameras=True, unknown=("wall", "thickness"))
+        covariance, std = bound_of(case, cameras, places)
+        ratios.append(covariance[0, 3] / covariance[0, 0])  # of place by thickness
+        stds.append(std[0])
+    assert ratios[1] == pytest.approx(expected, rel=0.03)
+    assert abs(ratios[1] - expected) < abs(ratios[0] - expected)
+    assert stds[1] > 2.0 * stds[0]
+
+
+def test_index_and_thickness_are_one() -> None:
+    """An error of the index looks like one of the thickness, by n^2 (1/n - 1/m) / t."""
+    case, cameras, places = make_tank()
+    known = replace(with_places(case, places), known_cameras=True, cameras=cameras)
+    covariance, _ = bound_of(replace(known, unknown=("thickness", "layer_index")), cameras, places)
+    expected = N**2 * (1.0 / N - 1.0 / M) / 8.0
+    assert covariance[0, 1] / covariance[1, 1] == pytest.approx(expected, rel=0.1)
+
+
+def test_what_the_data_hardly_show_is_a_sentence() -> None:
+    case, cameras, places = make_tank()
+    case = replace(case, cameras=cameras, known_cameras=True, unknown=("wall", "thickness"))
+    _, std = bound_of(case, cameras, places)
+    unknowns = wall_unknowns(WALL, WALL, FreeParameters.from_case(case), std)
+    (sentence,) = warn_of_unknowns(unknowns)
+    assert sentence.startswith("The data hardly show the thickness of glass (standard deviation ")
+    assert "place of the wall" in sentence
+    assert "tilt" not in sentence
+    assert [one.name for one in unknowns if one.shown] == [
+        "tilt of the wall about X",
+        "tilt of the wall about Y",
+    ]
+
+
+def test_known_cameras_have_no_unknown_lenses() -> None:
+    faulty: dict[tuple[Unknown, ...], str] = {
+        ("wall", "k1"): "unknown: expected wall, thickness, layer_index, fluid_index or bend",
+        (): "unknown: expected one or more of wall, thickness",
+    }
+    for unknown, words in faulty.items():
+        case, _ = known_case(unknown)
+        with pytest.raises(InputError, match=words):
+            solve(case)
