@@ -33,11 +33,13 @@ class PlungingJetParameters(BubbleParameters, Spectrum):
     )
     weight: float = Field(0.903, gt=0.0, lt=1.0, description="A of equation 5.18")
     width: float = Field(0.1894, gt=0.0, description="s of equation 5.18")
-    cutoff_mm: float = Field(1.05, gt=0.0, description="largest radius below Y_p")
-    speed_mm_s: float = Field(
-        6010.0, ge=0.0, description="V_i of the jet at impact: bubbles sink with what is left of it"
+    cutoff_mm: float = Field(
+        0.525, gt=0.0, description="largest radius below Y_p, half the diameter of figure 5-23"
     )
-    jet_mm: float = Field(3.78, gt=0.0, description="D_i, the jet's diameter at impact")
+    speed_mm_s: float = Field(
+        3780.0, ge=0.0, description="V_i of the jet at impact: bubbles sink with what is left of it"
+    )
+    jet_mm: float = Field(6.01, gt=0.0, description="D_i, the jet's diameter at impact")
     rise_mm_s: float = Field(250.0, ge=0.0, description="terminal velocity, upwards")
 
 

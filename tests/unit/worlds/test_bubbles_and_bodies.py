@@ -240,7 +240,7 @@ def test_bubbles_of_a_jet_follow_its_law() -> None:
     assert (score**2).mean() < 2.5
     below = made.center_mm[:, 1] > 120.0
     assert below.any()
-    assert made.radius_mm[below].max() <= 1.05
+    assert made.radius_mm[below].max() <= 0.525
 
 
 def test_a_jet_sinks_on_its_axis_and_rises_beside_it() -> None:
