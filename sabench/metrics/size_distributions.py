@@ -1,4 +1,4 @@
-"""Size distributions of bubbles: scores against the true one, and counts with intervals."""
+"""Size distributions of bubbles: scores against the truth, and counts."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ def sauter_mm(radius_mm: F64) -> float:
 
 
 def size_scores(own_mm: F64, true_mm: F64) -> dict[str, float]:
-    """Score radii (n,) as a distribution against true radii (m,); NaN where either has none.
+    """Score radii (n,) as a distribution against true radii (m,).
 
+    NaN where either has none.
     `sizes_mm` is the first Wasserstein distance: the mean difference of radii of equal rank, which
     moves one distribution onto the other. `sizes_percent` is the same over the true mean radius.
     `mean_percent` and `sauter_percent` are errors, regardless of sign, of mean radius and d32.
@@ -42,7 +43,9 @@ def size_scores(own_mm: F64, true_mm: F64) -> dict[str, float]:
 
 
 def counts_per_frame(radii_mm: Sequence[F64], edges_mm: F64) -> list[Mean]:
-    """Count bubbles per bin of radius and frame, with 95 % confidence intervals over the frames.
+    """Count bubbles per bin of radius and frame.
+
+    The 95 % confidence intervals are over the frames.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ import cv2
 import pytest
 
 from sabench.evaluation.suite_loading import override
-from sabench.evaluation.thesis import TABLES, reproduce, table_2_1_best
+from sabench.evaluation.thesis import TABLES, chapter_5, reproduce, table_2_1_best
 from sabench.evaluation.thesis.common import Row
 from sabench.scenes import Scene, load_scene
 from tests.conftest import Command
@@ -96,10 +96,16 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
     "fig-2-18": {"_VOLUMES": ("asa",), "_PIV": ("piv3d_plain",)},
     "fig-1-3": {"_METHODS": ("additive",), "load_scene": seen_by_nine},
     "fig-6-5": {"_SOLVERS": ("minimum_image",)},
-    "table-5-2": {"_HEIGHTS": (21,), "_SOLVER": "minimum_image"},
     "fig-4-16": {"STARTS": (0.01,)},
     "fig-4-25": {"_STEPS": {"test 1": 4.0}},
 }
+
+
+@pytest.fixture(autouse=True)
+def one_jet_and_a_fast_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(chapter_5, "HEIGHTS", (21,))
+    monkeypatch.setattr(chapter_5, "SOLVER", "minimum_image")
+    monkeypatch.setattr(chapter_5, "FRAMES", 3)
 
 
 @pytest.mark.parametrize("table", [name for name in TABLES if name != "table-2-1-best"])

@@ -1,35 +1,151 @@
-"""Frames rendered in memory for the tables and figures of bubbles."""
+"""Frames rendered in memory for the tables and figures of bubbles, and bubbles found in them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.bubbles.feature_potential import (
-    STACK,
-    WINDOW,
-    attenuate,
-    darkness,
-    feature_potential,
-    find_outlines,
-    minimum_images,
-)
-from sabench.api import Observation
+from sabench.api import Detections, Observation
+from sabench.api.make import make_algorithm
 from sabench.api.truth import Bubbles
-from sabench.geometry.grid import Grid
-from sabench.plotting.charts import Figure, Panel, Picture
-from sabench.scenes import Scene, build_rig
+from sabench.evaluation.thesis.common import Row, coarsen, make_row
+from sabench.metrics.bubble_detection import AnyBubbles
+from sabench.metrics.plunging_jet import JetFigures
+from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.camera_view import render
 from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.frames import Frames
 from sabench.simulation.in_memory import observation_of
 from sabench.simulation.rendering.sensor import expose
+from sabench.tasks.bubbles import jet_figures, jet_of
 from sabench.utils.arrays import F64
-from sabench.utils.progress import progress_bar
+from sabench.utils.progress import console, progress_bar
 
-_OFF_MM = 10.0  # of the refocused planes before and behind the middle one: figure 5-6
-_EDGE, _SMALL_PX = 0.05, 4.0  # as `minimum_image` takes them
+FRAMES = 50  # the thesis's number of time steps: of true bubbles, which need no images
+SOLVER = "rim_fit"
+
+
+@dataclass(frozen=True)
+class Jet:
+    """Rows of tables 5.1 and 5.2 and figures 5-23 and 5-24 for one height of the nozzle.
+
+    V_i and D_i stand in each other's column there: `speed_m_s` is printed as D_i.
+    """
+
+    speed_m_s: float
+    diameter_mm: float
+    reynolds: float
+    froude: float
+    weber: float
+    total_percent: float
+    penetration_mm: float
+    equivalent_mm: float
+    angle_deg: float
+    axes_mm: tuple[float, float]  # smallest and largest
+
+
+JETS = {
+    7: Jet(3.45, 6.29, 2.17e4, 112.0, 514.0, 0.02, 211.5, 87.0, 11.6, (0.138, 2.38)),
+    21: Jet(3.59, 6.17, 2.21e4, 119.0, 544.0, 0.23, 160.0, 61.6, 10.9, (0.244, 2.44)),
+    43: Jet(3.78, 6.01, 2.27e4, 128.0, 589.0, 0.34, 120.0, 48.1, 11.3, (0.1946, 4.32)),
+}  # mm of the nozzle above the surface
+NOZZLE_MM, MORTON = 6.35, 2.52e-11
+HEIGHTS = tuple(JETS)
+
+
+@dataclass(frozen=True)
+class JetFrames:
+    """Bubbles of several frames of a jet, true ones and those found in the images."""
+
+    height: int
+    scene: Scene
+    true: list[AnyBubbles]
+    found: list[AnyBubbles]
+
+    @property
+    def printed(self) -> Jet:
+        """The thesis's values."""
+        return JETS[self.height]
+
+    @property
+    def impact_mm(self) -> F64:
+        """Point (3,) where the jet meets the surface."""
+        jet = jet_of(self.scene)
+        return np.asarray(jet["impact_mm"] if jet else np.zeros(3), dtype=np.float64)
+
+    def analyse(self) -> dict[str, JetFigures]:
+        """Analyse found and true bubbles of these frames, and true ones of `FRAMES` frames."""
+        return {
+            "found": jet_figures(self.scene, self.found),
+            "true": jet_figures(self.scene, self.true),
+            "many": jet_figures(self.scene, true_bubbles(self.scene, FRAMES)),
+        }
+
+
+def detect_jets(seeds: Sequence[int], pixels: int | None) -> Iterator[JetFrames]:
+    """Find the bubbles of every jet in one frame for each seed."""
+    for height in HEIGHTS:
+        scene = coarsen(load_scene(f"plunging-jet-{height}"), pixels)
+        yield detect_jet(height, scene, seeds)
+
+
+def detect_jet(height: int, scene: Scene, seeds: Sequence[int]) -> JetFrames:
+    """Find the bubbles of one jet in one frame for each seed."""
+    pairs = [detect_frame(scene, seed) for seed in seeds]
+    return JetFrames(height, scene, [true for true, _ in pairs], [own for _, own in pairs])
+
+
+_detected: dict[tuple[str, int, str], tuple[Bubbles, Detections]] = {}
+_true: dict[tuple[str, int], list[AnyBubbles]] = {}
+
+
+def detect_frame(scene: Scene, seed: int) -> tuple[Bubbles, Detections]:
+    """Find the bubbles of a scene's first frame; cached, because several figures use them.
+
+    Returns the true and the found ones.
+    """
+    key = scene.hash, seed, SOLVER
+    if key not in _detected:
+        _, bubbles, case = render_first_frame(scene, seed)
+        algorithm: Any = make_algorithm(SOLVER, {})
+        start = time.perf_counter()
+        _detected[key] = bubbles, algorithm.solve(case)
+        console.print(
+            f"{scene.title}, seed {seed}: {len(_detected[key][1].center_mm)} of {len(bubbles)} "
+            f"bubbles in {time.perf_counter() - start:.0f} s",
+            markup=False,
+            highlight=False,
+        )
+    return _detected[key]
+
+
+def true_bubbles(scene: Scene, count: int) -> list[AnyBubbles]:
+    """Make the bubbles of the first frames of seeds 1 to `count`; cached."""
+    key = scene.hash, count
+    if key not in _true:
+        rig = build_rig(scene, scene.title)
+        made = [Frames(scene, rig, seed).at(0).bubbles for seed in range(1, count + 1)]
+        _true[key] = [one for one in made if one is not None]
+    return _true[key]
+
+
+def jet_row(
+    name: str, thesis: float | None, found: float, true: float, many: float | None = None
+) -> Row:
+    """Make a row of a value from found bubbles, with that from true ones in the note.
+
+    `many` is that of the true bubbles of `FRAMES` frames.
+    """
+    note = f"true bubbles {true:.4g}"
+    if true and np.isfinite(true) and np.isfinite(found):
+        note += f" ({100.0 * (found / true - 1.0):+.1f} %)"
+    if many is not None:
+        note += f", those of {FRAMES} frames {many:.4g}"
+    return make_row(name, thesis, [found] if np.isfinite(found) else [], note)
 
 
 def render_first_frame(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, Observation]:
@@ -46,55 +162,3 @@ def render_first_frame(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, 
         for number in progress_bar(numbers, f"render {scene.title}, seed {seed}")
     ]
     return frame, frame.bubbles, observation_of(frame, images)
-
-
-def pictures(case: Observation) -> Iterator[Figure]:
-    """Draw figures 5-5, 5-6 and 5-11.
-
-    They show a view, the middle third of three refocused planes, and that of a minimum image with
-    the outlines detected in it.
-    """
-    grid, view = case.grid, case.images[len(case.images) // 2].astype(np.float64)
-    ends = (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)
-    yield Figure(
-        "fig-5-5",
-        "a backlit view",
-        (Panel("", "px", "px", (Picture(view, *ends),)),),
-        inch=(5.5, 5.5),
-    )
-    volume = darkness(case)
-    middle, step = len(volume) // 2, round(_OFF_MM / grid.voxel_mm[2])
-    planes = [int(np.clip(middle + off, 0, len(volume) - 1)) for off in (-step, 0, step)]
-    panels = [
-        _plane(grid, f"Z = {grid.axes_mm[2][plane]:.1f} mm", 1.0 - volume[plane].astype(np.float64))
-        for plane in planes
-    ]
-    yield Figure("fig-5-6", "refocused planes", tuple(panels), inch=(4.6, 4.2))
-    attenuate(volume, feature_potential(volume, WINDOW), WINDOW)
-    dark, depth = minimum_images(volume)[middle // STACK]
-    found = find_outlines(dark, depth, _EDGE, _SMALL_PX).shapes
-    rings = np.column_stack(
-        [
-            found[:, :2] * grid.voxel_mm[:2] + np.asarray(grid.low_mm[:2]),
-            np.sqrt(found[:, 2] * found[:, 3]) * grid.voxel_mm[0],
-        ]
-    )
-    seen = 1.0 - dark.astype(np.float64)
-    yield Figure(
-        "fig-5-11",
-        "minimum image of 50 planes",
-        (_plane(grid, "", seen), _plane(grid, "outlines", seen, rings)),
-        inch=(5.4, 4.8),
-    )
-
-
-def _plane(grid: Grid, title: str, values: F64, rings: F64 | None = None) -> Panel:
-    third = slice(len(values) // 3, 2 * len(values) // 3)
-    x, y, values = grid.axes_mm[0], grid.axes_mm[1][third], values[third]
-    rings = rings[(rings[:, 1] >= y[0]) & (rings[:, 1] <= y[-1])] if rings is not None else None
-    return Panel(
-        title,
-        "X, mm",
-        "Y, mm",
-        (Picture(values, (float(x[0]), float(y[0])), (float(x[-1]), float(y[-1])), rings),),
-    )

@@ -53,7 +53,7 @@ class Liquid:
 
 
 def wave_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
-    """Compute the velocity (n,) in m/s of large bubbles, which do not feel the viscosity."""
+    """Compute the velocity (n,) of large bubbles in m/s; viscosity is negligible."""
     d = 1e-3 * np.asarray(diameter_mm)
     return np.asarray(
         np.sqrt(_CAPILLARY * liquid.tension / (liquid.density * d) + _GRAVITY * liquid.gravity * d)
@@ -75,7 +75,7 @@ def terminal_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
 
 
 def transition_diameter_mm(largest_mm: float, liquid: Liquid) -> float:
-    """Compute the diameter of the largest bubbles that remain below the penetration depth.
+    """Compute the diameter of the largest bubbles that remain below Y_p.
 
     They rise as fast as the slowest large bubble: the largest one or, if that is beyond the minimum
     of the velocity, one at the minimum. Source: thesis, section 5.5.2 and figure 5-23.
@@ -118,7 +118,7 @@ def drag_factors(ratio: F64) -> tuple[F64, F64]:
 
 
 def _balance(d: float, liquid: Liquid) -> float:
-    """Find the velocity at which drag and buoyancy of a bubble of diameter d (m) agree."""
+    """Find the velocity at which drag and buoyancy of a bubble agree; d in m."""
     ratios = np.geomspace(_ROUND, _FLATTEST, _AXIS_RATIOS)
     numbers = weber(ratios)
 

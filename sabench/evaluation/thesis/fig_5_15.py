@@ -1,0 +1,117 @@
+"""Figures 5-15 to 5-17: size distributions of bubbles found in three plunging jets.
+
+The scenes were built to the thesis's ranges of sizes, which are measurements of its own jets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sabench.evaluation.thesis.chapter_5 import JetFrames, detect_jets, jet_row
+from sabench.evaluation.thesis.common import Item, claim, make_row
+from sabench.metrics.bubble_detection import AnyBubbles
+from sabench.metrics.size_distributions import counts_per_frame, sauter_mm, size_scores
+from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.utils.arrays import F64
+
+SEEDS = 10
+_BIN_MM = 0.1
+_SMALL_MM = 1.5  # diameter: figure 5-17b has many below
+_SCORES = {
+    "sizes_mm": "distance of size distributions, mm",
+    "sizes_percent": "distance over the mean radius, %",
+    "mean_percent": "error of the mean radius, %",
+    "sauter_percent": "error of the Sauter mean diameter, %",
+}
+
+
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure sizes and scores of size distributions per jet; scores are means over frames."""
+    panels = []
+    for jet in detect_jets(seeds, pixels):
+        panels.append(_panel(jet))
+        yield from _scores(jet)
+        yield from _ranges(jet)
+        yield _small(jet)
+        yield _intervals(jet)
+    yield Figure("fig-5-15", "bubbles per frame, 95 % intervals", tuple(panels), inch=(4.4, 3.4))
+
+
+def _radii(every: Sequence[AnyBubbles]) -> list[F64]:
+    return [one.radius_mm for one in every]
+
+
+def _edges(jet: JetFrames) -> F64:
+    largest = max(float(radii.max(initial=0.0)) for radii in _radii(jet.true + jet.found))
+    return np.arange(0.0, largest + _BIN_MM, _BIN_MM)
+
+
+def _scores(jet: JetFrames) -> Iterator[Item]:
+    frames = [
+        size_scores(found, true)
+        for found, true in zip(_radii(jet.found), _radii(jet.true), strict=True)
+    ]
+    for key, name in _SCORES.items():
+        values = [one[key] for one in frames if np.isfinite(one[key])]
+        yield make_row(f"h = {jet.height} mm: {name}", None, values)
+
+
+def _ranges(jet: JetFrames) -> Iterator[Item]:
+    """Compare smallest and largest semi-axes, and means of all frames together."""
+    found, true = (
+        np.concatenate([one.semi_axes_mm.ravel() for one in every]) if every else np.zeros(0)
+        for every in (jet.found, jet.true)
+    )
+    if not len(found):
+        return
+    least, most = jet.printed.axes_mm
+    name = f"h = {jet.height} mm: "
+    yield jet_row(f"{name}smallest semi-axis, mm", least, found.min(), true.min())
+    yield jet_row(f"{name}largest semi-axis, mm", most, found.max(), true.max())
+    own, there = (np.concatenate(_radii(every)) for every in (jet.found, jet.true))
+    yield jet_row(f"{name}mean radius, mm", None, own.mean(), there.mean())
+    yield jet_row(f"{name}Sauter mean diameter, mm", None, sauter_mm(own), sauter_mm(there))
+
+
+def _small(jet: JetFrames) -> Item:
+    own, there = (np.concatenate(_radii(every)) for every in (jet.found, jet.true))
+    share, true = (float(np.mean(2.0 * radii < _SMALL_MM)) for radii in (own, there))
+    return claim(
+        f"h = {jet.height} mm: share of diameters below {_SMALL_MM} mm",
+        "more small bubbles than large",
+        share,
+        share > 0.5,
+        f"true bubbles {true:.3f}",
+    )
+
+
+def _intervals(jet: JetFrames) -> Item:
+    """Count bins whose interval of found bubbles contains the true mean of the same frames."""
+    edges = _edges(jet)
+    found, true = (counts_per_frame(_radii(every), edges) for every in (jet.found, jet.true))
+    held = [
+        abs(own.mean - there.mean) <= (own.half_width or 0.0)
+        for own, there in zip(found, true, strict=True)
+        if own.mean or there.mean
+    ]
+    row = make_row(
+        f"h = {jet.height} mm: share of bins of {_BIN_MM} mm with the true count in the interval",
+        None,
+        [float(np.mean(held))],
+        f"{len(held)} bins, {len(jet.found)} frames",
+    )
+    return replace(row, seeds=len(jet.found))
+
+
+def _panel(jet: JetFrames) -> Panel:
+    edges = _edges(jet)
+    middle = list((edges[1:] + edges[:-1]) / 2.0)
+    curves = []
+    for name, every in (("found", jet.found), ("true", jet.true)):
+        means = counts_per_frame(_radii(every), edges)
+        spread = [mean.half_width or 0.0 for mean in means] if name == "found" else None
+        curves.append(Curve(name, middle, [mean.mean for mean in means], spread))
+    return Panel(f"h = {jet.height} mm", "radius, mm", "bubbles per frame", tuple(curves))
