@@ -25,6 +25,7 @@ from sabench.api.truth import Bubbles
 from sabench.evaluation.thesis.chapter_5 import render_first_frame
 from sabench.evaluation.thesis.common import Item, claim, coarsen, make_row
 from sabench.geometry.grid import Grid
+from sabench.metrics.averages import mean_of_finite
 from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Picture
 from sabench.scenes import load_scene
 from sabench.utils.arrays import F32, F64, I64, Bool
@@ -108,7 +109,9 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             values.setdefault(key, []).append(value)
     for key, every in values.items():
         yield make_row(key, None, [value for value in every if np.isfinite(value)])
-    yield from _claims({key: float(np.nanmean(every)) for key, every in values.items()})
+    means = {key: mean_of_finite(every) for key, every in values.items()}
+    if None not in means.values():
+        yield from _claims({key: mean for key, mean in means.items() if mean is not None})
 
 
 def _claims(mean: dict[str, float]) -> Iterator[Item]:
@@ -118,7 +121,7 @@ def _claims(mean: dict[str, float]) -> Iterator[Item]:
         "small bubbles have lower peaks, noise has none",
         levels[0] / levels[1],
         levels[0] > levels[1] > levels[2],
-        f"small ones over background {levels[1] / max(levels[2], 1e-9):.3g}",
+        f"small ones over background {levels[1] / levels[2]:.3g}",
     )
     share = mean["distribution of E, large bubbles"]
     yield claim(
@@ -157,7 +160,7 @@ def _peaks(stack: Stack) -> dict[str, float]:
         out[f"E, {kind} bubbles"] = _median(near)
         out[f"distribution of E, {kind} bubbles"] = _median(ranks)
         out[f"share with the largest E within {_NEAR} planes, {kind} bubbles"] = _mean(hits)
-    out["E, background"] = float(np.median(stack.potential[stack.potential > 0.0]))
+    out["E, background"] = _median(list(stack.potential[stack.potential > 0.0]))
     return out
 
 

@@ -115,6 +115,7 @@ def test_the_air_of_the_cone_is_that_of_the_law() -> None:
     radius = np.full(count, np.cbrt(cumulated[-1] / count * 3.0 / (4.0 * np.pi)))
     jet = analyse(np.column_stack([x, depth, z]), radius, np.zeros(3), 180.0, EDGE)
     assert jet.penetration_mm == pytest.approx(120.0)
-    assert jet.equivalent_mm == pytest.approx(48.1, rel=0.1)  # of bins
-    scale = (jet.equivalent_mm / 48.1) ** 2  # wider cones hold the same air
-    assert jet.cone_percent * scale == pytest.approx(0.34, rel=0.05)
+    slope = 1.1 * np.tan(np.deg2rad(jet.angle_deg))
+    part = -np.expm1(-LN2 * (slope * y) ** 2 / law.half_radius_mm(y) ** 2)
+    inside = np.trapezoid(air * part, y) / (np.pi * slope**2 * 120.0**3 / 3.0)
+    assert jet.cone_percent == pytest.approx(100.0 * inside, rel=0.01)
