@@ -20,6 +20,7 @@ from sabench.utils.arrays import F64
 SEEDS = 10
 _BIN_MM = 0.1
 _SMALL_MM = 1.5  # diameter: figure 5-17b has many below
+_ELLIPSES = 43  # mm: the height at which the thesis fits ellipses
 _SCORES = {
     "sizes_mm": "distance of size distributions, mm",
     "sizes_percent": "distance over the mean radius, %",
@@ -60,20 +61,26 @@ def _scores(jet: JetFrames) -> Iterator[Item]:
 
 
 def _ranges(jet: JetFrames) -> Iterator[Item]:
-    """Compare smallest and largest semi-axes, and means of all frames together."""
-    found, true = (
-        np.concatenate([one.semi_axes_mm.ravel() for one in every]) if every else np.zeros(0)
-        for every in (jet.found, jet.true)
-    )
+    """Compare the smallest and the largest size, and means of all frames together.
+
+    Sizes are radii, or semi-axes where the thesis fits ellipses.
+    """
+    found, true = (np.concatenate(_radii(every)) for every in (jet.found, jet.true))
     if not len(found):
         return
+    own, there, what = found, true, "radius"
+    if jet.height == _ELLIPSES:
+        own, there = (
+            np.concatenate([one.semi_axes_mm.ravel() for one in every])
+            for every in (jet.found, jet.true)
+        )
+        what = "semi-axis"
     least, most = jet.printed.axes_mm
     name = f"h = {jet.height} mm: "
-    yield jet_row(f"{name}smallest semi-axis, mm", least, found.min(), true.min())
-    yield jet_row(f"{name}largest semi-axis, mm", most, found.max(), true.max())
-    own, there = (np.concatenate(_radii(every)) for every in (jet.found, jet.true))
-    yield jet_row(f"{name}mean radius, mm", None, own.mean(), there.mean())
-    yield jet_row(f"{name}Sauter mean diameter, mm", None, sauter_mm(own), sauter_mm(there))
+    yield jet_row(f"{name}smallest {what}, mm", least, own.min(), there.min())
+    yield jet_row(f"{name}largest {what}, mm", most, own.max(), there.max())
+    yield jet_row(f"{name}mean radius, mm", None, found.mean(), true.mean())
+    yield jet_row(f"{name}Sauter mean diameter, mm", None, sauter_mm(found), sauter_mm(true))
 
 
 def _small(jet: JetFrames) -> Item:

@@ -33,6 +33,8 @@ _SHOWN = 43  # mm: the height of figure 5-21
 _COLLAPSED = (21, 43)  # mm: those of figure 5-30c
 _EXPLAINED = 0.9  # of the mean square, where five points are enough
 
+_NAMES = {"found": "found", "many": f"true, {FRAMES} frames"}
+
 Analyses = dict[int, dict[str, JetFigures]]
 
 
@@ -124,21 +126,24 @@ def _prediction(height: int, analyses: dict[str, JetFigures]) -> Iterator[Item]:
 
 
 def _figures(every: Analyses) -> Iterator[Item]:
-    found = {height: analyses["found"] for height, analyses in every.items()}
-    if _SHOWN in found and _usable(found[_SHOWN]):
-        yield _depth_and_radius(found[_SHOWN])
-    y = np.linspace(-0.7, 0.7, 100)
+    """Draw found bubbles, and true ones of `FRAMES` frames, over the laws."""
+    usable = {key: one for key, one in every.items() if all(map(_usable, one.values()))}
+    if _SHOWN in usable:
+        yield _depth_and_radius(usable[_SHOWN]["found"])
+    y = np.linspace(-0.7, 0.7, 29)
     gauss = _WEIGHT * np.exp(-(y**2) / (2.0 * _WIDTH**2)) + 1.0 - _WEIGHT
-    usable = {height: one for height, one in found.items() if _usable(one)}
+    both = {height: one for height, one in usable.items() if height in _COLLAPSED}
+    lines = np.clip(1.0 + np.where(y < 0.0, RISE, FALL) * y, 0.0, 1.0)
     yield Figure(
         "fig-5-26",
         "total concentration",
         (
-            _over(found, "Y, mm", "C_Y, mm", lambda one: (one.depth_mm, one.total)),
+            _over(usable, "Y, mm", "C_Y, mm", lambda one: (one.depth_mm, one.total)),
             _over(usable, "Y*", "C_Y over its largest", _total, ("equation 5.18", y, gauss)),
         ),
+        inch=(5.6, 4.2),
     )
-    r = np.linspace(0.0, 4.0, 100)
+    r = np.linspace(0.0, 4.0, 30)
     law = Curve("equation 5.19", list(r), list(np.exp(-LN2 * r**2)))
     yield Figure(
         "fig-5-29",
@@ -148,20 +153,19 @@ def _figures(every: Analyses) -> Iterator[Item]:
                 f"h = {height} mm",
                 "R / R_.5",
                 "C / C_max",
-                (Cloud("found", *radial_points(one)), law),
+                (*(Cloud(_NAMES[kind], *radial_points(one[kind])) for kind in _NAMES), law),
             )
             for height, one in usable.items()
         ),
     )
-    lines = np.clip(1.0 + np.where(y < 0.0, RISE, FALL) * y, 0.0, 1.0)
-    both = {height: one for height, one in usable.items() if height in _COLLAPSED}
     yield Figure(
         "fig-5-30",
         "largest concentration over depth",
         (
-            _over(found, "Y, mm", "C_max", lambda one: (one.depth_mm, one.largest)),
+            _over(usable, "Y, mm", "C_max", lambda one: (one.depth_mm, one.largest)),
             _over(both, "Y*", "C*", scaled_maximum, ("slopes 2.21, -2.87", y, lines)),
         ),
+        inch=(5.6, 4.2),
     )
 
 
@@ -171,15 +175,16 @@ def _total(one: JetFigures) -> tuple[F64, F64]:
 
 
 def _over(
-    jets: dict[int, JetFigures],
+    jets: Analyses,
     x: str,
     y: str,
     values: Callable[[JetFigures], tuple[F64, F64]],
     law: tuple[str, F64, F64] | None = None,
 ) -> Panel:
     curves = [
-        Curve(f"h = {height} mm", *(list(part) for part in values(one)))
+        Curve(f"{height} mm, {name}", *(list(part) for part in values(one[kind])))
         for height, one in jets.items()
+        for kind, name in _NAMES.items()
     ]
     if law is not None:
         curves.append(Curve(law[0], list(law[1]), list(law[2])))

@@ -13,7 +13,7 @@ from sabench.evaluation.thesis.chapter_5 import JetFrames, detect_jets, jet_row
 from sabench.evaluation.thesis.common import Item, claim, make_row
 from sabench.metrics.bubble_detection import AnyBubbles
 from sabench.metrics.plunging_jet import DEPTH_MM
-from sabench.plotting.charts import Curve, Figure, Panel, Slice
+from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.utils.arrays import F64
 from sabench.worlds.library.rise_velocity import (
     Liquid,
@@ -26,6 +26,7 @@ _WATER = Liquid()
 _CUTOFF_MM = 1.05  # diameter that the thesis reads off figure 5-23
 _LARGEST_MM = {21: 4.88, 43: 8.64}  # diameters that it starts from
 _BIN_MM = 0.25  # of diameter
+_LEAST_RE = 20.0  # of the curves that are drawn: the law is that of thin boundary layers
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
@@ -89,32 +90,28 @@ def _law() -> Figure:
     for viscosity in (0.5e-6, 1e-6, 2e-6):
         liquid = Liquid(viscosity=viscosity)
         u = terminal_velocity(d, liquid)
-        good = np.isfinite(u)
+        good = u * 1e-3 * d > _LEAST_RE * viscosity  # not where u is NaN
         curves.append(Curve(f"Mo = {liquid.morton:.2g}", list(d[good]), list(u[good])))
     panel = Panel("", "diameter, mm", "terminal velocity, m/s", tuple(curves), log="xy")
     return Figure("fig-5-23", "terminal velocity of single bubbles", (panel,))
 
 
 def _figure(jet: JetFrames) -> Figure:
-    """Draw counts over depth and diameter, and distributions above and below Y_p."""
+    """Draw distributions of found bubbles in bins of depth above and below Y_p."""
     y, diameter = _positions(jet, jet.found)
     depths = np.arange(0.0, float(y.max(initial=0.0)) + DEPTH_MM, DEPTH_MM)
     sizes = np.arange(0.0, float(diameter.max(initial=0.0)) + _BIN_MM, _BIN_MM)
     counts, *_ = np.histogram2d(y, diameter, bins=(depths, sizes))
-    counts /= len(jet.found)
     x, depth = (edges[:-1] + np.diff(edges) / 2.0 for edges in (sizes, depths))
-    last = depth > jet.printed.penetration_mm
-    curves = tuple(
-        Curve(f"Y = {where:.0f} mm", list(x), list(row))
-        for where, row in zip(depth[last][:2], counts[last][:2], strict=True)
-    )
+    first = int(np.searchsorted(depth, jet.printed.penetration_mm))
+    panels = []
+    for title, bins in (
+        ("above Y_p", range(max(first - 3, 0), first)),
+        ("below Y_p", range(first, min(first + 2, len(depth)))),
+    ):
+        curves = tuple(
+            Curve(f"Y = {depth[n]:.0f} mm", list(x), list(counts[n] / len(jet.found))) for n in bins
+        )
+        panels.append(Panel(title, "diameter, mm", "bubbles per frame", curves))
     number = {21: "5-24", 43: "5-25"}[jet.height]
-    return Figure(
-        f"fig-{number}",
-        f"bubbles per frame and bin, h = {jet.height} mm",
-        (
-            Panel("all depths", "diameter, mm", "Y, mm", (Slice("bubbles", x, depth, counts),)),
-            Panel("two bins below Y_p", "diameter, mm", "bubbles", curves),
-        ),
-        inch=(4.4, 3.6),
-    )
+    return Figure(f"fig-{number}", f"found bubbles, h = {jet.height} mm", tuple(panels))
