@@ -87,13 +87,13 @@ class Stack:
         """Return the plane through a bubble's centre."""
         return int(np.clip(np.rint(self.voxels[bubble, 2]), 0, len(self.volume) - 1))
 
-    def over_depth(self, bubble: int) -> F32:
+    def over_depth(self, bubble: int) -> F64:
         """Return E (plane,) of that window on a bubble's outline in which it is largest."""
         rows, columns = self.rim(bubble)
         _, down, across = self.potential.shape
         i, j = np.minimum(rows // WINDOW, down - 1), np.minimum(columns // WINDOW, across - 1)
         every = self.potential[:, i, j]
-        return np.asarray(every[:, int(every[self.plane(bubble)].argmax())])
+        return every[:, int(every[self.plane(bubble)].argmax())].astype(np.float64)
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
@@ -191,7 +191,7 @@ def _masks(stack: Stack, number: int, shape: tuple[int, ...]) -> tuple[Bool, Boo
     """Mark pixels on rims of a stack's bubbles, and those in or near any of them."""
     rim, around = np.zeros(shape, dtype=np.uint8), np.zeros(shape, dtype=np.uint8)
     for bubble in np.flatnonzero(stack.voxels[:, 2].round() // STACK == number):
-        rim[stack.rim(bubble)] = 1
+        rim[stack.rim(int(bubble))] = 1
         x, y, _, radius = stack.voxels[bubble]
         cv2.circle(around, (round(x), round(y)), int(np.ceil(radius)) + WINDOW, 1, -1)
     return rim.astype(np.bool_), around.astype(np.bool_)
@@ -245,14 +245,15 @@ def _figures(stack: Stack) -> Iterator[Figure]:
 def _depth_figure(stack: Stack, shown: dict[str, int]) -> Figure:
     """Draw figures 5-7 and 5-8: E over depth of windows, and its distribution."""
     z = stack.case.grid.axes_mm[2]
-    over = [
-        Curve(f"{kind} bubble at {z[stack.plane(bubble)]:.1f} mm", z, stack.over_depth(bubble))
-        for kind, bubble in shown.items()
-    ]
+    over = []
+    for kind, bubble in shown.items():
+        name = f"{kind} bubble at {z[stack.plane(bubble)]:.1f} mm"
+        over.append(Curve(name, list(z), list(stack.over_depth(bubble))))
+    rank = list(np.arange(1, len(z) + 1) / len(z))
     shares, marks = [], []
     for kind, bubble in shown.items():
         values = np.sort(stack.over_depth(bubble))
-        shares.append(Curve(f"window of the {kind} one", values, np.arange(1, len(z) + 1) / len(z)))
+        shares.append(Curve(f"window of the {kind} one", list(values), rank))
         there = stack.over_depth(bubble)[[stack.plane(bubble)]]
         marks.append(
             Cloud(f"{kind} bubble", there, np.searchsorted(values, there, "right") / len(z))

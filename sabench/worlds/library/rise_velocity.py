@@ -123,10 +123,12 @@ def _balance(d: float, liquid: Liquid) -> float:
     numbers = weber(ratios)
 
     def excess(speed: float) -> float:
-        ratio = np.interp(liquid.density * speed**2 * d / liquid.tension, numbers, ratios)
+        own = liquid.density * speed**2 * d / liquid.tension
+        ratio = np.asarray(np.interp(own, numbers, ratios))
         g, h = (float(factor) for factor in drag_factors(ratio))
         re = speed * d / liquid.viscosity
-        return 48.0 * g / re * (1.0 + h / np.sqrt(re)) * speed**2 - 4.0 / 3.0 * liquid.gravity * d
+        drag = 48.0 * g / re * (1.0 + h / float(np.sqrt(re)))
+        return drag * speed**2 - 4.0 / 3.0 * liquid.gravity * d
 
     slowest = _LEAST_RE * liquid.viscosity / d
     fastest = float(np.sqrt(numbers[-1] * liquid.tension / (liquid.density * d)))
