@@ -36,6 +36,8 @@ _OFF_MM = 10.0  # of the refocused planes before and behind the middle one: figu
 _EDGE, _SMALL_PX = 0.05, 4.0  # as `minimum_image` takes them
 _NEAR = 5  # planes between a bubble and its peak of E: section 5.4.3
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)  # of points on a rim
+_FLAT = 1e-6  # spread of a window: the thesis normalises windows in which nothing is, too
+_RINGS = np.linspace(0.4, 1.0, 7)  # parts of the radius where a rim may be darkest
 _KINDS = ("large", "small")  # by `_SMALL_PX`
 
 
@@ -63,7 +65,7 @@ class Stack:
         volume, grid = darkness(case), case.grid
         original = volume.copy()
         before = [dark for dark, _ in minimum_images(volume)]
-        potential = feature_potential(volume, WINDOW)
+        potential = feature_potential(volume, WINDOW, _FLAT)
         attenuate(volume, potential, WINDOW)
         after = [dark for dark, _ in minimum_images(volume)]
         place = (bubbles.center_mm - np.asarray(grid.low_mm)) / np.asarray(grid.voxel_mm)
@@ -75,9 +77,9 @@ class Stack:
         large = 2.0 * self.voxels[:, 3] >= _SMALL_PX
         return {"large": np.flatnonzero(large), "small": np.flatnonzero(~large)}
 
-    def rim(self, bubble: int) -> tuple[I64, I64]:
-        """List rows and columns (n,) of the voxels on a bubble's outline."""
-        x, y, _, radius = self.voxels[bubble]
+    def rim(self, bubble: int, part: float = 1.0) -> tuple[I64, I64]:
+        """List rows and columns (n,) of the voxels at a part of a bubble's radius."""
+        x, y, _, radius = self.voxels[bubble] * [1.0, 1.0, 1.0, part]
         height, width = self.volume.shape[1:]
         rows = np.clip(np.rint(y + radius * np.sin(_ANGLES)), 0, height - 1).astype(np.int64)
         columns = np.clip(np.rint(x + radius * np.cos(_ANGLES)), 0, width - 1).astype(np.int64)
@@ -173,16 +175,14 @@ def _mean(values: Sequence[float | bool]) -> float:
 
 
 def _contrasts(stack: Stack) -> dict[str, float]:
-    """Measure how far rims stand out of the minimum images' background, in its deviations."""
+    """Measure the mean darkness of rims in minimum images over the rms of that beside bubbles."""
     out = {}
     for name, images in (("original", stack.before), ("attenuated", stack.after)):
         values = []
         for number, dark in enumerate(images):
             rim, around = _masks(stack, number, dark.shape)
             if rim.any():
-                values.append(
-                    float((dark[rim].mean() - dark[~around].mean()) / dark[~around].std())
-                )
+                values.append(float(dark[rim].mean() / np.sqrt(np.mean(dark[~around] ** 2))))
         out[f"contrast, {name}"] = _mean(values)
     return out
 
@@ -198,13 +198,16 @@ def _masks(stack: Stack, number: int, shape: tuple[int, ...]) -> tuple[Bool, Boo
 
 
 def _edges(stack: Stack) -> dict[str, float]:
-    """Measure the bright centre and the gradient at the rim of bubbles in attenuated images."""
+    """Measure the bright centre and the gradient at the rim of bubbles in attenuated images.
+
+    The rim is the darkest ring.
+    """
     out = {}
     for kind, which in stack.kinds().items():
         centers, gradients = [], []
         for bubble in which:
             dark = stack.after[stack.plane(bubble) // STACK]
-            rim = float(np.mean(dark[stack.rim(bubble)]))
+            rim = max(float(np.mean(dark[stack.rim(int(bubble), part)])) for part in _RINGS)
             x, y = np.rint(stack.voxels[bubble, :2]).astype(np.int64)
             inside = 0 <= y < dark.shape[0] and 0 <= x < dark.shape[1]
             if rim > 0.0 and inside:
