@@ -12,7 +12,7 @@ import numpy as np
 from sabench.api import Detections, Observation
 from sabench.api.make import make_algorithm
 from sabench.api.truth import Bubbles
-from sabench.evaluation.thesis.common import Row, coarsen, make_row
+from sabench.evaluation.thesis.common import AGREES, Row, claim, coarsen, make_row
 from sabench.metrics.bubble_detection import AnyBubbles
 from sabench.metrics.plunging_jet import JetFigures
 from sabench.scenes import Scene, build_rig, load_scene
@@ -133,19 +133,27 @@ def true_bubbles(scene: Scene, count: int) -> list[AnyBubbles]:
     return _true[key]
 
 
-def jet_row(
+def jet_rows(
     name: str, thesis: float | None, found: float, true: float, many: float | None = None
-) -> Row:
-    """Make a row of a value from found bubbles, with that from true ones in the note.
+) -> Iterator[Row]:
+    """Make rows of a value of a jet.
 
-    `many` is that of the true bubbles of `FRAMES` frames.
+    The thesis's value is a mean over `FRAMES` frames of its own jet, to which the scene was built:
+    it is compared with `many`, that of the true bubbles of as many frames. The value of found
+    bubbles is compared with that of true ones in the same, fewer frames.
     """
-    note = f"true bubbles {true:.4g}"
-    if true and np.isfinite(true) and np.isfinite(found):
-        note += f" ({100.0 * (found / true - 1.0):+.1f} %)"
     if many is not None:
-        note += f", those of {FRAMES} frames {many:.4g}"
-    return make_row(name, thesis, [found] if np.isfinite(found) else [], note)
+        values = [many] if np.isfinite(many) else []
+        note = "the scene was built to the thesis's value"
+        yield make_row(f"{name}, true bubbles of {FRAMES} frames", thesis, values, note)
+    known = np.isfinite(true) and np.isfinite(found)
+    yield claim(
+        f"{name}, found bubbles",
+        f"true bubbles of the same frames: {true:.4g}",
+        found if np.isfinite(found) else None,
+        bool(known and abs(found - true) <= AGREES * abs(true)),
+        f"{100.0 * (found / true - 1.0):+.1f} %" if known and true else "",
+    )
 
 
 def render_first_frame(scene: Scene, seed: int) -> tuple[FrameContent, Bubbles, Observation]:

@@ -10,7 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sabench.evaluation.thesis.chapter_5 import JetFrames, detect_jets, jet_row
+from sabench.evaluation.thesis.chapter_5 import (
+    FRAMES,
+    JetFrames,
+    detect_jets,
+    jet_rows,
+    true_bubbles,
+)
 from sabench.evaluation.thesis.common import Item, claim, make_row
 from sabench.metrics.bubble_detection import AnyBubbles
 from sabench.metrics.size_distributions import counts_per_frame, sauter_mm, size_scores
@@ -65,22 +71,21 @@ def _ranges(jet: JetFrames) -> Iterator[Item]:
 
     Sizes are radii, or semi-axes where the thesis fits ellipses.
     """
-    found, true = (np.concatenate(_radii(every)) for every in (jet.found, jet.true))
-    if not len(found):
+    every = jet.found, jet.true, true_bubbles(jet.scene, FRAMES)
+    radii = [np.concatenate(_radii(frames)) for frames in every]
+    if not len(radii[0]):
         return
-    own, there, what = found, true, "radius"
+    what, sizes = "radius", radii
     if jet.height == _ELLIPSES:
-        own, there = (
-            np.concatenate([one.semi_axes_mm.ravel() for one in every])
-            for every in (jet.found, jet.true)
-        )
         what = "semi-axis"
+        sizes = [np.concatenate([one.semi_axes_mm.ravel() for one in frames]) for frames in every]
     least, most = jet.printed.axes_mm
     name = f"h = {jet.height} mm: "
-    yield jet_row(f"{name}smallest {what}, mm", least, own.min(), there.min())
-    yield jet_row(f"{name}largest {what}, mm", most, own.max(), there.max())
-    yield jet_row(f"{name}mean radius, mm", None, found.mean(), true.mean())
-    yield jet_row(f"{name}Sauter mean diameter, mm", None, sauter_mm(found), sauter_mm(true))
+    yield from jet_rows(f"{name}smallest {what}, mm", least, *[one.min() for one in sizes])
+    yield from jet_rows(f"{name}largest {what}, mm", most, *[one.max() for one in sizes])
+    yield from jet_rows(f"{name}mean radius, mm", None, *[one.mean() for one in radii[:2]])
+    d32 = [sauter_mm(one) for one in radii[:2]]
+    yield from jet_rows(f"{name}Sauter mean diameter, mm", None, *d32)
 
 
 def _small(jet: JetFrames) -> Item:

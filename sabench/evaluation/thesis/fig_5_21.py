@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from sabench.evaluation.thesis.chapter_5 import FRAMES, JetFrames, detect_jets, jet_row
+from sabench.evaluation.thesis.chapter_5 import FRAMES, JetFrames, detect_jets, jet_rows
 from sabench.evaluation.thesis.common import Item, claim
 from sabench.metrics.jet_scaling import (
     TOTAL,
@@ -55,12 +55,16 @@ def _profiles(jet: JetFrames, analyses: dict[str, JetFigures]) -> Iterator[Item]
     """Fit the radial law and the factor of equation 5.22 of one jet."""
     name = f"h = {jet.height} mm: "
     own = [100.0 * float(figures.concentration.max(initial=0.0)) for figures in analyses.values()]
-    yield jet_row(f"{name}largest concentration, %", 8.0 if jet.height == _SHOWN else None, *own)
+    yield from jet_rows(
+        f"{name}largest concentration, %", 8.0 if jet.height == _SHOWN else None, *own
+    )
     for what, thesis, measure in (
         ("k of exp(-k (R / R_.5)^2) (5.19)", LN2, radial_slope),
         ("C_Y / (C_max R_.5) (5.22)", TOTAL, total_factor),
     ):
-        yield jet_row(f"{name}{what}", thesis, *[measure(figures) for figures in analyses.values()])
+        yield from jet_rows(
+            f"{name}{what}", thesis, *[measure(figures) for figures in analyses.values()]
+        )
 
 
 def _usable(figures: JetFigures) -> bool:
@@ -92,8 +96,10 @@ def _gauss(every: Analyses) -> Iterator[Item]:
         fits.append((weight, width))
         rest.append(float(np.sqrt(np.mean((share - law) ** 2))) if len(y) > 3 else np.nan)
     for number, (name, thesis) in enumerate((("A", _WEIGHT), ("s", _WIDTH))):
-        yield jet_row(f"all jets: {name} of equation 5.18", thesis, *[fit[number] for fit in fits])
-    yield jet_row("all jets: rms distance from equation 5.18", None, *rest)
+        yield from jet_rows(
+            f"all jets: {name} of equation 5.18", thesis, *[fit[number] for fit in fits]
+        )
+    yield from jet_rows("all jets: rms distance from equation 5.18", None, *rest)
 
 
 def _lines(every: Analyses) -> Iterator[Item]:
@@ -103,26 +109,26 @@ def _lines(every: Analyses) -> Iterator[Item]:
         jets = [every[height][kind] for height in _COLLAPSED if height in every]
         fits.append(slopes([jet for jet in jets if _usable(jet)] or jets))
     for number, (name, thesis) in enumerate((("rising", RISE), ("falling", FALL))):
-        yield jet_row(f"{name} slope of C* (5-30c)", thesis, *[fit[number] for fit in fits])
+        yield from jet_rows(f"{name} slope of C* (5-30c)", thesis, *[fit[number] for fit in fits])
 
 
 def _prediction(height: int, analyses: dict[str, JetFigures]) -> Iterator[Item]:
-    """Predict C(Y, R) from five values of found bubbles; compare with true ones."""
+    """Predict C(Y, R) from five of its values, and compare it with that of true bubbles."""
     name = f"h = {height} mm: share of C(Y, R) explained by five points"
-    if not _usable(analyses["found"]):
+    if not all(map(_usable, analyses.values())):
         yield claim(name, "five points are enough", None, False)
         return
-    points = five_points(analyses["found"])
-    own, true, many = (explained_share(points, figures) for figures in analyses.values())
+    found, true, many = (five_points(figures) for figures in analyses.values())
+    share = explained_share(many, analyses["many"])
     yield claim(
-        name,
+        f"{name}, true bubbles of {FRAMES} frames",
         "five points are enough",
-        many,
-        many >= _EXPLAINED,
-        f"share of the mean square of C of true bubbles in {FRAMES} frames, {_EXPLAINED} asked for;"
-        f" the points are of found ones in the frames analysed, of which they explain {own:.3f} "
-        f"(true ones there {true:.3f})",
+        share,
+        share >= _EXPLAINED,
+        f"share of the mean square, {_EXPLAINED} asked for",
     )
+    own = [explained_share(points, analyses["true"]) for points in (found, true)]
+    yield from jet_rows(name, None, *own)
 
 
 def _figures(every: Analyses) -> Iterator[Item]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sabench.evaluation.thesis.chapter_5 import JetFrames, detect_jets, jet_row
+from sabench.evaluation.thesis.chapter_5 import JetFrames, detect_jets, jet_rows
 from sabench.evaluation.thesis.common import Item, claim, make_row
 from sabench.metrics.bubble_detection import AnyBubbles
 from sabench.metrics.plunging_jet import DEPTH_MM
@@ -53,8 +53,8 @@ def _below(jet: JetFrames) -> Iterator[Item]:
     middle = jet.printed.penetration_mm
     found, true = (_shares(jet, every, middle) for every in (jet.found, jet.true))
     name = f"h = {jet.height} mm: share of diameters above {_CUTOFF_MM} mm, %, "
-    yield jet_row(f"{name}above Y_p", None, found[0], true[0])
-    yield jet_row(f"{name}in two bins below", None, found[1], true[1])
+    yield from jet_rows(f"{name}above Y_p", None, found[0], true[0])
+    yield from jet_rows(f"{name}in two bins below", None, found[1], true[1])
     yield claim(
         f"h = {jet.height} mm: that share below over that above Y_p",
         "a sharp drop of large bubbles",

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from sabench.evaluation.suite_loading import override
-from sabench.evaluation.thesis.chapter_5 import JetFrames, detect_jet, jet_row
+from sabench.evaluation.thesis.chapter_5 import JetFrames, detect_jet, jet_rows
 from sabench.evaluation.thesis.common import Item, coarsen
 from sabench.metrics.bubble_detection import AnyBubbles
 from sabench.metrics.jet_tilt import find_tilt, straighten
@@ -29,13 +29,15 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     jet = detect_jet(_HEIGHT, coarsen(tilted, pixels), seeds)
     found, true = (find_tilt(_centers(every), jet.impact_mm) for every in (jet.found, jet.true))
     for axis, thesis, own, there in zip("XZ", (_TILT_DEG, None), found, true, strict=True):
-        yield jet_row(f"tilt towards {axis}, degrees", thesis, own, there)
+        yield from jet_rows(f"tilt towards {axis}, degrees", thesis, own, there)
     turned = {"as found": (0.0, 0.0), "tilt removed": found}
     figures = {name: _analyse(jet, jet.found, tilt) for name, tilt in turned.items()}
     true_figures = _analyse(jet, jet.true, (_TILT_DEG, 0.0))
     for name, one in figures.items():
         for key, what in (("equivalent_mm", "D_eq, mm"), ("penetration_mm", "Y_p, mm")):
-            yield jet_row(f"{name}: {what}", None, getattr(one, key), getattr(true_figures, key))
+            yield from jet_rows(
+                f"{name}: {what}", None, getattr(one, key), getattr(true_figures, key)
+            )
     yield _figure(figures | {"true bubbles, true tilt": true_figures})
 
 

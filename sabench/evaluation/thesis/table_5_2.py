@@ -15,7 +15,7 @@ from sabench.evaluation.thesis.chapter_5 import (
     SOLVER,
     JetFrames,
     detect_jets,
-    jet_row,
+    jet_rows,
 )
 from sabench.evaluation.thesis.common import Item, make_row
 from sabench.metrics.bubble_detection import detection_scores
@@ -64,7 +64,7 @@ def _table(jet: JetFrames) -> Iterator[Item]:
         ("width", "s of equation 5.18", _WIDTH),
     ):
         own = [float(getattr(figures, key)) for figures in every.values()]
-        yield jet_row(f"h = {jet.height} mm: {name}", thesis, *own)
+        yield from jet_rows(f"h = {jet.height} mm: {name}", thesis, *own)
 
 
 def _figure(jet: JetFrames) -> Figure:
