@@ -227,15 +227,16 @@ def _gradient(dark: F32, x: int, y: int, radius: float) -> float:
     return float(cv2.magnitude(across, down).max())
 
 
-def _clearest(stack: Stack, which: I64) -> int:
-    """Select the bubble with the largest E at its plane."""
-    return int(which[np.argmax([stack.over_depth(one)[stack.plane(one)] for one in which])])
+def _typical(stack: Stack, which: I64) -> int:
+    """Select the bubble whose E at its plane is the median."""
+    levels = [stack.over_depth(int(one))[stack.plane(int(one))] for one in which]
+    return int(which[np.argsort(levels)[len(levels) // 2]])
 
 
 def _figures(stack: Stack) -> Iterator[Figure]:
     yield from _planes(stack)
     yield _minimum_figure(stack)
-    shown = {kind: _clearest(stack, which) for kind, which in stack.kinds().items() if len(which)}
+    shown = {kind: _typical(stack, which) for kind, which in stack.kinds().items() if len(which)}
     yield _depth_figure(stack, shown)
     yield Figure(
         "fig-5-10",
@@ -265,8 +266,8 @@ def _depth_figure(stack: Stack, shown: dict[str, int]) -> Figure:
         "fig-5-7",
         "E of windows on the outlines of two bubbles",
         (
-            Panel("5-7", "Z, mm", "E", tuple(over)),
-            Panel("5-8", "E", "share of planes", (*shares, *marks)),
+            Panel("5-7", "Z, mm", "E", tuple(over), log="y"),
+            Panel("5-8", "E", "share of planes", (*shares, *marks), log="x"),
         ),
     )
 
