@@ -144,7 +144,7 @@ def jet_rows(
     """
     if many is not None:
         values = [many] if np.isfinite(many) else []
-        note = "the scene was built to the thesis's value"
+        note = "" if thesis is None else "the scene was built to the thesis's value"
         yield make_row(f"{name}, true bubbles of {FRAMES} frames", thesis, values, note)
     known = np.isfinite(true) and np.isfinite(found)
     yield claim(
