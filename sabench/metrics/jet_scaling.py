@@ -94,7 +94,7 @@ def scaled_maximum(jet: JetFigures) -> tuple[F64, F64]:
 
 
 def slopes(jets: Sequence[JetFigures]) -> tuple[float, float]:
-    """Fit the slopes of C* over Y* on both sides of Y_m, of several jets (figure 5-30c).
+    """Fit the slopes of C* over Y* on both sides of Y_m (figure 5-30c).
 
     Both lines go through 1 at Y_m. The rising region begins where C* stops falling towards the
     surface; the falling one ends at the penetration depth. NaN for a region without bins.
@@ -129,7 +129,9 @@ def radial_points(jet: JetFigures) -> tuple[F64, F64]:
 
 
 def radial_slope(jet: JetFigures) -> float:
-    """Fit k of C / C_max = exp(-k (R / R_.5)^2) up to R = 2 R_.5: ln 2 in equation 5.19.
+    """Fit k of C / C_max = exp(-k (R / R_.5)^2) up to R = 2 R_.5.
+
+    It is ln 2 in equation 5.19.
 
     NaN without bubbles.
     """

@@ -157,7 +157,7 @@ def _scaling(y: F64, total: F64, penetration: float) -> tuple[float, float]:
 
 
 def fit_total(scaled: F64, share: F64) -> tuple[float, float]:
-    """Fit A and s of equation 5.18 to C_Y over its maximum (n,) at scaled depths (n,).
+    """Fit A and s of equation 5.18 to C_Y over its maximum at scaled depths (n,).
 
     NaN where the fit does not converge.
     """

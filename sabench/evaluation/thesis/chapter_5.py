@@ -1,4 +1,4 @@
-"""Frames rendered in memory for the tables and figures of bubbles, and bubbles found in them."""
+"""Frames rendered in memory for chapter 5, and bubbles found in them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SOLVER = "rim_fit"
 
 @dataclass(frozen=True)
 class Jet:
-    """Rows of tables 5.1 and 5.2 and figures 5-23 and 5-24 for one height of the nozzle.
+    """Values of tables 5.1 and 5.2 and of the text for one height of the nozzle.
 
     V_i and D_i stand in each other's column there: `speed_m_s` is printed as D_i.
     """
@@ -78,7 +78,7 @@ class JetFrames:
         return np.asarray(jet["impact_mm"] if jet else np.zeros(3), dtype=np.float64)
 
     def analyse(self) -> dict[str, JetFigures]:
-        """Analyse found and true bubbles of these frames, and true ones of `FRAMES` frames."""
+        """Analyse found and true bubbles, and true ones of `FRAMES` frames."""
         return {
             "found": jet_figures(self.scene, self.found),
             "true": jet_figures(self.scene, self.true),
@@ -104,8 +104,9 @@ _true: dict[tuple[str, int], list[AnyBubbles]] = {}
 
 
 def detect_frame(scene: Scene, seed: int) -> tuple[Bubbles, Detections]:
-    """Find the bubbles of a scene's first frame; cached, because several figures use them.
+    """Find the bubbles of a scene's first frame.
 
+    They are cached, because several figures use them.
     Returns the true and the found ones.
     """
     key = scene.hash, seed, SOLVER

@@ -1,4 +1,4 @@
-"""Figures 5-15 to 5-17: size distributions of bubbles found in three plunging jets.
+"""Figures 5-15 to 5-17: size distributions of bubbles found in three jets.
 
 The scenes were built to the thesis's ranges of sizes, which are measurements of its own jets.
 """
@@ -36,7 +36,10 @@ _SCORES = {
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure sizes and scores of size distributions per jet; scores are means over frames."""
+    """Measure sizes and scores of size distributions per jet.
+
+    Scores are means over frames.
+    """
     panels = []
     for jet in detect_jets(seeds, pixels):
         panels.append(_panel(jet))
@@ -101,7 +104,10 @@ def _small(jet: JetFrames) -> Item:
 
 
 def _intervals(jet: JetFrames) -> Item:
-    """Count bins whose interval of found bubbles contains the true mean of the same frames."""
+    """Count bins whose interval of found bubbles contains the true mean.
+
+    Both are of the same frames.
+    """
     edges = _edges(jet)
     found, true = (counts_per_frame(_radii(every), edges) for every in (jet.found, jet.true))
     held = [

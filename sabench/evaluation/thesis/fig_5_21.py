@@ -1,4 +1,6 @@
-"""Figures 5-21 and 5-26 to 5-30: concentration over depth and radius, from detected bubbles.
+"""Figures 5-21 and 5-26 to 5-30: concentration over depth and radius.
+
+It is that of detected bubbles.
 
 The scenes were built to equations 5.18, 5.19 and 5.22 and to the slopes of figure 5-30c, and bins
 of 20 by 8 mm blur them: compare found with true bubbles.
@@ -39,7 +41,7 @@ Analyses = dict[int, dict[str, JetFigures]]
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure the scaling laws, and predict the concentration from five of its values."""
+    """Measure the scaling laws, and predict the concentration from five values."""
     every: Analyses = {}
     for jet in detect_jets(seeds, pixels):
         every[jet.height] = jet.analyse()
@@ -72,7 +74,10 @@ def _usable(figures: JetFigures) -> bool:
 
 
 def _pooled(every: Analyses, kind: str) -> tuple[F64, F64]:
-    """Scale C_Y of all jets with a penetration depth: Y* and C_Y over its maximum (n,)."""
+    """Scale C_Y of all jets: Y* and C_Y over its maximum (n,).
+
+    Jets without a penetration depth are left out.
+    """
     pairs = [
         (
             (one.depth_mm - one.depth_mm[one.total.argmax()]) / one.penetration_mm,
@@ -113,7 +118,7 @@ def _lines(every: Analyses) -> Iterator[Item]:
 
 
 def _prediction(height: int, analyses: dict[str, JetFigures]) -> Iterator[Item]:
-    """Predict C(Y, R) from five of its values, and compare it with that of true bubbles."""
+    """Predict C(Y, R) from five of its values; compare it with true bubbles."""
     name = f"h = {height} mm: share of C(Y, R) explained by five points"
     if not all(map(_usable, analyses.values())):
         yield claim(name, "five points are enough", None, False)

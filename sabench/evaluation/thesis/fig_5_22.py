@@ -1,4 +1,4 @@
-"""Figure 5-22: penetration depth over the jet's height, both over the jet's diameter."""
+"""Figure 5-22: penetration depth over the jet's height, both in diameters."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def _below(jet: JetFrames) -> Iterator[Item]:
 
 
 def _positions(jet: JetFrames, every: Sequence[AnyBubbles]) -> tuple[F64, F64]:
-    """Return depths below the surface and diameters (n,) of all frames' bubbles in mm."""
+    """Return depths below the surface and diameters (n,) of all bubbles in mm."""
     return (
         np.concatenate([one.center_mm[:, 1] for one in every]) - jet.impact_mm[1],
         np.concatenate([2.0 * one.radius_mm for one in every]),

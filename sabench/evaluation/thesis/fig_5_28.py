@@ -1,4 +1,4 @@
-"""Figure 5-28: a jet tilted by 1.5 degrees, its tilt found from detected bubbles and removed."""
+"""Figure 5-28: a jet's tilt of 1.5 degrees, found from bubbles and removed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures 5-5 to 5-11: refocused planes, the feature potential E, and minimum images.
+"""Figures 5-5 to 5-11: refocused planes, feature potential E, minimum images.
 
 The bubbles' true positions say where E and the images are read.
 """
@@ -43,7 +43,7 @@ _KINDS = ("large", "small")  # by `_SMALL_PX`
 
 @dataclass(frozen=True)
 class Stack:
-    """Darkness of a refocused frame before and after attenuation, and its feature potential.
+    """Refocused darkness before and after attenuation, and feature potential.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ def _mean(values: Sequence[float | bool]) -> float:
 
 
 def _contrasts(stack: Stack) -> dict[str, float]:
-    """Measure the mean darkness of rims in minimum images over the rms of that beside bubbles."""
+    """Measure the mean darkness of rims over the rms of that beside bubbles."""
     out = {}
     for name, images in (("original", stack.before), ("attenuated", stack.after)):
         values = []
@@ -198,7 +198,7 @@ def _masks(stack: Stack, number: int, shape: tuple[int, ...]) -> tuple[Bool, Boo
 
 
 def _edges(stack: Stack) -> dict[str, float]:
-    """Measure the bright centre and the gradient at the rim of bubbles in attenuated images.
+    """Measure bright centres and gradients at rims in attenuated images.
 
     The rim is the darkest ring.
     """
@@ -286,7 +286,7 @@ def _crop(stack: Stack, bubble: int, title: str) -> Panel:
 
 
 def _minimum_figure(stack: Stack) -> Figure:
-    """Draw figures 5-9 and 5-11: a minimum image before and after, and outlines found in it."""
+    """Draw figures 5-9 and 5-11: minimum images before and after, and outlines."""
     grid, number = stack.case.grid, len(stack.volume) // 2 // STACK
     dark = stack.after[number]
     depth = np.zeros_like(dark)
@@ -311,7 +311,7 @@ def _minimum_figure(stack: Stack) -> Figure:
 
 
 def _planes(stack: Stack) -> Iterator[Figure]:
-    """Draw figures 5-5 and 5-6: a view, and the middle third of three refocused planes."""
+    """Draw figures 5-5 and 5-6: a view, and the middle third of three planes."""
     case = stack.case
     grid, view = case.grid, case.images[len(case.images) // 2].astype(np.float64)
     ends = (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)
