@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.evaluation.suite_loading import override
 from sabench.evaluation.thesis.chapter_5 import JetFrames, detect_jet, jet_rows
-from sabench.evaluation.thesis.common import Item, coarsen
+from sabench.evaluation.thesis.common import Item, coarsen, make_row
 from sabench.metrics.bubble_detection import AnyBubbles
 from sabench.metrics.jet_tilt import find_tilt, straighten
 from sabench.metrics.plunging_jet import JetFigures, analyse
@@ -29,7 +29,8 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     jet = detect_jet(_HEIGHT, coarsen(tilted, pixels), seeds)
     found, true = (find_tilt(_centers(every), jet.impact_mm) for every in (jet.found, jet.true))
     for axis, thesis, own, there in zip("XZ", (_TILT_DEG, None), found, true, strict=True):
-        yield from jet_rows(f"tilt towards {axis}, degrees", thesis, own, there)
+        note = f"the scene has {thesis or 0.0:g}; the axis of its true bubbles {there:.3f}"
+        yield make_row(f"tilt towards {axis}, degrees", thesis, [own], note)
     turned = {"as found": (0.0, 0.0), "tilt removed": found}
     figures = {name: _analyse(jet, jet.found, tilt) for name, tilt in turned.items()}
     true_figures = _analyse(jet, jet.true, (_TILT_DEG, 0.0))
