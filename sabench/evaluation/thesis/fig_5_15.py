@@ -18,6 +18,7 @@ from sabench.evaluation.thesis.chapter_5 import (
     true_bubbles,
 )
 from sabench.evaluation.thesis.common import Item, claim, make_row
+from sabench.metrics.averages import finite_or_none, ratio
 from sabench.metrics.bubble_detection import AnyBubbles
 from sabench.metrics.size_distributions import counts_per_frame, sauter_mm, size_scores
 from sabench.plotting.charts import Curve, Figure, Panel
@@ -93,11 +94,13 @@ def _ranges(jet: JetFrames) -> Iterator[Item]:
 
 def _small(jet: JetFrames) -> Item:
     own, there = (np.concatenate(_radii(every)) for every in (jet.found, jet.true))
-    share, true = (float(np.mean(2.0 * radii < _SMALL_MM)) for radii in (own, there))
+    share, true = (
+        ratio(int(np.sum(2.0 * radii < _SMALL_MM)), len(radii)) for radii in (own, there)
+    )
     return claim(
         f"h = {jet.height} mm: share of diameters below {_SMALL_MM} mm",
         "more small bubbles than large",
-        share,
+        finite_or_none(share),
         share > 0.5,
         f"true bubbles {true:.3f}",
     )

@@ -112,7 +112,8 @@ def _lines(every: Analyses) -> Iterator[Item]:
     fits = []
     for kind in ("found", "true", "many"):
         jets = [every[height][kind] for height in _COLLAPSED if height in every]
-        fits.append(slopes([jet for jet in jets if _usable(jet)] or jets))
+        usable = [jet for jet in jets if _usable(jet)]
+        fits.append(slopes(usable) if usable else (np.nan, np.nan))
     for number, (name, thesis) in enumerate((("rising", RISE), ("falling", FALL))):
         yield from jet_rows(f"{name} slope of C* (5-30c)", thesis, *[fit[number] for fit in fits])
 
