@@ -9,7 +9,7 @@ from pydantic import Field
 
 from sabench.api import F64, I64, Bool, BubbleGenerator, BubbleParameters, Bubbles, Domain, stream
 from sabench.worlds.library.overlaps import overlapping
-from sabench.worlds.library.plunging_jet import LN2, JetLaw
+from sabench.worlds.library.plunging_jet import LN2, JetLaw, rotation_from_y
 from sabench.worlds.library.random_packing import place
 from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
 
@@ -26,6 +26,9 @@ class PlungingJetParameters(BubbleParameters, Spectrum):
     impact_mm: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="where the jet meets the surface; it points down, along +Y"
     )
+    inclination_deg: tuple[float, float] = Field(
+        (0.0, 0.0), description="angles of the jet to +Y, towards +X and towards +Z"
+    )
     penetration_mm: float = Field(120.0, gt=0.0, description="Y_p")
     equivalent_mm: float = Field(48.1, gt=0.0, description="D_eq, diameter of the cloud at Y_p")
     total_percent: float = Field(
@@ -33,11 +36,13 @@ class PlungingJetParameters(BubbleParameters, Spectrum):
     )
     weight: float = Field(0.903, gt=0.0, lt=1.0, description="A of equation 5.18")
     width: float = Field(0.1894, gt=0.0, description="s of equation 5.18")
-    cutoff_mm: float = Field(1.05, gt=0.0, description="largest radius below Y_p")
-    speed_mm_s: float = Field(
-        6010.0, ge=0.0, description="V_i of the jet at impact: bubbles sink with what is left of it"
+    cutoff_mm: float = Field(
+        0.525, gt=0.0, description="largest radius below Y_p, half the diameter of figure 5-23"
     )
-    jet_mm: float = Field(3.78, gt=0.0, description="D_i, the jet's diameter at impact")
+    speed_mm_s: float = Field(
+        3780.0, ge=0.0, description="V_i of the jet at impact: bubbles sink with what is left of it"
+    )
+    jet_mm: float = Field(6.01, gt=0.0, description="D_i, the jet's diameter at impact")
     rise_mm_s: float = Field(250.0, ge=0.0, description="terminal velocity, upwards")
 
 
@@ -62,6 +67,11 @@ class PlungingJet(BubbleGenerator):
             chosen.weight,
             chosen.width,
         )
+
+    @cached_property
+    def rotation(self) -> F64:
+        """Rotation (3, 3) from +Y to the jet's axis."""
+        return rotation_from_y(self.parameters.inclination_deg)
 
     def bubbles(self, domain: Domain, seed: int, frame: int, time_s: float) -> Bubbles:
         """Return the bubbles in the volume at a time.
@@ -161,7 +171,8 @@ class PlungingJet(BubbleGenerator):
                 depth = np.interp(rng.random(len(number)) * cumulated[-1], cumulated, y)
                 spread = self.law.half_radius_mm(depth) / np.sqrt(2.0 * LN2)
                 x, z = spread * rng.standard_normal((2, len(number)))
-                position_mm = np.column_stack([x, depth, z]) + np.asarray(chosen.impact_mm)
+                along_jet = np.column_stack([x, depth, z])
+                position_mm = along_jet @ self.rotation.T + np.asarray(chosen.impact_mm)
                 own = extent[number // tries]
                 good = ((position_mm - own >= low) & (position_mm + own <= high)).all(axis=1)
                 out.reshape(-1, 3)[number[good]] = position_mm[good]
@@ -171,6 +182,7 @@ class PlungingJet(BubbleGenerator):
     def _velocities(self, positions: F64) -> F64:
         """Compute velocities down a cone: the jet's remaining speed, less the rise."""
         chosen: PlungingJetParameters = self.parameters
+        positions = positions @ self.rotation
         depth = np.maximum(positions[:, 1], 1e-3)
         radius = np.hypot(positions[:, 0], positions[:, 2])
         left = (
@@ -179,6 +191,6 @@ class PlungingJet(BubbleGenerator):
             * np.maximum(0.0, 1.0 - depth / chosen.penetration_mm)
         )
         down = left * np.exp(-LN2 * radius**2 / self.law.half_radius_mm(depth) ** 2)
-        velocity = down[:, None] * positions / depth[:, None]
+        velocity = (down[:, None] * positions / depth[:, None]) @ self.rotation.T
         velocity[:, 1] -= chosen.rise_mm_s
         return np.asarray(velocity)

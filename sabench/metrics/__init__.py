@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from sabench.metrics.plunging_jet import analyse
     from sabench.metrics.quality_factor import quality
     from sabench.metrics.reconstruction_error import score_frame
+    from sabench.metrics.size_distributions import counts_per_frame, sauter_mm, size_scores
     from sabench.metrics.synthesised_field import brightness, true_field
     from sabench.metrics.trajectories import link_scores, trajectory_scores, vector_scores
     from sabench.metrics.velocity_error import precision_interval, response, velocity_scores
@@ -43,6 +44,7 @@ __all__ = [
     "circulation",
     "count_challenge",
     "count_thesis",
+    "counts_per_frame",
     "detect",
     "detect_peaks",
     "detection_scores",
@@ -55,9 +57,11 @@ __all__ = [
     "read_volume",
     "reading",
     "response",
+    "sauter_mm",
     "score_frame",
     "self_calibration_scores",
     "single_views",
+    "size_scores",
     "spacing_error",
     "trajectory_scores",
     "true_field",
@@ -73,6 +77,7 @@ _HOMES = {
     "circulation": "vortex_rings",
     "count_challenge": "particle_detection",
     "count_thesis": "particle_detection",
+    "counts_per_frame": "size_distributions",
     "detect": "particle_detection",
     "detect_peaks": "particle_detection",
     "detection_scores": "bubble_detection",
@@ -85,9 +90,11 @@ _HOMES = {
     "read_volume": "code_reading",
     "reading": "code_reading",
     "response": "velocity_error",
+    "sauter_mm": "size_distributions",
     "score_frame": "reconstruction_error",
     "self_calibration_scores": "calibration_error",
     "single_views": "code_reading",
+    "size_scores": "size_distributions",
     "spacing_error": "calibration_error",
     "trajectory_scores": "trajectories",
     "vector_scores": "trajectories",

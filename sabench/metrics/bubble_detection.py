@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from sabench.api import Detections
 from sabench.api.truth import Bubbles
 from sabench.metrics.averages import ratio
+from sabench.metrics.size_distributions import size_scores
 from sabench.utils.arrays import F64, I64, Bool
 
 LARGE_MM = 0.5  # radius of what counts as a large bubble
@@ -136,16 +137,11 @@ def nearest(bubbles: AnyBubbles, points_mm: F64) -> I64:
 
 
 def _totals(estimate: AnyBubbles, truth: AnyBubbles) -> dict[str, float]:
-    """Compute errors of the distribution of sizes and of the total volume, percent."""
-    from scipy.stats import wasserstein_distance  # takes long to load
-
-    own, true = estimate.radius_mm, truth.radius_mm
-    sizes = wasserstein_distance(own, true) / true.mean() if len(own) and len(true) else np.nan
+    """Compute errors of the distribution of sizes and of the total volume."""
     air, true_air = (
         4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (estimate, truth)
     )
-    return {
-        "sizes_percent": 100.0 * float(sizes),
+    return size_scores(estimate.radius_mm, truth.radius_mm) | {
         "void_percent": 100.0 * abs(air - true_air) / true_air if true_air else np.nan,
     }
 

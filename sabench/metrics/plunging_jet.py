@@ -2,8 +2,9 @@
 
 Source: thesis, section 5.5. Bins are 20 mm along Y and 8 mm along R. Y_p is the mean of the depth
 where the concentration drops and the bin above. D_eq is where the concentration at the bin above
-falls to 5 % (`edge`) of its largest there. C_Y is a sum over R without a weight (equation 5.17).
-The scaling is that of equation 5.18.
+falls to 5 % (`edge`) of its largest there. The angle is that of a cone from the point of impact to
+D_eq at Y_p, as the values of table 5.2 are. C_tot is the part of a cone a tenth wider that is air.
+C_Y is a sum over R without a weight (equation 5.17). The scaling is that of equation 5.18.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.optimize import OptimizeWarning, curve_fit
 
 from sabench.utils.arrays import F64
+from sabench.worlds.library.plunging_jet import MARGIN
 
 DEPTH_MM, RADIUS_MM = 20.0, 8.0  # bins
 _CLOUD = 0.2  # of the largest C_Y
@@ -32,6 +34,9 @@ class JetFigures:
     total : C_Y (depth,), mm.
     largest : C_max (depth,).
     half_radius_mm : R_.5 (depth,).
+    penetration_mm, equivalent_mm, angle_deg : Y_p, D_eq, half angle of the cone.
+    cone_percent : C_tot, of the cone down to Y_p.
+    weight, width : A and s of equation 5.18.
     """
 
     depth_mm: F64
@@ -43,6 +48,7 @@ class JetFigures:
     penetration_mm: float
     equivalent_mm: float
     angle_deg: float
+    cone_percent: float
     weight: float
     width: float
 
@@ -89,15 +95,28 @@ def analyse(
     if drop is not None:
         penetration = float(y[drop] + y[drop - 1]) / 2.0
         equivalent = 2.0 * _falls_to(r, concentration[drop - 1], edge)
-    angle = (
-        float(np.rad2deg(np.arctan2(equivalent / 2.0, y[drop - 1])))
-        if drop is not None
-        else float("nan")
-    )
-    weight, width = _scaling(y, total, penetration)
+    angle = float(np.rad2deg(np.arctan2(equivalent / 2.0, penetration)))
     return JetFigures(
-        y, r, concentration, total, largest, half, penetration, equivalent, angle, weight, width
+        y,
+        r,
+        concentration,
+        total,
+        largest,
+        half,
+        penetration,
+        equivalent,
+        angle,
+        _cone_percent(position, volume, penetration, equivalent) / frames,
+        *_scaling(y, total, penetration),
     )
+
+
+def _cone_percent(position: F64, volume: F64, penetration: float, equivalent: float) -> float:
+    """Compute the share of air in the cone down to Y_p, a tenth wider than D_eq."""
+    slope = MARGIN * equivalent / 2.0 / penetration
+    y, r = position[:, 1], np.hypot(position[:, 0], position[:, 2])
+    air = float(volume[(y > 0.0) & (y <= penetration) & (r <= slope * y)].sum())
+    return 100.0 * air / (np.pi * slope**2 * penetration**3 / 3.0)
 
 
 def _falls_to(r: F64, profile: F64, fraction: float) -> float:
@@ -131,10 +150,17 @@ def _drop(total: F64) -> int | None:
 
 
 def _scaling(y: F64, total: F64, penetration: float) -> tuple[float, float]:
-    """Fit A and s of equation 5.18."""
+    """Fit A and s of equation 5.18 to C_Y of one jet."""
     if not np.isfinite(penetration) or len(y) < 4:
         return float("nan"), float("nan")
-    scaled = (y - y[total.argmax()]) / penetration
+    return fit_total((y - y[total.argmax()]) / penetration, total / total.max())
+
+
+def fit_total(scaled: F64, share: F64) -> tuple[float, float]:
+    """Fit A and s of equation 5.18 to C_Y over its maximum at scaled depths (n,).
+
+    NaN where the fit does not converge.
+    """
 
     def law(x: F64, weight: float, width: float) -> F64:
         return np.asarray(weight * np.exp(-(x**2) / (2.0 * width**2)) + (1.0 - weight))
@@ -142,9 +168,7 @@ def _scaling(y: F64, total: F64, penetration: float) -> tuple[float, float]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", OptimizeWarning)
-            (weight, width), _ = curve_fit(
-                law, scaled, total / total.max(), p0=(0.9, 0.2), maxfev=4000
-            )
+            (weight, width), _ = curve_fit(law, scaled, share, p0=(0.9, 0.2), maxfev=4000)
     except RuntimeError:
         return float("nan"), float("nan")
     return float(weight), abs(float(width))

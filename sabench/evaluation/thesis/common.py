@@ -68,7 +68,7 @@ def make_row(
     thesis: float | None,
     values: Sequence[float],
     note: str = "",
-    better: Better = "larger",
+    better: Better = "neither",
 ) -> Row:
     """Make a row of a value that the thesis may state."""
     mean = mean_of(values)
@@ -78,7 +78,7 @@ def make_row(
     return Row(name, thesis, mean.mean, judged, mean.half_width, mean.count, note)
 
 
-def verdict(measured: float, thesis: float | None, better: Better = "larger") -> str:
+def verdict(measured: float, thesis: float | None, better: Better = "neither") -> str:
     """Judge whether a value is the thesis's to within `AGREES`, else better or worse.
 
     Parameters

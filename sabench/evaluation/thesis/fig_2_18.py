@@ -137,7 +137,6 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
         _THESIS["core"],
         own.distance,
         note,
-        "neither",
     )
     yield make_row(
         f"{name}: spread of the circulation over angles, %",

@@ -155,14 +155,12 @@ def _rows_of_shape(found: Sequence[_Grey]) -> Iterator[Row]:
         1.0,
         [_ratio(one, np.ones_like(one.near)) for one in found],
         "1 for independent images",
-        "neither",
     )
     yield make_row(
         "the same without particles in focus",
         1.0,
         [_ratio(one, one.away) for one in found],
         f"at {_AWAY} voxels or more from all particles",
-        "neither",
     )
     kept = [one.refocused > one.refocused.mean() + _K * one.refocused.std() for one in found]
     yield make_row(

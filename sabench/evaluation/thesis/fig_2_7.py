@@ -59,6 +59,7 @@ def _camera_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
                 _STATED.get((cameras, per_mm3)),
                 values,
                 note,
+                "larger",
             )
     for (method, per_mm3), curve in curves.items():
         yield _saturation(f"Q at {per_mm3:g} per mm3 saturates, {method}", curve)
@@ -94,7 +95,8 @@ def _error_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     for method, curve in curves.items():
         limits = [falls_to(ADEQUATE, errors, values) for values in zip(*curve, strict=True)]
         known = [limit for limit in limits if limit is not None]
-        yield make_row(f"mapping error at which Q falls to 0.75, px, {method}", _LIMIT_PX, known)
+        row = f"mapping error at which Q falls to 0.75, px, {method}"
+        yield make_row(row, _LIMIT_PX, known, better="larger")
 
 
 def falls_to(level: float, x: Sequence[float], y: Sequence[float]) -> float | None:

@@ -40,7 +40,6 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
                     _MEAN if name == "projective" else None,
                     [mean],
                     f"std {std:.3g} px (thesis {_STD})",
-                    "neither",
                 )
                 means.append(mean if name == "projective" else 0.0)
     yield claim(

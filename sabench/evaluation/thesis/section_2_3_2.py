@@ -41,9 +41,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         note = f"cameras are {mean.mean if mean else 0.0:.3f} px off on the average"
         every_yield = [one.detections / one.truths for one in every]
         thesis = 0.13 / 0.23 if name == f"{_SHIFTS_PX[0]:g} px off" else None
-        yield make_row(
-            f"{name}: particles found over true ones", thesis, every_yield, note, "neither"
-        )
+        yield make_row(f"{name}: particles found over true ones", thesis, every_yield, note)
         yield make_row(f"{name}: true %", None, [one.true_percent for one in every])
         ghosts = [one.ghost_percent for one in every if one.ghost_percent is not None]
         yield make_row(f"{name}: ghost %", None, ghosts)

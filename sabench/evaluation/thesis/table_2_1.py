@@ -78,7 +78,11 @@ def _density_rows(label: str, case: SceneCase, trial: Trial, seeds: Sequence[int
     thesis = density(case.scene)
     tuned = crossings(lambda per_mm3, seed: trial(per_mm3, seed).best, thesis, seeds)
     yield make_row(
-        f"{label}: particles per mm3", thesis, tuned, f"thesis: {per_pixel(case.scene):.2f} ppp"
+        f"{label}: particles per mm3",
+        thesis,
+        tuned,
+        f"thesis: {per_pixel(case.scene):.2f} ppp",
+        "larger",
     )
     blind = crossings(lambda per_mm3, seed: trial(per_mm3, seed).blind, thesis, seeds)
     yield make_row(
@@ -128,7 +132,6 @@ def _spacing_row(case: SceneCase) -> Row:
         along / across,
         [spacing / across],
         f"equation 2.10 at Z = 0: {predicted:.4g}",
-        "neither",
     )
 
 

@@ -1,136 +1,77 @@
-"""Table 5.2 and section 5.5: three plunging jets from detected bubbles.
+"""Table 5.2 and figures 5-18 to 5-20: three plunging jets from detected bubbles.
 
-Penetration depth, angle and scaling are those of bubbles detected in rendered frames.
+All values are those of bubbles detected in rendered frames. The scenes were built to the thesis's
+values, which are measurements of its own jets.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
-from sabench.api import Detections, Observation
-from sabench.api.make import make_algorithm
-from sabench.api.truth import Bubbles
-from sabench.evaluation.thesis.chapter_5 import pictures, render_first_frame
-from sabench.evaluation.thesis.common import Item, coarsen, make_row
-from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
-from sabench.plotting.charts import Curve, Figure, Panel, Space
-from sabench.scenes import Scene, load_scene
-from sabench.simulation.frame_content import FrameContent
-from sabench.simulation.rendering.pixel_truth import see
-from sabench.tasks.bubbles import JET, jet_figures, jet_of
-from sabench.utils.progress import console
-from sabench.worlds.library.plunging_jet import JetLaw
+from sabench.evaluation.thesis.chapter_5 import (
+    JETS,
+    SOLVER,
+    JetFrames,
+    detect_jets,
+    jet_rows,
+)
+from sabench.evaluation.thesis.common import Item, make_row
+from sabench.metrics.bubble_detection import detection_scores
+from sabench.plotting.charts import Figure, Panel, Space
 
 SEEDS = 10
-_HEIGHTS, _PICTURED = (
-    (7, 21, 43),
-    21,
-)  # mm of the nozzle above the surface; that of figures 5-5 to 5-11
-_SOLVER = "rim_fit"
-_THESIS = {
-    7: (211.5, 11.6),
-    21: (160.0, 10.9),
-    43: (120.0, 11.3),
-}  # table 5.2: Y_p in mm, angle in degrees
-_SCALING = {"weight": 0.903, "width": 0.1894}  # of equation 5.18
+_FIGURES = dict(zip(JETS, ("5-18", "5-19", "5-20"), strict=True))
 _LARGE = {
     "f1_large": "F1 of bubbles of 0.5 mm radius and more",
     "radius_percent": "radius error, %",
     "depth_mm": "depth error, mm",
 }
+_WEIGHT, _WIDTH = 0.903, 0.1894  # of equation 5.18
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure errors of the bubbles, and the jet's figures, per jet.
 
-    Errors are means over frames. Figures are from all frames together, of true and of detected
-    bubbles.
+    Errors are means over frames. Figures are from all frames together, of detected bubbles; notes
+    give those of true ones.
     """
-    for height in _HEIGHTS:
-        scene = coarsen(load_scene(f"plunging-jet-{height}"), pixels)
-        true: list[AnyBubbles] = []
-        found: list[AnyBubbles] = []
-        scores: list[dict[str, float]] = []
-        for seed in seeds:
-            frame, bubbles, case = render_first_frame(scene, seed)
-            if (height, seed) == (_PICTURED, seeds[0]):
-                yield from pictures(case)
-            start = time.perf_counter()
-            guess = _solve(case)
-            spent = time.perf_counter() - start
-            scores.append(detection_scores(guess, bubbles, _visible_part(frame, bubbles)))
-            console.print(
-                f"h = {height} mm, seed {seed}: F1 {scores[-1]['f1_large']:.3f}, {spent:.0f} s",
-                markup=False,
-                highlight=False,
-            )
-            true.append(bubbles)
-            found.append(guess)
-        yield from _figures(scene, height, true, found)
-        yield from _rows(scene, height, scores, true, found)
+    for jet in detect_jets(seeds, pixels):
+        yield _figure(jet)
+        yield from _errors(jet)
+        yield from _table(jet)
 
 
-def _solve(case: Observation) -> Detections:
-    algorithm: Any = make_algorithm(_SOLVER, {})
-    made: Detections = algorithm.solve(case)
-    return made
-
-
-def _visible_part(frame: FrameContent, bubbles: Bubbles) -> Any:
-    """Average the visible part of each bubble's outline over the cameras."""
-    sights = [see(camera, bubbles, frame.solids) for camera in frame.rig.cameras]
-    return np.mean([sight.visible for sight in sights], axis=0)
-
-
-def _rows(
-    scene: Scene,
-    height: int,
-    scores: list[dict[str, float]],
-    true: list[AnyBubbles],
-    found: list[AnyBubbles],
-) -> Iterator[Item]:
+def _errors(jet: JetFrames) -> Iterator[Item]:
+    scores = [
+        detection_scores(found, true, np.ones(len(true.center_mm)))
+        for found, true in zip(jet.found, jet.true, strict=True)
+    ]
     for key, name in _LARGE.items():
-        yield make_row(f"h = {height} mm, {_SOLVER}: {name}", None, [one[key] for one in scores])
-    known, guess = jet_figures(scene, true), jet_figures(scene, found)
-    stated = dict(zip(("penetration_mm", "angle_deg"), _THESIS[height], strict=True)) | _SCALING
-    for name in JET.values():
-        exact, measured = getattr(known, name), getattr(guess, name)
-        error = 100.0 * (measured / exact - 1.0)
-        note = f"{len(true)} frames together; of the true bubbles {exact:.4g}: {error:+.1f} %"
-        yield make_row(
-            f"h = {height} mm: {name}",
-            stated[name],
-            [measured] if np.isfinite(measured) else [],
-            note,
-            "neither",
-        )
+        values = [one[key] for one in scores if np.isfinite(one[key])]
+        yield make_row(f"h = {jet.height} mm, {SOLVER}: {name}", None, values)
 
 
-def _figures(
-    scene: Scene, height: int, true: list[AnyBubbles], found: list[AnyBubbles]
-) -> Iterator[Item]:
-    """Draw figures 5-18 to 5-20 of the first frame, and C_Y over depth."""
-    number = {7: "5-18", 21: "5-19", 43: "5-20"}[height]
+def _table(jet: JetFrames) -> Iterator[Item]:
+    every, printed = jet.analyse(), jet.printed
+    for key, name, thesis in (
+        ("cone_percent", "C_tot, %", printed.total_percent),
+        ("penetration_mm", "Y_p, mm", printed.penetration_mm),
+        ("equivalent_mm", "D_eq, mm", printed.equivalent_mm),
+        ("angle_deg", "angle, degrees", printed.angle_deg),
+        ("weight", "A of equation 5.18", _WEIGHT),
+        ("width", "s of equation 5.18", _WIDTH),
+    ):
+        own = [float(getattr(figures, key)) for figures in every.values()]
+        yield from jet_rows(f"h = {jet.height} mm: {name}", thesis, *own)
+
+
+def _figure(jet: JetFrames) -> Figure:
+    """Draw the true and the found bubbles of the first frame in space."""
     panels = tuple(
         Panel(title, "X, mm", "", (Space("radius, mm", one.center_mm, one.radius_mm),))
-        for title, one in (("true", true[0]), ("found", found[0]))
+        for title, one in (("true", jet.true[0]), ("found", jet.found[0]))
     )
-    yield Figure(f"fig-{number}", f"bubbles, h = {height} mm", panels, inch=(4.6, 6.4))
-    curves = []
-    for name, balls in (("true bubbles", true), ("found", found)):
-        found_jet = jet_figures(scene, balls)
-        share = found_jet.total / max(float(found_jet.total.max()), 1e-12)
-        curves.append(Curve(name, list(found_jet.depth_mm), list(share)))
-    if (jet := jet_of(scene)) is not None:
-        law = JetLaw(jet["penetration_mm"], jet["equivalent_mm"], jet["total_percent"] / 100.0)
-        y = np.linspace(0.0, curves[0].x[-1], 100)
-        curves.append(Curve("equation 5.18", list(y), list(law.total_over_peak(y))))
-    yield Figure(
-        f"fig-5-30-{height}",
-        f"concentration over depth, h = {height} mm",
-        (Panel("", "Y, mm", "C_Y over its largest", tuple(curves)),),
-    )
+    number = _FIGURES[jet.height]
+    return Figure(f"fig-{number}", f"bubbles, h = {jet.height} mm", panels, inch=(4.6, 6.4))

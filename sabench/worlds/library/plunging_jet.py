@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.integrate import quad
 
+from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64
 
 LN2 = 0.69315  # as equation 5.19 writes it
@@ -117,3 +118,15 @@ class JetLaw:
         return np.asarray(
             self.largest * self.axis_over_peak(y) * np.pi * self.half_radius_mm(y) ** 2 / LN2
         )
+
+
+def rotation_from_y(tilt_deg: tuple[float, float]) -> F64:
+    """Make the rotation (3, 3) of least angle from +Y onto an axis.
+
+    `tilt_deg` are the axis's angles to +Y as seen along Z (positive towards +X) and along X
+    (positive towards +Z).
+    """
+    x, z = np.tan(np.deg2rad(tilt_deg))
+    length = float(np.hypot(x, z))
+    vector = np.array([z, 0.0, -x]) * (np.arctan(length) / length if length else 0.0)
+    return rotation_matrices(vector)

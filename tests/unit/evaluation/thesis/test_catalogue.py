@@ -71,10 +71,10 @@ def test_verdicts_are_summed_up(entry: Entry, expected: str) -> None:
 
 
 def test_a_smaller_error_exceeds_and_a_quantity_differs() -> None:
-    assert verdict(0.9, 1.0) == "below"
-    assert verdict(1.1, 1.0) == "exceeds"
+    assert verdict(0.9, 1.0, "larger") == "below"
+    assert verdict(1.1, 1.0, "larger") == "exceeds"
     assert verdict(0.9, 1.0, "smaller") == "exceeds"
     assert verdict(1.1, 1.0, "smaller") == "below"
-    assert verdict(1.1, 1.0, "neither") == "differs"
+    assert verdict(1.1, 1.0) == "differs"
     assert verdict(1.04, 1.0, "smaller") == "reproduced"
     assert verdict(1.0, None) == UNSTATED

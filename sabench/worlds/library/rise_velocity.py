@@ -1,0 +1,137 @@
+"""Terminal velocity of single bubbles in a clean liquid, against their diameter.
+
+Small bubbles are oblate spheroids with a thin boundary layer that slips: Moore, "The velocity of
+rise of distorted gas bubbles in a liquid of small viscosity", J. Fluid Mech. 23 (1965), with his
+integral of the wake as the polynomial of Loth, Int. J. Multiphase Flow 34 (2008). Large ones move
+like waves: equation 7-3 of Clift, Grace and Weber, "Bubbles, Drops, and Particles" (1978). A bubble
+rises at the lower of both velocities.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from sabench.utils.arrays import F64
+
+_CAPILLARY, _GRAVITY = 2.14, 0.505  # of the wave-like velocity
+_ROUND, _FLATTEST = 1.0 + 1e-4, 3.9  # long over short axis: Moore's Weber number rises up to there
+_AXIS_RATIOS = 1000  # of the tabulated spheroids
+_LEAST_RE = 5.0  # the law gives no drag below
+
+
+@dataclass(frozen=True)
+class Liquid:
+    """Liquid around bubbles of negligible density, in SI units; water by default.
+
+    Attributes
+    ----------
+    density : kg/m3.
+    viscosity : kinematic, m2/s.
+    tension : surface tension, N/m.
+    gravity : m/s2.
+    """
+
+    density: float = 1000.0
+    viscosity: float = 1e-6
+    tension: float = 0.073
+    gravity: float = 9.81
+
+    @property
+    def morton(self) -> float:
+        """Morton number, equation 5.4 of the thesis."""
+        return self.gravity * self.viscosity**4 * self.density**3 / self.tension**3
+
+    @property
+    def slowest_mm(self) -> float:
+        """Diameter at the minimum of the wave-like velocity."""
+        return 1e3 * float(
+            np.sqrt(_CAPILLARY * self.tension / (_GRAVITY * self.density * self.gravity))
+        )
+
+
+def wave_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
+    """Compute the velocity (n,) of large bubbles in m/s; viscosity is negligible."""
+    d = 1e-3 * np.asarray(diameter_mm)
+    return np.asarray(
+        np.sqrt(_CAPILLARY * liquid.tension / (liquid.density * d) + _GRAVITY * liquid.gravity * d)
+    )
+
+
+def spheroid_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
+    """Compute the velocity (n,) in m/s of small bubbles, by Moore's law.
+
+    NaN for bubbles that would be flatter than the law allows. It is accurate from Reynolds numbers
+    of about 50.
+    """
+    return np.array([_balance(1e-3 * d, liquid) for d in np.atleast_1d(diameter_mm)])
+
+
+def terminal_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
+    """Compute the velocity (n,) in m/s at which bubbles of equivalent diameters rise."""
+    return np.fmin(spheroid_velocity(diameter_mm, liquid), wave_velocity(diameter_mm, liquid))
+
+
+def transition_diameter_mm(largest_mm: float, liquid: Liquid) -> float:
+    """Compute the diameter of the largest bubbles that remain below Y_p.
+
+    They rise as fast as the slowest large bubble: the largest one or, if that is beyond the minimum
+    of the velocity, one at the minimum. Source: thesis, section 5.5.2 and figure 5-23.
+
+    Raises
+    ------
+    ValueError
+        The largest bubble is on the rising part of the law.
+    """
+    slow = float(wave_velocity(np.array(min(largest_mm, liquid.slowest_mm)), liquid))
+    small = np.linspace(0.2, 2.0, 1801)
+    there = np.flatnonzero(spheroid_velocity(small, liquid) >= slow)
+    if not len(there):
+        raise ValueError(f"largest_mm: expected a bubble beyond the fastest, got {largest_mm:g}")
+    return float(small[there[0]])
+
+
+def weber(ratio: F64) -> F64:
+    """Compute Moore's Weber number (n,) of spheroids of long over short axis `ratio`."""
+    chi = np.asarray(ratio)
+    root, angle = np.sqrt(chi**2 - 1.0), np.arccos(1.0 / chi)
+    bracket = chi**2 * angle - root
+    return np.asarray(
+        4.0 * chi ** (-4.0 / 3.0) * (chi**3 + chi - 2.0) * bracket**2 / (chi**2 - 1.0) ** 3
+    )
+
+
+def drag_factors(ratio: F64) -> tuple[F64, F64]:
+    """Compute Moore's G and H: the drag coefficient is 48 G / Re (1 + H / sqrt(Re))."""
+    chi = np.asarray(ratio)
+    root, angle = np.sqrt(chi**2 - 1.0), np.arccos(1.0 / chi)
+    dissipated = (
+        chi ** (4.0 / 3.0)
+        * root**3
+        * (root - (2.0 - chi**2) * angle)
+        / (3.0 * (chi**2 * angle - root) ** 2)
+    )
+    wake = np.polyval([0.0195, -0.2134, 1.7026, -2.1461, -1.5732], chi)
+    return np.asarray(dissipated), np.asarray(wake)
+
+
+def _balance(d: float, liquid: Liquid) -> float:
+    """Find the velocity at which drag and buoyancy of a bubble agree; d in m."""
+    ratios = np.geomspace(_ROUND, _FLATTEST, _AXIS_RATIOS)
+    numbers = weber(ratios)
+
+    def excess(speed: float) -> float:
+        own = liquid.density * speed**2 * d / liquid.tension
+        ratio = np.asarray(np.interp(own, numbers, ratios))
+        g, h = (float(factor) for factor in drag_factors(ratio))
+        re = speed * d / liquid.viscosity
+        drag = 48.0 * g / re * (1.0 + h / float(np.sqrt(re)))
+        return drag * speed**2 - 4.0 / 3.0 * liquid.gravity * d
+
+    slowest = _LEAST_RE * liquid.viscosity / d
+    fastest = float(np.sqrt(numbers[-1] * liquid.tension / (liquid.density * d)))
+    if excess(slowest) >= 0.0 or excess(fastest) <= 0.0:
+        return float("nan")
+    return float(brentq(excess, slowest, fastest))
