@@ -99,7 +99,7 @@ class Plane(Surface):
 
 
 class Cylinder(Plane):
-    """Cylinder around an axis along its own Y, which touches its origin: u is arc length."""
+    """Cylinder through its own origin, around an axis along its Y: u is arc length."""
 
     radius_mm: float = Field(
         description="positive: the axis lies behind the surface, which is convex to the cameras; "
@@ -172,9 +172,9 @@ def bend(points_mm: F64, radius_mm: float) -> F64:
 
 
 def normals_of(points_mm: F64) -> F64:
-    """Compute unit normals (row, column, 3) of a surface's points, away from its front.
+    """Compute unit normals (row, column, 3) of a surface's points.
 
-    They are cross products of central differences; NaN where a neighbour has no point.
+    They point away from its front. They are cross products of central differences; NaN where a neighbour has no point.
     """
     along, down = np.gradient(points_mm, axis=1), np.gradient(points_mm, axis=0)
     normals = np.cross(along, down)
@@ -202,7 +202,7 @@ def _read_points(path: Path) -> tuple[F64, F64, Heights]:
 
 
 def _read_heights(path: Path, spacing_mm: float) -> tuple[F64, F64, Heights]:
-    """Read heights at pixels (row along v, column along u), with linear interpolation."""
+    """Read heights at pixels, rows along v and columns along u; linear between."""
     from scipy.ndimage import map_coordinates
 
     heights = _decode(path)

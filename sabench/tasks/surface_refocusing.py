@@ -119,11 +119,12 @@ def refocus_frame(case: Observation, surface: Surface, join: Join) -> tuple[Surf
 
 
 def _light(case: Observation, join: Join) -> F32:
-    """Scale images (camera, row, column) to 0 for black and 1 for white, or for the diffuser."""
+    """Scale images to 0 for black and 1 for white, or for the diffuser's light."""
     if join == "dark":
         return np.clip(transmission(case), 0.0, 1.0)
     span = np.float32(case.white_dn - case.black_dn)
-    return np.clip((case.images.astype(np.float32) - np.float32(case.black_dn)) / span, 0.0, 1.0)
+    light = (case.images.astype(np.float32) - np.float32(case.black_dn)) / span
+    return np.asarray(np.clip(light, 0.0, 1.0))
 
 
 def describe(surface: Surface, image: SurfaceImage, points_mm: F64) -> dict[str, Any]:

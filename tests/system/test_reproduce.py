@@ -75,6 +75,7 @@ def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) 
 
 SLOW = (
     "fig-1-3",
+    "section-2-2-2",
     "fig-6-5",
     "table-5-2",
     "fig-2-18",
@@ -95,6 +96,7 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
     "fig-2-7-cameras": {"_CALIBRATIONS": ("refractive_autocal",), "_RECONSTRUCTIONS": ("msa",)},
     "fig-2-18": {"_VOLUMES": ("asa",), "_PIV": ("piv3d_plain",)},
     "fig-1-3": {"_METHODS": ("additive",), "load_scene": seen_by_nine},
+    "section-2-2-2": {"_JOINS": ("additive",), "_STEP_MM": 5.0, "load_scene": seen_by_nine},
     "fig-6-5": {"_SOLVERS": ("minimum_image",)},
     "table-5-2": {"_HEIGHTS": (21,), "_SOLVER": "minimum_image"},
     "fig-4-16": {"STARTS": (0.01,)},

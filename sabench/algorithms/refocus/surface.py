@@ -81,7 +81,7 @@ def refocus_on_surface(
 def _sample(
     spline: F32, camera: CameraModel, points: F64, normals: F64, covered: Bool | None
 ) -> F32:
-    """Sample an image's cubic B-spline at points (n, 3); NaN where it does not show them."""
+    """Sample an image's cubic B-spline at points (n, 3); NaN where they are hidden."""
     there = np.flatnonzero(np.isfinite(points).all(axis=1))
     pixels, valid = camera.project(points[there])
     column, row = pixels.T

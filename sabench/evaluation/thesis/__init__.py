@@ -24,6 +24,7 @@ TABLES = {
     "fig-3-8": "true and ghost particles against the number of particles",
     "fig-2-7-cameras": "Q with the cameras of every calibration; same images through a wall",
     "fig-1-3": "code behind bubbles, read in single views and in refocused planes",
+    "section-2-2-2": "code on a cylinder behind bubbles, on the refocused cylinder and in planes",
     "table-5-2": "three plunging jets from detected bubbles (table 5.2, figures 5-18 to 5-20)",
     "fig-6-5": "refocused liquid jet in a cross-flow, and detected drops (figures 6-4 and 6-5)",
     "fig-4-6": "error of camera models without refraction",
