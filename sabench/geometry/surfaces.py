@@ -174,7 +174,8 @@ def bend(points_mm: F64, radius_mm: float) -> F64:
 def normals_of(points_mm: F64) -> F64:
     """Compute unit normals (row, column, 3) of a surface's points.
 
-    They point away from its front. They are cross products of central differences; NaN where a neighbour has no point.
+    They point away from its front. They are cross products of central differences; NaN where a
+    neighbour has no point.
     """
     along, down = np.gradient(points_mm, axis=1), np.gradient(points_mm, axis=0)
     normals = np.cross(along, down)
