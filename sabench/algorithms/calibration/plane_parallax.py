@@ -67,14 +67,20 @@ def plane_homography(name: str, plane_mm: F64, pixels: F64) -> F64:
     InputError
         Fewer than four points, or points on one line.
     """
-    matrix = cv2.findHomography(plane_mm, pixels)[0] if len(pixels) >= _FEWEST else None
-    spread = np.linalg.svd(plane_mm - plane_mm.mean(axis=0), compute_uv=False)
-    if matrix is None or spread[-1] <= 1e-6 * spread[0]:
+    matrix = cv2.findHomography(plane_mm, pixels)[0] if _spans_area(plane_mm) else None
+    if matrix is None:
         raise InputError(
             f"{name}: expected {_FEWEST} points or more of the reference plane that are not on one "
             f"line, got {len(pixels)} that determine no homography"
         )
     return np.asarray(matrix)
+
+
+def _spans_area(plane_mm: F64) -> bool:
+    if len(plane_mm) < _FEWEST:
+        return False
+    spread = np.linalg.svd(plane_mm - plane_mm.mean(axis=0), compute_uv=False)
+    return bool(spread[-1] > 1e-6 * spread[0])
 
 
 def align(homography: F64, pixels: F64) -> F64:
@@ -146,9 +152,7 @@ def make_cameras(
         names_and_sizes, homographies, found.offsets, strict=True
     ):
         x, y = scale.center + scale.offset * offset
-        to_plane = np.array(
-            [[1.0, 0.0, x, 0.0], [0.0, 1.0, y, 0.0], [0.0, 0.0, scale.per_mm, 1.0]]
-        )
+        to_plane = np.array([[1.0, 0.0, x, 0.0], [0.0, 1.0, y, 0.0], [0.0, 0.0, scale.per_mm, 1.0]])
         shift = np.eye(4)
         shift[2, 3] = -reference_z_mm
         matrix = homography @ to_plane @ shift
