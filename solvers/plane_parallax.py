@@ -22,7 +22,7 @@ _SMALL_PX = 0.02  # misfit that is not worth a warning
 
 
 class PlaneParallax(CalibrationSolver):
-    """Homographies of one plane, and the cameras' places by the parallax of other depths.
+    """Homographies of one plane, and cameras' places by the parallax of others.
 
     For cameras on one plane, without refraction and distortion. Nothing of the nominal cameras is
     used. The reference plane is a frame of the target at one Z, parallel to the cameras' plane. The

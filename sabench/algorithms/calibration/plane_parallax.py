@@ -60,7 +60,9 @@ class DepthScale(NamedTuple):
 
 
 def plane_homography(name: str, plane_mm: F64, pixels: F64) -> F64:
-    """Fit the homography (3, 3) from a plane (n, 2) to pixels (n, 2), by least squares.
+    """Fit the homography (3, 3) from points of a plane (n, 2) to pixels (n, 2).
+
+    The fit is one of least squares in the image.
 
     Raises
     ------
@@ -90,7 +92,7 @@ def align(homography: F64, pixels: F64) -> F64:
 
 
 def factorise_parallax(aligned: F64, seen: Bool) -> RankOne:
-    """Factorise aligned images (camera, n, 2) into the cameras' offsets and points' parallax.
+    """Factorise aligned images (camera, n, 2) into offsets and parallax.
 
     Images that are not `seen` (camera, n) are filled in from the product, again and again.
     """
@@ -114,9 +116,9 @@ def factorise_parallax(aligned: F64, seen: Bool) -> RankOne:
 
 
 def fit_depth_scale(found: RankOne, points_mm: F64) -> DepthScale:
-    """Fit the depth scale to known places (n, 3), whose Z counts from the reference plane.
+    """Fit the depth scale to known places (n, 3).
 
-    It is linear: middle (1 + g Z) = P + Z (g C) and parallax (1 + g Z) = Z (g times the factor).
+    Their Z counts from the reference plane. The fit is linear: middle (1 + g Z) = P + Z (g C) and parallax (1 + g Z) = Z (g times the factor).
 
     Raises
     ------
@@ -146,7 +148,7 @@ def make_cameras(
     scale: DepthScale,
     reference_z_mm: float,
 ) -> tuple[Projective, ...]:
-    """Make projective cameras of homographies (camera, 3, 3), offsets and the depth scale."""
+    """Make projective cameras of homographies (camera, 3, 3) and offsets."""
     cameras = []
     for (name, rows, columns), homography, offset in zip(
         names_and_sizes, homographies, found.offsets, strict=True
@@ -163,9 +165,9 @@ def make_cameras(
 
 
 def misfit_px(errors_px: F64, target_mm: F64) -> tuple[float, float]:
-    """Split reprojection errors (camera, frame, point, 2): what neighbours share, and noise.
+    """Split reprojection errors into what neighbours share, and noise.
 
-    Both are root mean squares of one coordinate in px.
+    The errors are (camera, frame, point, 2). Both are root mean squares of one coordinate in px.
     """
     shared = float(np.sqrt(np.mean(correlated_part(errors_px, neighbours(target_mm)) ** 2)))
     noise = float(np.sqrt(max(np.nanmean(errors_px**2) - shared**2, 0.0)))

@@ -1,4 +1,4 @@
-"""Section 2.2.2: a code on a curved wall, refocused on the wall and in flat planes."""
+"""Section 2.2.2: a code on a curved wall, refocused on it and in flat planes."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _depths(code: Code) -> F64:
 
 
 def _flat_code(scene: Scene, seed: int) -> Code:
-    """Make the same code before it is bent, in (arc length, Y, 0) about its own origin."""
+    """Make the same code before it is bent, in (arc length, Y, 0) of its frame."""
     plate = {key: value for key, value in bodies_of(scene)[0].items() if key != "bend_radius_mm"}
     plate["place_mm"] = [0.0, 0.0, scene.volume.center_mm[2]]
     flat = code_of(override(scene, {"solids": [plate]}, scene.title), seed, 0)

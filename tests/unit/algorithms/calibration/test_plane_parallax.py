@@ -78,7 +78,8 @@ def test_exact_images_give_the_exact_cameras() -> None:
     assert true_error_px(answer.cameras, points, exact) < 1e-4
     for made, true in zip(answer.cameras, cameras, strict=True):
         np.testing.assert_allclose(made.center_mm, true.center_mm, atol=1e-3)
-    other = np.random.default_rng(1).uniform(-25.0, 25.0, (50, 3)) + [0.0, 0.0, 35.0]
+    other = np.random.default_rng(1).uniform(-25.0, 25.0, (50, 3))
+    other[:, 2] += 35.0
     for made, true in zip(answer.cameras, cameras, strict=True):
         np.testing.assert_allclose(made.project(other)[0], true.project(other)[0], atol=1e-3)
 
