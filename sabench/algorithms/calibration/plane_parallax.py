@@ -118,7 +118,8 @@ def factorise_parallax(aligned: F64, seen: Bool) -> RankOne:
 def fit_depth_scale(found: RankOne, points_mm: F64) -> DepthScale:
     """Fit the depth scale to known places (n, 3).
 
-    Their Z counts from the reference plane. The fit is linear: middle (1 + g Z) = P + Z (g C) and parallax (1 + g Z) = Z (g times the factor).
+    Their Z counts from the reference plane. The fit is linear: middle (1 + g Z) = P + Z (g C) and
+    parallax (1 + g Z) = Z (g times the factor).
 
     Raises
     ------
@@ -170,5 +171,5 @@ def misfit_px(errors_px: F64, target_mm: F64) -> tuple[float, float]:
     The errors are (camera, frame, point, 2). Both are root mean squares of one coordinate in px.
     """
     shared = float(np.sqrt(np.mean(correlated_part(errors_px, neighbours(target_mm)) ** 2)))
-    noise = float(np.sqrt(max(np.nanmean(errors_px**2) - shared**2, 0.0)))
+    noise = max(float(np.nanmean(errors_px**2)) - shared**2, 0.0) ** 0.5
     return shared, noise
