@@ -1,11 +1,11 @@
-"""Plate with a code of dark cells."""
+"""Plate with a code of dark cells, flat or bent."""
 
 from __future__ import annotations
 
 import numpy as np
 from pydantic import Field
 
-from sabench.api import F64, Bool, Code, CodeGenerator, Solid, SolidParameters, stream
+from sabench.api import F64, Bool, Code, CodeGenerator, Solid, SolidParameters, bend, stream
 
 _FACES = np.array(
     [
@@ -37,6 +37,11 @@ class CodePlateParameters(SolidParameters):
     rows: int = Field(12, ge=2, le=200)
     cell_mm: float = Field(2.0, gt=0.0, description="edge of a cell")
     thickness_mm: float = Field(0.1, gt=0.0, description="of the dark cells")
+    bend_radius_mm: float | None = Field(
+        None,
+        description="of the cylinder on which the plate lies, around an axis along Y at this Z of "
+        "its own frame; flat by default",
+    )
 
 
 class CodePlate(CodeGenerator):
@@ -75,18 +80,20 @@ class CodePlate(CodeGenerator):
         )
         middles = self._middles()[self._dark(seed)]
         faces = _FACES + 8 * np.arange(len(middles))[:, None, None]
-        return Solid(
-            (middles[:, None] + corners).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
-        )
+        vertices = (middles[:, None] + corners).reshape(-1, 3)
+        return Solid(self._bend(vertices), faces.reshape(-1, 3).astype(np.int64))
 
     def code(self, seed: int) -> Code:
         """Cover the middle quarter of every cell."""
         across = (np.arange(_POINTS) / (_POINTS - 1) - 0.5) * _READ * self.parameters.cell_mm
         x, y = np.meshgrid(across, across)
-        return Code(
-            self._middles()[:, None] + np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]),
-            self._dark(seed),
-        )
+        points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+        return Code(self._bend(self._middles()[:, None] + points), self._dark(seed))
+
+    def _bend(self, points_mm: F64) -> F64:
+        """Lay points (..., 3) of the flat plate on the cylinder."""
+        radius = self.parameters.bend_radius_mm
+        return points_mm if radius is None else bend(points_mm, radius)
 
     def _middles(self) -> F64:
         """List the cells' middles (n, 3), row by row."""

@@ -51,6 +51,7 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Rays, Wall
 from sabench.geometry.rotations import frame_along, rotation_matrices
+from sabench.geometry.surfaces import bend
 from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
@@ -127,6 +128,7 @@ __all__ = [
     "Velocity",
     "VolumePair",
     "Wall",
+    "bend",
     "frame_along",
     "make_algorithm",
     "make_solver",

@@ -22,6 +22,7 @@ from sabench.cli.planning import plan
 from sabench.cli.preprocess import preprocess
 from sabench.cli.quality import quality
 from sabench.cli.recordings import compare_statistics
+from sabench.cli.refocus import refocus
 from sabench.cli.reproduce import reproduce
 from sabench.utils.errors import InputError
 from sabench.utils.version import __version__
@@ -38,6 +39,7 @@ for _command in (
     preprocess,
     solve.solve,
     solve.score,
+    refocus,
     quality,
     exchange.export,
     exchange.import_result,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sabench.utils.arrays import F32, U16
 from sabench.utils.errors import InputError
@@ -90,11 +92,17 @@ def _check_page(path: Path, page: Any, shape: tuple[int, int], pages: int) -> No
 
 def write_exr(path: Path, radiance: F32) -> None:
     """Write photon radiance (rows, columns) as an EXR with one 32-bit channel Y."""
+    write_exr_channels(path, {"Y": radiance})
+
+
+def write_exr_channels(path: Path, channels: Mapping[str, npt.ArrayLike]) -> None:
+    """Write images (rows, columns) as the named 32-bit channels of one EXR."""
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    arrays = {key: np.ascontiguousarray(one, dtype=np.float32) for key, one in channels.items()}
     try:
-        with OpenEXR.File(header, {"Y": np.ascontiguousarray(radiance, dtype=np.float32)}) as file:
+        with OpenEXR.File(header, arrays) as file:
             file.write(str(path))
     except RuntimeError as error:
         raise OSError(f"{path}: {error}") from error

@@ -137,6 +137,15 @@ def test_list_prints_json(command: Command) -> None:
     assert set(NAMES) < {one["name"] for one in read_strictly(done.stdout)}
 
 
+def test_refocus_prints_one_sentence(command: Command, boards: Dataset) -> None:
+    """Points of targets are no images to refocus."""
+    done = command("refocus", boards.root, "-o", "wall", "--json")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("sabench: ")
+    assert "expected" in done.stderr
+
+
 @pytest.mark.parametrize("grey", [0, 255])
 def test_compare_statistics_prints_json_of_images_that_show_nothing(
     command: Command, quick: Dataset, tmp_path: Path, grey: int

@@ -58,6 +58,7 @@ MOST = {
     "soloff": 0.1,
     "polynomial_planes": 0.15,
     "pinhole_linear": 0.3,
+    "plane_parallax": 0.4,  # warns of the wall
     "linear_autocal": 60.0,
 }
 

@@ -125,6 +125,7 @@ SLOW = (
     "flow-behind-bodies",
     "drops-over-time",
     "three-phases",
+    "section-2-2-2",
     "fig-6-5",
     "fig-6-6",
     "table-5-2",
@@ -159,6 +160,7 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
     "fig-2-17": {"_SOLVERS": (("asa", "piv3d_plain"),)},
     "fig-2-18": {"_VOLUMES": ("asa",), "_PIV": ("piv3d_plain",)},
     "fig-1-3": {"_METHODS": ("additive",), "load_scene": seen_by_nine},
+    "section-2-2-2": {"_JOINS": ("additive",), "_STEP_MM": 5.0, "load_scene": seen_by_nine},
     "fig-6-5": {"_SOLVERS": ("minimum_image",)},
     "flow-behind-bodies": {
         "_SCENES": {"propeller": "flow-behind-propeller"},

@@ -5,6 +5,7 @@ Single views show less of it than a refocused plane.
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ import pytest
 from sabench.api.truth import NOTHING
 from sabench.dataset.reader import Dataset
 from sabench.dataset.verification import verify
+from sabench.geometry.grid import Grid
+from sabench.images.tiff_exr import read_exr
 from sabench.interop.export import export
-from sabench.metrics.code_reading import single_views
+from sabench.metrics.code_reading import read_volume, reading, single_views
 from sabench.plugins import load
 from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate
@@ -24,6 +27,7 @@ from sabench.tasks.see_through import TASK
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 from sabench.worlds.readable_codes import code_of
+from tests.conftest import Command
 from tests.helpers.bubble_scenes import small
 
 PLATE = {
@@ -104,6 +108,52 @@ def test_without_bubbles_every_view_shows_the_code(tmp_path: Path) -> None:
     seen = data.sight(0, data.true_cameras[0]).number
     assert (seen[seen != NOTHING] == NOTHING - 1).all()
     assert score(data, "truth")["best_single_percent"] == 100.0
+
+
+def test_a_bent_code_is_read_on_its_cylinder(tmp_path: Path, command: Command) -> None:
+    """Refocused by the command; the task reads the same code in the stack of planes."""
+    scene = behind(None, bend_radius_mm=6.0, place_mm=[0.0, 0.0, 62.0])
+    data = generate(scene, tmp_path / "data", seed=4)
+    words = ["--surface", "cylinder", "-p", "radius_mm=6", "-p", "center_mm=[0,0,62]"]
+    size = ["-p", "size_mm=[12,10]", "-p", "pixel_mm=0.1", "--json"]
+    done = command("refocus", "data", "-o", "wall", *words, *size)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["rows"], summary["columns"]) == (101, 121)
+    assert summary["seen_percent"] == 100.0
+    image = read_exr(tmp_path / "wall" / "image.exr", (101, 121))
+    code = code_of(data.scene, 4, 0)
+    grid = Grid((-6.0, -5.0, 0.0), (0.1, 0.1, 1.0), (1, 101, 121))
+    flat = code.points_mm - [0.0, 0.0, 68.0]
+    own = np.stack([6.0 * np.arctan2(flat[..., 0], -flat[..., 2]), flat[..., 1]], axis=-1)
+    own = np.concatenate([own, np.zeros((*own.shape[:2], 1))], axis=-1)
+    assert reading(read_volume(grid, image[None], own), code.dark)["read_percent"] == 100.0
+    solve("see_through", data, tmp_path / "dark.h5")
+    assert score(data, tmp_path / "dark.h5")["read_percent"] == 100.0
+    again = command("refocus", "data", "-o", "wall")
+    assert again.returncode == 2
+    assert "wall exists already" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--surface", "sphere"], "--surface: expected one of plane, cylinder, height_map"),
+        (["--join", "sum"], "--join: expected one of additive, multiplicative, dark"),
+        (["-p", "radius_mm=3"], "surface plane: radius_mm: unknown key"),
+        (["--surface", "height_map"], "surface height_map: file: this key is missing"),
+        (["-p", "turn_deg=[0,180,0]"], "expected cameras to see its front"),
+        (["--frame", "7"], "frame 7: expected 0 to 0"),
+    ],
+)
+def test_wrong_surfaces_are_one_sentence(
+    veiled: Dataset, command: Command, tmp_path: Path, words: list[str], sentence: str
+) -> None:
+    done = command("refocus", str(veiled.root), "-o", "wall", *words)
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "wall").exists()
 
 
 def test_both_ends_of_the_scale(veiled: Dataset) -> None:

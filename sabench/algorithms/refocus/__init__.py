@@ -1,10 +1,11 @@
 """Synthetic aperture refocusing.
 
-Images of all cameras are summed or multiplied on planes of the world.
+Images of all cameras are summed or multiplied on planes of the world, or on other surfaces.
 """
 
 from sabench.algorithms.refocus.edges import Edges, find_edges
 from sabench.algorithms.refocus.plane_view import find_edge_on
+from sabench.algorithms.refocus.surface import Join, SurfaceImage, refocus_on_surface
 from sabench.algorithms.refocus.synthetic_aperture import (
     count_views,
     refocus_by_shifts,
@@ -23,6 +24,8 @@ from sabench.algorithms.refocus.thresholding import (
 __all__ = [
     "Edges",
     "ExtractionParameters",
+    "Join",
+    "SurfaceImage",
     "auto_k",
     "count_views",
     "extract",
@@ -32,6 +35,7 @@ __all__ = [
     "occupancy",
     "refocus_by_shifts",
     "refocus_log2",
+    "refocus_on_surface",
     "refocus_sum",
     "typical_where_covered",
 ]

@@ -30,6 +30,7 @@ TABLES = {
     "fig-1-3": "code behind bubbles, read in single views and in refocused planes",
     "table-5-1": "speed, diameter and dimensionless numbers of the jets (equations 5.1 to 5.4)",
     "fig-5-7": "feature potential E and minimum images of bubbles (figures 5-5 to 5-11)",
+    "section-2-2-2": "code on a cylinder behind bubbles, on the refocused cylinder and in planes",
     "table-5-2": "three plunging jets from detected bubbles (table 5.2, figures 5-18 to 5-20)",
     "fig-6-3": "sharpness of the calibration grid, in single images and refocused",
     "fig-5-15": "size distributions with intervals, and their scores (figures 5-15 to 5-17)",

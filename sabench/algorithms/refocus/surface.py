@@ -1,0 +1,116 @@
+"""Refocusing on surfaces of any shape.
+
+Every point of the surface is projected into every camera, through the wall, and the images' values
+there are joined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.ndimage import map_coordinates, spline_filter
+
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.surfaces import normals_of
+from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.utils.progress import progress_bar
+
+Join = Literal["additive", "multiplicative", "dark", "minimum", "maximum", "median"]
+_FLOOR = 0.02  # of an image's range: one camera cannot erase a point of a product
+_AT_ONCE = 1 << 26  # values of all cameras that are held together
+
+
+class SurfaceImage(NamedTuple):
+    """Image of a surface in its own coordinates.
+
+    Attributes
+    ----------
+    values : (row, column), NaN where no camera sees the front of the surface.
+    views : (row, column) cameras that see it.
+    """
+
+    values: F32
+    views: I64
+
+
+def refocus_on_surface(
+    images: F32,
+    cameras: Sequence[CameraModel],
+    points_mm: F64,
+    join: Join,
+    covered: Bool | None = None,
+) -> SurfaceImage:
+    """Join the cameras' images at every point of a surface.
+
+    A camera counts where its image shows the point and where it looks at the surface's front. A
+    surface that hides parts of itself otherwise, as hills do, is taken as transparent.
+
+    Source: thesis, section 2.2.2 ("a focal surface, planar or otherwise"); equations 3.3 and 3.4
+    for planes.
+
+    Parameters
+    ----------
+    images : (camera, row, column), from 0 to 1; transmission for "dark".
+    points_mm : (row, column, 3) world points, NaN where the surface has none.
+    join : additive: the mean; multiplicative: the geometric mean; dark: one less the geometric mean
+        of the darkness, so that one free view is enough; minimum, maximum and median of the views.
+    covered : (camera, row, column) pixels that show nothing.
+    """
+    shape = points_mm.shape[:2]
+    points, normals = points_mm.reshape(-1, 3), normals_of(points_mm).reshape(-1, 3)
+    splines = [spline_filter(image, order=3, mode="mirror", output=np.float32) for image in images]
+    hidden = [None] * len(images) if covered is None else covered
+    values, views = np.full(len(points), np.nan, np.float32), np.zeros(len(points), np.int64)
+    step = max(1, _AT_ONCE // len(images))
+    for first in progress_bar(range(0, len(points), step), f"refocus, {len(cameras)} cameras"):
+        part = slice(first, first + step)
+        samples = np.stack(
+            [
+                _sample(spline, camera, points[part], normals[part], mask)
+                for spline, camera, mask in zip(splines, cameras, hidden, strict=True)
+            ]
+        )
+        views[part] = np.isfinite(samples).sum(axis=0)
+        seen = views[part] > 0
+        values[part][seen] = _JOINS[join](samples[:, seen])
+    return SurfaceImage(values.reshape(shape), views.reshape(shape))
+
+
+def _sample(
+    spline: F32, camera: CameraModel, points: F64, normals: F64, covered: Bool | None
+) -> F32:
+    """Sample an image's cubic B-spline at points (n, 3); NaN where they are hidden."""
+    there = np.flatnonzero(np.isfinite(points).all(axis=1))
+    pixels, valid = camera.project(points[there])
+    column, row = pixels.T
+    valid &= (column >= 0) & (row >= 0)
+    valid &= (column <= camera.columns - 1) & (row <= camera.rows - 1)
+    there, pixels = there[valid], pixels[valid]
+    if covered is not None:
+        column, row = np.rint(pixels).astype(int).T
+        shown = ~covered[row, column]
+        there, pixels = there[shown], pixels[shown]
+    rays = camera.back_project(pixels)
+    faces = ~(np.einsum("ij,ij->i", rays.directions, normals[there]) <= 0.0) & rays.valid
+    there, pixels = there[faces], pixels[faces]
+    out = np.full(len(points), np.nan, dtype=np.float32)
+    found = map_coordinates(spline, pixels[:, ::-1].T, order=3, mode="mirror", prefilter=False)
+    out[there] = np.maximum(found, 0.0)  # a spline undershoots next to bright pixels
+    return out
+
+
+def _product(samples: F32) -> F32:
+    """Compute the geometric mean over the views, (n,)."""
+    return np.asarray(np.exp(np.nanmean(np.log(np.maximum(samples, _FLOOR)), axis=0)))
+
+
+_JOINS: dict[str, Callable[[F32], F32]] = {
+    "additive": lambda samples: np.nanmean(samples, axis=0),
+    "multiplicative": _product,
+    "dark": lambda samples: np.float32(1.0) - _product(np.float32(1.0) - samples),
+    "minimum": lambda samples: np.nanmin(samples, axis=0),
+    "maximum": lambda samples: np.nanmax(samples, axis=0),
+    "median": lambda samples: np.nanmedian(samples, axis=0),
+}

@@ -1,0 +1,140 @@
+"""Section 2.2.2: a code on a curved wall, refocused on it and in flat planes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from sabench.algorithms.refocus import Join
+from sabench.api import Code, Observation
+from sabench.evaluation.suite_loading import override
+from sabench.evaluation.thesis.chapter_5 import render_first_frame
+from sabench.evaluation.thesis.common import Item, claim, coarsen, make_row
+from sabench.geometry.grid import Grid
+from sabench.geometry.surfaces import Cylinder, Plane, Surface
+from sabench.metrics.code_reading import read_volume, reading, single_views
+from sabench.plotting.charts import Figure, Panel, Picture
+from sabench.scenes import Scene, load_scene
+from sabench.tasks.surface_refocusing import refocus_frame
+from sabench.utils.arrays import F32, F64
+from sabench.worlds.bubbles_and_bodies import bodies_of
+from sabench.worlds.readable_codes import code_of
+
+SEEDS = 5
+_JOINS: tuple[Join, ...] = ("additive", "dark")
+_PIXEL_MM, _MARGIN_MM = 0.25, 2.0
+_STEP_MM = 1.0  # of the planes of which the best is taken
+Readings = dict[str, list[dict[str, float]]]
+
+
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure cells read and separation on the cylinder and in the best plane."""
+    scene = coarsen(load_scene("curved-wall"), pixels)
+    found: Readings = {}
+    for seed in seeds:
+        case, code = render_first_frame(scene, seed)[2], code_of(scene, seed, 0)
+        single = [
+            reading(cells, code.dark)
+            for cells in single_views(case.images, case.cameras, code.points_mm)
+        ]
+        best = max(single, key=lambda one: one["read_percent"])
+        found.setdefault("best single view", []).append(best)
+        panels = [Panel("(a) one view", "px", "", (_picture(case.images[len(case.images) // 2]),))]
+        for join in _JOINS:
+            panels += _measure(scene, seed, case, join, found)
+        if seed == seeds[0]:
+            yield Figure(
+                "section-2-2-2", "a code on a cylinder behind bubbles", tuple(panels), across=3
+            )
+    yield from _table(found)
+
+
+def _table(found: Readings) -> Iterator[Item]:
+    for name, every in found.items():
+        reads = [one["read_percent"] for one in every]
+        yield make_row(f"{name}: cells read, %", None, reads, "guessing gives 50")
+        yield make_row(f"{name}: d'", None, [one["separation"] for one in every])
+    for join in _JOINS:
+        curved, flat = (
+            np.array([one["separation"] for one in found[f"{join}, {where}"]])
+            for where in ("cylinder", "best plane")
+        )
+        yield claim(
+            f"{join}: a focal surface need not be plane",
+            "section 2.2.2",
+            float((curved / flat).min()),
+            bool((curved > flat).all()),
+            "least ratio of d' on the cylinder to that in the best plane",
+        )
+
+
+def _measure(
+    scene: Scene, seed: int, case: Observation, join: Join, found: Readings
+) -> list[Panel]:
+    """Read the code on the cylinder, and in the plane in which it is read best."""
+    code, flat = code_of(scene, seed, 0), _flat_code(scene, seed)
+    curved = _cylinder(scene, flat)
+    image = refocus_frame(case, curved, join)[0].values
+    found.setdefault(f"{join}, cylinder", []).append(_read(curved, image, flat.points_mm, code))
+    planes = [_read_plane(case, join, code, z) for z in _depths(code)]
+    best, shown = max(planes, key=lambda one: one[0]["separation"])
+    found.setdefault(f"{join}, best plane", []).append(best)
+    return [
+        Panel(f"{join}: {name}", "px", "", (_picture(values),))
+        for name, values in (("cylinder", image), ("best plane", shown))
+    ]
+
+
+def _depths(code: Code) -> F64:
+    z = code.points_mm[..., 2]
+    return np.arange(np.floor(z.min()), z.max() + _STEP_MM, _STEP_MM)
+
+
+def _flat_code(scene: Scene, seed: int) -> Code:
+    """Make the same code before it is bent, in (arc length, Y, 0) of its frame."""
+    plate = {key: value for key, value in bodies_of(scene)[0].items() if key != "bend_radius_mm"}
+    plate["place_mm"] = [0.0, 0.0, scene.volume.center_mm[2]]
+    flat = code_of(override(scene, {"solids": [plate]}, scene.title), seed, 0)
+    return Code(flat.points_mm - np.asarray(plate["place_mm"]), flat.dark)
+
+
+def _cylinder(scene: Scene, flat: Code) -> Cylinder:
+    plate = bodies_of(scene)[0]
+    reach = 2.0 * np.abs(flat.points_mm).max(axis=(0, 1)) + _MARGIN_MM
+    return Cylinder(
+        center_mm=tuple(plate["place_mm"]),
+        size_mm=(float(reach[0]), float(reach[1])),
+        pixel_mm=_PIXEL_MM,
+        radius_mm=plate["bend_radius_mm"],
+    )
+
+
+def _read_plane(
+    case: Observation, join: Join, code: Code, z_mm: float
+) -> tuple[dict[str, float], F32]:
+    """Read the code in a plane of constant Z, where the middle camera sees its cells."""
+    eye = case.cameras[len(case.cameras) // 2]
+    seen = eye.carry(code.points_mm.reshape(-1, 3), z_mm)
+    reach = 2.0 * np.abs(seen).max(axis=0) + _MARGIN_MM
+    plane = Plane(
+        center_mm=(0.0, 0.0, z_mm),
+        size_mm=(float(reach[0]), float(reach[1])),
+        pixel_mm=_PIXEL_MM,
+    )
+    image = refocus_frame(case, plane, join)[0].values
+    points = np.column_stack([seen, np.zeros(len(seen))]).reshape(code.points_mm.shape)
+    return _read(plane, image, points, code), image
+
+
+def _read(surface: Surface, image: F32, own_mm: F64, code: Code) -> dict[str, float]:
+    """Read the code in a surface's image at points (cell, point, 3) as (u, v, 0)."""
+    u, v = surface.axes_mm
+    step = surface.pixel_mm
+    grid = Grid((float(u[0]), float(v[0]), 0.0), (step, step, 1.0), (1, len(v), len(u)))
+    return reading(read_volume(grid, image[None], own_mm), code.dark)
+
+
+def _picture(values: object) -> Picture:
+    shown = np.asarray(values, dtype=np.float64)
+    return Picture(shown, (0.0, 0.0), (float(shown.shape[1] - 1), float(shown.shape[0] - 1)))
