@@ -21,7 +21,7 @@ from sabench.utils.arrays import F32, F64
 from sabench.worlds.bubbles_and_bodies import bodies_of
 from sabench.worlds.readable_codes import code_of
 
-SEEDS = 5
+SEEDS = 3
 _JOINS: tuple[Join, ...] = ("additive", "dark")
 _PIXEL_MM, _MARGIN_MM = 0.25, 2.0
 _STEP_MM = 1.0  # of the planes of which the best is taken
