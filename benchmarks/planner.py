@@ -8,8 +8,7 @@ to 0.15 particles per pixel, 1.5 to 12 mm deep, and solves them by `msa`, `mlos_
 `ray_triangulation`, and every third one by `bayesian_ipr`. Scores of scenes whose cameras are off
 are means over three draws. What the record holds of other numbers stays. `fit` fits the first 220
 scenes, writes `sabench/evaluation/planning/expected_scores.json`, and prints the errors on the last
-40. The 20 between them guided the choice of the model, and count for neither. The scores of the two
-particle solvers are recorded, and not fitted: they drop too sharply for so few scenes.
+40. The 20 between them guided the choice of the model, and count for neither.
 """
 
 from __future__ import annotations

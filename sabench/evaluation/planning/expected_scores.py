@@ -74,6 +74,8 @@ SCORES = {
     "q_mart": Score("mlos_smart", "q", "Q of mlos_smart"),
     "ghosts_synthetic_aperture": Score("msa", "ghosts", "ghosts / true particles, peaks of msa"),
     "f1_mart": Score("mlos_smart", "f1", "F1 of the peaks of mlos_smart"),
+    "f1_triangulation": Score("ray_triangulation", "f1", "F1 of ray_triangulation"),
+    "f1_bayesian": Score("bayesian_ipr", "f1", "F1 of bayesian_ipr"),
 }
 
 
