@@ -21,6 +21,7 @@ TABLES = {
     "table-2-2": "precision of the velocity in two vortex rings",
     "fig-2-18": "vortex ring and eight cameras: profiles, core, circulation (figures 2-16 to 2-19)",
     "section-2-3-2": "yield of particles with and without self-calibration",
+    "section-2-4": "velocity error against baseline and plane spacing",
     "table-2-3": "particles per pixel of all cameras together",
     "table-3-1": "operations and seconds of the algorithms",
     "fig-3-6": "true and ghost particles against the number of cameras",
