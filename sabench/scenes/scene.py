@@ -12,6 +12,7 @@ from sabench.images.preprocessing import Step, step_faults
 from sabench.scenes.background import Background
 from sabench.scenes.calibration import Calibration, Detection
 from sabench.scenes.cameras import Cameras
+from sabench.scenes.exposures import exposure_faults
 from sabench.scenes.idle_keys import idle_keys
 from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timing, Tracer
 from sabench.scenes.inertia import Inertia
@@ -110,6 +111,7 @@ class Scene(Table):
         steps = step_faults(scene.preprocessing or (), scene.frames)
         faults += [("preprocessing", fault) for fault in steps]
         faults += idle_keys(scene.world, scene.walls, scene.cameras, scene.illumination)
+        faults += exposure_faults(scene.timing, scene.sensor, scene.world)
         refuse(faults)
         return scene
 
