@@ -24,6 +24,7 @@ TABLES = {
     "section-2-4": "velocity error against baseline and plane spacing",
     "table-2-3": "particles per pixel of all cameras together",
     "table-3-1": "operations and seconds of the algorithms",
+    "section-3-2-1": "cost of triggers that are up to 125 us off",
     "fig-3-6": "true and ghost particles against the number of cameras",
     "fig-3-8": "true and ghost particles against the number of particles",
     "fig-2-7-cameras": "Q with the cameras of every calibration; same images through a wall",
