@@ -38,10 +38,11 @@ from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.in_memory import Shot
 from sabench.utils.arrays import F64
+from sabench.utils.rng import stream
 
 SEEDS = 5
 _PER_PIXEL, _PER_TOTAL_PIXEL, _PARTICLES = 0.125, 0.01, 125_000
-_EXACT_PX = 0.05  # reach of triangles of exact images
+_NOISE_PX, _REACH_PX = (0.0, 0.2), (0.05, 0.8)  # of images without overlaps, and triangles' reach
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
@@ -54,7 +55,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         images = scene.cameras.rows * scene.cameras.columns
         count = scene.particle_world.particles["count"]
         yield _efficiency(name, per_total, count / images, scene)
-        yield from _particle_solvers(name, scene, solvers, seeds)
+        yield from _particle_solvers(name, coarsen(scene, pixels), solvers, seeds)
 
 
 def _synthetic_aperture(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
@@ -141,9 +142,12 @@ def _values(scores: Sequence[dict[str, float | None]], key: str) -> list[float]:
 def _particle_solvers(
     name: str, scene: Scene, solvers: Sequence[str], seeds: Sequence[int]
 ) -> Iterator[Row]:
-    """Count particles of a scene by the thesis's rule, and by triangles of exact images."""
+    """Count particles of a scene by the thesis's rule.
+
+    For DDPIV also those of triangles of images that do not overlap, exact or with noise.
+    """
     counts: dict[str, list[Counts]] = {solver: [] for solver in solvers}
-    exact: list[Counts] = []
+    apart: dict[float, list[Counts]] = {noise: [] for noise in _NOISE_PX if "ddpiv" in solvers}
     for seed in seeds:
         shot = simulate_frame(scene, seed)
         case = ImageSequence.of([shot.observation])
@@ -151,12 +155,12 @@ def _particle_solvers(
             algorithm: Any = make_algorithm(solver, {})
             (found,) = algorithm.solve(case)
             own.append(_count(shot, found.position_mm))
-        if "ddpiv" in counts:
-            exact.append(_count(shot, _exact_triangles(shot)))
+        for (noise, own), reach in zip(apart.items(), _REACH_PX, strict=False):
+            own.append(_count(shot, _triangles(shot, seed, noise, reach)))
     for solver, own in counts.items():
         yield from detection_rows(f"{name}: {solver}", own)
-    if exact:
-        yield from detection_rows(f"{name}: ddpiv, exact images", exact)
+    for noise, own in apart.items():
+        yield from detection_rows(f"{name}: ddpiv, images apart, {noise:g} px noise", own)
 
 
 def _count(shot: Shot, position_mm: F64) -> Counts:
@@ -165,14 +169,17 @@ def _count(shot: Shot, position_mm: F64) -> Counts:
     return count_thesis(here, there, grid.in_scored(here), grid.in_scored(there))
 
 
-def _exact_triangles(shot: Shot) -> F64:
-    """Match the exact places of all images, also of those that overlap: positions (n, 3)."""
-    seen = shot.observation
+def _triangles(shot: Shot, seed: int, noise_px: float, reach_px: float) -> F64:
+    """Match the places of all images with noise, also of those that overlap.
+
+    Returns positions (n, 3).
+    """
+    seen, rng = shot.observation, stream(seed, "image noise")
     cameras = [camera for camera in seen.cameras if isinstance(camera, Camera)]
-    peaks: tuple[Peaks, ...] = tuple(
-        sort_peaks(pixels[camera.contains(pixels)], (camera.rows, camera.columns))
-        for camera in cameras
-        for pixels in [camera.project(shot.particles.position_mm)[0]]
-    )
-    every = match_triangles(Apertures.of(cameras), cameras, peaks, seen.grid, _EXACT_PX)
-    return select_rows(every, select_best(every, peaks)).position
+    peaks: list[Peaks] = []
+    for camera in cameras:
+        exact = camera.project(shot.particles.position_mm)[0]
+        pixels = exact + noise_px * rng.standard_normal(exact.shape)
+        peaks.append(sort_peaks(pixels[camera.contains(pixels)], (camera.rows, camera.columns)))
+    every = match_triangles(Apertures.of(cameras), cameras, tuple(peaks), seen.grid, reach_px)
+    return select_rows(every, select_best(every, tuple(peaks))).position

@@ -24,6 +24,7 @@ BEYOND = {
     "fig-2-7-cameras",
     "section-2-3-2",
     "section-2-4",
+    "section-3-2-1",
 }  # ours, or claims in the text
 
 

@@ -28,10 +28,10 @@ def test_iterations_remove_ghosts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fig_3_6, "_SLICES", 3)
     curve = [fig_3_6._Point(5, 85.0, 200.0, 0.0), fig_3_6._Point(25, 85.0, 5.0, 0.0)]
     rows = list(fig_3_6._atkinson_rows([1], curve))
-    ghosts = [row.measured for row in rows if row.name.endswith("ghost %")]
+    ghosts = [row.measured or 0.0 for row in rows if row.name.endswith("ghost %")]
     assert len(ghosts) == 3
     assert ghosts == sorted(ghosts, reverse=True)
-    true = [row.measured for row in rows if row.name.endswith("true %")]
+    true = [row.measured or 0.0 for row in rows if row.name.endswith("true %")]
     assert min(true) > 85.0
     assert rows[-1].verdict == "reproduced"
     assert rows[-1].note.endswith("[25] cameras")
