@@ -20,7 +20,8 @@ def test_setups_have_their_baseline_and_planes() -> None:
     assert section_2_4.plane_mm(0.4) == pytest.approx(0.125, rel=1e-3)
 
 
-def test_a_larger_baseline_measures_depth_better() -> None:
+def test_a_larger_baseline_measures_depth_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(section_2_4, "_VOLUMES", ("msa",))
     few, many = (
         section_2_4._measure(section_2_4.Setup(baseline, 0.125), [1], 220)["msa"][0]
         for baseline in (0.1, 0.4)
