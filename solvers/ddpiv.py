@@ -32,7 +32,7 @@ class DefocusingParameters(Parameters):
 
 
 class Ddpiv(ParticleSolver):
-    """Particles from equilateral triangles of their images in three parallel pinholes.
+    """Particles from triangles of their images in three parallel pinholes.
 
     Defocusing digital PIV: the triangle's size tells the depth, its middle the place across.
     """

@@ -43,7 +43,10 @@ def _opening(timing: Timing, exposure_s: float, pulse: int) -> float:
 def exposure_faults(
     timing: Timing | None, sensor: Sensor, world: World
 ) -> Iterator[tuple[str, str]]:
-    """Find delays in other worlds, and exposures that hold another pulse; yields key, sentence."""
+    """Find delays in other worlds, and exposures that hold another pulse.
+
+    Yields pairs of a key and a sentence.
+    """
     if timing is None or timing.skew_s is None:
         return
     if not isinstance(world, ParticleWorld):
@@ -62,7 +65,7 @@ def exposure_faults(
 
 
 def _other_pulse(timing: Timing, exposure_s: float, skew_s: float) -> float | None:
-    """Find another pulse in an exposure; gives its time from the exposure's own pulse."""
+    """Find another pulse in an exposure; gives its time from the own pulse."""
     period, times = 1.0 / timing.rate_hz, timing.pulses_s
     every = [time + shift for shift in (-period, 0.0, period) for time in times]
     for pulse, own in enumerate(times):

@@ -1,4 +1,4 @@
-"""Particles of one frame by defocusing digital particle image velocimetry (DDPIV).
+"""Particles of one frame by defocusing digital PIV (DDPIV).
 
 Three apertures at the corners of an equilateral triangle show every particle three times. On one
 common image plane the three images are again the corners of an equilateral triangle, always in the
@@ -101,7 +101,7 @@ class Apertures:
 
 
 def find_unsuitable(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
-    """Say why cameras are not three parallel pinholes in a triangle; None if they are."""
+    """Say why cameras are no triangle of parallel pinholes; None if they are."""
     needs = "it needs three cameras at the corners of an equilateral triangle, with axes at right"
     needs += " angles to it and no wall"
     if len(cameras) != 3:

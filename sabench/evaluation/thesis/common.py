@@ -139,7 +139,7 @@ def coarsen(scene: Scene, pixels: int | None) -> Scene:
 
 
 def _coarsen_camera(one: CameraSpec, factor: float) -> dict[str, Any]:
-    """Make a camera's own table for larger pixels; the middle of the first one is (0, 0)."""
+    """Make a camera's own table for larger pixels."""
     own: dict[str, Any] = one.model_dump(exclude_none=True)
     if one.pixel_mm is not None:
         own["pixel_mm"] = one.pixel_mm * factor

@@ -92,7 +92,7 @@ _Found = dict[Setup, dict[str, list[F64]]]
 
 
 def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str, list[F64]]:
-    """Measure r.m.s. errors (3,) of u, v, w in pixels, for each kind of volumes and seed."""
+    """Measure r.m.s. errors (3,) of u, v, w in pixels, of all volumes and seeds."""
     scene = coarsen(scene_of(setup), pixels)
     found: dict[str, list[F64]] = {name: [] for name in _VOLUMES}
     for seed in seeds:

@@ -65,7 +65,7 @@ class _Cost:
 
 
 def lights() -> list[Light]:
-    """List the cases; particles move by the same length between frames in continuous light."""
+    """List the cases. In continuous light the motion between frames is the same."""
     long = 2.0 * SKEW_S + 1.5 * _EXPOSURE_S
     continuous = [
         Light(
@@ -113,7 +113,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def scene_of(light: Light, skew_s: float, seed: int) -> Scene:
-    """Make nine cameras over a core of the thesis's ring, triggered at random within a skew."""
+    """Make nine cameras, triggered at random, over a core of the thesis's ring."""
     delays = stream(seed, "trigger skew").uniform(-skew_s, skew_s, _CAMERAS)
     base = load_scene("array-9")
     values: dict[str, Any] = {
@@ -180,7 +180,7 @@ def _without(shot: Shot, lost: Bool) -> Shot:
 
 
 def _shift_px(shot: Shot) -> float:
-    """Compute how far images are from where cameras see the particles at the frame's time."""
+    """Compute how far images are from where particles are at the frame's time."""
     place = shot.particles.position_mm
     off = [
         (view.pixel - camera.project(place)[0])[view.visible]
@@ -190,7 +190,7 @@ def _shift_px(shot: Shot) -> float:
 
 
 def _displacements(scene: Scene, points: F64, step_s: float) -> F64:
-    """Compute exact displacements (n, 3) about points, mm, over the time between the frames."""
+    """Compute exact displacements (n, 3) about points between the frames, mm."""
     flow, tolerance = require_flow(scene), TOLERANCE * max(scene.volume.size_mm)
     middle = step_s / 2.0
     return np.asarray(

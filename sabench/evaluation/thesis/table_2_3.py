@@ -82,7 +82,7 @@ def _synthetic_aperture(seeds: Sequence[int], pixels: int | None) -> Iterator[Ro
 
 
 def _tomographic_scenes() -> Iterator[tuple[str, float, float, Scene]]:
-    """Make the scenes of Tomo-PIV [15] to [17] in voxels, with both particles per pixel.
+    """Make scenes of Tomo-PIV [15] to [17], with both particles per pixel.
 
     The two deep ones are cut: 500 x 500 voxels of full depth, and images that hold what the cut
     shows. Their edges, where fewer lines of sight meet, are not scored.
@@ -104,7 +104,7 @@ def _tomographic_scenes() -> Iterator[tuple[str, float, float, Scene]]:
 
 
 def _particle_scenes() -> Iterator[tuple[str, float, Scene, tuple[str, ...]]]:
-    """Make the scenes of DDPIV [9] and [34] and of PTV [4], with efficiencies and solvers.
+    """Make scenes of DDPIV [9] and [34] and PTV [4], with efficiency, solvers.
 
     DDPIV [34] has other lengths and as many pixels: in pixels it is [9] with fewer particles.
     """
