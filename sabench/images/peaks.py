@@ -48,7 +48,9 @@ def find_peaks(image: F32, least: float | F32) -> Peaks:
     height = np.log(np.maximum(image, np.float32(1e-6 + 0.01 * np.maximum(least, 0.0))))
     across = _vertex(height[row, column - 1], height[row, column], height[row, column + 1])
     along = _vertex(height[row - 1, column], height[row, column], height[row + 1, column])
-    return _sort(np.column_stack([column + across, row + along]).astype(np.float64), image.shape)
+    return sort_peaks(
+        np.column_stack([column + across, row + along]).astype(np.float64), image.shape
+    )
 
 
 def keep_peaks(peaks: Peaks, numbers: I64) -> Peaks:
@@ -93,7 +95,8 @@ def _vertex(before: F32, here: F32, behind: F32) -> F64:
     return np.clip((before - behind) / np.where(curvature < -1e-6, curvature, -np.inf), -0.5, 0.5)
 
 
-def _sort(pixels: F64, shape: tuple[int, ...]) -> Peaks:
+def sort_peaks(pixels: F64, shape: tuple[int, ...]) -> Peaks:
+    """Sort pixels (n, 2) of an image (rows, columns), all on it, into square cells."""
     rows, columns = (math.ceil(size / _CELL_PX) for size in shape)
     column, row = (pixels // _CELL_PX).astype(np.int64).T
     cell = row * columns + column

@@ -28,6 +28,7 @@ from sabench.scenes.cameras import (
     Place,
     RingLayout,
 )
+from sabench.scenes.exposures import skew_faults
 from sabench.scenes.focusing import focus, tilt_sensor
 from sabench.scenes.scene import Scene
 from sabench.scenes.tank import (
@@ -80,7 +81,9 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
     if count > _MOST_CAMERAS:
         expected = f"expected at most {_MOST_CAMERAS} cameras"
         raise InputError(f"{source}: cameras.layout: {expected}, got {count}")
-    faults = scene.cameras.faults_by_camera([_name_camera(number) for number in range(count)])
+    names = [_name_camera(number) for number in range(count)]
+    faults = list(scene.cameras.faults_by_camera(names))
+    faults += skew_faults(scene.timing, count)
     for fault in (*scene.sensor.faults_by_camera(count), *faults):
         with check.collect():
             raise InputError(fault)

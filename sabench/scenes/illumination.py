@@ -105,6 +105,18 @@ class Timing(Table):
     duration_s: float = Field(
         0.0, ge=0.0, description="duration of a pulse; moving particles leave streaks"
     )
+    skew_s: tuple[float, ...] | None = Field(
+        None,
+        min_length=1,
+        description="delay of each camera's exposures of sensor.exposure_s; it records the part of "
+        "a pulse that falls in them. By default cameras record whole pulses",
+    )
+    gap_s: float | None = Field(
+        None,
+        ge=0.0,
+        description="time from the end of a group's first exposure to the start of its second "
+        "(frame straddling); by default each exposure is centred on its pulse",
+    )
 
     @model_validator(mode="after")
     def _check_times(self) -> Timing:
@@ -118,6 +130,10 @@ class Timing(Table):
         elif times[-1] - times[0] >= period and len(times) > 1:
             expected = f"expected a group shorter than 1 / rate_hz = {period:g} s"
             yield "pulses_s", f"{expected}, got {times}"
+        if self.gap_s is not None and self.skew_s is None:
+            yield "gap_s", "expected skew_s, the cameras' delays, next to it, got none"
+        if self.gap_s is not None and len(times) != 2:
+            yield "gap_s", f"expected two pulses in a group, got {len(times)}"
         for name in ("energy", "shift_mm"):
             given = getattr(self, name)
             if given is not None and len(given) != len(times):

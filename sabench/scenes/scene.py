@@ -12,6 +12,7 @@ from sabench.images.preprocessing import Step, step_faults
 from sabench.scenes.background import Background
 from sabench.scenes.calibration import Calibration, Detection
 from sabench.scenes.cameras import Cameras
+from sabench.scenes.exposures import exposure_faults
 from sabench.scenes.idle_keys import idle_keys
 from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timing, Tracer
 from sabench.scenes.inertia import Inertia
@@ -114,6 +115,7 @@ class Scene(Table):
             faults.append(
                 ("calibration", "errors of the wall: expected one plane wall in the scene")
             )
+        faults += exposure_faults(scene.timing, scene.sensor, scene.world)
         refuse(faults)
         return scene
 

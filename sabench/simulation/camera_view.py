@@ -71,7 +71,7 @@ def render(frame: FrameContent, camera: int) -> CameraView:
 
 def _render_tracers(frame: FrameContent, tracers: Tracers, number: int) -> CameraView:
     """Render tracers alone."""
-    camera, scene = frame.rig.cameras[number], frame.scene
+    camera, scene, tracers = frame.rig.cameras[number], frame.scene, tracers.of_camera(number)
     images = _image(frame, tracers, camera)
     if scene.cameras.airy_rings:
         wavelength = scene.light.wavelength_nm
@@ -129,7 +129,15 @@ def _image(
 ) -> ParticleImages:
     occluders = frame.rig.occluders_of(camera)
     given = (tracers.particles, tracers.scatterers, occluders, route)
-    return image_particles(frame.scene, camera, *given)
+    images = image_particles(frame.scene, camera, *given)
+    if tracers.share == 1.0:
+        return images
+    return replace(
+        images,
+        photons=images.photons * tracers.share,
+        intensity=images.intensity * tracers.share,
+        visible=images.visible & (tracers.share > 0.0),
+    )
 
 
 def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:

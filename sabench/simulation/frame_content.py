@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,12 +27,24 @@ class Tracers:
         short pulse.
     scatterers : how they scatter; None for isotropic scattering.
     illuminated : (n,) whether the laser reaches each; None where nothing throws shadows.
+    share : of the pulse that is recorded.
+    exposed : gives the particles and positions of the part of the pulse that a camera records, by
+        its number in the rig, and its share; None where all cameras record the whole pulse.
     """
 
     particles: Particles
     positions_mm: tuple[F64, ...]
     scatterers: Scatterers | None
     illuminated: Bool | None = None
+    share: float = 1.0
+    exposed: Callable[[int], tuple[Particles, tuple[F64, ...], float]] | None = None
+
+    def of_camera(self, number: int) -> Tracers:
+        """Give the tracers as one camera records them, by its number in the rig."""
+        if self.exposed is None:
+            return self
+        particles, positions, share = self.exposed(number)
+        return replace(self, particles=particles, positions_mm=positions, share=share, exposed=None)
 
 
 @dataclass(frozen=True)

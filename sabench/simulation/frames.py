@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from sabench.api.truth import Bubbles, Particles
 from sabench.geometry.camera import Camera
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
+from sabench.scenes.exposures import recorded_part
 from sabench.simulation.frame_content import FrameContent, Tracers
 from sabench.simulation.obstacles import find_obstructed, inside
 from sabench.simulation.rendering.laser_sheet import enter_fluid
@@ -83,7 +86,9 @@ class Frames:
         if particles is not None:
             scene = scene.model_copy(update={"illumination": pulse(scene, self.seed, number)})
             positions = self._positions(particles, number)
-            tracers = Tracers(particles, positions, self._scatterers, illuminated)
+            skewed = scene.timing is not None and scene.timing.skew_s is not None
+            exposed = functools.partial(self._expose, particles, number) if skewed else None
+            tracers = Tracers(particles, positions, self._scatterers, illuminated, exposed=exposed)
         return FrameContent(
             scene,
             self.rig,
@@ -102,19 +107,47 @@ class Frames:
         return scatterers_of(self.scene, self.rig.cameras, self.seed)
 
     def _positions(self, particles: Particles, number: int) -> tuple[F64, ...]:
-        """List positions along each path.
+        """List positions along each path during the pulse."""
+        duration = self.scene.timing.duration_s if self.scene.timing else 0.0
+        part = -duration / 2.0, duration / 2.0
+        return self._along(particles, number, part, self.rig.cameras)
+
+    def _along(
+        self,
+        particles: Particles,
+        number: int,
+        part_s: tuple[float, float],
+        cameras: Sequence[Camera],
+    ) -> tuple[F64, ...]:
+        """List positions along each path in a part of the pulse.
 
         As many as its longest image has halves of a pixel.
         """
-        duration = self.scene.timing.duration_s if self.scene.timing else 0.0
+        duration, middle = part_s[1] - part_s[0], (part_s[0] + part_s[1]) / 2.0
         if duration == 0.0 or not len(particles):
-            return (particles.position_mm,)
-        early, late = (
-            self._move(particles, number, delay) for delay in (-duration / 2.0, duration / 2.0)
-        )
-        longest = max(_longest_px(camera, early, late) for camera in self.rig.cameras)
+            return (self._move(particles, number, middle),)
+        early, late = (self._move(particles, number, delay) for delay in part_s)
+        longest = max(_longest_px(camera, early, late) for camera in cameras)
         steps = max(1, int(np.ceil(longest / _STREAK_PX)))
-        return tuple(self._move(particles, number, delay) for delay in moments(duration, steps))
+        return tuple(
+            self._move(particles, number, middle + delay) for delay in moments(duration, steps)
+        )
+
+    def _expose(
+        self, particles: Particles, number: int, camera: int
+    ) -> tuple[Particles, tuple[F64, ...], float]:
+        """Give particles and positions of the part of a pulse that a camera records.
+
+        Also its share of the pulse. The particles are at the middle of that part.
+        """
+        timing = self.scene.timing
+        part = recorded_part(timing, self.scene.sensor, number, camera) if timing else None
+        if timing is None or part is None:
+            return particles, (particles.position_mm,), 0.0
+        positions = self._along(particles, number, part, [self.rig.cameras[camera]])
+        middle = self._move(particles, number, (part[0] + part[1]) / 2.0)
+        share = (part[1] - part[0]) / timing.duration_s if timing.duration_s else 1.0
+        return replace(particles, position_mm=middle), positions, share
 
     def _move(self, particles: Particles, number: int, delay_s: float) -> F64:
         """Move positions (n, 3) to some time before or after the middle of the pulse."""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         reconstruct_most_probable,
     )
     from sabench.algorithms.particles.common_view import find_fault
+    from sabench.algorithms.particles.defocusing import find_by_defocusing, find_unsuitable
     from sabench.algorithms.particles.inverse_rendering import (
         InverseRenderingSettings,
         reconstruct_by_descent,
@@ -33,7 +34,9 @@ __all__ = [
     "InverseRenderingSettings",
     "ShakeTheBoxSettings",
     "TriangulationSettings",
+    "find_by_defocusing",
     "find_fault",
+    "find_unsuitable",
     "fit_cameras",
     "link",
     "reconstruct_by_descent",
@@ -47,7 +50,9 @@ _HOMES = {
     "InverseRenderingSettings": "inverse_rendering",
     "ShakeTheBoxSettings": "shake_the_box",
     "TriangulationSettings": "ray_triangulation",
+    "find_by_defocusing": "defocusing",
     "find_fault": "common_view",
+    "find_unsuitable": "defocusing",
     "fit_cameras": "ray_triangulation",
     "link": "linking",
     "reconstruct_by_descent": "inverse_rendering",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from sabench.api import Observation
 from sabench.images.brightness import bright_dn
 from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.peak_detection import detect_peaks
 from sabench.images.peaks import Peaks
+from sabench.utils.arrays import F32, F64, I64
 
 
 def detect_in_cameras(
@@ -29,3 +32,25 @@ def detect_in_cameras(
         )
         for grey, unknown in zip(good.images, good.flaws.unknown, strict=True)
     )
+
+
+def heights(peaks: Peaks, image: F32) -> F32:
+    """Return the image (n,) at the pixels of peaks."""
+    column, row = np.rint(peaks.pixels).astype(np.int64).T
+    return np.asarray(image[row, column])
+
+
+def heights_of(hit: I64, peaks: tuple[Peaks, ...], images: F32) -> F64:
+    """Return the brightest pixels (n, camera) of candidates' particle images.
+
+    0 where a camera shows none.
+
+    Parameters
+    ----------
+    hit : (n, camera) numbers of the peaks; -1 where a camera shows none.
+    """
+    out = np.zeros(hit.shape)
+    for camera, (one, image) in enumerate(zip(peaks, images, strict=True)):
+        there = hit[:, camera] >= 0
+        out[there, camera] = heights(one, image)[hit[there, camera]]
+    return out

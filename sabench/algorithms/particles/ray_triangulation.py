@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.algorithms.particles.peak_detection import detect_in_cameras
+from sabench.algorithms.particles.peak_detection import detect_in_cameras, heights, heights_of
 from sabench.algorithms.particles.time_budget import Deadline
 from sabench.algorithms.particles.triangulation import (
-    Candidates,
     count_by_chance,
     find_candidates,
     select_best,
@@ -24,7 +23,7 @@ from sabench.geometry.volume_polynomials import (
 )
 from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.peaks import Peaks, keep_peaks
-from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.arrays import F32, I64
 
 _MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
 _MOST_BY_CHANCE = 5.0  # sets of particle images with each one: beyond, nearly all are ghosts
@@ -68,7 +67,7 @@ def triangulate_particles(
     images = case.normalised_images()
     peaks = detect_in_cameras(case, settings.floor, settings.false_alarms)
     peaks = _thin_out(case, maps, peaks, images, settings.reach_px)
-    order = np.argsort(-_heights(peaks[0], images[0]), kind="stable")
+    order = np.argsort(-heights(peaks[0], images[0]), kind="stable")
     every = find_candidates(
         maps, peaks, settings.reach_px, case.repaired.flaws.covered, order, deadline
     )
@@ -78,7 +77,7 @@ def triangulate_particles(
             "result holds the particles found so far, the brightest ones first"
         )
     found = select_rows(every, select_best(every, peaks))
-    brightness = _peak_values(found, peaks, images).mean(axis=1)
+    brightness = heights_of(found.hit, peaks, images).mean(axis=1)
     return FoundParticles(points_in_mm(maps, found.position), brightness)
 
 
@@ -95,7 +94,7 @@ def _thin_out(
         return peaks
     share = (_MOST_BY_CHANCE / chance) ** (1.0 / (len(peaks) - 1))
     kept = tuple(
-        keep_peaks(own, _brightest(_heights(own, image), share))
+        keep_peaks(own, _brightest(heights(own, image), share))
         for own, image in zip(peaks, images, strict=True)
     )
     counts = ", ".join(
@@ -116,23 +115,5 @@ def _brightest(heights: F32, share: float) -> I64:
     return np.sort(np.argsort(-heights, kind="stable")[:count])
 
 
-def _heights(peaks: Peaks, image: F32) -> F32:
-    """Return the image (n,) at the pixels of peaks."""
-    column, row = np.rint(peaks.pixels).astype(np.int64).T
-    return np.asarray(image[row, column])
-
-
 def _warn(sentence: str) -> None:
     warnings.warn(sentence, stacklevel=2)
-
-
-def _peak_values(found: Candidates, peaks: tuple[Peaks, ...], images: F32) -> F64:
-    """Return the brightest pixels (n, camera) of candidates' particle images.
-
-    0 where a camera shows none.
-    """
-    out = np.zeros(found.hit.shape)
-    for camera, (one, image) in enumerate(zip(peaks, images, strict=True)):
-        there = found.hit[:, camera] >= 0
-        out[there, camera] = _heights(one, image)[found.hit[there, camera]]
-    return out

@@ -22,6 +22,7 @@ from sabench.metrics.particle_detection import Counts, count_thesis, detect
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting.charts import Figure
 from sabench.scenes import Scene
+from sabench.scenes.cameras import CameraSpec
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F32, F64
 from sabench.utils.confidence import mean_of
@@ -127,10 +128,24 @@ def coarsen(scene: Scene, pixels: int | None) -> Scene:
         "cameras.pixel_mm": scene.cameras.pixel_mm * factor,
         "grid.voxel_mm": [edge * factor for edge in scene.grid.voxel_mm],
     }
-    tracers = scene.tracers
-    if tracers is not None and "per_mm3" in tracers.particles:
+    given = scene.tracers.particles if scene.tracers is not None else {}
+    if "per_mm3" in given:
         values["particles.per_mm3"] = density(scene) / factor**2
+    if "count" in given:
+        values["particles.count"] = round(given["count"] / factor**2)
+    if scene.cameras.each:
+        values["cameras.each"] = [_coarsen_camera(one, factor) for one in scene.cameras.each]
     return override(scene, values, scene.title)
+
+
+def _coarsen_camera(one: CameraSpec, factor: float) -> dict[str, Any]:
+    """Make a camera's own table for larger pixels."""
+    own: dict[str, Any] = one.model_dump(exclude_none=True)
+    if one.pixel_mm is not None:
+        own["pixel_mm"] = one.pixel_mm * factor
+    if one.principal_point_px is not None:
+        own["principal_point_px"] = [(x + 0.5) / factor - 0.5 for x in one.principal_point_px]
+    return own
 
 
 def density(scene: Scene) -> float:

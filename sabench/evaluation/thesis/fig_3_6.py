@@ -1,15 +1,17 @@
 """Figures 3-6 and 3-7: true and ghost particles against the number of cameras.
 
-They are compared with the theory of ghosts, and with MART on four cameras.
+They are compared with the theory of ghosts, and with tomography on few cameras: MART on four after
+Elsinga et al. (point E), and three algorithms on three after Atkinson and Soria (points A1 to A3).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from sabench.api import Solver
 from sabench.api.make import make_solver
 from sabench.evaluation.thesis.common import (
     METHODS,
@@ -24,16 +26,20 @@ from sabench.evaluation.thesis.common import (
 )
 from sabench.evaluation.thesis.fig_2_7 import CAMERAS, by_cameras
 from sabench.evaluation.thesis.theory import ghost_ratio
+from sabench.metrics.particle_detection import Counts, count_thesis, detect
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import Scene, build_rig, load_scene
+from sabench.simulation.in_memory import Shot, simulate
 
 SEEDS = 5
 _MOST = (9, 13)  # numbers of cameras at which the thesis finds most true particles
+_SLICES = 20  # of 50 particles, for one seed
+_POINTS = {"A1": ("mlos_sart", 1), "A2": ("mlos_smart", 1), "A3": ("mart", 5)}  # with iterations
 _LEVEL = 1.0  # percent: true particles within this of their maximum have levelled off
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Measure the curves, the thesis's claims, and point E of Elsinga et al. (2006)."""
+    """Measure the curves, the thesis's claims, and the points from the literature."""
     curves: dict[str, list[_Point]] = {}
     for cameras, case in by_cameras(CAMERAS):
         found = [count_methods(coarsen(case.scene, pixels), seed) for seed in seeds]
@@ -51,6 +57,7 @@ def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     for where, curve in curves.items():
         yield from _claims(where, curve)
     yield from _elsinga_rows(seeds, pixels)
+    yield from _atkinson_rows(seeds, next(iter(curves.values())))
 
 
 @dataclass(frozen=True)
@@ -121,3 +128,50 @@ def _elsinga_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         yield make_row(
             f"4 cameras at 0.050 ppp after Elsinga et al., MART: {heading}", None, values
         )
+
+
+def _atkinson_rows(seeds: Sequence[int], refocused: Sequence[_Point]) -> Iterator[Row]:
+    """Count particles in slices of one voxel, which have no coarse copy.
+
+    Parameters
+    ----------
+    refocused : the curve of the lowest density.
+    """
+    slices = load_scene("atkinson-1000x1x200")
+    found: dict[str, list[Counts]] = {point: [] for point in _POINTS}
+    for seed in seeds:
+        numbers = range(seed * _SLICES, (seed + 1) * _SLICES)
+        shots = [simulate(slices, seed=number) for number in numbers]
+        for point, (solver, iterations) in _POINTS.items():
+            chosen = make_solver(solver, {"iterations": iterations})
+            found[point].append(_add(_count(shot, chosen) for shot in shots))
+    ghosts = []
+    for point, (solver, iterations) in _POINTS.items():
+        name = f"3 cameras at 0.017 ppp after Atkinson and Soria, {point}, {iterations} x {solver}"
+        rows = detection_rows(name, found[point])
+        ghosts.append(rows[-1].measured or 0.0)
+        yield from rows
+    fewer = [point.cameras for point in refocused if (point.ghosts or 0.0) < min(ghosts)]
+    yield claim(
+        "ghosts of A1 to A3",
+        "more than of synthetic apertures",
+        min(ghosts),
+        bool(fewer),
+        f"percent, of the best of them; at 0.05 ppp, refocusing has fewer with {fewer} cameras",
+    )
+
+
+def _count(shot: Shot, solver: Solver) -> Counts:
+    grid, found = shot.observation.grid, detect(solver.solve(shot.observation).volume)
+    truth = grid.to_voxels(shot.particles.position_mm)
+    return count_thesis(found, truth, grid.in_scored(found), grid.in_scored(truth))
+
+
+def _add(slices: Iterable[Counts]) -> Counts:
+    every = list(slices)
+    return Counts(
+        sum(one.truths for one in every),
+        sum(one.detections for one in every),
+        sum(one.matched for one in every),
+        None,
+    )

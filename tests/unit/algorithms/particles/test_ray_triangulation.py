@@ -17,7 +17,7 @@ from sabench.algorithms.particles.ray_triangulation import (
 )
 from sabench.algorithms.particles.triangulation import count_by_chance, find_candidates
 from sabench.api import Observation
-from sabench.images.peaks import Peaks, _sort, find_near, keep_peaks
+from sabench.images.peaks import Peaks, find_near, keep_peaks, sort_peaks
 from tests.helpers.small_particles import count_found, make_small
 
 CLOCK = "sabench.algorithms.particles.time_budget.time.monotonic"
@@ -76,7 +76,7 @@ def test_the_number_of_sets_by_chance_is_about_right() -> None:
     rng, maps = np.random.default_rng(2), fit_cameras(case)
     rows, columns = case.images.shape[1:]
     peaks = tuple(
-        _sort(rng.uniform([1.0, 1.0], [columns - 2.0, rows - 2.0], (400, 2)), (rows, columns))
+        sort_peaks(rng.uniform([1.0, 1.0], [columns - 2.0, rows - 2.0], (400, 2)), (rows, columns))
         for _ in case.cameras
     )
     covered = np.zeros(case.images.shape, dtype=np.bool_)
@@ -87,7 +87,7 @@ def test_the_number_of_sets_by_chance_is_about_right() -> None:
 
 def test_peaks_that_are_kept_are_found_near() -> None:
     rng = np.random.default_rng(3)
-    peaks = _sort(rng.uniform(0.0, 60.0, (200, 2)), (60, 60))
+    peaks = sort_peaks(rng.uniform(0.0, 60.0, (200, 2)), (60, 60))
     numbers = np.flatnonzero(rng.random(200) < 0.3)
     kept = keep_peaks(peaks, numbers)
     assert np.array_equal(kept.pixels, peaks.pixels[numbers])

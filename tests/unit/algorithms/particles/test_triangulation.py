@@ -19,7 +19,7 @@ from sabench.geometry.volume_polynomials import (
     project_point,
     project_points,
 )
-from sabench.images.peaks import Peaks, _sort
+from sabench.images.peaks import Peaks, sort_peaks
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64, Bool
 from tests.unit.simulation.rendering.test_particle_images import make_scene
@@ -58,7 +58,7 @@ def images_of(points: F64, maps: VolumePolynomials, cameras: int = 4) -> tuple[F
 
 
 def peaks_of(pixels: tuple[F64, ...]) -> tuple[Peaks, ...]:
-    return tuple(_sort(own, (ROWS, COLUMNS)) for own in pixels)
+    return tuple(sort_peaks(own, (ROWS, COLUMNS)) for own in pixels)
 
 
 def first(maps: VolumePolynomials, cameras: int) -> VolumePolynomials:
@@ -189,7 +189,7 @@ def test_a_line_of_sight_is_followed_as_far_as_the_box_goes(maps: VolumePolynomi
 
 def test_pairs_are_those_within_the_radius_until_the_room_is_full() -> None:
     rng = np.random.default_rng(4)
-    peaks = _sort(rng.uniform(0.0, 60.0, (40, 2)), (60, 60))
+    peaks = sort_peaks(rng.uniform(0.0, 60.0, (40, 2)), (60, 60))
     pixels, out = rng.uniform(0.0, 60.0, (50, 2)), np.zeros((500, 2), dtype=np.int64)
     count = pair_up(peaks, pixels, 5.0, out)
     near = np.linalg.norm(pixels[:, None] - peaks.pixels[None], axis=2) <= 5.0

@@ -1,0 +1,177 @@
+"""Sections 2.3.2 and 2.4: velocity error against baseline and plane spacing.
+
+The thesis expects better resolution in Z of larger baselines, and leaves the smallest and largest
+acceptable ones to further work. Here a core of its first vortex ring is measured in a part of its
+first volume, by windows that are the same in mm whatever the voxels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sabench.api import VolumePair
+from sabench.api.make import make_algorithm, make_solver
+from sabench.evaluation.suite_loading import override
+from sabench.evaluation.thesis.common import Item, Row, claim, coarsen, make_row, settings
+from sabench.evaluation.thesis.table_2_2 import errors
+from sabench.evaluation.thesis.theory import plane_spacing_ratio
+from sabench.metrics.averages import root_mean_square
+from sabench.metrics.synthesised_field import true_field
+from sabench.plotting.charts import Curve, Figure, Panel
+from sabench.scenes import Scene, load_scene
+from sabench.simulation.in_memory import simulate
+from sabench.utils.arrays import F64
+from sabench.utils.confidence import mean_of
+from sabench.utils.progress import console
+
+SEEDS = 3
+BASELINES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # D: spacing of the cameras over their distance
+SPACINGS = (0.5, 1.0, 2.0, 4.0)  # of the planes, over equation 2.10
+_BASELINE = 0.4  # at which the spacing varies; its own spacing is that of all baselines, too
+_VOLUMES = ("asa", "msa", "synthesised")
+_DISTANCE_MM, _VOXEL_MM = 510.0, 0.05
+_WINDOW_MM, _OVERLAP, _MARGIN_MM = 2.0, 0.5, 3.0
+_SIZE_MM, _PIXELS = (14.0, 14.0, 10.0), 440  # outer cameras see the cut's depth from the side
+_FLOW = {"generator": "vortex_ring", "center_mm": [-10.0, 0.0, 0.0], "peak_mm_s": 300.0}
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Baseline D and distance of the planes."""
+
+    baseline: float
+    plane_mm: float
+
+    @property
+    def label(self) -> str:
+        """Name of its rows."""
+        return f"D = {self.baseline:g}, planes {self.plane_mm:.3g} mm apart"
+
+
+def plane_mm(baseline: float) -> float:
+    """Compute the distance of the planes in the middle by equation 2.10."""
+    return _VOXEL_MM * plane_spacing_ratio(baseline, _VOXEL_MM, 0.0, _DISTANCE_MM)
+
+
+_FIXED = tuple(Setup(baseline, plane_mm(_BASELINE)) for baseline in BASELINES)
+_OWN = tuple(Setup(baseline, plane_mm(baseline)) for baseline in BASELINES)
+_SPACED = tuple(Setup(_BASELINE, spacing * plane_mm(_BASELINE)) for spacing in SPACINGS)
+
+
+def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure errors over the baseline and over the spacing of the planes.
+
+    Baselines are compared with the same planes, and with those of equation 2.10 for each.
+    """
+    found: _Found = {}
+    for setup in dict.fromkeys(_FIXED + _OWN + _SPACED):
+        found[setup] = _measure(setup, seeds, pixels)
+        for name, values in found[setup].items():
+            for number, axis in enumerate("uvw"):
+                own = [float(one[number]) for one in values]
+                yield make_row(f"{setup.label}, {name}: r.m.s. error of {axis}, pixels", None, own)
+    for name in _VOLUMES[:2]:
+        yield from _claims(name, found)
+    yield Figure(
+        "section-2-4",
+        "r.m.s. error of the velocity, pixels",
+        (
+            *_panels("D, the same planes", BASELINES, _FIXED, found),
+            *_panels("D, planes of equation 2.10", BASELINES, _OWN, found),
+            *_panels("planes over equation 2.10, D = 0.4", SPACINGS, _SPACED, found),
+        ),
+        across=2,
+    )
+
+
+_Found = dict[Setup, dict[str, list[F64]]]
+
+
+def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str, list[F64]]:
+    """Measure r.m.s. errors (3,) of u, v, w in pixels, of all volumes and seeds."""
+    scene = coarsen(scene_of(setup), pixels)
+    found: dict[str, list[F64]] = {name: [] for name in _VOLUMES}
+    for seed in seeds:
+        shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
+        for name, own in found.items():
+            one, other = (
+                true_field(shot.observation.grid, shot.particles, shot.views)
+                if name == "synthesised"
+                else make_solver(name, {}).solve(shot.observation).volume
+                for shot in shots
+            )
+            grid = shots[0].observation.grid
+            window = round(_WINDOW_MM / _VOXEL_MM), round(_WINDOW_MM / setup.plane_mm)
+            chosen = settings("piv3d", (window[0], window[0], window[1]), _OVERLAP, grid)
+            solver: Any = make_algorithm("piv3d", chosen)
+            field = solver.solve(VolumePair(one, other, grid, scene.interval_s))
+            places = field.positions_mm.reshape(-1, 3)
+            inner = np.abs(places[:, :2]).max(axis=1) <= _SIZE_MM[0] / 2.0 - _MARGIN_MM
+            voxels = np.asarray(scene.grid.voxel_mm) / scene.grid.voxel_mm[0]
+            own.append(
+                np.array([root_mean_square(e) for e in (errors(scene, field)[inner] * voxels).T])
+            )
+            console.print(f"{setup.label}, {name}, seed {seed}: {own[-1].round(3)}", markup=False)
+    return found
+
+
+def scene_of(setup: Setup) -> Scene:
+    """Make the thesis's array over a core of its ring, with the voxels of a setup."""
+    step = setup.baseline * _DISTANCE_MM
+    offsets = [step * number for number in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+    values: dict[str, Any] = {
+        "volume.size_mm": list(_SIZE_MM),
+        "grid.voxel_mm": [_VOXEL_MM, _VOXEL_MM, setup.plane_mm],
+        "cameras.rows": _PIXELS,
+        "cameras.columns": _PIXELS,
+        "cameras.layout": {"kind": "grid", "x_mm": offsets, "y_mm": offsets},
+        "frames": 2,
+        "flow": _FLOW,
+    }
+    return override(load_scene("thesis-50x50x10"), values, setup.label)
+
+
+def _mean(values: Sequence[F64], axis: int) -> float:
+    return float(np.mean([one[axis] for one in values]))
+
+
+def _claims(name: str, found: _Found) -> Iterator[Row]:
+    """Say which baseline and which spacing are best."""
+    for setups, planes in ((_FIXED, "the same planes"), (_OWN, "planes of equation 2.10")):
+        across = {own.baseline: _mean(found[own][name], 0) for own in setups}
+        depth = {own.baseline: _mean(found[own][name], 2) for own in setups}
+        ratio = depth[max(depth)] / depth[min(depth)]
+        yield claim(
+            f"{name}: error of w, {planes}",
+            "a larger baseline resolves Z better",
+            ratio,
+            ratio < 1.0,
+            f"largest over smallest D; least at D = {min(depth, key=depth.__getitem__):g}, "
+            f"of u at D = {min(across, key=across.__getitem__):g}",
+        )
+    spaced = {
+        spacing: _mean(found[own][name], 2) for spacing, own in zip(SPACINGS, _SPACED, strict=True)
+    }
+    yield make_row(
+        f"{name}: error of w with planes of equation 2.10, over the least of all spacings",
+        None,
+        [spaced[1.0] / min(spaced.values())],
+        f"least at {min(spaced, key=spaced.__getitem__):g} times that of equation 2.10",
+    )
+
+
+def _panels(
+    label: str, x: Sequence[float], setups: Sequence[Setup], found: _Found
+) -> Iterator[Panel]:
+    for number, axis in ((0, "u"), (2, "w")):
+        curves = []
+        for name in _VOLUMES:
+            means = [mean_of([float(one[number]) for one in found[own][name]]) for own in setups]
+            y = [one.mean if one else float("nan") for one in means]
+            spread = [(one.half_width or 0.0) if one else 0.0 for one in means]
+            curves.append(Curve(name, x, y, spread))
+        yield Panel(f"error of {axis}", label, "pixels", tuple(curves))

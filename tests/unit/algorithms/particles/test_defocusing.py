@@ -1,0 +1,175 @@
+"""Triangles of defocusing digital PIV, against the cameras' own projection."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.algorithms.particles.defocusing import (
+    Apertures,
+    find_by_defocusing,
+    find_unsuitable,
+    match_triangles,
+)
+from sabench.api import Camera, ImageSequence
+from sabench.api.make import make_algorithm
+from sabench.evaluation.suite_loading import override
+from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.triangulation import triangulate
+from sabench.images.peaks import Peaks, sort_peaks
+from sabench.scenes import build_rig, load_scene
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.utils.arrays import F64, triple
+from tests.helpers.small_particles import count_found, make_small
+
+SCENE = load_scene("ddpiv-100x100x100")
+RIG = build_rig(SCENE)
+APERTURES = Apertures.of(RIG.cameras)
+WALL = Wall((0.0, 0.0, -60.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
+
+
+def rows_of(matrix: F64) -> Any:
+    return tuple(triple(row) for row in matrix)
+
+
+def points(count: int, seed: int = 1) -> F64:
+    return np.random.default_rng(seed).uniform(-50.0, 50.0, (count, 3))
+
+
+def images_of(world: F64, cameras: tuple[Camera, ...] = RIG.cameras) -> list[F64]:
+    return [camera.project(world)[0] for camera in cameras]
+
+
+def peaks_of(world: F64, cameras: tuple[Camera, ...] = RIG.cameras) -> tuple[Peaks, ...]:
+    shape = cameras[0].rows, cameras[0].columns
+    return tuple(sort_peaks(own, shape) for own in images_of(world, cameras))
+
+
+def test_images_are_triangles_of_one_orientation_that_grow_towards_the_apertures() -> None:
+    world = np.array([[5.0, -3.0, z] for z in (-40.0, 0.0, 40.0)])
+    a, b, c = (
+        APERTURES.superimpose(camera, own)
+        for camera, own in zip(RIG.cameras, images_of(world), strict=True)
+    )
+    sides = np.stack([b - a, c - b, a - c], axis=1)
+    lengths = np.linalg.norm(sides, axis=2)
+    assert np.ptp(lengths, axis=1).max() < 0.02  # the scene's numbers are rounded
+    third = np.array([[-0.5, -np.sqrt(0.75)], [np.sqrt(0.75), -0.5]])
+    assert sides[:, 0] @ third.T == pytest.approx(sides[:, 1], abs=0.02)
+    depth = world[:, 2] + 700.0
+    assert lengths[:, 0] == pytest.approx(APERTURES.focal_px * 100.0 / depth, abs=0.02)
+    assert sides[:, 0] / lengths[:, :1] == pytest.approx(np.array([[-1.0, 0.0]] * 3), abs=1e-9)
+
+
+def test_positions_from_exact_images_are_exact_and_those_of_least_squares() -> None:
+    world = points(50)
+    images = np.array(images_of(world))
+    superimposed = [APERTURES.superimpose(*pair) for pair in zip(RIG.cameras, images, strict=True)]
+    found, off = APERTURES.locate(np.stack(superimposed, axis=1))
+    assert found == pytest.approx(world, abs=1e-6)
+    assert off.max() < 1e-6
+    noisy = images + np.random.default_rng(2).normal(0.0, 0.1, images.shape)
+    superimposed = [APERTURES.superimpose(*pair) for pair in zip(RIG.cameras, noisy, strict=True)]
+    found, off = APERTURES.locate(np.stack(superimposed, axis=1))
+    assert found == pytest.approx(triangulate(RIG.cameras, noisy), abs=0.02)
+    assert 0.05 < np.median(off) < 0.3
+
+
+def test_triplets_of_exact_images_are_found_and_no_others() -> None:
+    world = points(2000)
+    found = match_triangles(APERTURES, RIG.cameras, peaks_of(world), RIG.grid, 0.02)
+    near = np.linalg.norm(found.position[:, None] - world[None], axis=2).min(axis=1)
+    assert (near < 1e-6).sum() == 2000
+    assert len(found.position) < 2060  # by chance
+
+
+def test_distorted_lenses_and_apertures_turned_in_the_world_change_nothing() -> None:
+    turn = rotation_matrices(np.array([[0.3, -0.2, 0.5]]))[0]
+    lens = Distortion(k1=-0.05)
+    turned = tuple(
+        replace(
+            camera,
+            center_mm=triple(turn @ np.asarray(camera.center_mm)),
+            rotation=rows_of(np.asarray(camera.rotation) @ turn.T),
+            distortion=lens,
+        )
+        for camera in RIG.cameras
+    )
+    world = 0.5 * points(40) @ turn.T
+    apertures = Apertures.of(turned)
+    superimposed = [
+        apertures.superimpose(*pair) for pair in zip(turned, images_of(world, turned), strict=True)
+    ]
+    assert apertures.locate(np.stack(superimposed, axis=1))[0] == pytest.approx(world, abs=1e-6)
+
+
+def sparse_shot(seed: int = 3) -> Shot:
+    values: dict[str, Any] = {"particles.count": 60, "cameras.rows": 256, "cameras.columns": 256}
+    values |= {"cameras.pixel_mm": 0.04, "grid.voxel_mm": [0.46, 0.46, 3.2]}
+    each = [
+        {"camera": own.name, "principal_point_px": [127.5 + (x - 511.5) / 4 for x in middle]}
+        for own in RIG.cameras
+        for middle in [own.principal_point_px]
+    ]
+    return simulate(override(SCENE, values | {"cameras.each": each}, "sparse"), seed=seed)
+
+
+def test_particles_of_images_are_those_of_ray_triangulation() -> None:
+    shot = sparse_shot()
+    found = find_by_defocusing(shot.observation)
+    counts = count_found(shot, found)
+    assert counts.recall > 0.85
+    assert counts.precision > 0.97
+    assert found.intensity is not None
+    assert found.intensity.min() > 0.2
+
+
+def test_empty_images_have_no_particles() -> None:
+    case = sparse_shot().observation
+    dark = replace(case, images=np.zeros_like(case.images))
+    assert len(find_by_defocusing(dark).position_mm) == 0
+
+
+def moved(number: int, **changes: Any) -> tuple[Camera, ...]:
+    cameras = list(RIG.cameras)
+    cameras[number] = replace(cameras[number], **changes)
+    return tuple(cameras)
+
+
+TILTED = rows_of(rotation_matrices(np.array([[0.0, np.radians(5.0), 0.0]]))[0])
+
+
+@pytest.mark.parametrize(
+    ("cameras", "got"),
+    [
+        (RIG.cameras[:2], "got 2 cameras"),
+        (moved(1, wall=WALL), "got camera_01 behind a wall"),
+        (moved(0, center_mm=(0.0, -120.0, -700.0)), "got sides of 100, 157 and 157 mm"),
+        (moved(0, rotation=TILTED), "got camera_00 at 5.0 degrees"),
+    ],
+)
+def test_other_cameras_are_refused_in_one_sentence(cameras: Any, got: str) -> None:
+    fault = find_unsuitable(cameras, RIG.grid)
+    assert fault is not None
+    assert fault.startswith("it needs three cameras at the corners of an equilateral triangle")
+    assert fault.endswith(got)
+    assert find_unsuitable(RIG.cameras, RIG.grid) is None
+
+
+def test_cameras_in_a_line_and_a_grid_behind_them_are_refused() -> None:
+    line = [replace(RIG.cameras[0], center_mm=(x, 0.0, -700.0)) for x in (0.0, 50.0, 100.0)]
+    assert "got sides of 50, 50 and 100 mm" in str(find_unsuitable(line, RIG.grid))
+    low = RIG.grid.low_mm
+    behind = replace(RIG.grid, low_mm=(low[0], low[1], -800.0))
+    assert "beside or behind" in str(find_unsuitable(RIG.cameras, behind))
+
+
+def test_the_solver_declines_four_cameras() -> None:
+    solver: Any = make_algorithm("ddpiv", {})
+    case = ImageSequence.of([make_small(1).observation])
+    assert solver.skip(case).endswith("no wall, got 4 cameras")
