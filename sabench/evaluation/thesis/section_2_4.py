@@ -59,16 +59,18 @@ def plane_mm(baseline: float) -> float:
 
 _FIXED = tuple(Setup(baseline, plane_mm(_BASELINE)) for baseline in BASELINES)
 _OWN = tuple(Setup(baseline, plane_mm(baseline)) for baseline in BASELINES)
+_FINE = tuple(Setup(baseline, plane_mm(_BASELINE) / 2.0) for baseline in (0.2, 0.6))
 _SPACED = tuple(Setup(_BASELINE, spacing * plane_mm(_BASELINE)) for spacing in SPACINGS)
 
 
 def rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure errors over the baseline and over the spacing of the planes.
 
-    Baselines are compared with the same planes, and with those of equation 2.10 for each.
+    Baselines are compared with the same planes, some of them with planes twice as fine, and with
+    the planes of equation 2.10 for each.
     """
     found: _Found = {}
-    for setup in dict.fromkeys(_FIXED + _OWN + _SPACED):
+    for setup in dict.fromkeys(_FIXED + _OWN + _FINE + _SPACED):
         found[setup] = _measure(setup, seeds, pixels)
         for name, values in found[setup].items():
             for number, axis in enumerate("uvw"):
