@@ -366,8 +366,8 @@ _WALL_UNKNOWNS: tuple[tuple[Unknown, ...], ...] = (
     ("wall", "thickness"),
     ("wall", "thickness", "layer_index", "fluid_index"),
 )
-_NOMINAL = Nominal(wall_mm=2.0, wall_deg=0.3, thickness_percent=5.0, layer_index=0.01)
-_FLUID_INDEX = 0.003  # standard deviation of the nominal one
+_WALL_MM, _WALL_DEG, _THICKNESS_PERCENT = 2.0, 0.3, 5.0  # standard deviations of nominal values
+_LAYER_INDEX, _FLUID_INDEX = 0.01, 0.003
 _LENSES: tuple[Unknown, ...] = ("principal_point", "k1")
 _PLAIN = Distortion(k1=-0.2)
 _SETUPS = {
@@ -380,10 +380,10 @@ _SETUPS = {
 def off_wall(unknown: tuple[Unknown, ...], seed: int) -> Wall:
     """Draw a nominal wall that is off in what is unknown."""
     errors = Nominal(
-        wall_mm=_NOMINAL.wall_mm * ("wall" in unknown),
-        wall_deg=_NOMINAL.wall_deg * ("wall" in unknown),
-        thickness_percent=_NOMINAL.thickness_percent * ("thickness" in unknown),
-        layer_index=_NOMINAL.layer_index * ("layer_index" in unknown),
+        wall_mm=_WALL_MM * ("wall" in unknown),
+        wall_deg=_WALL_DEG * ("wall" in unknown),
+        thickness_percent=_THICKNESS_PERCENT * ("thickness" in unknown),
+        layer_index=_LAYER_INDEX * ("layer_index" in unknown),
         fluid_index=_FLUID_INDEX * ("fluid_index" in unknown),
     )
     return draw_nominal_wall(_WALL, errors, seed)

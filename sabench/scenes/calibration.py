@@ -66,23 +66,23 @@ class Calibration(Table):
         "centre",
     )
     known: tuple[KnownPoint, ...] = Field((), description="points whose positions are known")
-    wall_mm: float = Field(
-        0.0, ge=0.0, description="standard deviation of the plane wall's place along its normal"
+    wall_mm: float | None = Field(
+        None, ge=0.0, description="standard deviation of the plane wall's place along its normal"
     )
-    wall_deg: float = Field(
-        0.0, ge=0.0, le=10.0, description="standard deviation of the wall's tilt about two axes"
+    wall_deg: float | None = Field(
+        None, ge=0.0, le=10.0, description="standard deviation of the wall's tilt about two axes"
     )
-    thickness_percent: float = Field(
-        0.0, ge=0.0, le=20.0, description="standard deviation of the thickness of every layer"
+    thickness_percent: float | None = Field(
+        None, ge=0.0, le=20.0, description="standard deviation of the thickness of every layer"
     )
-    layer_index: float = Field(
-        0.0, ge=0.0, le=0.05, description="standard deviation of the index of every layer"
+    layer_index: float | None = Field(
+        None, ge=0.0, le=0.05, description="standard deviation of the index of every layer"
     )
-    fluid_index: float = Field(
-        0.0, ge=0.0, le=0.05, description="standard deviation of the fluid's index"
+    fluid_index: float | None = Field(
+        None, ge=0.0, le=0.05, description="standard deviation of the fluid's index"
     )
-    known_cameras: bool = Field(
-        False,
+    known_cameras: bool | None = Field(
+        None,
         description="solvers learn that the nominal cameras are the true ones, and that only the "
         "wall and the target are not",
     )

@@ -42,22 +42,23 @@ def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
     rng = stream(seed, "nominal wall")
     axes = frame_of_normal(np.asarray(wall.normal))
     along, right, down, fluid = rng.standard_normal(4)
-    turn = rotation_matrices(np.deg2rad(spec.wall_deg) * np.array([right, down, 0.0]))
+    turn = rotation_matrices(np.deg2rad(spec.wall_deg or 0.0) * np.array([right, down, 0.0]))
     thicker, denser = rng.standard_normal((2, len(wall.layers)))
+    percent = spec.thickness_percent or 0.0
     layers = tuple(
         replace(
             layer,
-            thickness_mm=layer.thickness_mm * (1.0 + spec.thickness_percent / 100.0 * thick),
-            index=layer.index + spec.layer_index * dense,
+            thickness_mm=layer.thickness_mm * (1.0 + percent / 100.0 * thick),
+            index=layer.index + (spec.layer_index or 0.0) * dense,
         )
         for layer, thick, dense in zip(wall.layers, thicker.tolist(), denser.tolist(), strict=True)
     )
     return replace(
         wall,
-        point_mm=triple(np.asarray(wall.point_mm) + spec.wall_mm * along * axes[2]),
+        point_mm=triple(np.asarray(wall.point_mm) + (spec.wall_mm or 0.0) * along * axes[2]),
         normal=triple(axes.T @ turn[:, 2]),
         layers=layers,
-        fluid_index=wall.fluid_index + spec.fluid_index * float(fluid),
+        fluid_index=wall.fluid_index + (spec.fluid_index or 0.0) * float(fluid),
     )
 
 

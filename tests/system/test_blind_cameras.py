@@ -202,6 +202,7 @@ def test_every_command_with_json_is_tried_here() -> None:
         "plan",
         "preprocess",
         "quality",
+        "refocus",
         "run",
         "score",
         "submit",

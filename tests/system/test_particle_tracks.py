@@ -23,8 +23,10 @@ from sabench.tasks.particles import TASK
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 
-SOLVERS = [
-    name for name in plugins.names("solvers") if plugins.load("solvers", name).task == "particles"
+SOLVERS = [  # ddpiv takes three parallel pinholes alone
+    name
+    for name in plugins.names("solvers")
+    if plugins.load("solvers", name).task == "particles" and name != "ddpiv"
 ]
 
 

@@ -105,7 +105,7 @@ def test_names_or_list_are_needed(command: Command) -> None:
 def test_an_unknown_table_is_refused(command: Command) -> None:
     done = command("reproduce", "table-9")
     assert done.returncode == 2
-    assert "expected one of all, table-2-1, table-2-1-best, fig-2-6, fig-2-7" in done.stderr
+    assert "expected one of all, table-2-1, table-2-1-best, fig-2-4, fig-2-6" in done.stderr
     assert "Traceback" not in done.stderr
 
 

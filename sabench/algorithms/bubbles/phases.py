@@ -20,6 +20,7 @@ from sabench.utils.arrays import F32, U16, Bool
 _SIGMAS = 5.0  # above the diffuser's noise: a tracer
 _PEAK_PX = 9  # wider than a tracer's image
 _GROWN_PX = 7  # around pixels of a tracer, which the others do not get
+_LEAST = 0.02  # of white: a background that is darker is no diffuser
 _DARK = 0.6  # of the diffuser: bubbles' rims and bodies are darker
 
 
@@ -48,7 +49,8 @@ def separate_phases(case: Observation, largest_px: float) -> SeparatedPhases:
     """
     black = np.float32(case.black_dn)
     light = case.images.astype(np.float32) - black
-    parts = [_separate(image, largest_px) for image in light]
+    white = case.white_dn - case.black_dn
+    parts = [_separate(image, largest_px, white) for image in light]
     tracers, shadows, body = (np.stack(part) for part in zip(*parts, strict=True))
     return SeparatedPhases(
         replace(case, images=_grey(tracers + black, case)),
@@ -69,9 +71,11 @@ def image_diameter_px(case: Observation, radius_mm: float) -> float:
     return 2.0 * max(float(np.linalg.norm(one[1:] - one[0], axis=1).max()) for one in pixels)
 
 
-def _separate(light: F32, largest_px: float) -> tuple[F32, F32, Bool]:
-    """Separate one image (rows, columns) above black."""
+def _separate(light: F32, largest_px: float, white: float) -> tuple[F32, F32, Bool]:
+    """Separate one image above black; without a diffuser all light is of tracers."""
     diffuser, noise = _diffuser(light)
+    if diffuser < _LEAST * white:
+        return light, np.zeros_like(light), np.zeros(light.shape, dtype=np.bool_)
     peaks = light - _opened(light, _PEAK_PX)
     above = (
         light - cv2.medianBlur(light, 5) > _SIGMAS * noise

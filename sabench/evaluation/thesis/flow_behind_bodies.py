@@ -15,7 +15,7 @@ import numpy as np
 
 from sabench.api import FoundParticles, ImageSequence, Observation, VolumePair
 from sabench.api.make import make_algorithm, make_solver
-from sabench.evaluation.thesis.common import Item, coarsen, make_row
+from sabench.evaluation.thesis.common import Item, coarsen, make_row, settings
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
 from sabench.plotting.charts import Curve, Figure, Panel, Picture
@@ -33,6 +33,7 @@ SEEDS = 3
 _SCENES = {"reef": "flow-behind-reef", "propeller": "flow-behind-propeller"}
 _SOLVERS = ("ray_triangulation", "bayesian_ipr")
 _FIELD = "msa, piv3d"
+_WINDOW, _OVERLAP = (32, 32, 16), 0.75
 # cameras of the 3 x 3 grid, row by row: a cross, all
 _CAMERAS = {5: (1, 3, 4, 5, 7), 9: tuple(range(9))}
 _HIDDEN = {"none": (0.0, 0.0), "up to a third": (0.0, 0.34), "more": (0.34, 1.0)}
@@ -133,7 +134,7 @@ def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
     grid = seen.cases[0].grid
     volumes = [make_solver("msa", {}).solve(case).volume for case in seen.cases]
     start, end = seen.times_s
-    algorithm: Any = make_algorithm("piv3d", {})
+    algorithm: Any = make_algorithm("piv3d", settings("piv3d", _WINDOW, _OVERLAP, grid))
     field = algorithm.solve(VolumePair(volumes[0], volumes[1], grid, end - start))
     points = evaluation_lattice(grid).positions_mm.reshape(-1, 3)
     for body, _ in Phases(scene, seed).bodies(0):

@@ -39,7 +39,7 @@ from sabench.utils.errors import InputError
     ],
 )
 def test_verdicts(measured: float, thesis: float | None, expected: str) -> None:
-    assert verdict(measured, thesis) == expected
+    assert verdict(measured, thesis, "larger") == expected
 
 
 def test_rows_hold_the_mean_over_seeds() -> None:
