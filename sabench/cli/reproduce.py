@@ -138,13 +138,16 @@ def _write_page(
     if folder is None:
         return
     from sabench.evaluation.thesis import TABLES
-    from sabench.evaluation.thesis.catalogue import judged
+    from sabench.evaluation.thesis.catalogue import MEASURED, judged, read_rows
     from sabench.evaluation.thesis.report import render
     from sabench.utils.files import complete_or_nothing
 
     folder.mkdir(parents=True, exist_ok=True)
+    now = {row["item"] for row in rows}
+    recorded = [row for row in read_rows(MEASURED) if row["item"] not in now]
+    page = render(judged([*recorded, *rows]), rows, TABLES, plots)
     with complete_or_nothing(folder / "index.html", overwrite=True) as partial:
-        partial.write_text(render(judged(rows), rows, TABLES, plots), encoding="utf-8")
+        partial.write_text(page, encoding="utf-8")
 
 
 def _report_row(row: dict[str, Any]) -> None:

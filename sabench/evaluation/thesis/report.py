@@ -27,8 +27,8 @@ td, th { text-align: left; padding: 0.15em 0.6em; border-bottom: 1px solid #ddd;
          vertical-align: top; }
 td.value { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
 td.note { color: #444; font-size: 0.9em; }
-.reproduced, .exceeds { color: #00573a; font-weight: bold; }
-.below, .not { color: #a11000; font-weight: bold; }
+.good { color: #00573a; font-weight: bold; }
+.bad { color: #a11000; font-weight: bold; }
 </style>
 </head>
 <body>
@@ -42,7 +42,7 @@ Flows, MIT. Values are means over seeds, with half widths of 95 % confidence int
 <tr><th>name</th><th>what it shows</th><th>verdict</th><th>measured by</th></tr>
 {% for one in entries %}
 <tr><td>{{ one.name }}</td><td>{{ one.shows }}</td>
-<td class="{{ one.verdict.split(' ')[0] }}">{{ one.verdict }}</td>
+<td class="{{ one.verdict | grade }}">{{ one.verdict }}</td>
 <td>{% if one.item in items %}<a href="#{{ one.item }}">{{ one.item }}</a>
 {% else %}{{ one.item }}{% endif %}</td></tr>
 {% endfor %}
@@ -56,8 +56,7 @@ Flows, MIT. Values are means over seeds, with half widths of 95 % confidence int
 <tr><td>{{ row.name }}</td><td class="value">{{ row.thesis | value }}</td>
 <td class="value">{{ row.measured | value }}{{ row.ci95 | interval }}</td>
 <td class="value">{{ row.seeds or "-" }}</td>
-<td class="{{ row.verdict.split(' ')[0] if row.verdict != 'not in the thesis' }}">
-{{ row.verdict }}</td></tr>
+<td class="{{ row.verdict | grade }}">{{ row.verdict }}</td></tr>
 {% if row.note %}<tr><td class="note" colspan="5">{{ row.note }}</td></tr>{% endif %}
 {% endfor %}
 </table></div>
@@ -90,6 +89,7 @@ def render(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["value"] = _format
+    environment.filters["grade"] = _grade
     environment.filters["interval"] = lambda half: "" if half is None else f" ± {half:.2g}"
     return environment.from_string(_PAGE).render(
         entries=entries,
@@ -98,6 +98,17 @@ def render(
         plots=plots,
         small=any(row["pixels"] for row in rows),
     )
+
+
+def _grade(verdict: str) -> str:
+    """Choose the style of a verdict."""
+    return {
+        "reproduced": "good",
+        "exceeds": "good",
+        "below": "bad",
+        "not reproduced": "bad",
+        "not reached": "bad",
+    }.get(verdict, "")
 
 
 def _format(value: float | str | None) -> str:
