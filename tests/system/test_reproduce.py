@@ -170,7 +170,7 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
     "drops-over-time": {"_SOLVERS": ("minimum_image",), "FRAMES": 2},
     "three-phases": {
         "_BUBBLES": ("separated_bubbles",),
-        "_TRACERS": ("separated_tracers",),
+        "_TRACERS": ("ray_triangulation",),
     },
     "fig-4-16": {"STARTS": (0.01,)},
     "appendix-c": {"STARTS": (0.001,), "EVERY_NOISE": (0.5,)},
