@@ -45,12 +45,14 @@ def rotate_cameras(cameras: tuple[Any, ...], rotation: F64) -> tuple[Camera, ...
     made = []
     for camera in cameras:
         assert isinstance(camera, Camera)
-        assert isinstance(camera.wall, Wall)
-        wall = replace(
-            camera.wall,
-            point_mm=triple(rotation @ np.asarray(camera.wall.point_mm)),
-            normal=triple(rotation @ np.asarray(camera.wall.normal)),
-        )
+        wall = camera.wall
+        if wall is not None:
+            assert isinstance(wall, Wall)
+            wall = replace(
+                wall,
+                point_mm=triple(rotation @ np.asarray(wall.point_mm)),
+                normal=triple(rotation @ np.asarray(wall.normal)),
+            )
         x, y, z = np.asarray(camera.rotation) @ rotation.T
         center = triple(rotation @ np.asarray(camera.center_mm))
         axes = triple(x), triple(y), triple(z)

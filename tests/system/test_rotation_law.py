@@ -18,6 +18,8 @@ from tests.helpers.bubble_scenes import small
 from tests.helpers.calibration_cases import calibration_scene, case_of
 from tests.helpers.light_sheets import GRID, image_pair, tank_camera
 from tests.helpers.small_particles import make_small, rotate_cameras, rotate_rig
+from tests.unit.algorithms.calibration.test_plane_parallax import air
+from tests.unit.algorithms.particles.test_defocusing import sparse_shot
 
 ROTATIONS = [
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),  # X to Z, Y to X, Z to Y
@@ -59,6 +61,10 @@ def one_frame(case: Observation) -> ImageSequence:
     return ImageSequence(case.cameras, case.grid, (0.0,), lambda _: case)
 
 
+def two_frames(case: Observation) -> ImageSequence:
+    return ImageSequence(case.cameras, case.grid, (0.0, 1.0), lambda _: case)
+
+
 @pytest.mark.parametrize("rotation", ROTATIONS)
 @pytest.mark.parametrize("name", TOMOGRAPHY)
 def test_tomography_follows_the_rig(case: Observation, name: str, rotation: F64) -> None:
@@ -66,6 +72,26 @@ def test_tomography_follows_the_rig(case: Observation, name: str, rotation: F64)
     turned = make(name).solve(rotate_rig(case, rotation)).volume
     expected = rotate_field(volume, rotation)
     assert np.abs(turned - expected).max() < 2e-3 * volume.max()
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_tomography_of_two_exposures_follows_the_rig(case: Observation, rotation: F64) -> None:
+    sizes = {"first_window": [8] * 3, "window": [8] * 3, "passes": 1, "repeats": 1}
+    solver = make("mte_mart", sizes)
+    volumes = [found.volume for found in solver.solve(two_frames(case))]
+    turned = [found.volume for found in solver.solve(two_frames(rotate_rig(case, rotation)))]
+    for one, other in zip(volumes, turned, strict=True):
+        assert np.abs(other - rotate_field(one, rotation)).max() < 2e-3 * one.max()
+
+
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_triangles_follow_the_apertures(rotation: F64) -> None:
+    case, solver = sparse_shot().observation, make("ddpiv")
+    (found,) = solver.solve(one_frame(case))
+    (turned,) = solver.solve(one_frame(rotate_rig(case, rotation)))
+    assert len(found.position_mm) == len(turned.position_mm) > 20
+    distances = cKDTree(turned.position_mm @ rotation).query(found.position_mm)[0]
+    assert distances.max() < 1e-6
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS)
@@ -133,6 +159,14 @@ def test_polynomials_along_z_refuse_cameras_that_look_across_it() -> None:
     reason = make("soloff").skip(rotate_boards(case, ROTATIONS[0]))
     assert reason is not None
     assert reason.startswith("its polynomial is quadratic along Z, and c")
+
+
+def test_boards_across_z_are_no_planes_of_it() -> None:
+    case = air()[0]
+    assert make("plane_parallax").skip(case) is None
+    reason = make("plane_parallax").skip(rotate_boards(case, ROTATIONS[0]))
+    assert reason is not None
+    assert reason.startswith("expected a frame of one Z")
 
 
 def test_bubbles_follow_the_rig() -> None:
