@@ -64,12 +64,13 @@ def measure(scene: Scene, seed: int) -> dict[str, Figures]:
     shots = list(simulate_sequence(scene, seed=seed))
     frames, grid = [shot.observation for shot in shots], shots[0].observation.grid
     true = [true_field(grid, shot.particles, shot.views) for shot in shots]
-    block, mte = make_algorithm("block_mart", {}), make_algorithm("mte_mart", {})
+    block: Any = make_algorithm("block_mart", {})
+    mte: Any = make_algorithm("mte_mart", {})
     start = time.process_time()
-    own: list[Any] = [block.solve(frame).volume for frame in frames]  # type: ignore[arg-type,union-attr]
+    own = [block.solve(frame).volume for frame in frames]
     middle = time.process_time()
     sequence = ImageSequence.of(frames, scene.interval_s)
-    enhanced: list[Any] = [one.volume for one in mte.solve(sequence)]  # type: ignore[arg-type,union-attr]
+    enhanced = [one.volume for one in mte.solve(sequence)]
     end = time.process_time()
     cleared = [np.where(one > NEAR, volume, 0.0) for one, volume in zip(true, own, strict=True)]
     of = dict(zip(VARIANTS, (true, cleared, own, enhanced), strict=True))
@@ -98,7 +99,8 @@ def score_velocity(scene: Scene, shots: Sequence[Shot], volumes: Sequence[F32]) 
     """Score the field of a pair as the task velocimetry does."""
     grid = shots[0].observation.grid
     pair = VolumePair(volumes[0], volumes[1], grid, scene.interval_s)
-    field: Any = make_algorithm("piv3d", dict(CORRELATION)).solve(pair)  # type: ignore[arg-type]
+    solver: Any = make_algorithm("piv3d", dict(CORRELATION))
+    field = solver.solve(pair)
     nodes, flow = evaluation_lattice(grid), flow_of(scene)
     assert flow is not None
     points = nodes.positions_mm.reshape(-1, 3)

@@ -4,26 +4,13 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from sabench.algorithms.particles import find_by_defocusing, find_unsuitable
-from sabench.api import FoundParticles, ImageSequence, Parameters, ParticleSolver, progress_bar
+from sabench.algorithms.particles import PeakParameters, find_by_defocusing, find_unsuitable
+from sabench.api import FoundParticles, ImageSequence, ParticleSolver, progress_bar
 
 
-class DefocusingParameters(Parameters):
+class DefocusingParameters(PeakParameters):
     """Thresholds of particle images and of the triangles that they form."""
 
-    floor: float = Field(
-        0.05,
-        gt=0.0,
-        lt=1.0,
-        description="smallest peak of a particle image, over that of a bright particle",
-    )
-    false_alarms: float = Field(
-        1e-5,
-        gt=0.0,
-        lt=0.5,
-        description="probability that noise makes a particle image of a pixel; the larger of both "
-        "thresholds holds",
-    )
     reach_px: float = Field(
         0.8,
         gt=0.0,

@@ -5,29 +5,17 @@ from __future__ import annotations
 from pydantic import Field
 
 from sabench.algorithms.particles import (
+    PeakParameters,
     TriangulationSettings,
     fit_cameras,
     triangulate_particles,
 )
-from sabench.api import FoundParticles, ImageSequence, Parameters, ParticleSolver, progress_bar
+from sabench.api import FoundParticles, ImageSequence, ParticleSolver, progress_bar
 
 
-class TriangulationParameters(Parameters):
+class TriangulationParameters(PeakParameters):
     """Thresholds of particle images and of their agreement in a particle."""
 
-    floor: float = Field(
-        0.05,
-        gt=0.0,
-        lt=1.0,
-        description="smallest peak of a particle image, over that of a bright particle",
-    )
-    false_alarms: float = Field(
-        1e-5,
-        gt=0.0,
-        lt=0.5,
-        description="probability that noise makes a particle image of a pixel; the larger of both "
-        "thresholds holds",
-    )
     reach_px: float = Field(
         0.8,
         gt=0.0,

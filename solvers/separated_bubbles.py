@@ -26,7 +26,8 @@ class SeparatedBubbles(BubbleSolver):
 
     def skip(self, case: Observation) -> str | None:
         """Skip what the solver of the bubbles skips."""
-        return self._solver().skip(case)  # type: ignore[no-any-return]
+        reason: str | None = self._solver().skip(case)
+        return reason
 
     def solve(self, case: Observation) -> Detections:
         """Separate the phases and find the bubbles."""

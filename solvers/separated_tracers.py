@@ -35,7 +35,8 @@ class SeparatedTracers(ParticleSolver):
 
     def skip(self, case: ImageSequence) -> str | None:
         """Skip what the solver of the tracers skips."""
-        return self._solver().skip(case)  # type: ignore[no-any-return]
+        reason: str | None = self._solver().skip(case)
+        return reason
 
     def solve(self, case: ImageSequence) -> Iterable[FoundParticles]:
         """Separate the phases of each frame and find the tracers."""

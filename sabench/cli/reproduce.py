@@ -58,6 +58,8 @@ def reproduce(
     """Reproduce tables and figures of Belden's thesis and compare the values."""
     from sabench.utils.errors import InputError
 
+    if as_list and names:
+        raise InputError(f"reproduce: expected no names beside --list, got {names[0]}")
     if as_list:
         _list(as_json)
     elif names:

@@ -96,10 +96,17 @@ def test_all_tables_and_figures_are_listed(command: Command) -> None:
     assert "fig-c-21" in command("reproduce", "--list").stdout
 
 
-def test_names_or_list_are_needed(command: Command) -> None:
-    done = command("reproduce")
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), "expected names of tables and figures, all, or --list"),
+        (("--list", "fig-2-6"), "expected no names beside --list, got fig-2-6"),
+    ],
+)
+def test_names_or_list_are_needed(command: Command, words: tuple[str, ...], expected: str) -> None:
+    done = command("reproduce", *words)
     assert done.returncode == 2
-    assert "expected names of tables and figures, all, or --list" in done.stderr
+    assert expected in done.stderr
 
 
 def test_an_unknown_table_is_refused(command: Command) -> None:

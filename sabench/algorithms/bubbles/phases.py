@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from sabench.api.observations import Observation
-from sabench.utils.arrays import F32, U16, Bool
+from sabench.utils.arrays import F32, U8, U16, Bool
 
 _SIGMAS = 5.0  # above the diffuser's noise: a tracer
 _PEAK_PX = 9  # wider than a tracer's image
@@ -123,7 +123,7 @@ def _opened(light: F32, size: int) -> F32:
     return np.asarray(cv2.morphologyEx(light, cv2.MORPH_OPEN, _disc(size)), dtype=np.float32)
 
 
-def _disc(size: int) -> U16:
+def _disc(size: int) -> U8:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         reconstruct_by_descent,
     )
     from sabench.algorithms.particles.linking import link
+    from sabench.algorithms.particles.peak_detection import PeakParameters
     from sabench.algorithms.particles.ray_triangulation import (
         TriangulationSettings,
         fit_cameras,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BayesianIprSettings",
     "InverseRenderingSettings",
+    "PeakParameters",
     "ShakeTheBoxSettings",
     "TriangulationSettings",
     "find_by_defocusing",
@@ -48,6 +50,7 @@ __all__ = [
 _HOMES = {
     "BayesianIprSettings": "bayesian_ipr",
     "InverseRenderingSettings": "inverse_rendering",
+    "PeakParameters": "peak_detection",
     "ShakeTheBoxSettings": "shake_the_box",
     "TriangulationSettings": "ray_triangulation",
     "find_by_defocusing": "defocusing",

@@ -3,13 +3,32 @@
 from __future__ import annotations
 
 import numpy as np
+from pydantic import Field
 
-from sabench.api import Observation
+from sabench.api import Observation, Parameters
 from sabench.images.brightness import bright_dn
 from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.peak_detection import detect_peaks
 from sabench.images.peaks import Peaks
 from sabench.utils.arrays import F32, F64, I64
+
+
+class PeakParameters(Parameters):
+    """Thresholds of particle images."""
+
+    floor: float = Field(
+        0.05,
+        gt=0.0,
+        lt=1.0,
+        description="smallest peak of a particle image, over that of a bright particle",
+    )
+    false_alarms: float = Field(
+        FALSE_ALARMS,
+        gt=0.0,
+        lt=0.5,
+        description="probability that noise makes a particle image of a pixel; the larger of both "
+        "thresholds holds",
+    )
 
 
 def detect_in_cameras(

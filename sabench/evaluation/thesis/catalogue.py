@@ -57,11 +57,12 @@ def read_rows(file: Path) -> list[dict[str, Any]]:
         return []
     try:
         rows: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
-        if all({"item", "name", "verdict"} <= row.keys() for row in rows):
-            return rows
+        known = all({"item", "name", "verdict"} <= row.keys() for row in rows)
     except (ValueError, AttributeError, TypeError, OSError):
-        pass
-    raise InputError(f"{file}: expected rows that `sabench reproduce -o` wrote")
+        known = False
+    if not known:
+        raise InputError(f"{file}: expected rows that `sabench reproduce -o` wrote")
+    return rows
 
 
 def rows_of(entry: Entry, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

@@ -71,7 +71,7 @@ def test_light_of_a_volume_is_no_sheet(tmp_path: Path) -> None:
 
 
 def test_only_components_in_the_sheet_count(tmp_path: Path) -> None:
-    """Whether an estimate is planar or not."""
+    """Planar estimates and those of volumes are scored alike."""
     flow = {"generator": "linear_flow", "velocity_mm_s": [40.0, -30.0, 20.0]}
     data = data_of(tmp_path, {"flow": flow})
     nodes = TASK.truth(data, 0)
