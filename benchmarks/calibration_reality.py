@@ -12,11 +12,6 @@ docs.
 - `tanks`: errors of held-out points with few unknowns, with those that held-out boards recommend,
   and the best of two fits of many unknowns from the true poses; and the error that the report
   expects over the true one.
-
-`wall SEEDS [record.json]` measures the wall as an unknown: errors of its place, tilt, thickness and
-indices over their Cramer-Rao bound. What is freed is nominally off by chance, the rest is exact.
-Cameras are known, or found together with focal lengths, principal points and k1; places of the
-target are known to 0.01 mm, or not at all. `wall-table record.json` prints the table of the docs.
 """
 
 from __future__ import annotations
@@ -30,13 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
-from sabench.algorithms.calibration.bundle_adjustment import BoardImages
-from sabench.algorithms.calibration.cramer_rao import limit
 from sabench.algorithms.calibration.initial_poses import place_boards
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters
-from sabench.algorithms.calibration.problem import make_anchors
 from sabench.algorithms.calibration.unknown_selection import select_unknowns
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
@@ -47,24 +37,21 @@ from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.geometry.rotations import rotation_matrices
 from sabench.geometry.triangulation import triangulate
-from sabench.scenes.calibration import Calibration as Nominal
-from sabench.scenes.nominal_cameras import draw_nominal_wall
 from sabench.tasks.calibration_folder import Recording
 from sabench.tasks.calibration_report import report_on
 from sabench.tasks.held_out_calibration import hold_out
-from sabench.tasks.wall_report import WallUnknown, wall_unknowns
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.fields import Unknown
 from sabench.utils.files import canonical_json
 from sabench.utils.progress import progress_bar
 
-_NOISE_PX = 0.05
+NOISE_PX = 0.05
 _BOARDS = 10
 _TARGET = Target("checkerboard", 7, 7, 9.0, 0.0)
 _MIDDLE = np.array([0.0, 0.0, 80.0])
 _HALF = np.array([35.0, 35.0, 35.0])  # of the volume of held-out points
-_WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 10.0),), 1.333)
+WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 10.0),), 1.333)
 _RIGHT = 1.5  # times the error of the same fit from the true poses: below, an end state is right
 _MANY: tuple[Unknown, ...] = ("k1", "k2", "p1", "p2", "tilt", "bend")
 _ALL: tuple[Unknown, ...] = (*_MANY, "principal_point", "k3")
@@ -125,11 +112,11 @@ def make_tank(errors: Errors, seed: int) -> Tank:
     cameras = tuple(_camera(number, errors, rng) for number in range(4))
     points = _place_boards(errors, rng)
     pixels = np.stack([camera.project(points.reshape(-1, 3))[0] for camera in cameras])
-    pixels += _NOISE_PX * rng.standard_normal(pixels.shape)
+    pixels += NOISE_PX * rng.standard_normal(pixels.shape)
     for camera, own in zip(cameras, pixels, strict=True):
         own[~camera.contains(own)] = np.nan
     known, sigma = _measure_places(errors, points, rng)
-    wall = replace(_WALL, point_mm=(0.0, 0.0, -errors.wall_mm))
+    wall = replace(WALL, point_mm=(0.0, 0.0, -errors.wall_mm))
     nominal = tuple(_nominal(camera, wall) for camera in cameras)
     shape = (len(cameras), *points.shape[:2], 2)
     case = CalibrationCase(_TARGET, pixels.reshape(shape), nominal, known, known, sigma)
@@ -181,7 +168,7 @@ def _camera(number: int, errors: Errors, rng: np.random.Generator) -> Camera:
         ),
         60.0,
         11.0,
-        _WALL,
+        WALL,
         (float(tilt[0]), float(tilt[1])),
     )
     return aim(made, _MIDDLE + 5.0 * rng.standard_normal(3))
@@ -338,7 +325,7 @@ def measure(starts: int, tanks: int) -> dict[str, Any]:
             counts.append(count_right(name, errors, starts, with_wall(unknown, errors)))
             print(json.dumps(counts[-1]), file=sys.stderr)
     rows = [measure_errors(name, errors, tanks) for name, errors in TANKS.items()]
-    return {"noise_px": _NOISE_PX, "starts": counts, "errors": rows}
+    return {"noise_px": NOISE_PX, "starts": counts, "errors": rows}
 
 
 def tables(record: dict[str, Any]) -> Iterator[str]:
@@ -358,135 +345,7 @@ def tables(record: dict[str, Any]) -> Iterator[str]:
         yield f"| {row['tank']} | {errors} | {ratios} |"
 
 
-_WALL_UNKNOWNS: tuple[tuple[Unknown, ...], ...] = (
-    ("wall",),
-    ("thickness",),
-    ("layer_index",),
-    ("fluid_index",),
-    ("wall", "thickness"),
-    ("wall", "thickness", "layer_index", "fluid_index"),
-)
-_WALL_MM, _WALL_DEG, _THICKNESS_PERCENT = 2.0, 0.3, 5.0  # standard deviations of nominal values
-_LAYER_INDEX, _FLUID_INDEX = 0.01, 0.003
-_LENSES: tuple[Unknown, ...] = ("principal_point", "k1")
-_PLAIN = Distortion(k1=-0.2)
-_SETUPS = {
-    "cameras known, places unknown": (True, False),
-    "cameras known, places known": (True, True),
-    "with the lenses, places known": (False, True),
-}
-
-
-def off_wall(unknown: tuple[Unknown, ...], seed: int) -> Wall:
-    """Draw a nominal wall that is off in what is unknown."""
-    errors = Nominal(
-        wall_mm=_WALL_MM * ("wall" in unknown),
-        wall_deg=_WALL_DEG * ("wall" in unknown),
-        thickness_percent=_THICKNESS_PERCENT * ("thickness" in unknown),
-        layer_index=_LAYER_INDEX * ("layer_index" in unknown),
-        fluid_index=_FLUID_INDEX * ("fluid_index" in unknown),
-    )
-    return draw_nominal_wall(_WALL, errors, seed)
-
-
-def wall_errors(
-    known_cameras: bool, places: bool, unknown: tuple[Unknown, ...], seed: int
-) -> tuple[WallUnknown, ...]:
-    """Calibrate a tank; returns the unknowns of the wall against the true ones."""
-    tank = make_tank(Errors(places=True), seed)
-    cameras = tuple(replace(camera, distortion=_PLAIN) for camera in tank.cameras)
-    rng = np.random.default_rng([seed, 3])
-    exact = np.stack([camera.project(tank.points_mm.reshape(-1, 3))[0] for camera in cameras])
-    pixels = (exact + _NOISE_PX * rng.standard_normal(exact.shape)).reshape(tank.case.pixels.shape)
-    pixels = np.where(tank.case.found[..., None], pixels, np.nan)
-    case = replace(tank.case, pixels=pixels, known_cameras=known_cameras)
-    wall = off_wall(unknown, seed)
-    if known_cameras:
-        case = replace(case, cameras=tuple(replace(camera, wall=wall) for camera in cameras))
-        case = replace(case, initial_mm=tank.points_mm + rng.uniform(-3.0, 3.0, 3), unknown=unknown)
-    else:
-        case = guess(case, seed)
-        nominal = tuple(replace(camera, wall=wall) for camera in case.cameras)
-        case = replace(case, cameras=nominal, unknown=(*_LENSES, *unknown))
-    if not places:
-        nothing = np.full(tank.points_mm.shape, np.nan)
-        case = replace(case, known_mm=nothing, known_sigma_mm=nothing)
-    solver: Any = make_algorithm("refractive_autocal", {})
-    found = solver.solve(case).cameras[0].wall
-    return wall_unknowns(_WALL, found, *_wall_bound(cameras, tank.points_mm, case))
-
-
-def _wall_bound(
-    cameras: tuple[Camera, ...], points: F64, case: CalibrationCase
-) -> tuple[FreeParameters, F64]:
-    """Compute the unknowns and their bound at the truth."""
-    frame, free = Frame.from_cameras(cameras, points), FreeParameters.from_case(case)
-    state, board = frame.state(case.target.points_mm, points), case.target.points_mm
-    anchors = make_anchors(case, frame, _NOISE_PX)
-    pixels, weights = np.nan_to_num(case.pixels), case.found.astype(np.float64)
-    seen = BoardImages(board, pixels, weights, anchors)
-    return free, limit(state, seen, free, _NOISE_PX).shared_std
-
-
-def measure_wall(seeds: int) -> list[dict[str, Any]]:
-    """Measure root mean square errors of every unknown and their ratio to the bound."""
-    low, high = np.sqrt(chi2.ppf([0.025, 0.975], seeds) / seeds).tolist()
-    rows: list[dict[str, Any]] = []
-    pairs = [(name, unknown) for name in _SETUPS for unknown in _WALL_UNKNOWNS]
-    for name, unknown in progress_bar(pairs, "walls"):
-        drawn = [wall_errors(*_SETUPS[name], unknown, seed) for seed in range(1, seeds + 1)]
-        for several in zip(*drawn, strict=True):
-            errors = np.array([one.found - one.nominal for one in several])
-            stds = np.array([np.inf if one.std is None else one.std for one in several])
-            ratio = float(np.sqrt(np.mean((errors / stds) ** 2)))
-            rows.append(
-                {
-                    "setup": name,
-                    "unknown": list(unknown),
-                    "quantity": several[0].name,
-                    "unit": several[0].unit,
-                    "seeds": seeds,
-                    "bound": float(f"{np.median(stds):.3g}") if np.isfinite(stds).all() else None,
-                    "rms_error": float(f"{np.sqrt(np.mean(errors**2)):.3g}"),
-                    "error_over_bound": round(ratio, 3),
-                    "interval_95": [round(ratio / high, 3), round(ratio / low, 3)],
-                    "shown": sum(one.shown for one in several),
-                }
-            )
-    return rows
-
-
-def wall_table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Format a record of walls as the table of docs/tasks/calibration.md."""
-    yield f"| unknown | quantity | {' | '.join(_SETUPS)} |"
-    yield "|---|---|" + "---|" * len(_SETUPS)
-    lines: dict[tuple[str, str], list[str]] = {}
-    for row in rows:
-        names = ", ".join(f"`{name}`" for name in row["unknown"])
-        lines.setdefault((names, row["quantity"]), []).append(_wall_cell(row))
-    for (names, quantity), cells in lines.items():
-        yield f"| {names} | {quantity} | {' | '.join(cells)} |"
-
-
-def _wall_cell(row: dict[str, Any]) -> str:
-    """Format bound and error over bound, or the error where the data show nothing."""
-    low, high = row["interval_95"]
-    unit = f" {row['unit']}" if row["unit"] else ""
-    bound = "none" if row["bound"] is None else f"{row['bound']:g}{unit}"
-    if 2 * row["shown"] < row["seeds"]:
-        return f"not shown: {bound}"
-    return f"{bound}; {row['error_over_bound']:.2f} ({low:.2f} to {high:.2f})"
-
-
-if __name__ == "__main__" and sys.argv[1:2] == ["wall"]:
-    text = canonical_json(measure_wall(int(sys.argv[2])))
-    if len(sys.argv) > 3:
-        Path(sys.argv[3]).write_text(text, encoding="utf-8")
-    else:
-        print(text)
-elif __name__ == "__main__" and sys.argv[1:2] == ["wall-table"]:
-    print("\n".join(wall_table(json.loads(Path(sys.argv[2]).read_text(encoding="utf-8")))))
-elif __name__ == "__main__" and sys.argv[1:2] == ["tables"]:
+if __name__ == "__main__" and sys.argv[1:2] == ["tables"]:
     print("\n".join(tables(json.loads(Path(sys.argv[2]).read_text(encoding="utf-8")))))
 elif __name__ == "__main__":
     numbers = [int(value) for value in sys.argv[1:3]]

@@ -10,6 +10,7 @@ import typer
 
 from sabench.cli import tables
 from sabench.cli.options import AsJson, say_json
+from sabench.utils.number_text import significant
 
 if TYPE_CHECKING:
     from sabench.plotting.charts import Figure
@@ -155,7 +156,7 @@ def _write_page(
 def _report_row(row: dict[str, Any]) -> None:
     from sabench.utils.progress import console
 
-    values = f"{tables.figure(row['measured'])}, thesis {tables.figure(row['thesis'])}"
+    values = f"{significant(row['measured'])}, thesis {significant(row['thesis'])}"
     console.print(f"{row['name']}: {values}: {row['verdict']}", markup=False, highlight=False)
 
 
@@ -164,6 +165,6 @@ def _show_rows(rows: list[dict[str, Any]]) -> None:
     cells = []
     for row in rows:
         spread = "" if row["ci95"] is None else f" ± {row['ci95']:.2g}"
-        values = [tables.figure(row["thesis"]), tables.figure(row["measured"]) + spread]
+        values = [significant(row["thesis"]), significant(row["measured"]) + spread]
         cells.append([row["name"], *values, str(row["seeds"] or "-"), row["verdict"], row["note"]])
     tables.show_wrapped(["row", "thesis", "measured", "seeds", "verdict", "note"], cells)

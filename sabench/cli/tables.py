@@ -74,13 +74,6 @@ def _print(headings: Sequence[str], rows: Rows, *, wrap: bool = False) -> None:
     Console(width=width()).print(table)
 
 
-def figure(value: float | str | None, digits: int = 4) -> str:
-    """Format a number with so many significant digits, a missing one as a dash."""
-    if value is None or isinstance(value, str):
-        return value or "-"
-    return f"{value:,.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.{digits}g}"
-
-
 def format_number(value: float | None, decimals: int) -> str:
     """Format a number with so many decimals, a missing one as a dash."""
     return "-" if value is None else f"{value:.{decimals}f}"

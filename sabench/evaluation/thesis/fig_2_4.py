@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.stats import kstest
 
 from sabench.algorithms.refocus import refocus_sum
 from sabench.evaluation.thesis.common import (
@@ -194,11 +194,8 @@ def _distance_to_normal(values: F32) -> float:
 
     The normal one has the mean and standard deviation of the values.
     """
-    ordered = np.sort(values.ravel().astype(np.float64))
-    normal = ndtr((ordered - ordered.mean()) / ordered.std())
-    below = np.searchsorted(ordered, ordered, "left") / len(ordered)
-    to = np.searchsorted(ordered, ordered, "right") / len(ordered)
-    return float(max((normal - below).max(), (to - normal).max()))
+    scaled = (values.ravel().astype(np.float64) - values.mean()) / values.std()
+    return float(kstest(scaled, "norm", method="asymp").statistic)
 
 
 def _rows_of_density(panels: dict[str, list[_Grey]]) -> Iterator[Row]:

@@ -8,6 +8,8 @@ from typing import Any
 
 from jinja2 import Environment, StrictUndefined
 
+from sabench.utils.number_text import significant
+
 _PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -88,7 +90,7 @@ def render(
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["value"] = _format
+    environment.filters["value"] = significant
     environment.filters["grade"] = _grade
     environment.filters["interval"] = lambda half: "" if half is None else f" ± {half:.2g}"
     return environment.from_string(_PAGE).render(
@@ -109,9 +111,3 @@ def _grade(verdict: str) -> str:
         "not reproduced": "bad",
         "not reached": "bad",
     }.get(verdict, "")
-
-
-def _format(value: float | str | None) -> str:
-    if value is None or isinstance(value, str):
-        return value or "-"
-    return f"{value:,.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
