@@ -15,10 +15,13 @@ from sabench.algorithms.calibration import (
 )
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver, Parameters
 
-HELD = (
-    "The images would put boards into the wall, so their depth was held near the initial guess: "
-    "measure the distance of one point of the target from the wall."
-)
+REMARKS = {
+    "richer model": "With these unknowns, the images would put boards into the wall, so their "
+    "depth was held near that of a fit with k1, k2, p1, p2, tilt and bend, too: take them as "
+    "unknowns, or measure the distance of one point of the target from the wall.",
+    "initial guess": "The images would put boards into the wall, so their depth was held near the "
+    "initial guess: measure the distance of one point of the target from the wall.",
+}
 
 
 class RefractiveAutocalParameters(Parameters):
@@ -71,7 +74,7 @@ class RefractiveAutocal(CalibrationSolver):
         state = problem.align_to_nominal(found.fit.state)
         check_fit(case, state, problem.frame, problem.seen, found.used, found.noise_px)
         answer = problem.answer(state, found.used)
-        return replace(answer, remarks=(HELD,)) if found.held else answer
+        return replace(answer, remarks=(REMARKS[found.held],)) if found.held else answer
 
     def _unknowns(self, case: CalibrationCase) -> FreeParameters:
         """Join the unknowns of the case and of the parameters."""

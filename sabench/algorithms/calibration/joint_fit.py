@@ -6,6 +6,7 @@ the world and the depth, and nominal values hold the wall.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -32,6 +33,7 @@ THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
 INDEX = 0.05  # of a nominal index
 _WALL_TILT, _WALL_SHIFT_MM = np.deg2rad(5.0), 100.0  # of a nominal wall
 _BEND_MM = 1.0  # of a board that is nominally flat
+_RICH = ("k1", "k2", "p1", "p2")  # tried, with tilts and bend, where unknowns lack
 _HELD = (0.5, 0.1, 0.02)  # standard deviations of a depth that no image shows, parts of it
 
 
@@ -103,12 +105,30 @@ def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParam
     ends = [adjust(start, seen, free) for start in _other_starts(problem, found.fit.state, seen)]
     if sound := [end for end in ends if _is_sound(end, seen, problem)]:
         return min(sound, key=lambda end: end.noise_px)
-    start = _staged(problem.start, seen, free)
+    start, deep = _staged(problem.start, seen, free), _fit_richly(problem, seen, free, found)
     for part in _HELD:
-        found = adjust(start, hold_depth(problem, seen, found.noise_px, part), free)
+        held = hold_depth(deep or problem.start, problem, seen, found.noise_px, part)
+        found = adjust(start, held, free)
         if _is_sound(found, seen, problem):
             break
-    return replace(found, held=True)
+    return replace(found, held="richer model" if deep else "initial guess")
+
+
+def _fit_richly(
+    problem: CalibrationProblem, seen: BoardImages, free: FreeParameters, found: Robust
+) -> State | None:
+    """Fit with what the unknowns may lack: what a flat board makes of a bent one is its depth.
+
+    Returns None if that does not end well, either.
+    """
+    if problem.frame.wall is None or not np.isfinite(found.noise_px):
+        return None
+    rich = replace(free, distortion=_RICH, tilt=True, bend=True)
+    seen = replace(seen, prior=make_prior(problem.start, max(found.noise_px, _LEAST_NOISE_PX)))
+    first = adjust(problem.start, seen, rich)
+    others = (adjust(start, seen, rich) for start in _other_starts(problem, first.fit.state, seen))
+    ends = itertools.chain([first], others)
+    return next((end.fit.state for end in ends if _is_sound(end, seen, problem)), None)
 
 
 def _is_sound(found: Robust, seen: BoardImages, problem: CalibrationProblem) -> bool:
@@ -132,12 +152,12 @@ def _staged(start: State, seen: BoardImages, free: FreeParameters) -> State:
 
 
 def hold_depth(
-    problem: CalibrationProblem, seen: BoardImages, noise_px: float, part: float
+    start: State, problem: CalibrationProblem, seen: BoardImages, noise_px: float, part: float
 ) -> BoardImages:
-    """Add that boards are about as deep in the fluid as at the start.
+    """Add that boards are about as deep in the fluid as in a state.
 
     Through a plane wall images hardly show the depth of all boards together. Where noise, or what
-    a model lacks, would put boards into the wall, the nominal depth says more.
+    a model lacks, would put boards into the wall, a richer model or the nominal depth says more.
 
     Parameters
     ----------
@@ -145,7 +165,7 @@ def hold_depth(
     """
     if problem.frame.wall is None or not np.isfinite(noise_px):
         return seen
-    start, depths = problem.start, depths_of(problem.start, seen)
+    depths = depths_of(start, seen)
     there = np.flatnonzero(np.isfinite(depths).any(axis=1))
     sigma = part * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(there))
     weight = (max(noise_px, _LEAST_NOISE_PX) / sigma) ** 2

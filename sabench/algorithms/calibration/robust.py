@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -22,19 +23,21 @@ _ROUNDS = 10
 _RAYLEIGH_MEDIAN = 1.17741  # median length of a pair of standard normal numbers
 _CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
 
+Held = Literal["richer model", "initial guess"]
+
 
 @dataclass(frozen=True)
 class Robust:
     """Fit, the observations (camera, board, point) used, and their noise in px.
 
-    The noise is that of one coordinate. `held` says that the depth of the boards had to be held
-    near the initial guess.
+    The noise is that of one coordinate. `held` says where the depth of the boards had to be
+    held, if it had to be.
     """
 
     fit: Fit
     used: Bool
     noise_px: float
-    held: bool = False
+    held: Held | None = None
 
 
 def adjust(

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import calibration_reality
 from sabench.algorithms.calibration import joint_fit
 from sabench.algorithms.calibration.end_state import list_faults, mirror_boards
 from sabench.algorithms.calibration.initial_poses import place_boards
 from sabench.algorithms.calibration.joint_fit import fit_jointly
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
+from sabench.api.make import make_algorithm
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Wall
 from sabench.utils.errors import InputError
@@ -122,6 +124,21 @@ def test_a_depth_that_images_put_into_the_wall_is_held_and_said(
     problem = CalibrationProblem.from_case(case, FreeParameters())
     monkeypatch.setattr(joint_fit, "_is_sound", lambda *_: False)
     found = fit_jointly(problem, FreeParameters())
-    assert found.held
+    assert found.held == "initial guess"
     depths = problem.frame.points(found.fit.state, problem.seen.board)[..., 2].mean()
     assert depths == pytest.approx(case.initial_mm[..., 2].mean(), rel=0.05)
+
+
+def test_the_depth_of_a_richer_model_is_held_rather_than_the_guess() -> None:
+    """Taken for flat, the bent boards end in the wall; the guess is 30 mm too deep."""
+    errors = calibration_reality.TANKS["all of these, near the wall, depth unknown"]
+    tank = calibration_reality.make_tank(errors, seed=40)
+    case = calibration_reality.guess(tank.case, seed=40)
+    problem = CalibrationProblem.from_case(case, FreeParameters())
+    found = fit_jointly(problem, FreeParameters())
+    assert found.held == "richer model"
+    true = tank.points_mm[..., 2].mean()
+    assert case.initial_mm[..., 2].mean() > true + 30.0
+    answer: Any = make_algorithm("refractive_autocal", {}).solve(case)
+    assert answer.points_mm[..., 2].mean() == pytest.approx(true, abs=3.0)
+    assert "take them as unknowns" in answer.remarks[0]
