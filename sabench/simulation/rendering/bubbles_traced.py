@@ -16,7 +16,7 @@ from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
 from sabench.simulation.rendering.bubble_stage_builder import Lights, Stager, Tank
-from sabench.simulation.rendering.particle_images import ParticleImages, diffraction_px
+from sabench.simulation.rendering.particle_images import ParticleImages, diffract
 from sabench.utils.arrays import F64, I64
 
 _RAYS = 16  # of a pixel in one pass
@@ -63,7 +63,7 @@ def render(
         they are.
     exposure_s : for how long the bubbles move.
     """
-    from scipy.ndimage import gaussian_filter, maximum_filter  # takes long to load
+    from scipy.ndimage import maximum_filter  # takes long to load
 
     scale = camera.etendue()
     stage_of = Stager(camera, tank, bubbles, bodies, lights, occluders, images, particles_mm)
@@ -89,11 +89,7 @@ def render(
         (light.wavelength_nm for light in (lights.backlight, lights.lighting) if light is not None),
         None,
     )
-    blurred = (
-        photons
-        if wavelength is None
-        else np.asarray(gaussian_filter(photons, diffraction_px(camera, wavelength)))
-    )
+    blurred = photons if wavelength is None else diffract(camera, photons, wavelength)
     return Exposed(blurred, float(off.mean()))
 
 

@@ -12,7 +12,7 @@ from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import transmittance
 from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.lamps import facing_of, place_lamps
-from sabench.simulation.rendering.particle_images import diffraction_px
+from sabench.simulation.rendering.particle_images import diffract
 from sabench.simulation.rendering.particles_traced import interfaces
 from sabench.utils import backend
 from sabench.utils.arrays import F64, Bool
@@ -63,7 +63,8 @@ def render(
         scene, camera, origin, paint, lamps, planes, samples
     ).astype(np.float64)
     radiance /= _through_wall(camera)
-    return _diffract(camera, radiance * camera.etendue() / camera.etendue().max(), lighting)
+    photons = radiance * camera.etendue() / camera.etendue().max()
+    return diffract(camera, photons, lighting.wavelength_nm)
 
 
 def _through_wall(camera: Camera) -> float:
@@ -115,10 +116,3 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
     frame = np.eye(4)
     frame[:3, :3] = pose.rotation * [half[0], half[1], 1.0]
     return {"board": {"type": "rectangle", "to_world": mi.ScalarTransform4f(frame), "bsdf": matte}}
-
-
-def _diffract(camera: Camera, photons: F64, lighting: Lighting) -> F64:
-    """Blur by the lens's Airy disc, as a Gaussian of its width."""
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(photons, diffraction_px(camera, lighting.wavelength_nm)))

@@ -25,6 +25,7 @@ from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.simulation.rendering.particle_images import (
     ParticleImages,
+    diffract,
     diffraction_px,
     image_particles,
 )
@@ -648,3 +649,17 @@ def test_rays_and_formulas_make_the_same_ellipses(z_mm: float) -> None:
     np.testing.assert_allclose(found[0], found[1], atol=2e-3 * max(found[1]))
     assert traced.sum() == pytest.approx(formula.sum(), rel=2e-3)
     assert z_mm == 200.0 or abs(images.spread_px2[0, 2]) > 0.2
+
+
+@pytest.mark.parametrize("f_number", [2.0, 5.6, 11.0, 32.0])
+def test_diffraction_adds_its_variance_however_narrow_it_is(f_number: float) -> None:
+    """A sampled Gaussian of 0.43 px has two thirds of it, one of 0.2 px next to nothing."""
+    camera = replace(SMALL, f_number=f_number)
+    image = np.zeros((61, 41))
+    image[30, 20] = 5.0
+    blurred, sigma = diffract(camera, image, 532.0), diffraction_px(camera, 532.0)
+    rows, columns = np.mgrid[-30:31, -20:21]
+    assert blurred.min() >= 0.0
+    assert blurred.sum() == pytest.approx(5.0)
+    for offset in (rows, columns):
+        assert np.sum(blurred * offset**2) / 5.0 == pytest.approx(sigma**2, rel=1e-3)

@@ -85,8 +85,8 @@ def test_a_board_is_seen_where_lines_of_sight_meet_it(pattern: str, wall: Wall |
     pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
     around = [
         painted(target, on_board(one, pixels + np.array([right, down]))[1])
-        for right in (-1.5, -0.75, 0.0, 0.75, 1.5)
-        for down in (-1.5, -0.75, 0.0, 0.75, 1.5)
+        for right in (-2.0, -1.0, 0.0, 1.0, 2.0)
+        for down in (-2.0, -1.0, 0.0, 1.0, 2.0)
     ]
     sure = np.ptp(around, axis=0) == 0.0
     places, _ = on_board(one, pixels)
