@@ -1,6 +1,9 @@
 """Analytic renderer: Gaussian particle images, integrated over each pixel.
 
-They are ellipses, whose axes may lie at any angle to the pixels.
+They are ellipses, whose axes may lie at any angle to the pixels. By Mehler's expansion (J. reine
+angew. Math. 66, 161-176, 1866) the integral of a Gaussian with the correlation r over a pixel is a
+series in r whose terms are products of a column's and a row's factor, so that a window is a sum of
+few outer products.
 """
 
 from __future__ import annotations
@@ -12,98 +15,143 @@ import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.images.gaussians import fill_shares
+from sabench.images.gaussians import half_erf
 from sabench.simulation.rendering.particle_images import ParticleImages
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, I64
 
 # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
 _REACH = 4.5
 _SHARPEST = 1e-9  # px: anything sharper illuminates a single pixel as well
-_UPRIGHT = 2e-3  # correlation of columns and rows below which an ellipse is taken as upright
-_NODES = np.stack(np.polynomial.legendre.leggauss(8)) / 2.0  # heights in a pixel, and weights
-_BAND = 64  # rows that one thread fills at a time, so that none writes where another does
+_EXACT = 1e-9  # of a particle's light in any pixel: terms below are left out
+_LONGEST = 0.999  # correlation beyond which an ellipse is taken for one that narrow
+_BAND = 64  # rows of a band, at least: threads fill bands that do not touch
+_LANES = 4  # pixels of a row that are added at once
+_ANY_ORDER = {"contract", "nsz"}
 
 
 def render(camera: Camera, images: ParticleImages) -> F64:
     """Render photons (rows, columns) of one exposure.
 
     Light outside a particle's window of `_REACH` standard deviations is left out. Particles whose
-    centre lies outside the sensor still illuminate the pixels that their window reaches.
+    centre lies outside the sensor still illuminate the pixels that their window reaches. Pixels are
+    exact to 2e-8 of each particle's light, and the same for any number of threads.
     """
-    image = np.zeros((camera.rows, camera.columns))
-    bright = images.photons > 0.0
-    spread = images.spread_px2[bright]
-    sigma = np.sqrt(spread[:, :2])
-    half = np.ceil(_REACH * sigma + 0.5).astype(np.int64)
-    sigma = np.maximum(sigma, _SHARPEST)
-    tilt = spread[:, 2] / (sigma[:, 0] * sigma[:, 1])
-    _add_windows(image, images.pixel[bright], images.photons[bright], sigma, tilt, half, _NODES)
-    return image
+    shape = camera.rows, camera.columns
+    sigma = np.sqrt(images.spread_px2[:, :2])
+    half = np.ceil(_REACH * sigma + 0.5)
+    near = np.abs(images.pixel - np.array([shape[1] - 1, shape[0] - 1]) / 2.0)
+    reached = (near < half + np.array([shape[1], shape[0]]) / 2.0).all(axis=1)
+    lit = np.flatnonzero((images.photons > 0.0) & reached)
+    sigma, size = np.maximum(sigma[lit], _SHARPEST), half[lit].astype(np.int64)
+    tilt = np.clip(images.spread_px2[lit, 2] / sigma.prod(axis=1), -_LONGEST, _LONGEST)
+    widest = int(size.max(initial=0))
+    margin = 2 * widest + 1 + _LANES
+    framed = np.zeros((shape[0] + 2 * margin, shape[1] + 2 * margin))
+    pixel, edge = images.pixel[lit] + margin, max(_BAND, 2 * widest + 1)
+    order, starts = _bands(pixel[:, 1], edge, len(framed))
+    pixel, photons = pixel[order], images.photons[lit[order]]
+    _add_windows(framed, starts, pixel, photons, sigma[order], tilt[order], size[order])
+    return framed[margin : margin + shape[0], margin : margin + shape[1]]
+
+
+def _bands(row: F64, edge: int, rows: int) -> tuple[I64, I64]:
+    """Sort particles by the band of rows that they lie in; also where each band's start."""
+    band = np.rint(row).astype(np.int64) // edge
+    counts = np.bincount(band, minlength=-(-rows // edge))
+    return np.argsort(band, kind="stable"), np.concatenate([[0], np.cumsum(counts)])
 
 
 @numba.njit(cache=True, parallel=True)
 def _add_windows(
-    image: Any, pixel: Any, photons: Any, sigma: Any, tilt: Any, half: Any, nodes: Any
+    image: Any, starts: Any, pixel: Any, photons: Any, sigma: Any, tilt: Any, half: Any
 ) -> None:
-    """Add the windows of 2 half + 1 pixels around all particles to an image."""
-    rows, columns = image.shape
-    for band in numba.prange((rows + _BAND - 1) // _BAND):
-        first, last = band * _BAND, min(band * _BAND + _BAND, rows) - 1
-        for i in range(len(photons)):
-            row, column = int(np.rint(pixel[i, 1])), int(np.rint(pixel[i, 0]))
-            top, bottom = max(row - half[i, 1], first), min(row + half[i, 1], last)
-            left, right = max(column - half[i, 0], 0), min(column + half[i, 0], columns - 1)
-            if top > bottom or left > right:
-                continue
-            down = _shares(pixel[i, 1], sigma[i, 1], top, bottom)
-            if abs(tilt[i]) < _UPRIGHT:
-                across = _shares(pixel[i, 0], sigma[i, 0], left, right)
-                for j in range(len(down)):
-                    light = photons[i] * down[j]
-                    for k in range(len(across)):
-                        image[top + j, left + k] += light * across[k]
-                continue
-            for j in range(len(down)):
-                window = image[top + j, left : right + 1]
-                _add_tilted_row(
-                    window, top + j, left, pixel[i], photons[i] * down[j], sigma[i], tilt[i], nodes
-                )
+    """Add the windows of 2 half + 1 pixels around all particles: even bands first, then odd."""
+    bands = len(starts) - 1
+    for odd in range(2):
+        for turn in numba.prange((bands + 1 - odd) // 2):
+            band = 2 * turn + odd
+            _add_band(image, starts[band], starts[band + 1], pixel, photons, sigma, tilt, half)
 
 
-@numba.njit(cache=True)
-def _add_tilted_row(
-    window: Any,
-    row: int,
-    left: int,
-    center: Any,
-    light: float,
-    sigma: Any,
-    tilt: float,
-    nodes: Any,
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
+def _add_band(
+    image: Any, first: int, last: int, pixel: Any, photons: Any, sigma: Any, tilt: Any, half: Any
 ) -> None:
-    """Add one row of a correlated Gaussian, which has that light.
-
-    At a given height it is a narrower Gaussian about another column; heights within the pixel are
-    summed at Gauss and Legendre's points, weighted by the marginal's density.
-    """
-    narrow = max(sigma[0] * math.sqrt(max(1.0 - tilt * tilt, 0.0)), _SHARPEST)
-    slope, weights = tilt * sigma[0] / sigma[1], np.empty(nodes.shape[1])
-    for n in range(len(weights)):
-        height = (row + nodes[0, n] - center[1]) / sigma[1]
-        weights[n] = nodes[1, n] * math.exp(-0.5 * height * height)
-    total = weights.sum()
-    if total <= 0.0:
+    """Add the windows of some particles to an image with margins."""
+    if first == last:
         return
-    for n in range(len(weights)):
-        column = center[0] + slope * (row + nodes[0, n] - center[1])
-        across = _shares(column, narrow, left, left + len(window) - 1)
-        for k in range(len(window)):
-            window[k] += light * weights[n] / total * across[k]
+    most = 2 * half[first:last].max() + 2 + _LANES
+    edges, factors = np.zeros((2, 3, most)), np.zeros((2, most))
+    for i in range(first, last):
+        left = int(np.rint(pixel[i, 0])) - half[i, 0]
+        top = int(np.rint(pixel[i, 1])) - half[i, 1]
+        width, height = 2 * half[i, 0] + 1, 2 * half[i, 1] + 1
+        _fill_shares(pixel[i, 0], sigma[i, 0], left, width, factors[0])
+        _fill_shares(pixel[i, 1], sigma[i, 1], top, height, factors[1])
+        _add_product(image, top, left, photons[i], factors[1], factors[0], height, width)
+        power, n = tilt[i], 1
+        if abs(power) > _EXACT:
+            _start_terms(pixel[i, 0], sigma[i, 0], left, width, edges[0])
+            _start_terms(pixel[i, 1], sigma[i, 1], top, height, edges[1])
+        while abs(power) > _EXACT * n:
+            _fill_term(edges[0], width, factors[0])
+            _fill_term(edges[1], height, factors[1])
+            light = photons[i] * power / n
+            _add_product(image, top, left, light, factors[1], factors[0], height, width)
+            _next_terms(edges[0], width, n)
+            _next_terms(edges[1], height, n)
+            power, n = power * tilt[i], n + 1
+
+
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
+def _add_product(
+    image: Any, top: int, left: int, light: float, down: Any, across: Any, height: int, width: int
+) -> None:
+    """Add light times an outer product; columns up to a whole number of lanes have zeros."""
+    start = np.uintp(left)
+    for j in range(height):
+        row, share = np.uintp(top + j), light * down[j]
+        for block in range((width + _LANES - 1) // _LANES):
+            for lane in range(_LANES):
+                k = np.uintp(block * _LANES + lane)
+                image[row, start + k] += share * across[k]
 
 
 @numba.njit(cache=True)
-def _shares(center: float, sigma: float, first: int, last: int) -> Any:
-    """Compute shares of a Gaussian's integral in the pixels first to last."""
-    shares = np.empty(last - first + 1)
-    fill_shares(center, sigma, first, shares)
-    return shares
+def _fill_shares(center: float, sigma: float, first: int, size: int, shares: Any) -> None:
+    """Fill in shares of a Gaussian's integral in some pixels, and zeros in a lane after them."""
+    step = 1.0 / (sigma * math.sqrt(2.0))
+    before = half_erf((first - 0.5 - center) * step)
+    for i in range(size):
+        after = half_erf((first + i + 0.5 - center) * step)
+        shares[i] = after - before
+        before = after
+    shares[size : size + _LANES] = 0.0
+
+
+# The n-th term is r^n / n times the difference of h between both edges of a column, times that of a
+# row: h is the normal density times Hermite's polynomial of order n - 1, over the root of (n - 1)!.
+
+
+@numba.njit(cache=True)
+def _start_terms(center: float, sigma: float, first: int, size: int, edges: Any) -> None:
+    """Fill in places of the edges (standard deviations), h, and h of the order before."""
+    for i in range(size + 1):
+        z = (first + i - 0.5 - center) / sigma
+        edges[0, i], edges[1, i] = z, math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+        edges[2, i] = 0.0
+
+
+@numba.njit(cache=True)
+def _fill_term(edges: Any, size: int, factors: Any) -> None:
+    for i in range(size):
+        factors[i] = edges[1, i] - edges[1, i + 1]
+
+
+@numba.njit(cache=True)
+def _next_terms(edges: Any, size: int, n: int) -> None:
+    """Raise the order of h from n - 1 to n."""
+    before, over = math.sqrt(n - 1.0), 1.0 / math.sqrt(float(n))
+    for i in range(size + 1):
+        higher = (edges[0, i] * edges[1, i] - before * edges[2, i]) * over
+        edges[2, i], edges[1, i] = edges[1, i], higher

@@ -12,8 +12,10 @@ from dataclasses import replace
 from typing import Any
 
 import miepython
+import numba
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera, aim, aimed_rotation
@@ -663,3 +665,46 @@ def test_diffraction_adds_its_variance_however_narrow_it_is(f_number: float) -> 
     assert blurred.sum() == pytest.approx(5.0)
     for offset in (rows, columns):
         assert np.sum(blurred * offset**2) / 5.0 == pytest.approx(sigma**2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("across", "down", "tilt"),
+    [(0.75, 0.75, 0.0), (0.75, 0.75, 0.0019), (0.2, 0.1, 0.5), (1.5, 2.0, -0.95), (3.0, 2.0, 0.99)],
+)
+def test_windows_are_integrals_of_a_normal_density(across: float, down: float, tilt: float) -> None:
+    """Against differences of SciPy's distribution function of two correlated variables."""
+    center, covariance = np.array([30.3, 18.1]), tilt * across * down
+    spread = np.array([[across**2, down**2, covariance]])
+    one, zero = np.ones(1), np.zeros((1, 3))
+    images = ParticleImages(center[None], one, one, one > 0.0, one, zero, spread)
+    found = particles_splatted.render(SMALL, images)
+    matrix = [[across**2, covariance], [covariance, down**2]]
+    columns, rows = np.meshgrid(np.arange(SMALL.columns + 1), np.arange(SMALL.rows + 1))
+    corners = np.stack([columns, rows], axis=-1) - 0.5
+    share = multivariate_normal(center, matrix).cdf(corners)
+    exact = np.diff(np.diff(share, axis=0), axis=1)
+    left_out = 2e-5 * found.max()  # beyond the window
+    np.testing.assert_allclose(found, exact, rtol=0, atol=2e-8 + left_out)
+
+
+def test_images_do_not_depend_on_the_number_of_threads_or_order() -> None:
+    """Bytes of one thread and of two; and the sum of two halves, as light adds up."""
+    rng, count = np.random.default_rng(3), 300
+    pixel = rng.uniform(-6.0, [66.0, 46.0], (count, 2))
+    sigma, tilt = rng.uniform(0.3, 3.0, (count, 2)), rng.uniform(-0.5, 0.5, count)
+    spread = np.column_stack([sigma**2, tilt * sigma.prod(axis=1)])
+    one, zero = np.ones(count), np.zeros((count, 3))
+    images = ParticleImages(pixel, one, one, one > 0.0, one, zero, spread)
+    numba.set_num_threads(1)
+    try:
+        alone = particles_splatted.render(SMALL, images)
+    finally:
+        numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    np.testing.assert_array_equal(particles_splatted.render(SMALL, images), alone)
+    halves = []
+    for half in (slice(None, None, 2), slice(1, None, 2)):
+        part = ParticleImages(
+            pixel[half], one[half], one[half], one[half] > 0, one[half], zero[half], spread[half]
+        )
+        halves.append(particles_splatted.render(SMALL, part))
+    np.testing.assert_allclose(sum(halves), alone, rtol=1e-12, atol=1e-15)
