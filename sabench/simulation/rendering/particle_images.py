@@ -1,36 +1,32 @@
 """Particle images in one camera: position, photons, size.
 
 Both renderers start from these figures.
-
-The lens is a round aperture. Moving the pinhole over it gives, through the wall, the directions in
-which light must leave a particle to pass it: the spread of these directions is the solid angle of
-the lens, the spread of the pixels is the defocus.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from sabench.api.truth import Particles, View
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc, in_shadow
-from sabench.geometry.refraction import trace_to_points, transmittance
-from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor, stretch
+from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, stretch
 from sabench.scenes import Scene
+from sabench.simulation.rendering.light_paths import Box, LightPaths, find_paths, object_steps
 from sabench.simulation.rendering.light_routes import Route, direct
 from sabench.simulation.rendering.particle_light import Scatterers, intensity
-from sabench.utils.arrays import F64, Bool
+from sabench.utils.arrays import F64, triple
 
 _TAIL, _LEAST_REACH = 4.0, 4  # widths, and more pixels, to the end of a discrete Gaussian
 _AIRY = 2.44 / np.sqrt(
     8 * 3.67
 )  # sigma of the Gaussian nearest to Airy's disc / (lambda N (1 + M)): Adrian and Yao (1985)
-_CHUNK = 8192  # points at a time
+_MANY = 1000  # particles whose paths are worth an interpolation
+_SLACK = 1.02  # of the volume: particles that have left it a little
 
 
 @dataclass(frozen=True)
@@ -56,7 +52,7 @@ class ParticleImages(View):
         (n, 2, 3). They are two conjugate half axes of the ellipse that one standard deviation of
         the image has on the particle's side of the wall.
         """
-        steps = _apply_in_chunks(_object_shape, camera, position_mm, self.direction)[1]
+        steps = object_steps(camera, position_mm, self.direction)
         across, down, both = self.spread_px2.T
         first = np.sqrt(across)
         slant = both / np.where(first > 0.0, first, 1.0)
@@ -86,17 +82,17 @@ def image_particles(
     """
     route = route or direct(camera.wall)
     camera, place_mm = route.behind(camera), route.place(particles.position_mm)
-    seen = _LightPaths(*_apply_in_chunks(_see, camera, place_mm))
+    box = _box(scene, route) if len(particles) > _MANY else None
+    seen = find_paths(camera, place_mm, box)
     pinhole = np.asarray(camera.center_mm)
     unobstructed = seen.valid & ~in_shadow(occluders, pinhole, seen.leaving)
     leaving = route.at_particle(seen.arriving)
     sent = intensity(scene, particles, leaving, seen.half_angle, scatterers)
     sent *= route.reflected(seen.leaving)
-    passed = transmittance(camera.wall, pinhole, seen.leaving)
-    photons = np.where(unobstructed, sent * seen.solid_angle * passed, 0.0)
+    photons = np.where(unobstructed, sent * seen.solid_angle * seen.passed, 0.0)
     given = scene.cameras.particle_sigma_px
     spread = (
-        _spread_px2(scene, camera, place_mm, particles.diameter_mm, seen)
+        _spread_px2(scene, camera, particles.diameter_mm, seen)
         if given is None
         else np.tile([given**2, given**2, 0.0], (len(particles), 1))
     )
@@ -105,17 +101,22 @@ def image_particles(
     return ParticleImages(seen.pixel, photons, sigma, visible, sent, seen.arriving, spread)
 
 
-def _spread_px2(
-    scene: Scene, camera: Camera, place_mm: F64, diameter_mm: F64, seen: _LightPaths
-) -> F64:
+def _box(scene: Scene, route: Route) -> Box:
+    """Return the box in which a camera sees the scene's volume on a route."""
+    half = _SLACK * np.asarray(scene.volume.size_mm) / 2.0
+    corners = np.asarray(list(itertools.product((-1.0, 1.0), repeat=3))) * half
+    seen = route.place(np.asarray(scene.volume.center_mm) + corners)
+    return triple(seen.min(axis=0)), triple(seen.max(axis=0))
+
+
+def _spread_px2(scene: Scene, camera: Camera, diameter_mm: F64, seen: LightPaths) -> F64:
     """Compute variances and covariance (n, 3) of images.
 
     They come from diffraction, disc and defocus. The disc is the particle's. Defocus alone may be
     longer than wide.
     """
-    magnification = _apply_in_chunks(_object_shape, camera, place_mm, seen.arriving)[0]
     diffraction = diffraction_px(camera, scene.light.wavelength_nm)
-    disc = magnification * diameter_mm / 4.0
+    disc = seen.magnification * diameter_mm / 4.0
     if camera.tilt_deg == UPRIGHT:
         round_part = diffraction**2 + disc**2
         return np.asarray(seen.blur_px2 + round_part[:, None] * [1.0, 1.0, 0.0])
@@ -165,122 +166,7 @@ def defocus_px(camera: Camera, points_mm: F64) -> F64:
 
     It is the longer axis of the ellipse; NaN for points without a light path.
     """
-    seen = _LightPaths(*_apply_in_chunks(_see, camera, points_mm))
+    seen = find_paths(camera, points_mm)
     across, down, both = seen.blur_px2.T
     largest = (across + down) / 2.0 + np.hypot((across - down) / 2.0, both)
     return np.where(seen.valid, np.sqrt(largest), np.nan)
-
-
-class _LightPaths(NamedTuple):
-    """Light paths from n points to one camera: arrays of n rows."""
-
-    leaving: F64
-    arriving: F64
-    pixel: F64
-    valid: Bool
-    half_angle: F64
-    blur_px2: F64
-    solid_angle: F64
-
-
-def _apply_in_chunks(
-    function: Callable[..., tuple[F64 | Bool, ...]], camera: Camera, *points: F64
-) -> list[Any]:
-    """Apply a function of points (n, 3) chunk by chunk.
-
-    What lies between its steps then stays in the cache: three times as fast for many points.
-    """
-    chunks = [
-        function(camera, *(each[first : first + _CHUNK] for each in points))
-        for first in range(0, max(len(points[0]), 1), _CHUNK)
-    ]
-    return [np.concatenate(parts) for parts in zip(*chunks, strict=True)]
-
-
-def _see(camera: Camera, points: F64) -> tuple[F64 | Bool, ...]:
-    paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), points)
-    pixel, valid = camera.pixels_of(paths.leaving, paths.valid)
-    return (
-        paths.leaving,
-        paths.arriving,
-        pixel,
-        valid,
-        *_through_aperture(camera, points, paths.arriving),
-    )
-
-
-def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64, F64]:
-    """Compute the lens's half angle (rad), defocus (px2) and solid angle (sr).
-
-    At each point (n,), in the fluid. Defocus is (n, 3), variances along columns and rows and their
-    covariance: the image moves in proportion as the pinhole moves over the aperture, and over a
-    disc of radius 1 each coordinate has the variance 1/4.
-    """
-    radius = camera.aperture_radius_mm
-    upright = replace(camera, tilt_deg=UPRIGHT)
-    rotations, smears = [], []
-    for axis, (right, down) in enumerate(((radius, 0.0), (0.0, radius))):
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = upright.shifted(sign * right, sign * down)
-            paths = trace_to_points(moved.wall, np.asarray(moved.center_mm), points)
-            ends.append((paths.arriving, moved.pixels_of(paths.leaving, paths.valid)[0]))
-        rotations.append((ends[0][0] - ends[1][0]) / 2.0)
-        smears.append(_smear(camera, axis, ends[0][1], ends[1][1]) / 4.0)
-    solid_angle = np.pi * np.abs(np.einsum("ij,ij->i", np.cross(rotations[0], rotations[1]), chief))
-    return (
-        np.linalg.norm(rotations[0], axis=1),
-        np.sum([smear[:, [0, 1, 0]] * smear[:, [0, 1, 1]] for smear in smears], axis=0),
-        solid_angle,
-    )
-
-
-def _smear(camera: Camera, axis: int, first: F64, second: F64) -> F64:
-    """Subtract places on the sensor (n, 2) of light through both ends of a lens.
-
-    `first` and `second` are the pixels of upright cameras that are moved there, along `axis`. A
-    point in focus would shift on their sensors, and is at rest on the true one.
-    """
-    radius = camera.aperture_radius_mm
-    if camera.tilt_deg == UPRIGHT:
-        smear = first - second
-        smear[:, axis] += 2.0 * radius * camera.focal_px / camera.focus_mm
-        return smear
-    lens = np.zeros(2)
-    lens[axis] = radius
-    places = [
-        onto_sensor(
-            camera.tilt_deg,
-            (pixel - np.asarray(camera.principal_point_px)) / camera.focal_px
-            + sign * lens / camera.focus_mm,
-            sign * lens / camera.principal_distance_mm,
-        )[0]
-        for sign, pixel in ((1.0, first), (-1.0, second))
-    ]
-    return (places[0] - places[1]) * camera.focal_px
-
-
-def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64]:
-    """Compute magnification and the shifts that move the image by one pixel.
-
-    In px/mm, mean over directions; shifts (n, 2, 3) lie across the light path.
-    """
-    step = 1e-3  # mm: far above float64's noise, far below any change of magnification
-    first = np.cross(
-        direction, camera.rotation[1]
-    )  # never along the path: a path in view is near the camera's Z axis
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    basis = np.stack([first, np.cross(direction, first)], axis=1)
-    ends = [
-        camera.project(points + sign * step * basis[:, i])[0]
-        for i in (0, 1)
-        for sign in (1.0, -1.0)
-    ]
-    jacobian = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=2) / (2.0 * step)
-    determinant = jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        adjugate = np.stack(
-            [jacobian[:, 1, 1], -jacobian[:, 0, 1], -jacobian[:, 1, 0], jacobian[:, 0, 0]], axis=1
-        ).reshape(-1, 2, 2)
-        inverse = adjugate / determinant[:, None, None]
-    return np.sqrt(np.abs(determinant)), np.einsum("nba,nbk->nak", inverse, basis)
