@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from sabench.scenes import Scene, load_scene
     from sabench.simulation.in_memory import simulate
     from sabench.simulation.pipeline import generate
+    from sabench.simulation.streaming import split_of
+    from sabench.simulation.streaming import stream_samples as stream
     from sabench.tasks.own_calibration import calibrate
     from sabench.tasks.quality import quality
     from sabench.tasks.solve_and_score import score, solve
@@ -74,6 +76,8 @@ _HOMES = {
     "score": "tasks.solve_and_score",
     "simulate": "simulation.in_memory",
     "solve": "tasks.solve_and_score",
+    "split_of": "simulation.streaming",
+    "stream": "simulation.streaming:stream_samples",
     "submit": "evaluation.leaderboard.submissions",
     "verify": "dataset.verification",
 }
@@ -125,6 +129,8 @@ __all__ = [
     "score",
     "simulate",
     "solve",
+    "split_of",
+    "stream",
     "submit",
     "tasks",
     "verify",

@@ -10,6 +10,7 @@ from sabench import plugins
 from sabench.scenes.build import build_rig
 from sabench.scenes.bundled import find
 from sabench.scenes.scene import WORLDS, Scene, plain
+from sabench.scenes.variation import check_keys
 from sabench.utils.errors import InputError
 from sabench.utils.files import file_series, series_hash
 from sabench.utils.validation import Collector, validate
@@ -68,7 +69,10 @@ def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None)
                 resolved = _resolve("solids", f"solids.{number}", given, here)
                 made["solids"] = (*made["solids"], resolved)
     check.finish()
-    return scene.model_copy(update=made)
+    resolved = scene.model_copy(update=made)
+    check.faults += [f"{key}: {text}" for key, text in check_keys(resolved)]
+    check.finish()
+    return resolved
 
 
 def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timin
 from sabench.scenes.inertia import Inertia
 from sabench.scenes.materials import fill_indices
 from sabench.scenes.sensor import Render, Sensor
+from sabench.scenes.variation import Vary
 from sabench.scenes.volume import GridSpec, Volume
 from sabench.scenes.wall import (
     CylinderSpec,
@@ -95,6 +96,9 @@ class Scene(Table):
         "stored images are raw",
     )
     render: Render = Render()
+    vary: Vary | None = Field(
+        None, description="keys whose values every sample of a stream draws anew"
+    )
 
     @model_validator(mode="wrap")
     @classmethod

@@ -36,10 +36,16 @@ class Frames:
     Raises
     ------
     InputError
-        Tracers among bubbles or bodies under a pulse of finite duration.
+        Tracers among bubbles or bodies under a pulse of finite duration; a scene of samples that
+        vary, which `streaming` draws.
     """
 
     def __init__(self, scene: Scene, rig: Rig, seed: int, renderer: str = "mitsuba") -> None:
+        if scene.vary is not None:
+            raise InputError(
+                f"{scene.title}: vary: expected a scene whose values are fixed; sabench.stream "
+                "draws samples of one whose values vary"
+            )
         self.scene, self.rig, self.seed, self.renderer = light_in_fluid(scene), rig, seed, renderer
         world, timing = scene.world, scene.timing
         among = isinstance(world, BubbleWorld) and world.tracers is not None

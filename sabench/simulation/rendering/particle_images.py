@@ -25,7 +25,7 @@ _TAIL, _LEAST_REACH = 4.0, 4  # widths, and more pixels, to the end of a discret
 _AIRY = 2.44 / np.sqrt(
     8 * 3.67
 )  # sigma of the Gaussian nearest to Airy's disc / (lambda N (1 + M)): Adrian and Yao (1985)
-_MANY = 1000  # particles whose paths are worth an interpolation
+_MANY = 200  # particles whose paths are worth an interpolation
 _SLACK = 1.02  # of the volume: particles that have left it a little
 
 

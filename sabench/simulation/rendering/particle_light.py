@@ -5,6 +5,8 @@ The laser's, on its way through the cloud, times what each particle scatters by 
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from sabench.api.truth import Particles
@@ -20,7 +22,7 @@ from sabench.worlds.materials import material_numbers
 class Scatterers:
     """All materials of a scene's particles, and which particle is of which.
 
-    Tables grow with the sizes that occur and serve all frames.
+    Tables grow with the sizes that occur and serve all frames, and other scenes with the same rig.
 
     Parameters
     ----------
@@ -29,12 +31,14 @@ class Scatterers:
     """
 
     def __init__(self, scene: Scene, cameras: tuple[Camera, ...], seed: int) -> None:
-        angles, wavelength = _angle_range(scene, cameras), scene.light.wavelength_nm
         self._tracer, self._seed = scene.tracer, seed
-        self._materials = [
-            Scattering(complex(one.index, -one.absorption), scene.fluid_index, wavelength, angles)
-            for one in (scene.tracer, *(scene.tracer.mixture or ()))
-        ]
+        every = (scene.tracer, *(scene.tracer.mixture or ()))
+        self._materials = _tables(
+            tuple(complex(one.index, -one.absorption) for one in every),
+            (scene.fluid_index, scene.light.wavelength_nm),
+            (scene.volume.center_mm, scene.volume.size_mm, scene.light.direction),
+            cameras,
+        )
 
     def cross_section(self, particles: Particles, angles: F64, half: F64, in_plane: F64) -> F64:
         """Compute differential cross-sections (n,), mm2/sr, as `Scattering` does."""
@@ -55,6 +59,18 @@ class Scatterers:
 
     def _numbers(self, particles: Particles) -> I64:
         return material_numbers(self._tracer, self._seed, particles.id)
+
+
+@functools.lru_cache(maxsize=8)
+def _tables(
+    indices: tuple[complex, ...],
+    medium: tuple[float, float],
+    place: tuple[tuple[float, ...], ...],
+    cameras: tuple[Camera, ...],
+) -> tuple[Scattering, ...]:
+    """Make a table for each material, of the fluid's index, a wavelength, a box and a laser."""
+    angles = _angle_range(*place, cameras)
+    return tuple(Scattering(index, *medium, angles) for index in indices)
 
 
 def scatterers_of(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> Scatterers | None:
@@ -84,7 +100,7 @@ def intensity(
     in_plane = np.full(len(particles), 0.5)
     if light.polarisation is not None:
         in_plane = _share_in_plane(light.direction, light.polarisation, -arriving)
-    angles = _scattering_angles(scene, arriving)
+    angles = _scattering_angles(light.direction, arriving)
     return photons * scatterers.cross_section(particles, angles, half, in_plane)
 
 
@@ -129,23 +145,28 @@ def _share_in_plane(
     return np.asarray((across @ field) ** 2 / np.maximum(length, 1e-300))
 
 
-def _angle_range(scene: Scene, cameras: tuple[Camera, ...]) -> tuple[float, float]:
+def _angle_range(
+    center_mm: tuple[float, ...],
+    size_mm: tuple[float, ...],
+    direction: tuple[float, ...],
+    cameras: tuple[Camera, ...],
+) -> tuple[float, float]:
     """Find smallest and largest scattering angle over a lattice in the volume.
 
     A margin allows for the apertures and for points between the lattice's.
     """
     steps = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, 9)] * 3), axis=-1).reshape(-1, 3)
-    lattice = np.asarray(scene.volume.center_mm) + steps * np.asarray(scene.volume.size_mm)
+    lattice = np.asarray(center_mm) + steps * np.asarray(size_mm)
     angles = []
     for camera in cameras:
         paths = trace_to_points(camera.wall, np.asarray(camera.center_mm), lattice)
-        angles.append(_scattering_angles(scene, paths.arriving[paths.valid]))
+        angles.append(_scattering_angles(direction, paths.arriving[paths.valid]))
     every = np.concatenate(angles)
     margin = 0.01 + 2.0 * max(camera.aperture_radius_mm / camera.focus_mm for camera in cameras)
     return float(every.min() - margin), float(every.max() + margin)
 
 
-def _scattering_angles(scene: Scene, arriving: F64) -> F64:
+def _scattering_angles(direction: tuple[float, ...], arriving: F64) -> F64:
     """Compute the angle between the laser's direction and light to the camera, rad."""
-    forward = np.asarray(scene.light.direction) / np.linalg.norm(scene.light.direction)
+    forward = np.asarray(direction) / np.linalg.norm(direction)
     return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))

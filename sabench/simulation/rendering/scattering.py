@@ -7,6 +7,7 @@ diameter, whatever else is in the frame.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -164,6 +165,7 @@ class _Octave:
         return out
 
 
+@functools.cache
 def _nodes() -> tuple[F64, F64]:
     """Compute points across an aperture, and weights: (count, point) each.
 

@@ -197,7 +197,8 @@ def test_the_table_holds_the_angles_of_all_light_that_is_caught_and_few_others()
     cameras, rng = build_rig(scene).cameras, np.random.default_rng(3)
     corners = np.array(list(itertools.product((-0.5, 0.0, 0.5), repeat=3)))
     points = np.asarray(scene.volume.center_mm) + corners * np.asarray(scene.volume.size_mm)
-    found = _angle_range(scene, cameras)
+    place = scene.volume.center_mm, scene.volume.size_mm, scene.light.direction
+    found = _angle_range(*place, cameras)
     angles = []
     for camera in cameras:
         for turn in rng.uniform(0.0, 2.0 * np.pi, 30):  # the rim of the aperture

@@ -1,0 +1,221 @@
+"""Streams of independent samples: resumption, draws of what varies, splits and faults."""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sabench
+from sabench.scenes import Scene, find, parse_scene
+from sabench.scenes.variation import Draw, Vary, draw_values
+from sabench.simulation.in_memory import simulate
+from sabench.simulation.streaming import Sample, split_names, split_of, stream_samples
+from sabench.utils.errors import InputError
+
+
+def make_scene(**changes: Any) -> Scene:
+    """Make `quick` with small images."""
+    values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
+    values["cameras"] |= {"rows": 48, "columns": 64}
+    values["volume"]["size_mm"] = [6.0, 5.0, 4.0]
+    values["grid"]["crop_mm"] = [0.0, 0.0, 0.0]
+    values["illumination"]["scattering"] = "isotropic"
+    for key, change in changes.items():
+        values[key] = values.get(key, {}) | change if isinstance(change, dict) else change
+    return parse_scene(values, "small")
+
+
+def vary(impossible: str = "refuse", **draws: Any) -> dict[str, Any]:
+    """Make the table of what varies; `__` stands for a dot."""
+    named = {key.replace("__", "."): value for key, value in draws.items()}
+    return {"draw": named, "impossible": impossible}
+
+
+VARIED = {
+    "particles__count": {"choices": [20, 30, 40]},
+    "sensor__read_noise_e": {"uniform": [1.0, 9.0]},
+    "cameras__f_number": {"log_uniform": [8.0, 32.0]},
+}
+
+
+def all_samples(scene: Scene, **options: Any) -> list[Sample]:
+    """Make some samples."""
+    given = {"seed": 4, "samples": 12} | options
+    return [one for batch in stream_samples(scene, **given) for one in batch.samples]
+
+
+@pytest.mark.parametrize("varied", [False, True])
+def test_a_stream_goes_on_anywhere_bit_for_bit_with_any_batch(varied: bool) -> None:
+    scene = make_scene(**({"vary": vary(**VARIED)} if varied else {}))
+    whole = all_samples(scene, samples=20)
+    assert [one.number for one in whole] == list(range(20))
+    rng = np.random.default_rng(1)
+    for start, batch in zip(rng.integers(0, 20, 20).tolist(), itertools.cycle([1, 3, 7])):
+        again = next(stream_samples(scene, seed=4, batch=batch, start=start, samples=20))
+        for one in again.samples:
+            np.testing.assert_array_equal(one.images, whole[one.number].images)
+            assert one.drawn == whole[one.number].drawn
+
+
+def test_a_sample_is_what_simulate_makes_of_its_seed() -> None:
+    scene = make_scene()
+    for one in all_samples(scene, samples=2):
+        shot = simulate(one.scene, seed=one.seed)
+        np.testing.assert_array_equal(one.observation().images, shot.observation.images)
+        np.testing.assert_array_equal(one.particles[0].position_mm, shot.particles.position_mm)
+
+
+def test_samples_differ_and_seeds_differ() -> None:
+    scene = make_scene()
+    first, second = all_samples(scene, samples=2)
+    (other,) = all_samples(scene, samples=1, seed=5)
+    for one in (second, other):
+        assert not np.array_equal(first.particles[0].position_mm, one.particles[0].position_mm)
+        assert not np.array_equal(first.images, one.images)
+
+
+def test_values_that_vary_are_in_the_scene_and_in_the_truth() -> None:
+    scene = make_scene(vary=vary(**VARIED))
+    batch = next(stream_samples(scene, seed=4, batch=12, samples=12))
+    assert batch.images.shape == (12, 1, 4, 48, 64)
+    assert batch.drawn["particles.count"].shape == (12,)
+    assert len(np.unique(batch.drawn["sensor.read_noise_e"])) == 12
+    for one in batch.samples:
+        assert one.scene.sensor.read_noise_e == one.drawn["sensor.read_noise_e"]
+        assert len(one.particles[0].position_mm) == one.drawn["particles.count"]
+        assert one.rig.cameras[0].f_number == one.drawn["cameras.f_number"]
+        assert one.scene.vary is None and one.redrawn == 0
+
+
+def test_draws_follow_their_distributions() -> None:
+    table = Vary.model_validate(
+        vary(a={"uniform": [2.0, 4.0]}, b={"log_uniform": [1.0, 100.0]}, c={"choices": ["x", "y"]})
+    )
+    draws = [draw_values(table, 1, number, 0) for number in range(4000)]
+    a, b = np.array([one["a"] for one in draws]), np.log10([one["b"] for one in draws])
+    assert 2.0 <= a.min() and a.max() < 4.0 and a.mean() == pytest.approx(3.0, abs=0.04)
+    assert 0.0 <= b.min() and b.max() < 2.0 and b.mean() == pytest.approx(1.0, abs=0.04)
+    assert np.mean([one["c"] == "x" for one in draws]) == pytest.approx(0.5, abs=0.04)
+    assert abs(np.corrcoef(a, b)[0, 1]) < 0.06
+
+
+def test_displacements_are_those_of_the_flow() -> None:
+    flow = {"generator": "linear_flow", "velocity_mm_s": [10.0, 0.0, -5.0]}
+    scene = make_scene(flow=flow, frames=2, interval_s=0.01)
+    batch = next(stream_samples(scene, batch=2, samples=2))
+    assert batch.images.shape[1] == 2
+    for position, moved in batch.displacements_mm():
+        assert len(position) > 200
+        np.testing.assert_allclose(moved, np.tile([0.1, 0.0, -0.05], (len(moved), 1)), atol=1e-9)
+
+
+def test_splits_are_disjoint_stable_and_as_large_as_asked() -> None:
+    scene, shares = make_scene(), (80, 10, 10)
+    names = [split_of(number, shares) for number in range(20_000)]
+    for name, share in zip(split_names(3), shares, strict=True):
+        assert names.count(name) / 20_000 == pytest.approx(share / 100, abs=0.01)
+    parts = {
+        name: [one.number for one in all_samples(scene, samples=40, split=(name, shares))]
+        for name in split_names(3)
+    }
+    assert sorted(itertools.chain(*parts.values())) == list(range(40))
+    longer = [one.number for one in all_samples(scene, samples=80, split=("test", shares))]
+    assert longer[: len(parts["test"])] == parts["test"]
+    assert split_names(4) == ["train", "validation", "test", "split-3"]
+
+
+def test_impossible_samples_are_refused_before_anything_is_rendered() -> None:
+    """A camera's sensor cannot be behind the volume, where the range would put the wall."""
+    scene = make_scene(vary=vary(volume__center_mm={"choices": [[0.0, 0.0, -50.0]]}))
+    with pytest.raises(InputError, match=r"vary, at the ends of its ranges: volume\.center_mm"):
+        stream_samples(scene)
+
+
+def test_impossible_samples_are_drawn_again_and_counted() -> None:
+    center = list(make_scene().volume.center_mm)
+    choices = {"choices": [center, [0.0, 0.0, -50.0]]}
+    samples = all_samples(make_scene(vary=vary("redraw", volume__center_mm=choices)))
+    assert all(list(one.scene.volume.center_mm) == center for one in samples)
+    assert 3 <= sum(one.redrawn for one in samples) <= 40
+
+
+def test_a_range_without_any_scene_ends_in_a_sentence() -> None:
+    never = vary("redraw", volume__center_mm={"choices": [[0.0, 0.0, -50.0]]})
+    with pytest.raises(InputError, match="values of sample 0 that give a scene, got none"):
+        all_samples(make_scene(vary=never))
+
+
+@pytest.mark.parametrize(
+    ("draw", "words"),
+    [
+        ({"particles.count": {}}, "expected one of uniform, log_uniform and choices, got none"),
+        (
+            {"particles.count": {"uniform": [1, 2], "choices": [1]}},
+            "got uniform and choices",
+        ),
+        ({"particles.count": {"uniform": [2, 1]}}, "expected the least value before the largest"),
+        ({"partcles.count": {"choices": [1]}}, "has no table 'partcles'"),
+        ({"cameras.rows": {"choices": [48]}}, "a key that samples need not share"),
+        ({"frames": {"choices": [1, 2]}}, "a key that samples need not share"),
+    ],
+)
+def test_faults_of_what_varies_are_named_with_their_key(draw: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        make_scene(vary={"draw": draw})
+
+
+def test_an_unknown_key_is_refused_with_the_first_sample() -> None:
+    with pytest.raises(InputError, match=r"sensor\.red_noise_e: unknown key"):
+        stream_samples(make_scene(vary=vary(sensor__red_noise_e={"uniform": [1.0, 2.0]})))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"batch": 0}, "batch: expected a number from 1 on, got 0"),
+        ({"start": -1}, "start: expected a number from 0 on, got -1"),
+        ({"split": ("dev", (80, 20))}, "expected one of train, validation, got 'dev'"),
+        ({"split": ("train", (-1, 2))}, "shares that are not negative"),
+        ({"backend": "gpu"}, "backend: expected auto"),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        next(stream_samples(make_scene(), **options))
+
+
+def test_cameras_that_differ_in_number_are_refused_in_one_batch() -> None:
+    columns = {"choices": [1, 2]}
+    scene = make_scene(vary=vary(cameras__layout__columns=columns))
+    with pytest.raises(InputError, match="images .* of one shape in all samples"):
+        next(stream_samples(scene, batch=12))
+
+
+def test_other_scenes_are_refused() -> None:
+    with pytest.raises(InputError, match="expected a scene with particles alone"):
+        stream_samples("standard-bubbles")
+
+
+def test_ranges_of_a_draw_keep_their_ends() -> None:
+    assert Draw(uniform=(1.0, 2.0)).value(0.0) == 1.0
+    assert Draw(choices=("a", "b")).value(np.nextafter(1.0, 0.0)) == "b"
+
+
+def test_the_public_name() -> None:
+    batch = next(sabench.stream("quick", seed=1, batch=2))
+    assert batch.images.shape == (2, 1, 4, 240, 320)
+    assert batch.numbers.tolist() == [0, 1]
+
+
+def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:
+    scene = make_scene(vary=vary(**VARIED))
+    with pytest.raises(InputError, match=r"sabench\.stream draws samples"):
+        simulate(scene)
+    with pytest.raises(InputError, match=r"sabench\.stream draws samples"):
+        sabench.generate(scene, tmp_path / "data", seed=1)
+    assert not list(tmp_path.iterdir())
