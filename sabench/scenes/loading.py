@@ -69,10 +69,12 @@ def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None)
                 resolved = _resolve("solids", f"solids.{number}", given, here)
                 made["solids"] = (*made["solids"], resolved)
     check.finish()
-    resolved = scene.model_copy(update=made)
-    check.faults += [f"{key}: {text}" for key, text in check_keys(resolved)]
-    check.finish()
-    return resolved
+    whole = scene.model_copy(update=made)
+    if whole.vary is not None:
+        faults = check_keys(whole.vary, whole.to_dict())
+        check.faults += [f"{key}: {text}" for key, text in faults]
+        check.finish()
+    return whole
 
 
 def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.utils.errors import InputError
 from sabench.utils.fields import Positive, Table
 from sabench.utils.rng import stream
 from sabench.utils.validation import refuse
-
-if TYPE_CHECKING:
-    from sabench.scenes.scene import Scene
 
 # what all samples of a stream share: the shape of their images, and the draws themselves
 _SHARED = ("title", "vary", "frames", "cameras.rows", "cameras.columns")
@@ -69,12 +66,13 @@ class Vary(Table):
     )
 
 
-def check_keys(scene: Scene) -> list[tuple[str, str]]:
-    """List faults of the keys that vary: where they are, and sentences."""
-    if scene.vary is None:
-        return []
-    faults, values = [], scene.to_dict()
-    for key in scene.vary.draw:
+def check_keys(vary: Vary, values: dict[str, Any]) -> list[tuple[str, str]]:
+    """List faults of the keys that vary: where they are, and sentences.
+
+    Values are the scene's.
+    """
+    faults = []
+    for key in vary.draw:
         where = f"vary.draw.{key}"
         if key in _SHARED:
             faults.append((where, "expected a key that samples need not share, got this one"))
@@ -101,19 +99,13 @@ def extremes(vary: Vary) -> list[dict[str, Any]]:
     return [*alone, *({key: pair[end] for key, pair in ends.items()} for end in (0, 1))]
 
 
-def with_values(scene: Scene, drawn: dict[str, Any]) -> dict[str, Any]:
-    """Return the scene's keys and values with some others, and nothing that varies."""
-    values = scene.to_dict()
-    values.pop("vary", None)
+def with_values(values: dict[str, Any], drawn: dict[str, Any]) -> dict[str, Any]:
+    """Return a scene's values with some that were drawn, and nothing that varies."""
+    changed: dict[str, Any] = copy.deepcopy({k: v for k, v in values.items() if k != "vary"})
     for key, value in drawn.items():
-        table, leaf = _table_of(values, key), key.rpartition(".")[2]
-        if table is None:
-            raise InputError(f"{scene.title}: vary.draw.{key}: expected a key of the scene")
-        if isinstance(table, list):
-            table[int(leaf)] = value
-        else:
-            table[leaf] = value
-    return values
+        table, leaf = _table_of(changed, key), key.rpartition(".")[2]
+        table[int(leaf) if isinstance(table, list) else leaf] = value
+    return changed
 
 
 def _table_of(values: dict[str, Any], key: str) -> Any:

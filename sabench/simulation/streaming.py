@@ -92,9 +92,9 @@ class Batch:
         return {key: np.asarray([one.drawn[key] for one in self.samples]) for key in keys}
 
     def displacements_mm(self, first: int = 0, second: int = 1) -> list[tuple[F64, F64]]:
-        """Give positions (n, 3) and displacements (n, 3) between two frames, for each sample.
+        """Give positions and displacements between two frames, for each sample.
 
-        They are those of the particles that both frames have.
+        Both are (n, 3), those of the particles that both frames have.
         """
         return [_moves(one.particles[first], one.particles[second]) for one in self.samples]
 
@@ -109,7 +109,7 @@ def stream_samples(
     split: tuple[str, Sequence[float]] | None = None,
     backend: Renderer = "splat",
 ) -> Iterator[Batch]:
-    """Make independent samples of a scene with particles, without end or up to a number.
+    """Make independent samples of a scene with particles.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def stream_samples(
 
 
 def split_of(number: int, shares: Sequence[float]) -> str:
-    """Name the split of a sample: "train", "validation" or "test", or "split-3" and so on.
+    """Name the split of a sample: "train", "validation", "test", "split-3" and on.
 
     By a hash of its number, so that a sample stays in its split however many are made.
     """
@@ -223,8 +223,8 @@ class _Maker:
         )
 
     def _possible(self, drawn: dict[str, Any], which: str) -> tuple[Scene, Rig]:
-        """Make the scene and rig of some values; a sentence names them where there is none."""
-        values = with_values(self.scene, drawn)
+        """Make the scene and rig of some values; errors name these."""
+        values = with_values(self.scene.to_dict(), drawn)
         try:
             scene = parse_scene(values, self.scene.title)
             return scene, build_rig(scene, self.scene.title)

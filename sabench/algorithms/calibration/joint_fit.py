@@ -117,9 +117,9 @@ def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParam
 def _fit_richly(
     problem: CalibrationProblem, seen: BoardImages, free: FreeParameters, found: Robust
 ) -> State | None:
-    """Fit with what the unknowns may lack: what a flat board makes of a bent one is its depth.
+    """Fit with what the unknowns may lack; None if that does not end well, either.
 
-    Returns None if that does not end well, either.
+    A bent board that is taken for flat seems to be at another depth.
     """
     if problem.frame.wall is None or not np.isfinite(found.noise_px):
         return None

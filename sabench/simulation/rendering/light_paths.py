@@ -128,7 +128,7 @@ class _Smooth:
 
 @functools.lru_cache(maxsize=256)
 def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
-    """Fit polynomials to all that changes slowly; None where none of some degrees does.
+    """Fit polynomials to all that changes slowly; None where no degree will do.
 
     A volume that light reaches in part, such as one cut by a face, has no polynomials.
     """
@@ -153,7 +153,7 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
 
 
 def _fit(camera: Camera, low: F64, high: F64, degree: int) -> _Smooth | None:
-    """Interpolate exact paths at Chebyshev's points of a box; None if one has no path."""
+    """Interpolate exact paths at Chebyshev's points; None if one has no path."""
     count = degree + 1
     angles = np.pi * (np.arange(count) + 0.5) / count
     nodes = np.stack(np.meshgrid(*[np.cos(angles)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -183,7 +183,7 @@ def _columns(table: F64) -> list[F64]:
 
 @numba.njit(cache=True, parallel=True, fastmath={"contract", "nsz"})
 def _evaluate(points: Any, low: Any, high: Any, terms: Any, coefficients: Any, out: Any) -> None:
-    """Fill in polynomials (quantity, n) in Chebyshev's basis at points (n, 3) of a box."""
+    """Fill in polynomials (quantity, n), in Chebyshev's basis, at points (n, 3)."""
     degree, count = terms.max(), len(terms)
     for block in numba.prange((len(points) + _BLOCK - 1) // _BLOCK):
         first = block * _BLOCK
@@ -230,7 +230,7 @@ def _see(camera: Camera, points: F64) -> tuple[F64 | Bool, ...]:
 
 
 def _through_aperture(camera: Camera, points: F64, chief: F64) -> tuple[F64, F64, F64]:
-    """Compute half angle, defocus and solid angle, see `LightPaths`, at points (n, 3)."""
+    """Compute half angle, defocus and solid angle at points, as `LightPaths` has."""
     radius = camera.aperture_radius_mm
     upright = replace(camera, tilt_deg=UPRIGHT)
     rotations, smears = [], []

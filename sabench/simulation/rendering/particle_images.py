@@ -145,7 +145,7 @@ def diffraction_px(camera: Camera, wavelength_nm: float) -> float:
 
 
 def diffract(camera: Camera, photons: F64, wavelength_nm: float) -> F64:
-    """Blur an image (row, column) of pixels by the lens's Airy disc, as a Gaussian of its width.
+    """Blur an image (row, column) by a Gaussian as wide as the lens's Airy disc.
 
     Samples of a narrow Gaussian are narrower than it is: at 0.43 px they have two thirds of its
     variance. The kernel is the discrete one whose variance is exact at any width (T. Lindeberg,

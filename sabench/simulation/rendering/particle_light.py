@@ -65,10 +65,13 @@ class Scatterers:
 def _tables(
     indices: tuple[complex, ...],
     medium: tuple[float, float],
-    place: tuple[tuple[float, ...], ...],
+    place: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]],
     cameras: tuple[Camera, ...],
 ) -> tuple[Scattering, ...]:
-    """Make a table for each material, of the fluid's index, a wavelength, a box and a laser."""
+    """Make a table for each material.
+
+    The medium is the fluid's index and a wavelength, the place a box and the laser's direction.
+    """
     angles = _angle_range(*place, cameras)
     return tuple(Scattering(index, *medium, angles) for index in indices)
 

@@ -55,7 +55,10 @@ def render(camera: Camera, images: ParticleImages) -> F64:
 
 
 def _bands(row: F64, edge: int, rows: int) -> tuple[I64, I64]:
-    """Sort particles by the band of rows that they lie in; also where each band's start."""
+    """Sort particles by the band of rows that they lie in.
+
+    Returns their order, and where each band's start.
+    """
     band = np.rint(row).astype(np.int64) // edge
     counts = np.bincount(band, minlength=-(-rows // edge))
     return np.argsort(band, kind="stable"), np.concatenate([[0], np.cumsum(counts)])
@@ -65,7 +68,7 @@ def _bands(row: F64, edge: int, rows: int) -> tuple[I64, I64]:
 def _add_windows(
     image: Any, starts: Any, pixel: Any, photons: Any, sigma: Any, tilt: Any, half: Any
 ) -> None:
-    """Add the windows of 2 half + 1 pixels around all particles: even bands first, then odd."""
+    """Add the windows of 2 half + 1 pixels: even bands first, then odd."""
     bands = len(starts) - 1
     for odd in range(2):
         for turn in numba.prange((bands + 1 - odd) // 2):
@@ -107,7 +110,10 @@ def _add_band(
 def _add_product(
     image: Any, top: int, left: int, light: float, down: Any, across: Any, height: int, width: int
 ) -> None:
-    """Add light times an outer product; columns up to a whole number of lanes have zeros."""
+    """Add light times an outer product.
+
+    Columns are zero up to a whole number of lanes.
+    """
     start = np.uintp(left)
     for j in range(height):
         row, share = np.uintp(top + j), light * down[j]
@@ -119,7 +125,7 @@ def _add_product(
 
 @numba.njit(cache=True)
 def _fill_shares(center: float, sigma: float, first: int, size: int, shares: Any) -> None:
-    """Fill in shares of a Gaussian's integral in some pixels, and zeros in a lane after them."""
+    """Fill in shares of a Gaussian's integral in pixels, and zeros after them."""
     step = 1.0 / (sigma * math.sqrt(2.0))
     before = half_erf((first - 0.5 - center) * step)
     for i in range(size):
@@ -135,7 +141,7 @@ def _fill_shares(center: float, sigma: float, first: int, size: int, shares: Any
 
 @numba.njit(cache=True)
 def _start_terms(center: float, sigma: float, first: int, size: int, edges: Any) -> None:
-    """Fill in places of the edges (standard deviations), h, and h of the order before."""
+    """Fill in edges (standard deviations), h, and h of the order before."""
     for i in range(size + 1):
         z = (first + i - 0.5 - center) / sigma
         edges[0, i], edges[1, i] = z, math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)

@@ -139,6 +139,7 @@ def test_the_depth_of_a_richer_model_is_held_rather_than_the_guess() -> None:
     assert found.held == "richer model"
     true = tank.points_mm[..., 2].mean()
     assert case.initial_mm[..., 2].mean() > true + 30.0
-    answer: Any = make_algorithm("refractive_autocal", {}).solve(case)
+    solver: Any = make_algorithm("refractive_autocal", {})
+    answer = solver.solve(case)
     assert answer.points_mm[..., 2].mean() == pytest.approx(true, abs=3.0)
     assert "take them as unknowns" in answer.remarks[0]

@@ -39,7 +39,7 @@ def volume_of(scene: Scene) -> Box:
 def points_in(box: Box, count: int) -> F64:
     """Draw points (n, 3) in a box."""
     low, high = np.asarray(box)
-    return low + (high - low) * np.random.default_rng(5).random((count, 3))
+    return np.asarray(low + (high - low) * np.random.default_rng(5).random((count, 3)))
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,8 @@ def test_polynomials_are_as_good_as_exact_paths(name: str) -> None:
         assert light_paths._interpolate(camera, box) is not None
         found, exact = find_paths(camera, points, box), find_paths(camera, points)
         np.testing.assert_allclose(found.pixel, exact.pixel, rtol=0, atol=1e-9)
-        assert found.valid.all() and exact.valid.all()
+        assert found.valid.all()
+        assert exact.valid.all()
         for one in SLOW:
             truth = getattr(exact, one)
             error = np.abs(getattr(found, one) - truth).max()
@@ -90,7 +91,7 @@ def test_a_box_that_reaches_through_the_wall_has_no_polynomials() -> None:
 
 def test_a_volume_too_large_for_any_degree_has_exact_paths() -> None:
     """A camera 30 mm before a volume of 100 mm: what it gathers changes tenfold."""
-    camera, (low, high) = camera_of("quick")
+    camera, (low, _) = camera_of("quick")
     near = replace(camera, wall=None, center_mm=(0.0, 0.0, low[2] - 30.0))
     box = (-50.0, -50.0, low[2]), (50.0, 50.0, low[2] + 100.0)
     assert light_paths._interpolate(near, box) is None
