@@ -27,8 +27,8 @@ BUGS = (
     Bug(
         "light half a pixel to the right of where it belongs",
         "sabench/simulation/rendering/particles_splatted.py",
-        "_shares(pixel[i, 0], sigma[i, 0], left, right)",
-        "_shares(pixel[i, 0] + 0.5, sigma[i, 0], left, right)",
+        "_fill_shares(pixel[i, 0], sigma[i, 0], left, width, factors[0])",
+        "_fill_shares(pixel[i, 0] + 0.5, sigma[i, 0], left, width, factors[0])",
         case="particles",
     ),
     Bug(
@@ -188,9 +188,9 @@ BUGS = (
     Bug(
         "column and row swapped in one camera",
         "sabench/simulation/rendering/particle_images.py",
-        "    return (\n        paths.leaving,\n        paths.arriving,\n        pixel,\n",
-        "    return (\n        paths.leaving,\n        paths.arriving,\n"
-        "        pixel[:, ::-1] if camera.name == 'camera_02' else pixel,\n",
+        "    return ParticleImages(seen.pixel, photons,",
+        "    swapped = seen.pixel[:, ::-1] if camera.name == 'camera_02' else seen.pixel\n"
+        "    return ParticleImages(swapped, photons,",
         case="particles",
     ),
     Bug(
@@ -365,7 +365,7 @@ BUGS = (
     ),
     Bug(
         "the plane of focus tilted to the other side",
-        "sabench/simulation/rendering/particle_images.py",
+        "sabench/simulation/rendering/light_paths.py",
         "sign * lens / camera.principal_distance_mm",
         "-sign * lens / camera.principal_distance_mm",
         tests="tests/unit/simulation/rendering/test_tilted_sensors.py",

@@ -271,7 +271,7 @@ def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
     from sabench.evaluation.runner import run_suite
 
     (tmp_path / "small.toml").write_text(
-        small(render={"relative_error": 0.1}).to_toml(), encoding="utf-8"
+        small(render={"relative_error": 0.02}).to_toml(), encoding="utf-8"
     )
     text = (
         'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\n[[solvers]]\n'

@@ -149,7 +149,7 @@ def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
         ],
     }
     scene = calibration_scene(
-        cameras={"rows": 400, "columns": 400, "pixel_mm": 0.03, "layout": layout},
+        cameras={"rows": 600, "columns": 600, "pixel_mm": 0.02, "layout": layout},
         targets={"pitch_mm": 3.2},
     )
     lamps = Lighting.model_validate(

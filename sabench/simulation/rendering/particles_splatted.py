@@ -51,7 +51,8 @@ def render(camera: Camera, images: ParticleImages) -> F64:
     order, starts = _bands(pixel[:, 1], edge, len(framed))
     pixel, photons = pixel[order], images.photons[lit[order]]
     _add_windows(framed, starts, pixel, photons, sigma[order], tilt[order], size[order])
-    return framed[margin : margin + shape[0], margin : margin + shape[1]]
+    # series and table may end a little below zero, which no number of photons is
+    return np.maximum(framed[margin : margin + shape[0], margin : margin + shape[1]], 0.0)
 
 
 def _bands(row: F64, edge: int, rows: int) -> tuple[I64, I64]:
