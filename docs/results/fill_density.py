@@ -71,7 +71,9 @@ def scores(row: dict[str, Any] | None, digits: int) -> str:
     """Write recall, ghosts and distance of one measurement."""
     if row is None or "recall" not in row:
         return _NOTHING
-    return f"{row['recall']:.1f}, {row['ghosts']:.1f}, {row['rms_px']:.{digits}f}"
+    rms = row["rms_px"]  # none where nothing was found
+    distance = _NOTHING if rms is None else f"{rms:.{digits}f}"
+    return f"{row['recall']:.1f}, {row['ghosts']:.1f}, {distance}"
 
 
 def density_cells(of: dict[str, Rows]) -> list[str]:
