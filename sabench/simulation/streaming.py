@@ -7,6 +7,7 @@ n alone, so that a stream goes on anywhere, with any size of batches.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import zlib
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,7 @@ from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import observation_of
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
 from sabench.utils.arrays import F64, I64, U16
-from sabench.utils.backend import limit_libraries
+from sabench.utils.backend import limit_kernels
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream as random_stream
 
@@ -201,7 +202,7 @@ class _Maker:
         own = int(random_stream(self.seed, "sample", number).integers(2**62))
         frames = Frames(scene, rig, own, self.renderer)
         small = sum(camera.rows * camera.columns for camera in rig.cameras) < _SMALL_PX
-        with limit_libraries(1 if small else None):
+        with limit_kernels(1) if small else contextlib.nullcontext():
             images, particles = _record(frames)
         return Sample(number, scene, own, drawn, redrawn, images, particles, rig)
 
