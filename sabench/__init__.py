@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from sabench.scenes import Scene, load_scene
     from sabench.simulation.in_memory import simulate
     from sabench.simulation.pipeline import generate
-    from sabench.simulation.streaming import split_of
+    from sabench.simulation.streaming import split_of, stream_key
     from sabench.simulation.streaming import stream_samples as stream
     from sabench.tasks.own_calibration import calibrate
     from sabench.tasks.quality import quality
@@ -78,6 +78,7 @@ _HOMES = {
     "solve": "tasks.solve_and_score",
     "split_of": "simulation.streaming",
     "stream": "simulation.streaming:stream_samples",
+    "stream_key": "simulation.streaming",
     "submit": "evaluation.leaderboard.submissions",
     "verify": "dataset.verification",
 }
@@ -131,6 +132,7 @@ __all__ = [
     "solve",
     "split_of",
     "stream",
+    "stream_key",
     "submit",
     "tasks",
     "verify",

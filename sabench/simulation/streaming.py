@@ -26,6 +26,7 @@ from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
 from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import observation_of
+from sabench.simulation.recording.job import Job
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
 from sabench.utils.arrays import F64, I64, U16
 from sabench.utils.backend import limit_kernels
@@ -109,6 +110,7 @@ def stream_samples(
     samples: int | None = None,
     split: tuple[str, Sequence[float]] | None = None,
     backend: Renderer = "splat",
+    key: str | None = None,
 ) -> Iterator[Batch]:
     """Make independent samples of a scene with particles.
 
@@ -121,19 +123,35 @@ def stream_samples(
     split : a name and shares, such as ("train", (80, 10, 10)): only the samples that `split_of`
         puts into "train", "validation" or "test".
     backend : "splat" or "mitsuba".
+    key : that `stream_key` gave when the stream was begun, for one that goes on.
 
     Raises
     ------
     InputError
         As `simulate`; a range of `vary` at whose ends no scene can be, unless impossible samples
-        are redrawn; cameras that differ in number or size.
+        are redrawn; cameras that differ in number or size; another key.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    if key is not None and key != (now := stream_key(scene, seed=seed, backend=backend)):
+        raise InputError(
+            f"{scene.title}: expected the stream {key[:12]}, got {now[:12]}: the scene, the seed, "
+            "the renderer, or the version of sabench or of a library that it renders with is not "
+            "that of the stream's begin"
+        )
     for name, value, least in (("batch", batch, 1), ("start", start, 0)):
         if value < least:
             raise InputError(f"{name}: expected a number from {least} on, got {value}")
     maker = _Maker(scene, seed, choose_renderer(backend))
     return _batches(maker, batch, start, samples, split)
+
+
+def stream_key(scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = "splat") -> str:
+    """Compute a hash of all that a stream's samples depend on but their numbers.
+
+    That is the scene, the seed, the renderer, the code of sabench and the versions of libraries.
+    """
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    return Job(scene, seed, choose_renderer(backend), scene.title).key
 
 
 def split_of(number: int, shares: Sequence[float]) -> str:

@@ -14,7 +14,14 @@ import sabench
 from sabench.scenes import Scene, find, parse_scene
 from sabench.scenes.variation import Draw, Vary, draw_values
 from sabench.simulation.in_memory import simulate
-from sabench.simulation.streaming import Sample, split_names, split_of, stream_samples
+from sabench.simulation.recording import job
+from sabench.simulation.streaming import (
+    Sample,
+    split_names,
+    split_of,
+    stream_key,
+    stream_samples,
+)
 from sabench.utils.errors import InputError
 
 
@@ -221,3 +228,17 @@ def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"sabench\.stream draws samples"):
         sabench.generate(scene, tmp_path / "data", seed=1)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_stream_of_another_scene_seed_or_version_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene, other = make_scene(), make_scene(sensor={"read_noise_e": 2.0})
+    key = stream_key(scene, seed=3)
+    next(stream_samples(scene, seed=3, start=5, key=key))
+    for changed, seed in ((other, 3), (scene, 4)):
+        with pytest.raises(InputError, match=r"expected the stream .* the scene, the seed"):
+            stream_samples(changed, seed=seed, start=5, key=key)
+    monkeypatch.setattr(job, "code_hash", lambda: "of another version")
+    with pytest.raises(InputError, match="or the version of sabench"):
+        stream_samples(scene, seed=3, start=5, key=key)
