@@ -40,12 +40,12 @@ def gaussian_shares(edges: F64, sigma: float) -> F64:
 
 @numba.njit(cache=True)
 def fill_shares(center: float, sigma: float, first: int, shares: Any) -> None:
-    """Fill in the shares (n,) of a Gaussian's integral in the pixels from `first` on."""
+    """Fill in the shares (n,) of a Gaussian's integral in the pixels from `first` on, to 1e-8."""
     scale = 1.0 / (sigma * math.sqrt(2.0))
-    before = math.erf((first - 0.5 - center) * scale)
+    before = _half_erf((first - 0.5 - center) * scale)
     for i in range(len(shares)):
-        after = math.erf((first + i + 0.5 - center) * scale)
-        shares[i] = 0.5 * (after - before)
+        after = _half_erf((first + i + 0.5 - center) * scale)
+        shares[i] = after - before
         before = after
 
 
@@ -61,7 +61,7 @@ def fill_slopes(center: float, sigma: float, first: int, slopes: Any) -> None:
 
 
 @numba.njit(cache=True)
-def half_erf(t: float) -> float:
+def _half_erf(t: float) -> float:
     """Interpolate half the error function by cubics (Hermite): exact to 1e-8."""
     at = (min(max(t, -_TABLE_END), _TABLE_END) + _TABLE_END) / _TABLE_STEP
     whole = int(at)
@@ -80,11 +80,11 @@ def fill_profile(center: float, sigma: float, first: int, shares: Any, slopes: A
     """
     step = 1.0 / (sigma * math.sqrt(2.0))
     t = (first - 0.5 - center) * step
-    before, edge = half_erf(t), math.exp(-t * t) * step / math.sqrt(math.pi)
+    before, edge = _half_erf(t), math.exp(-t * t) * step / math.sqrt(math.pi)
     ratio, change = math.exp(-step * (2.0 * t + step)), math.exp(-2.0 * step * step)
     for i in range(len(shares)):
         t += step
-        after, next_edge = half_erf(t), edge * ratio
+        after, next_edge = _half_erf(t), edge * ratio
         shares[i], slopes[i] = after - before, edge - next_edge
         before, edge, ratio = after, next_edge, ratio * change
 

@@ -70,11 +70,11 @@ def _shot(frames: Frames, frame: int) -> Shot:
     views: list[View] = [view.particles for view in shown if view.particles is not None]
     lowest = None
     if takes_all_frames(scene.preprocessing or ()):
-        lowest = np.min([_record(frames.at(number)) for number in range(scene.frames)], axis=0)
+        lowest = np.min([record_frame(frames.at(number)) for number in range(scene.frames)], axis=0)
     return Shot(observation_of(content, images, lowest), content.tracers.particles, views)
 
 
-def _record(frame: FrameContent) -> U16:
+def record_frame(frame: FrameContent) -> U16:
     """Record the images (camera, row, column) of a frame."""
     return np.stack(
         [record_image(frame, render(frame, n), n) for n in range(len(frame.rig.cameras))]

@@ -22,10 +22,8 @@ from sabench.api.truth import Particles
 from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.variation import draw_values, extremes, with_values
-from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
-from sabench.simulation.grey_values import record_image
-from sabench.simulation.in_memory import observation_of
+from sabench.simulation.in_memory import observation_of, record_frame
 from sabench.simulation.recording.job import Job
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
 from sabench.utils.arrays import F64, I64, U16
@@ -135,14 +133,19 @@ def stream_samples(
     if key is not None and key != (now := stream_key(scene, seed=seed, backend=backend)):
         raise InputError(
             f"{scene.title}: expected the stream {key[:12]}, got {now[:12]}: the scene, the seed, "
-            "the renderer, or the version of sabench or of a library that it renders with is not "
-            "that of the stream's begin"
+            "the renderer, or the version of sabench or of a library that it renders with has "
+            "changed since the stream began"
         )
-    for name, value, least in (("batch", batch, 1), ("start", start, 0)):
-        if value < least:
-            raise InputError(f"{name}: expected a number from {least} on, got {value}")
-    maker = _Maker(scene, seed, choose_renderer(backend))
-    return _batches(maker, batch, start, samples, split)
+    least = {"batch": (batch, 1), "start": (start, 0)}
+    if samples is not None:
+        least["samples"] = samples, start
+    for name, (value, smallest) in least.items():
+        if value < smallest:
+            raise InputError(f"{name}: expected a number from {smallest} on, got {value}")
+    numbers = itertools.count(start) if samples is None else iter(range(start, samples))
+    if split is not None:
+        numbers = _of_split(numbers, *_check_split(split))
+    return _batches(_Maker(scene, seed, choose_renderer(backend)), batch, numbers)
 
 
 def stream_key(scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = "splat") -> str:
@@ -172,20 +175,24 @@ def split_names(count: int) -> list[str]:
     return ["train", "validation", "test", *(f"split-{n}" for n in range(3, count))][:count]
 
 
-def _batches(
-    maker: _Maker,
-    batch: int,
-    start: int,
-    samples: int | None,
-    split: tuple[str, Sequence[float]] | None,
-) -> Iterator[Batch]:
-    numbers = itertools.count(start) if samples is None else iter(range(start, samples))
-    if split is not None:
-        name, shares = split
-        if name not in split_names(len(shares)):
-            names = ", ".join(split_names(len(shares)))
-            raise InputError(f"split: expected one of {names}, got {name!r}")
-        numbers = (number for number in numbers if split_of(number, shares) == name)
+def _check_split(split: tuple[str, Sequence[float]]) -> tuple[str, Sequence[float]]:
+    """Refuse a split that no sample can be in."""
+    if isinstance(split, str) or len(split) != 2:
+        raise InputError(f'split: expected a name and shares, ("train", (80, 20)), got {split!r}')
+    name, shares = split
+    split_of(0, shares)
+    if name not in (names := split_names(len(shares))):
+        raise InputError(f"split: expected one of {', '.join(names)}, got {name!r}")
+    if not shares[names.index(name)] > 0.0:
+        raise InputError(f"split: expected a share of {name} above 0, got {list(shares)}")
+    return name, shares
+
+
+def _of_split(numbers: Iterator[int], name: str, shares: Sequence[float]) -> Iterator[int]:
+    return (number for number in numbers if split_of(number, shares) == name)
+
+
+def _batches(maker: _Maker, batch: int, numbers: Iterator[int]) -> Iterator[Batch]:
     while chosen := list(itertools.islice(numbers, batch)):
         made = tuple(maker.make(number) for number in chosen)
         _check_shapes(made)
@@ -254,10 +261,10 @@ class _Maker:
 
 def _record(frames: Frames) -> tuple[U16, tuple[Particles, ...]]:
     """Record all frames: images (frame, camera, row, column), and particles."""
-    images, particles, cameras = [], [], range(len(frames.rig.cameras))
+    images, particles = [], []
     for number in range(frames.scene.frames):
         content = frames.at(number)
-        images.append(np.stack([record_image(content, render(content, n), n) for n in cameras]))
+        images.append(record_frame(content))
         if content.tracers is not None:
             particles.append(content.tracers.particles)
     return np.stack(images), tuple(particles)

@@ -59,15 +59,16 @@ class LightPaths:
     passed: F64
 
 
-_SMOOTH = (
-    "leaving",
-    "arriving",
-    "half_angle",
-    "solid_angle",
-    "blur_px2",
-    "magnification",
-    "passed",
-)
+SMOOTH = {  # all but the pixel, and their columns in a table
+    "leaving": 3,
+    "arriving": 3,
+    "half_angle": 1,
+    "solid_angle": 1,
+    "blur_px2": 3,
+    "magnification": 1,
+    "passed": 1,
+}
+_ENDS = dict(zip(SMOOTH, itertools.accumulate(SMOOTH.values()), strict=True))
 
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 
@@ -139,7 +140,7 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
         return None
     truth = _table(exact)
     scale = np.abs(truth).max(axis=0)
-    blur = slice(8, 11)
+    blur = slice(_ENDS["blur_px2"] - SMOOTH["blur_px2"], _ENDS["blur_px2"])
     scale[blur] = max(float(scale[blur].max()), _LEAST_BLUR_PX2)
     for degree in _DEGREES:
         smooth = _fit(camera, low, high, degree)
@@ -170,14 +171,13 @@ def _fit(camera: Camera, low: F64, high: F64, degree: int) -> _Smooth | None:
 
 
 def _table(paths: LightPaths) -> F64:
-    """Collect the slow quantities of n paths, (n, 13)."""
-    return np.column_stack([getattr(paths, name) for name in _SMOOTH])
+    """Collect the slow quantities of n paths, (n, quantity)."""
+    return np.column_stack([getattr(paths, name) for name in SMOOTH])
 
 
 def _columns(table: F64) -> list[F64]:
-    """Take a table (13, n) apart, in the order of the attributes of `LightPaths`."""
-    cuts = [0, 3, 6, 7, 8, 11, 12, 13]
-    parts = [table[a:b] for a, b in itertools.pairwise(cuts)]
+    """Take a table (quantity, n) apart, in the order of the attributes of `LightPaths`."""
+    parts = [table[end - SMOOTH[name] : end] for name, end in _ENDS.items()]
     return [part.T if len(part) > 1 else part[0] for part in parts]
 
 

@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.images.gaussians import half_erf
+from sabench.images.gaussians import fill_shares
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils.arrays import F64, I64
 
@@ -90,8 +90,9 @@ def _add_band(
         left = int(np.rint(pixel[i, 0])) - half[i, 0]
         top = int(np.rint(pixel[i, 1])) - half[i, 1]
         width, height = 2 * half[i, 0] + 1, 2 * half[i, 1] + 1
-        _fill_shares(pixel[i, 0], sigma[i, 0], left, width, factors[0])
-        _fill_shares(pixel[i, 1], sigma[i, 1], top, height, factors[1])
+        fill_shares(pixel[i, 0], sigma[i, 0], left, factors[0, :width])
+        fill_shares(pixel[i, 1], sigma[i, 1], top, factors[1, :height])
+        factors[0, width : width + _LANES] = 0.0
         _add_product(image, top, left, photons[i], factors[1], factors[0], height, width)
         power, n = tilt[i], 1
         if abs(power) > _EXACT:
@@ -122,18 +123,6 @@ def _add_product(
             for lane in range(_LANES):
                 k = np.uintp(block * _LANES + lane)
                 image[row, start + k] += share * across[k]
-
-
-@numba.njit(cache=True)
-def _fill_shares(center: float, sigma: float, first: int, size: int, shares: Any) -> None:
-    """Fill in shares of a Gaussian's integral in pixels, and zeros after them."""
-    step = 1.0 / (sigma * math.sqrt(2.0))
-    before = half_erf((first - 0.5 - center) * step)
-    for i in range(size):
-        after = half_erf((first + i + 0.5 - center) * step)
-        shares[i] = after - before
-        before = after
-    shares[size : size + _LANES] = 0.0
 
 
 # The n-th term is r^n / n times the difference of h between both edges of a column, times that of a

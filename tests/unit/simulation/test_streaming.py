@@ -190,12 +190,15 @@ def test_an_unknown_key_is_refused_with_the_first_sample() -> None:
         ({"start": -1}, "start: expected a number from 0 on, got -1"),
         ({"split": ("dev", (80, 20))}, "expected one of train, validation, got 'dev'"),
         ({"split": ("train", (-1, 2))}, "shares that are not negative"),
+        ({"split": ("train", (0, 1))}, "expected a share of train above 0"),
+        ({"split": "train"}, "expected a name and shares"),
+        ({"start": 5, "samples": 4}, "samples: expected a number from 5 on, got 4"),
         ({"backend": "gpu"}, "backend: expected auto"),
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        next(stream_samples(make_scene(), **options))
+        stream_samples(make_scene(), **options)
 
 
 def test_cameras_that_differ_in_number_are_refused_in_one_batch() -> None:
