@@ -40,7 +40,7 @@ def gaussian_shares(edges: F64, sigma: float) -> F64:
 
 @numba.njit(cache=True)
 def fill_shares(center: float, sigma: float, first: int, shares: Any) -> None:
-    """Fill in the shares (n,) of a Gaussian's integral in the pixels from `first` on, to 1e-8."""
+    """Fill in shares (n,) of a Gaussian's integral from pixel `first` on, to 1e-8."""
     scale = 1.0 / (sigma * math.sqrt(2.0))
     before = _half_erf((first - 0.5 - center) * scale)
     for i in range(len(shares)):

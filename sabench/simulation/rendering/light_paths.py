@@ -176,7 +176,7 @@ def _table(paths: LightPaths) -> F64:
 
 
 def _columns(table: F64) -> list[F64]:
-    """Take a table (quantity, n) apart, in the order of the attributes of `LightPaths`."""
+    """Take a table (quantity, n) apart, in the order of `LightPaths`."""
     parts = [table[end - SMOOTH[name] : end] for name, end in _ENDS.items()]
     return [part.T if len(part) > 1 else part[0] for part in parts]
 
