@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numba
 import numpy as np
 
 from sabench.utils.arrays import F64, I64
+from sabench.utils.threads import share_rows
 
 _CELLS = 4  # of a camera's grid for each particle
 _FEW = 1.0  # percent of images on each side that may be far from all others
@@ -35,14 +35,8 @@ def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
     starts = np.zeros((len(cells), int((columns * rows).max()) + 1), dtype=np.int64)
     order = np.zeros(cells.shape, dtype=np.int64)
     _sort(cells, starts, order)
-    parts = np.array_split(np.arange(count), numba.get_num_threads())
-    with ThreadPoolExecutor(len(parts)) as pool:
-        found = list(
-            pool.map(
-                lambda part: _gather(part, pixels, reach, cells, columns, rows, starts, order),
-                parts,
-            )
-        )
+    grid = cells, columns, rows, starts, order
+    found = share_rows(lambda part: _gather(part.start, part.stop, pixels, reach, *grid), count)
     first = np.concatenate([[0], *(counts for counts, _ in found)])
     return np.cumsum(first).astype(np.int64), np.concatenate([near for _, near in found])
 
@@ -85,7 +79,8 @@ def _sort(cells: Any, starts: Any, order: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _gather(
-    part: Any,
+    first: int,
+    last: int,
     pixels: Any,
     reach: Any,
     cells: Any,
@@ -95,10 +90,10 @@ def _gather(
     order: Any,
 ) -> Any:
     """Return the numbers of neighbours of some particles, and the neighbours."""
-    counts, near, total = np.zeros(len(part), dtype=np.int64), np.zeros(64, dtype=np.int64), 0
+    counts, near, total = np.zeros(last - first, dtype=np.int64), np.zeros(64, dtype=np.int64), 0
     seen = np.full(cells.shape[1], -1)
-    for k in range(len(part)):
-        n, begun = part[k], total
+    for n in range(first, last):
+        begun = total
         seen[n] = n
         for c in range(len(cells)):
             if cells[c, n] < 0:
@@ -118,5 +113,5 @@ def _gather(
                         near[total] = other
                         total += 1
         near[begun:total].sort()
-        counts[k] = total - begun
+        counts[n - first] = total - begun
     return counts, near[:total]

@@ -8,10 +8,8 @@ neighbours are taken as known: a bound with fewer unknowns is lower, and so rema
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +19,7 @@ import numpy as np
 from sabench.images.gaussians import fill_shares, fill_slopes
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
+from sabench.utils.threads import share_rows
 
 _REACH = 4.0  # standard deviations from the centre of an image to its window's edge
 _OVERLAP = 2.0  # standard deviations of both: distance of images that overlap
@@ -74,15 +73,8 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     def invert(part: slice) -> None:
         _invert(starts, near, own, known, inverse, both, rows[part], bounds[part])
 
-    _side_by_side(invert, len(rows))
+    share_rows(invert, len(rows))
     return bounds
-
-
-def _side_by_side(work: Callable[[slice], None], count: int) -> None:
-    """Work on slices of a number of rows, on all cores."""
-    ends = np.linspace(0, count, numba.get_num_threads() + 1).astype(int)
-    with ThreadPoolExecutor(len(ends) - 1) as pool:
-        list(pool.map(work, [slice(*pair) for pair in itertools.pairwise(ends)]))
 
 
 def _where_seen(camera: ParticleSpots) -> F64:
@@ -130,7 +122,7 @@ def _add_information(
             both,
         )
 
-    _side_by_side(add, count)
+    share_rows(add, count)
 
 
 @numba.njit(cache=True)

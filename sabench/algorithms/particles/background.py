@@ -8,14 +8,15 @@ clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 3
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
+import numba
 import numpy as np
 
 from sabench.algorithms.particles.image_statistics import measure_images
 from sabench.images.flaws import Flaws
-from sabench.utils.arrays import F32, F64, Bool
+from sabench.utils.arrays import F32, I64, Bool
 
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
 _BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles
@@ -30,6 +31,7 @@ _LIT = 0.5  # typical particles in a square: less is noise
 _SEARCHES = 4  # for bright spots, as each makes typical light a little too large
 _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of an image's mean: light in it
+_FILLED = 0.5  # of the window: pixels that can be dark in it
 _HALO = 6  # px around bright spots
 
 
@@ -76,18 +78,14 @@ def estimate_background(image: F32, known: Bool) -> F32 | None:
     None where black is the background, or where particles leave no pixel between them: then
     nothing tells.
     """
-    values = np.where(known, image, np.nan)
     rows, columns = (max(size // _TILE, 1) for size in image.shape)
-    tiles = [
-        tile.ravel()[np.isfinite(tile.ravel())]
-        for strip in np.array_split(values, rows)
-        for tile in np.array_split(strip, columns, axis=1)
-    ]
+    tiles = _ends(image.shape[0], rows), _ends(image.shape[1], columns)
+    modes = np.full((rows * columns, 3), np.nan)
+    _measure_modes(image, known, *tiles, modes)
+    levels, scatter, black = modes.T
     bright = float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0
-    modes = [_mode(tile) if len(tile) > _FEW else None for tile in tiles]
-    levels, scatter = (np.array([np.nan if m is None else m[k] for m in modes]) for k in (0, 1))
     clear = scatter < _DENSE * bright
-    if not clear.any() or np.median([np.mean(tile <= 0.0) for tile in tiles if len(tile)]) > _BLACK:
+    if not clear.any() or np.nanmedian(black) > _BLACK:
         return None
     level = np.where(clear, levels, np.median(levels[clear])).reshape(rows, columns)
     grid = cv2.medianBlur(level.astype(np.float32), 3) if min(level.shape) > 2 else level
@@ -96,15 +94,47 @@ def estimate_background(image: F32, known: Bool) -> F32 | None:
     return np.asarray(np.maximum(smooth, np.float32(0.0)))
 
 
-def _mode(values: F64) -> tuple[float, float]:
-    """Estimate the mode and the scatter of what remains after clipping."""
+def _ends(size: int, tiles: int) -> I64:
+    """Return where tiles start along an axis, and its end (tiles + 1,)."""
+    return np.arange(tiles + 1) * size // tiles
+
+
+@numba.njit(cache=True, parallel=True)
+def _measure_modes(image: Any, known: Any, downs: Any, acrosses: Any, modes: Any) -> None:
+    """Fill in each tile's mode, scatter after clipping, and share of black (tile, 3).
+
+    Tiles of few values keep what they have in the first two, those without any in all.
+    """
+    columns = len(acrosses) - 1
+    for tile in numba.prange(len(modes)):
+        down, across = tile // columns, tile % columns
+        top, bottom = downs[down], downs[down + 1]
+        left, right = acrosses[across], acrosses[across + 1]
+        values, count = np.zeros((bottom - top) * (right - left)), 0
+        for i in range(top, bottom):
+            for j in range(left, right):
+                if known[i, j] and np.isfinite(image[i, j]):
+                    values[count] = image[i, j]
+                    count += 1
+        if count:
+            values = np.sort(values[:count])
+            modes[tile, 2] = np.searchsorted(values, 0.0, side="right") / count
+        if count > _FEW:
+            modes[tile, 0], modes[tile, 1] = _mode(values)
+
+
+@numba.njit(cache=True)
+def _mode(values: Any) -> tuple[float, float]:
+    """Estimate the mode of sorted values, and the scatter of what remains after clipping."""
+    middle, scatter = np.median(values), values.std()
     for _ in range(_CLIPS):
-        middle, scatter = float(np.median(values)), float(values.std())
-        kept = values[np.abs(values - middle) <= _CLIP * scatter]
-        if len(kept) == len(values) or len(kept) < _FEW:
+        first = np.searchsorted(values, middle - _CLIP * scatter, side="left")
+        last = np.searchsorted(values, middle + _CLIP * scatter, side="right")
+        if last - first == len(values) or last - first < _FEW:
             break
-        values = kept
-    return 2.5 * float(np.median(values)) - 1.5 * float(values.mean()), float(values.std())
+        values = values[first:last]
+        middle, scatter = np.median(values), values.std()
+    return 2.5 * middle - 1.5 * values.mean(), scatter
 
 
 def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
@@ -128,25 +158,25 @@ def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
     return np.asarray(cv2.dilate(spots.astype(np.uint8), halo) > 0)
 
 
-def find_dark_areas(images: F32, flaws: Flaws, number: float) -> Bool:
+def find_dark_areas(images: F32, flaws: Flaws, lit: Bool, number: float) -> Bool:
     """Mark areas without light in which several particles are expected.
 
-    They are (camera, row, column). The images hold `number` particles. Something may hide the
-    volume there.
+    They are (camera, row, column). Something may hide the volume there. Each image holds `number`
+    particles in the pixels (camera, row, column) that are lit. Areas that are smaller than any
+    particles' spacing tells are none.
     """
-    cameras, rows, columns = images.shape
-    edge = math.ceil(math.sqrt(_EXPECTED * rows * columns / max(number, 1.0)))
     dark = np.zeros(images.shape, dtype=np.bool_)
-    if 2 * edge > min(rows, columns):
-        return dark
-    window = np.ones((edge, edge), np.uint8)
-    for camera in range(cameras):
-        known = ~flaws.unknown[camera]
+    for camera, inside in enumerate(lit):
+        edge = math.ceil(math.sqrt(_EXPECTED * inside.sum() / max(number, 1.0)))
+        if not 0 < 2 * edge <= min(inside.shape):
+            continue
+        known = inside & ~flaws.unknown[camera]
         sums, counts = (
             cv2.boxFilter(one.astype(np.float32), -1, (edge, edge), normalize=False)
             for one in (np.where(known, images[camera], 0.0), known)
         )
         mean = float(images[camera][known].mean()) if known.any() else 0.0
-        empty = sums < _DARK * mean * counts
-        dark[camera] = cv2.dilate(empty.astype(np.uint8), window) > 0
+        empty = (sums < _DARK * mean * counts) & (counts > _FILLED * edge**2)
+        window = np.ones((edge, edge), np.uint8)
+        dark[camera] = inside & (cv2.dilate(empty.astype(np.uint8), window) > 0)
     return dark

@@ -30,6 +30,7 @@ from sabench.algorithms.particles.learned_model import (
 )
 from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
+from sabench.algorithms.particles.silhouettes import silhouettes
 from sabench.algorithms.particles.time_budget import Deadline
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
@@ -46,7 +47,9 @@ FLOORS = (0.2, 0.06)  # of the candidates of the first and the last later round
 _FEWER = 0.998  # of the candidates: more that are left share the light as before
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
+_MORE, _MOST_SPLITS = 1.002, 4  # growth in a round of splits, and rounds over those asked for
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
+_HIDDEN = 0.02  # of the pixels in which a camera sees the volume: less is chance
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
 
@@ -57,7 +60,8 @@ class BayesianIprSettings:
     Attributes
     ----------
     rounds : the most of search and removal, after the first.
-    splits : rounds of splits, search and removal after those.
+    splits : rounds of splits, search and removal after those; up to four times as many while they
+        find more particles.
     fits : times that all particles are fitted at each step.
     widening : of the particles' images while candidates share the light, over their width: it
         brings particles together whose images meet by chance.
@@ -114,11 +118,14 @@ def search_frame(
     if not frame.deadline.over:
         names = [camera.name for camera in case.cameras]
         search = without_wrong_cameras(search, names, partial(_find_visible, frame))
-    for _ in range(settings.splits):
+    for number in range(_MOST_SPLITS * settings.splits):
+        before = len(search.position)
         if frame.deadline.over:
             break
         weigh_pixels(search, CAPS[1])
         split_and_find(search)
+        if number + 1 >= settings.splits and len(search.position) < _MORE * before:
+            break
     weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)
     return search
@@ -143,11 +150,13 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     if search is None or search.unexplained() <= _UNEXPLAINED or frame.deadline.over:
         return search
     images, flaws, saturated = frame.clear
-    hidden = find_dark_areas(images, flaws, search.number)
+    lit = silhouettes(frame.maps, images.shape[1:])
+    hidden = find_dark_areas(images, flaws, lit, search.number)
     hidden[~search.shown] = False
     more = Flaws(flaws.points, flaws.covered | hidden)
     again = frame._replace(clear=ClearImages(images, more, saturated))
-    without = _find_most(again, wrong) if hidden.any() else None
+    many = (hidden.sum(axis=(1, 2)) > _HIDDEN * lit.sum(axis=(1, 2))).any()
+    without = _find_most(again, wrong) if many else None
     if without is None or without.unexplained() >= search.unexplained() or frame.deadline.over:
         return search
     without.hidden = hidden

@@ -41,6 +41,17 @@ def without_margins(images: Any) -> Any:
     return images[..., MARGIN:-MARGIN, MARGIN:-MARGIN]
 
 
+@numba.njit(cache=True, nogil=True)
+def fill_weights(known: Any, saturated: Any, variance: Any, weight: Any) -> None:
+    """Fill in a camera's weights, with margins, from its pixels without."""
+    rows, columns = known.shape
+    for i in range(rows):
+        for j in range(columns):
+            if known[i, j]:
+                each = np.float32(1.0) / variance[i, j]
+                weight[MARGIN + i, MARGIN + j] = -each if saturated[i, j] else each
+
+
 class ImageModel(NamedTuple):
     """Images as sums of particles' images, and what is left of them.
 
@@ -283,11 +294,12 @@ def put_in(model: Any, room: Any, position: Any, light: Any) -> None:
     paint_here(model, room, light, -1.0)
 
 
-@numba.njit(cache=True)
-def put_all_in(model: Any, room: Any, particles: Any) -> None:
-    """Subtract all particles from what is left of the images."""
+@numba.njit(cache=True, nogil=True)
+def paint_all(model: Any, room: Any, particles: Any, sign: float) -> None:
+    """Add the light of all particles times a sign to what is left of the images."""
     for n in range(len(particles.position)):
-        put_in(model, room, particles.position[n], particles.light[n])
+        place(model, room, particles.position[n])
+        paint_here(model, room, particles.light[n], sign)
 
 
 @numba.njit(cache=True)
@@ -350,13 +362,14 @@ def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
         room.given[0] += sums[GIVEN]
 
 
-@numba.njit(cache=True)
-def add_leverage(model: Any, room: Any, particles: Any, leverage: Any) -> None:
-    """Add up how much of each pixel the fit of particles takes for itself.
+@numba.njit(cache=True, nogil=True)
+def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
+    """Fill in what the fit of particles takes of each camera's pixels (n, camera, 2).
 
-    In each camera a particle's light takes as much of one pixel as the image tells more of it than
-    its prior and the other cameras, its position as much of three as the camera has a share in.
-    Neighbours count as known. Leverage has margins.
+    The first is the factor of the image's square: the light takes as much of one pixel as the image
+    tells more of it than its prior and the other cameras. The second is that of the squares of the
+    image's derivatives: the position takes as much of three as the camera has a share in. Both are
+    0 where a camera does not see the particle. Neighbours count as known.
     """
     cameras = len(model.typical)
     for n in range(len(particles.position)):
@@ -368,14 +381,27 @@ def add_leverage(model: Any, room: Any, particles: Any, leverage: Any) -> None:
         fill_inverse_diagonal(room.bend, room.pull, room.logs)
         for c in range(cameras):
             weight, slopes = room.sums[c, WEIGHT], room.sums[c, XX] + room.sums[c, YY]
-            if not min(weight, slopes) > UNSEEN:
-                continue
-            taken = room.pull[c] * particles.light[n, c] ** 2
-            x, y, by_x, by_y = room.x[c], room.y[c], room.by_x[c], room.by_y[c]
-            weights, into, corner = model.weight[c], leverage[c], room.corner[c]
-            for i in range(room.window):
-                for j in range(room.window):
-                    own, dx, dy = y[i] * x[j], y[i] * by_x[j], by_y[i] * x[j]
-                    share = taken * own * own + 3.0 / cameras * (dx * dx + dy * dy) / slopes
-                    row, column = corner[1] + i, corner[0] + j
-                    into[row, column] += share * abs(weights[row, column])
+            taken[n, c] = 0.0
+            if min(weight, slopes) > UNSEEN:
+                taken[n, c, 0] = room.pull[c] * particles.light[n, c] ** 2
+                taken[n, c, 1] = 3.0 / cameras / slopes
+
+
+@numba.njit(cache=True, nogil=True)
+def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: Any) -> None:
+    """Add up what particles take of each pixel of the model's one camera.
+
+    Taken (n, 2) is its column of `tell_taken`. Leverage has margins.
+    """
+    x, y, by_x, by_y = room.x[0], room.y[0], room.by_x[0], room.by_y[0]
+    weights, corner = model.weight[0], room.corner[0]
+    for n in range(len(particles.position)):
+        if not taken[n, 1] > 0.0:
+            continue
+        place(model, room, particles.position[n])
+        for i in range(room.window):
+            for j in range(room.window):
+                own, dx, dy = y[i] * x[j], y[i] * by_x[j], by_y[i] * x[j]
+                share = taken[n, 0] * own * own + taken[n, 1] * (dx * dx + dy * dy)
+                row, column = corner[1] + i, corner[0] + j
+                leverage[row, column] += share * abs(weights[row, column])

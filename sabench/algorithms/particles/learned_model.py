@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from sabench.algorithms.particles.all_particles import camera_misses, misfits
 from sabench.algorithms.particles.light_prior import learn_covariance
 from sabench.algorithms.particles.lone_particles import find_lone
-from sabench.algorithms.particles.model_moves import (
-    add_camera_misses,
-    add_width_misses,
-    measure_misfit,
-)
+from sabench.algorithms.particles.model_moves import add_width_misses
 from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.algorithms.particles.pixel_variance import fill_variance
 from sabench.utils.arrays import I64
+from sabench.utils.threads import for_each
 
 _FEW = 30  # particles that tell nothing of all
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _WIDTH_STEPS = 2
-_OWN_ERROR = 0.03  # of a particle's image: particles differ
-_UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
 
 def weigh_pixels(search: ParticleSearch, cap: float) -> None:
@@ -30,20 +27,20 @@ def weigh_pixels(search: ParticleSearch, cap: float) -> None:
     whose images are a little wider or narrower than others', or what particles that are not
     found yet leave.
     """
-    for camera, peak in enumerate(search.peaks()):
-        known, dark = search.known[camera], search.noise[camera] ** 2
-        # no more than the image shows, or particles that are too bright would hide it
-        image = np.maximum(search.images[camera], 0.0)
-        model = np.clip(search.images[camera] - search.left[camera], 0.0, image)
-        miss = search.miss(camera)
-        squares = np.square(miss[known], dtype=np.float64)
-        squares = np.minimum(squares, 30.0 * squares.mean())
-        light = model[known].astype(np.float64)
-        terms = np.stack([np.ones_like(light), light], axis=1)
-        even, slope = np.linalg.lstsq(terms, squares, rcond=None)[0]
-        variance = np.minimum(max(even, dark) + max(slope, 0.0) * model, dark + (cap * peak) ** 2)
-        least = (_OWN_ERROR * model) ** 2 + (_UNKNOWN * miss) ** 2
-        search.variance[camera] = np.maximum(variance, dark + least)
+    peaks = search.peaks()
+
+    def weigh(camera: int) -> None:
+        fill_variance(
+            search.images[camera],
+            search.left[camera],
+            search.known[camera],
+            search.saturated[camera],
+            float(search.noise[camera]) ** 2,
+            (cap * float(peaks[camera])) ** 2,
+            search.variance[camera],
+        )
+
+    for_each(weigh, len(peaks))
 
 
 def learn_light(search: ParticleSearch) -> None:
@@ -66,8 +63,7 @@ def learn_widths(search: ParticleSearch) -> None:
     if len(lone) < _FEW:
         return
     model, particles, cameras = search.model(), search.particles(), len(search.images)
-    misfit = np.zeros(len(search.position))
-    measure_misfit(model, search.room, particles, misfit)
+    misfit = misfits(model, search.sigma, particles)
     misfit = misfit[lone] / search.common_light()[lone] ** 2
     lone = lone[misfit <= np.median(misfit)]
     for _ in range(_WIDTH_STEPS):
@@ -91,8 +87,7 @@ def align_cameras(search: ParticleSearch) -> None:
     if len(search.position) < _FEW:
         return
     for _ in range(_ALIGNMENTS):
-        sums = np.zeros((len(search.images), 5))
-        add_camera_misses(search.model(), search.room, search.particles(), sums)
+        sums = camera_misses(search.model(), search.sigma, search.particles())
         xx, xy, yy, x, y = sums.T
         matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
         shifts = np.zeros((len(matrix), 2))

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
+from sabench.utils.threads import share_rows
 
 _OVERLAP = 4.8  # widths of images: distance of those that overlap
 _ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
@@ -27,19 +32,42 @@ def find_lone(
     """
     if len(position) < _FEW:
         return np.zeros(0, dtype=np.int64)
-    overlap = np.zeros(len(position))
-    inside = np.ones(len(position), dtype=bool)
+    pixels = np.stack([project_points(maps, camera, position) for camera in range(len(sigma))])
+    border = (_BORDER * sigma.max(axis=1))[:, None, None]
     last = np.array(shape[::-1]) - 1.0
-    for camera, width in enumerate(sigma):
-        pixels = project_points(maps, camera, position)
-        i, j = cKDTree(pixels).query_pairs(_OVERLAP * width.max(), output_type="ndarray").T
-        apart = np.sum((pixels[i] - pixels[j]) ** 2 / (4.0 * width**2), axis=1)
-        shared, own = np.exp(-apart), light[:, camera]
-        np.add.at(overlap, i, shared * own[j] / own[i])
-        np.add.at(overlap, j, shared * own[i] / own[j])
-        border = _BORDER * width.max()
-        inside &= ((pixels > border) & (pixels < last - border)).all(axis=1)
+    inside = ((pixels > border) & (pixels < last - border)).all(axis=(0, 2))
+    reach = _OVERLAP * sigma.max(axis=1)
+    starts, near = near_images(pixels, reach)
+    overlap = np.zeros(len(position))
+
+    def add(rows: slice) -> None:
+        _add_overlap(rows.start, pixels, light, sigma, reach, starts, near, overlap[rows])
+
+    share_rows(add, len(position))
     least = np.sort(np.where(inside, overlap, np.inf))
     rank = min(max(_LEAST_ALONE, int(_ALONE * len(overlap))), len(overlap) - 1)
     most = max(least[rank], _HARDLY * len(sigma))
     return np.flatnonzero(inside & (overlap <= most))
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_overlap(
+    first: int,
+    pixels: Any,
+    light: Any,
+    sigma: Any,
+    reach: Any,
+    starts: Any,
+    near: Any,
+    overlap: Any,
+) -> None:
+    """Add up the light of near images over the particles' own, from the first row on."""
+    for k in range(len(overlap)):
+        n = first + k
+        for other in near[starts[n] : starts[n + 1]]:
+            for c in range(len(sigma)):
+                x = pixels[c, n, 0] - pixels[c, other, 0]
+                y = pixels[c, n, 1] - pixels[c, other, 1]
+                if x * x + y * y <= reach[c] ** 2:
+                    apart = 0.25 * ((x / sigma[c, 0]) ** 2 + (y / sigma[c, 1]) ** 2)
+                    overlap[k] += math.exp(-apart) * light[other, c] / light[n, c]

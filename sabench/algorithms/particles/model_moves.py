@@ -198,7 +198,7 @@ def _largest_share(room: Any, light: Any) -> float:
     return float(most / total)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
     """Fill in (n,) how far squares left around particles exceed those of noise.
 
@@ -309,7 +309,7 @@ def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: An
     return float(cost)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
     """Add up (camera, 5) what each camera alone says of a common shift of its images.
 

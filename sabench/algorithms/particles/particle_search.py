@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from sabench.algorithms.particles.all_particles import misfits, paint_particles
 from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.candidate_search import (
     BRIGHTEST,
@@ -28,9 +29,9 @@ from sabench.algorithms.particles.disjoint_groups import (
 from sabench.algorithms.particles.image_model import (
     ImageModel,
     Particles,
+    Room,
+    fill_weights,
     make_room,
-    put_all_in,
-    take_out,
     with_margins,
     without_margins,
 )
@@ -42,7 +43,6 @@ from sabench.algorithms.particles.light_prior import (
 )
 from sabench.algorithms.particles.model_moves import (
     find_neighbours,
-    measure_misfit,
     near_any,
     remove_ghosts,
     split_pairs,
@@ -55,6 +55,7 @@ from sabench.geometry.volume_polynomials import (
 )
 from sabench.images.particle_widths import peak_brightness
 from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.utils.threads import for_each
 
 _PORTIONS = 8  # of many rows whose order counts: the first are fitted before the next
 _BOX = 8.0  # volume of the box in its coordinates
@@ -160,13 +161,18 @@ class ParticleSearch:
     def set_width(self, sigma: F64) -> None:
         """Set the widths (camera, 2) of the particles' images, the same everywhere."""
         self.widths = np.concatenate([sigma[:, :, None], np.zeros((*sigma.shape, 3))], axis=2)
-        self.first_widths, self.room = self.widths.copy(), make_room(sigma)
+        self.first_widths = self.widths.copy()
         self.subtract_all()
 
     @property
     def sigma(self) -> F64:
         """Widths (camera, 2) of the particles' images in the middle of the box, px."""
         return self.widths[:, :, 0]
+
+    @property
+    def room(self) -> Room:
+        """Room for one thread to work in."""
+        return make_room(self.sigma)
 
     def reset_covariance(self, between: float = _BETWEEN, common: float = _COMMON) -> None:
         """Forget the covariance of light that was learned."""
@@ -182,7 +188,7 @@ class ParticleSearch:
             brightness,
             light=light,
             covariance_mm2=claimed_covariances(
-                self.model(), self.room, self.particles(), self.noise
+                self.model(), self.sigma, self.particles(), self.noise
             ),
             probability=1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN))),
         )
@@ -203,8 +209,13 @@ class ParticleSearch:
     def model(self) -> ImageModel:
         """Make the kernels' view of images and what is left of them."""
         precision: F64 = np.linalg.inv(self.covariance).astype(np.float64)
-        sign = np.where(self.saturated, np.float32(-1.0), np.float32(1.0))
-        weight = (sign * self.known / self.variance).astype(np.float32)
+        weight = np.zeros_like(self.framed)
+
+        def fill(camera: int) -> None:
+            known, saturated = self.known[camera], self.saturated[camera]
+            fill_weights(known, saturated, self.variance[camera], weight[camera])
+
+        for_each(fill, len(weight))
         return ImageModel(
             self.maps,
             self.widths,
@@ -213,7 +224,7 @@ class ParticleSearch:
             float(np.linalg.slogdet(precision)[1]),
             float(np.linalg.eigvalsh(precision)[0]),
             self.framed,
-            with_margins(weight),
+            weight,
             self.framed_left,
             math.log(self.number / _BOX),
         )
@@ -248,7 +259,7 @@ class ParticleSearch:
         model, particles = self.model(), self.particles()
 
         def fit(rows: I64) -> None:
-            refine(model, make_room(self.sigma), particles, rows)
+            refine(model, self.room, particles, rows)
 
         self._each(fit, np.arange(len(self.position)), portions=1, rounds=rounds)
 
@@ -272,13 +283,12 @@ class ParticleSearch:
     def subtract_all(self) -> None:
         """Compute anew what all particles leave of the images."""
         self.framed_left[:] = self.framed
-        put_all_in(self.model(), self.room, self.particles())
+        paint_particles(self.model(), self.sigma, self.particles(), -1.0)
 
     def keep(self, good: Bool) -> None:
         """Drop the other particles, and give their light back."""
-        model = self.model()
-        for n in np.flatnonzero(~good):
-            take_out(model, self.room, self.position[n], self.light[n])
+        dropped = Particles(self.position[~good], self.light[~good], ~good[~good])
+        paint_particles(self.model(), self.sigma, dropped, 1.0)
         self.select(good)
 
     def select(self, good: Bool | I64) -> None:
@@ -322,7 +332,7 @@ class ParticleSearch:
         model, particles = self.model(), self.particles()
 
         def start(rows: I64) -> None:
-            start_light(model, make_room(self.sigma), particles, rows)
+            start_light(model, self.room, particles, rows)
 
         self._each(start, np.arange(first, len(self.position)), portions=1)
         self.select(np.all(self.light > 0.0, axis=1))  # all, unless time was over
@@ -338,10 +348,8 @@ class ParticleSearch:
         tried = ~self.sure & ~self.trusted
 
         def remove(rows: I64) -> None:
-            room = make_room(self.sigma)
-            remove_ghosts(
-                model, room, particles, rows, starts, near, self.fits, lone, self.sure, self.odds
-            )
+            each = self.room, particles, rows, starts, near
+            remove_ghosts(model, *each, self.fits, lone, self.sure, self.odds)
 
         for _ in range(2):
             rows = np.flatnonzero(tried)
@@ -356,8 +364,7 @@ class ParticleSearch:
     def split(self) -> None:
         """Replace particles that do not fit by two, where that is more probable."""
         count, model = len(self.position), self.model()
-        misfit = np.zeros(count)
-        measure_misfit(model, self.room, self.particles(), misfit)
+        misfit = misfits(model, self.sigma, self.particles())
         order = np.argsort(-misfit, kind="stable")[: int(_DOUBTFUL * count)]
         order = order[misfit[order] > _MISFIT]
         self.sure[order] = False
@@ -370,7 +377,7 @@ class ParticleSearch:
         steps = _APART * width / self.maps.half_mm * split_directions(self.maps)
 
         def split(rows: I64) -> None:
-            split_pairs(model, make_room(self.sigma), particles, rows, spare, steps)
+            split_pairs(model, self.room, particles, rows, spare, steps)
 
         self._each(split, order, portions=1)
         self.select(particles.alive)

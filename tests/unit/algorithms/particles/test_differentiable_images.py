@@ -12,7 +12,7 @@ from sabench.algorithms.particles.differentiable_projection import Differentiabl
 from sabench.algorithms.particles.image_model import (
     SUMS,
     make_room,
-    put_all_in,
+    paint_all,
     sum_up,
     with_margins,
 )
@@ -203,7 +203,7 @@ def test_slopes_and_curvatures_are_those_of_the_kernels(maps: VolumePolynomials)
     )
     unit, light = (position - MIDDLE) / HALF, TYPICAL * np.exp(logs)
     room = make_room(np.tile(np.array(SIGMA) + 0.4, (4, 1)))  # windows as wide as the renderer's
-    put_all_in(model, room, particles_of(unit, light))
+    paint_all(model, room, particles_of(unit, light), -1.0)
     own, bends = np.zeros((COUNT, 7)), np.zeros((COUNT, 7, 7))
     for n in range(COUNT):
         sum_up(model, room, unit[n], light[n])

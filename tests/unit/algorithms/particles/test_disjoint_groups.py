@@ -9,7 +9,7 @@ import pytest
 from sabench.algorithms.particles import disjoint_groups as module
 from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.disjoint_groups import disjoint_groups, side_by_side
-from sabench.algorithms.particles.image_model import put_all_in
+from sabench.algorithms.particles.image_model import paint_all
 from sabench.algorithms.particles.joint_fit import refine
 from sabench.algorithms.particles.model_moves import find_neighbours
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
@@ -64,7 +64,7 @@ def fitted(maps: VolumePolynomials, points: F64, turns: list[list[I64]], threads
     images = paint(maps, points, light, ROWS, COLUMNS)
     model, start = model_of(maps, images, between=0.3), points + 2e-3 * np.sin(np.arange(3.0))
     particles = particles_of(np.clip(start, -1.0, 1.0), light)
-    put_all_in(model, room_of(maps), particles)
+    paint_all(model, room_of(maps), particles, -1.0)
     before = numba.get_num_threads()
     numba.set_num_threads(threads)
     try:

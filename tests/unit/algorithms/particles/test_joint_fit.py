@@ -9,7 +9,7 @@ from sabench.algorithms.particles.image_model import (
     ImageModel,
     Particles,
     look,
-    put_all_in,
+    paint_all,
     without_margins,
 )
 from sabench.algorithms.particles.joint_fit import (
@@ -58,7 +58,7 @@ def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) 
     images += NOISE * RNG.standard_normal(images.shape)
     model, room = model_of(maps, images), room_of(maps)
     particles = particles_of(points + 0.004 * RNG.standard_normal(points.shape), LIGHT)
-    put_all_in(model, room, particles)
+    paint_all(model, room, particles, -1.0)
     before = whole_cost(model, particles, images)
     changes = [adjust(model, room, particles, n) for n in range(COUNT)]
     assert max(changes) <= 0.0
@@ -108,7 +108,7 @@ def test_saturated_pixels_ask_for_as_much_light_as_they_show_or_more(
     for one in (model, model._replace(weight=np.abs(model.weight))):
         particles = particles_of(start, LIGHT)
         one.left[:] = one.images
-        put_all_in(one, room, particles)
+        paint_all(one, room, particles, -1.0)
         refine_all(one, room, particles, 40)
         errors.append(np.median(distances(particles.position, points, maps)))
     assert errors[0] < 2e-4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.image_model import Particles, put_all_in, without_margins
+from sabench.algorithms.particles.image_model import Particles, paint_all, without_margins
 from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
     add_width_misses,
@@ -74,7 +74,7 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(
     shared[np.arange(4), np.arange(4)] *= 0.5  # the ghost has half of one image of each
     particles = particles_of(np.vstack([true, ghost]), np.vstack([shared, 0.5 * light[:1]]))
     model, room = model_of(maps, images, between=0.3), room_of(maps)
-    put_all_in(model, room, particles)
+    paint_all(model, room, particles, -1.0)
     starts, near = find_neighbours(maps, WIDTHS, particles.position)
     assert set(near[starts[4] :]) == {0, 1, 2, 3}
     order = np.arange(5)[::-1].copy()
@@ -96,7 +96,7 @@ def test_light_in_one_camera_alone_is_no_particle(maps: VolumePolynomials) -> No
     for lone, expected in ((True, 1), (False, 0)):
         model, room = model_of(maps, images, between=1.0), room_of(maps)
         particles = particles_of(point, np.array([[8.0, 3.0 * TYPICAL, 8.0, 8.0]]))
-        put_all_in(model, room, particles)
+        paint_all(model, room, particles, -1.0)
         order = np.zeros(1, dtype=np.int64)
         sure = np.zeros(1, dtype=np.bool_)
         found = remove_ghosts(
@@ -115,7 +115,7 @@ def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(
         share = 1.0 if apart else 0.5
         model, room = model_of(maps, noisy(maps, pair, share * light), 0.3), room_of(maps)
         particles = particles_of(pair, share * light)
-        put_all_in(model, room, particles)
+        paint_all(model, room, particles, -1.0)
         starts, near = find_neighbours(maps, WIDTHS, pair)
         sure, odds = np.zeros(2, dtype=np.bool_), np.zeros(2)
         removed = remove_ghosts(
@@ -129,7 +129,7 @@ def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
     points, light = 0.5 * unit_points(30), np.full((30, 4), TYPICAL)
     model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
     particles = particles_of(points, light)
-    put_all_in(model, room, particles)
+    paint_all(model, room, particles, -1.0)
     left = model.left.copy()
     starts, near = find_neighbours(maps, WIDTHS, points)
     order, sure = np.arange(30), np.zeros(30, dtype=np.bool_)
@@ -160,7 +160,7 @@ def test_two_particles_that_look_like_one_are_split(
     rows, lights = np.zeros((2, 3)), np.full((2, 4), 2.0 * TYPICAL)
     particles = Particles(rows, lights, np.array([True, False]))
     single = Particles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
-    put_all_in(model, room, single)
+    paint_all(model, room, single, -1.0)
     refine_all(model, room, single, 10)
     misfit = np.zeros(1)
     measure_misfit(model, room, single, misfit)
@@ -179,7 +179,7 @@ def test_a_single_particle_is_not_split(maps: VolumePolynomials) -> None:
     point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
     model, room = model_of(maps, noisy(maps, point, light)), room_of(maps)
     particles = Particles(np.zeros((2, 3)), np.full((2, 4), TYPICAL), np.array([True, False]))
-    put_all_in(model, room, particles_of(point, light))
+    paint_all(model, room, particles_of(point, light), -1.0)
     left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
     steps = 0.7 * size * np.eye(3)
     order = np.zeros(1, dtype=np.int64)
@@ -198,7 +198,7 @@ def test_a_wide_particle_is_not_split(maps: VolumePolynomials) -> None:
     light = np.full((2, 4), 100.0 * TYPICAL)
     particles = Particles(np.zeros((2, 3)), light, np.array([True, False]))
     single = Particles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
-    put_all_in(model, room, single)
+    paint_all(model, room, single, -1.0)
     measure_misfit(model, room, single, misfit := np.zeros(1))
     assert misfit[0] > 100.0
     order = np.zeros(1, dtype=np.int64)
@@ -212,18 +212,18 @@ def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) ->
     model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
     changes = 0.02 * np.array([[1.0, -1.0, 0.5, 2.0], [-1.0, 1.5, 1.0, 0.5]])
     model.widths[2] += changes
-    put_all_in(model, room, particles_of(points, light))
+    paint_all(model, room, particles_of(points, light), -1.0)
     images = -without_margins(model.left).astype(np.float64)
     model, particles = model_of(maps, images), particles_of(points, 1.1 * light)
     particles.light[:, 2] *= 0.95  # as if its images were narrower
-    put_all_in(model, room, particles)
+    paint_all(model, room, particles, -1.0)
     for _ in range(3):
         matrices, right = np.zeros((4, 8, 8)), np.zeros((4, 8))
         add_width_misses(model, room, particles, np.arange(30), matrices, right)
         step = np.linalg.solve(matrices, right[:, :, None]).reshape(4, 2, 4)
         model.widths[:] += step
         model.left[:] = model.images
-        put_all_in(model, room, particles)
+        paint_all(model, room, particles, -1.0)
         refine_all(model, room, particles, 2)
     expected = np.zeros((4, 2, 4))
     expected[2] = changes
@@ -254,7 +254,7 @@ def test_a_shift_of_a_camera_shows_in_its_equations(maps: VolumePolynomials) -> 
     shifted.coefficients[1, 0] += [0.04, -0.06]
     model, room = model_of(maps, paint(shifted, points, light, ROWS, COLUMNS)), room_of(maps)
     particles = particles_of(points, light)
-    put_all_in(model, room, particles)
+    paint_all(model, room, particles, -1.0)
     sums = np.zeros((4, 5))
     add_camera_misses(model, room, particles, sums)
     for camera, (xx, xy, yy, x, y) in enumerate(sums):
