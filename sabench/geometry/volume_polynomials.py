@@ -14,11 +14,13 @@ import numpy as np
 
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils.arrays import F64, I64
+from sabench.utils.threads import share_rows
 
 TOLERANCE_PX = 1e-3
 _HIGHEST = 9
 _DEGREES = range(3, _HIGHEST + 1)
 _NODES = 11  # of the fit along each axis
+_FEW = 10_000  # points: fewer are projected before threads have begun
 
 
 class VolumePolynomials(NamedTuple):
@@ -174,11 +176,19 @@ def project_points(maps: VolumePolynomials, camera: int, points: F64) -> F64:
 def project_with_slopes(maps: VolumePolynomials, camera: int, points: F64) -> tuple[F64, F64]:
     """Compute a camera's pixels (n, 2) of points, and derivatives (n, 2, 3)."""
     pixels, slopes = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
-    _project_each(maps, camera, np.ascontiguousarray(points, dtype=np.float64), pixels, slopes)
+    points = np.ascontiguousarray(points, dtype=np.float64)
+
+    def project(rows: slice) -> None:
+        _project_each(maps, camera, points[rows], pixels[rows], slopes[rows])
+
+    if len(points) < _FEW:
+        project(slice(None))
+    else:
+        share_rows(project, len(points))
     return pixels, slopes
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _project_each(maps: Any, camera: int, points: Any, pixels: Any, slopes: Any) -> None:
     for n in range(len(points)):
         project_point(maps, camera, points[n], pixels[n], slopes[n])

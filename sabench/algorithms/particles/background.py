@@ -125,7 +125,7 @@ def _measure_modes(image: Any, known: Any, downs: Any, acrosses: Any, modes: Any
 
 @numba.njit(cache=True)
 def _mode(values: Any) -> tuple[float, float]:
-    """Estimate the mode of sorted values, and the scatter of what remains after clipping."""
+    """Estimate the mode of sorted values, and the scatter after clipping."""
     middle, scatter = np.median(values), values.std()
     for _ in range(_CLIPS):
         first = np.searchsorted(values, middle - _CLIP * scatter, side="left")

@@ -18,6 +18,7 @@ import numpy as np
 
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64
+from sabench.utils.threads import share_rows
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
 _FEW = 20_000  # rows: fewer are fitted in their order, whose effect is larger than the time saved
@@ -113,11 +114,12 @@ def _ends(
         return np.repeat(np.stack(pixels, axis=1)[:, :, None], 2, axis=2)
     pixels = [project_points(maps, camera, position) for camera in cameras]
     out = np.zeros((len(rows), len(pixels), 2, 2))
-    _fill_ends(np.stack(pixels, axis=1), rows, *neighbours, out)
+    stacked = np.stack(pixels, axis=1)
+    share_rows(lambda part: _fill_ends(stacked, rows[part], *neighbours, out[part]), len(rows))
     return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _fill_ends(pixels: Any, rows: Any, starts: Any, near: Any, out: Any) -> None:
     for k in range(len(rows)):
         n = rows[k]

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
@@ -285,7 +286,8 @@ def _position_errors(
     count = min(_NEIGHBOURS, len(live.position) - 1)
     if count <= 0 or not len(which):
         return np.zeros((len(which), 0))
-    near = cKDTree(live.position).query(live.position, count + 1)[1][which, 1:]
+    cores = numba.get_num_threads()
+    near = cKDTree(live.position).query(live.position, count + 1, workers=cores)[1][which, 1:]
     there = live.position[near] + velocity[:, None] * (time - live.time[near])[..., None]
     size = (
         _ALIKE * scale.spacing / (3.0 * scale.size)
@@ -294,6 +296,7 @@ def _position_errors(
     distance, _ = tree.query(
         np.concatenate([there, size * live.size[near][..., None]], axis=2),
         distance_upper_bound=_ALIKE * scale.spacing,
+        workers=cores,
     )
     return np.asarray(distance)
 

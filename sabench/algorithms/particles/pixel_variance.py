@@ -16,7 +16,7 @@ _STEPS, _LEAST_FREE = 4, 0.2  # of fits of the variance, and least share of a pi
 
 @numba.njit(cache=True)
 def _line(total: float, x: float, y: float, xx: float, xy: float) -> tuple[float, float]:
-    """Fit a line to sums of weights, x, y, x^2 and x y; returns its value at 0, and slope."""
+    """Fit a line to sums of weights, x, y, x^2, x y; returns value at 0 and slope."""
     if not total > 0.0:
         return 0.0, 0.0
     bend = xx - x * x / total
@@ -76,9 +76,9 @@ def fill_variance(
 def fill_noise(
     shown: Any, left: Any, weight: Any, leverage: Any, noise: float, variance: Any
 ) -> None:
-    """Fill in the variance of a camera's pixels around particles from what is left there.
+    """Fill in the variance of a camera's pixels around particles.
 
-    It grows with the light. What fits have taken from it, the leverage, is given back. Unknown and
+    It is estimated from what is left there, and grows with the light. What fits have taken from it, the leverage, is given back. Unknown and
     saturated pixels tell nothing, and have an infinite variance. All arrays are (row, column).
     """
     rows, columns = shown.shape

@@ -12,7 +12,7 @@ _NODES = 9  # along each edge of the box: lines of sight bend little between the
 
 
 def silhouettes(maps: VolumePolynomials, shape: tuple[int, ...]) -> Bool:
-    """Mark the pixels (camera, row, column) within the convex outline of the maps' box."""
+    """Mark the pixels (camera, row, column) in the outline of the maps' box."""
     ends = np.linspace(-1.0, 1.0, _NODES)
     lattice = np.stack(np.meshgrid(ends, ends, ends), axis=-1).reshape(-1, 3)
     out = np.zeros((len(maps.coefficients), *shape), dtype=np.uint8)
