@@ -78,8 +78,9 @@ def fill_noise(
 ) -> None:
     """Fill in the variance of a camera's pixels around particles.
 
-    It is estimated from what is left there, and grows with the light. What fits have taken from it, the leverage, is given back. Unknown and
-    saturated pixels tell nothing, and have an infinite variance. All arrays are (row, column).
+    It is estimated from what is left there, and grows with the light. What fits have taken from it,
+    the leverage, is given back. Unknown and saturated pixels tell nothing, and have an infinite
+    variance. All arrays are (row, column).
     """
     rows, columns = shown.shape
     even, slope = noise * noise, 0.0
