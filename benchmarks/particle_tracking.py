@@ -8,6 +8,7 @@ displacements of 3 px rms per frame, particles of the whole volume, scored where
 Cases:
 
     equal 0.05 ... 0.20     each particle equally bright in all cameras
+    dim 0.20                less light, so that no pixel saturates
     own 0.05                Mie scattering of single particles, light from a direction in which no
                             two cameras see the same angle
 
@@ -41,12 +42,14 @@ from sabench.simulation.in_memory import Shot, simulate_sequence  # noqa: E402
 from sabench.utils.arrays import F64, I64, Bool  # noqa: E402
 
 _EQUAL = {"scattering": "isotropic", "pulse_energy_mj": 6.5}  # light of the scene's Mie particles
+_DIM = _EQUAL | {"pulse_energy_mj": 2.5}  # as an experimenter sets it: no pixel saturates
 _OBLIQUE = {"direction": [0.8, 0.6, 0.0]}
 CASES: dict[str, tuple[float, dict[str, Any]]] = {
     "equal 0.05": (0.05, _EQUAL),
     "equal 0.10": (0.10, _EQUAL),
     "equal 0.15": (0.15, _EQUAL),
     "equal 0.20": (0.20, _EQUAL),
+    "dim 0.20": (0.20, _DIM),
     "own 0.05": (0.05, _OBLIQUE),
 }
 SOLVERS = ("shake_the_box", "openlpt", "optv")
