@@ -24,6 +24,7 @@ from sabench.cli.quality import quality
 from sabench.cli.recordings import compare_statistics
 from sabench.cli.refocus import refocus
 from sabench.cli.reproduce import reproduce
+from sabench.cli.warmup import warmup
 from sabench.utils.errors import InputError
 from sabench.utils.version import __version__
 
@@ -51,6 +52,7 @@ for _command in (
     evaluate.submit,
     evaluate.board,
     doctor,
+    warmup,
 ):
     app.command(_command.__name__.replace("_", "-"), cls=Command)(_command)
 app.command("import", cls=Command)(import_recording)
