@@ -16,7 +16,7 @@ import numpy as np
 
 from sabench.algorithms.particles.image_statistics import measure_images
 from sabench.images.flaws import Flaws
-from sabench.utils.arrays import F32, I64, Bool
+from sabench.utils.arrays import F32, F64, I64, Bool
 
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
 _BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles
@@ -30,8 +30,8 @@ _MANY, _CHANCE = 8.0, 6.0  # typical particles, and standard deviations of overl
 _LIT = 0.5  # typical particles in a square: less is noise
 _SEARCHES = 4  # for bright spots, as each makes typical light a little too large
 _EXPECTED = 8.0  # particles in a window that may be dark for a reason
-_DARK = 0.05  # of an image's mean: light in it
-_FILLED = 0.5  # of the window: pixels that can be dark in it
+_DARK = 0.05  # of the light that is expected there
+_THIN = 0.75  # of the mean number of particles in a window: fewer do not tell
 _HALO = 6  # px around bright spots
 
 
@@ -158,25 +158,28 @@ def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
     return np.asarray(cv2.dilate(spots.astype(np.uint8), halo) > 0)
 
 
-def find_dark_areas(images: F32, flaws: Flaws, lit: Bool, number: float) -> Bool:
+def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bool:
     """Mark areas without light in which several particles are expected.
 
     They are (camera, row, column). Something may hide the volume there. Each image holds `number`
-    particles in the pixels (camera, row, column) that are lit. Areas that are smaller than any
-    particles' spacing tells are none.
+    particles, distributed over the pixels as the shares of the volume that these show. Where they
+    show little of it, nothing tells.
     """
     dark = np.zeros(images.shape, dtype=np.bool_)
-    for camera, inside in enumerate(lit):
-        edge = math.ceil(math.sqrt(_EXPECTED * inside.sum() / max(number, 1.0)))
-        if not 0 < 2 * edge <= min(inside.shape):
+    for camera, share in enumerate(shares):
+        lit = share > 0.0
+        edge = math.ceil(math.sqrt(_EXPECTED / _THIN * lit.sum() / max(number, 1.0)))
+        if not 0 < 2 * edge <= min(lit.shape):
             continue
-        known = inside & ~flaws.unknown[camera]
+        known = lit & ~flaws.unknown[camera]
+        expected = np.where(known, number / share.sum() * share, 0.0)
+        light = np.where(known, images[camera], 0.0)
+        each = float(light.sum()) / max(float(expected.sum()), 1.0)
         sums, counts = (
             cv2.boxFilter(one.astype(np.float32), -1, (edge, edge), normalize=False)
-            for one in (np.where(known, images[camera], 0.0), known)
+            for one in (light, expected)
         )
-        mean = float(images[camera][known].mean()) if known.any() else 0.0
-        empty = (sums < _DARK * mean * counts) & (counts > _FILLED * edge**2)
+        empty = (sums < _DARK * each * counts) & (counts > _EXPECTED)
         window = np.ones((edge, edge), np.uint8)
-        dark[camera] = inside & (cv2.dilate(empty.astype(np.uint8), window) > 0)
+        dark[camera] = lit & (cv2.dilate(empty.astype(np.uint8), window) > 0)
     return dark

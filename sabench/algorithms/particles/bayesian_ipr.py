@@ -30,8 +30,8 @@ from sabench.algorithms.particles.learned_model import (
 )
 from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
-from sabench.algorithms.particles.silhouettes import silhouettes
 from sabench.algorithms.particles.time_budget import Deadline
+from sabench.algorithms.particles.volume_shares import volume_shares
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.flaws import Flaws
@@ -150,12 +150,12 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     if search is None or search.unexplained() <= _UNEXPLAINED or frame.deadline.over:
         return search
     images, flaws, saturated = frame.clear
-    lit = silhouettes(frame.maps, images.shape[1:])
-    hidden = find_dark_areas(images, flaws, lit, search.number)
+    shares = volume_shares(frame.maps, images.shape[1:])
+    hidden = find_dark_areas(images, flaws, shares, search.number)
     hidden[~search.shown] = False
     more = Flaws(flaws.points, flaws.covered | hidden)
     again = frame._replace(clear=ClearImages(images, more, saturated))
-    many = (hidden.sum(axis=(1, 2)) > _HIDDEN * lit.sum(axis=(1, 2))).any()
+    many = (hidden.sum(axis=(1, 2)) > _HIDDEN * (shares > 0.0).sum(axis=(1, 2))).any()
     without = _find_most(again, wrong) if many else None
     if without is None or without.unexplained() >= search.unexplained() or frame.deadline.over:
         return search

@@ -14,8 +14,7 @@ from sabench.algorithms.particles.all_particles import (
 )
 from sabench.algorithms.particles.image_model import ImageModel, Particles, paint_all
 from sabench.algorithms.particles.model_moves import add_camera_misses, measure_misfit
-from sabench.algorithms.particles.silhouettes import silhouettes
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import (
     NOISE,
@@ -85,16 +84,3 @@ def test_a_fit_takes_as_much_as_it_has_unknowns(maps: VolumePolynomials) -> None
     model = model_of(maps, paint(maps, points, light, ROWS, COLUMNS), between=1.0)
     taken = leverage(model, SIGMAS, particles_of(points, light))
     assert taken.sum() == pytest.approx(4.0 + 3.0, rel=0.01)
-
-
-def test_silhouettes_have_all_of_the_volume(maps: VolumePolynomials) -> None:
-    seen = silhouettes(maps, (ROWS, COLUMNS))
-    rng = np.random.default_rng(3)
-    for camera, image in enumerate(seen):
-        pixels = np.rint(project_points(maps, camera, rng.uniform(-1.0, 1.0, (100_000, 3)))).T
-        column, row = pixels.astype(np.int64)
-        there = (column >= 0) & (row >= 0) & (column < COLUMNS) & (row < ROWS)
-        assert image[row[there], column[there]].all()
-        shown = np.zeros_like(image)
-        shown[row[there], column[there]] = True
-        assert shown.sum() > 0.8 * image.sum()

@@ -78,21 +78,21 @@ def test_spots_of_nothing_are_none() -> None:
 def test_areas_that_show_nothing_are_dark() -> None:
     images = np.stack([image(0.05, seed) for seed in (4, 5)])
     images[1, :100, :120] = NOISE * np.random.default_rng(6).standard_normal((100, 120))
-    number, lit = 0.05 * ROWS * COLUMNS, np.ones(images.shape, dtype=np.bool_)
-    dark = find_dark_areas(images, Flaws.none(images.shape), lit, number)
+    number, shares = 0.05 * ROWS * COLUMNS, np.ones(images.shape)
+    dark = find_dark_areas(images, Flaws.none(images.shape), shares, number)
     assert dark[0].mean() < 0.005
     hidden = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
     hidden[:100, :120] = True
     assert (dark[1] & hidden).sum() > 0.97 * hidden.sum()
     assert (dark[1] & ~hidden).mean() < 0.01
-    few = find_dark_areas(images, Flaws.none(images.shape), lit, 5.0)
+    few = find_dark_areas(images, Flaws.none(images.shape), shares, 5.0)
     assert not few.any()  # too few to tell
 
 
 def test_areas_without_the_volume_are_not_dark() -> None:
     images = np.stack([image(0.05, 4)])
     images[0, :, 200:] = 0.0
-    lit = np.ones(images.shape, dtype=np.bool_)
-    assert find_dark_areas(images, Flaws.none(images.shape), lit, 3000.0)[0, :, 220:].all()
-    lit[0, :, 200:] = False
-    assert find_dark_areas(images, Flaws.none(images.shape), lit, 2400.0).mean() < 0.005
+    shares = np.ones(images.shape)
+    assert find_dark_areas(images, Flaws.none(images.shape), shares, 3000.0)[0, :, 220:].all()
+    shares[0, :, 200:] = 0.0
+    assert find_dark_areas(images, Flaws.none(images.shape), shares, 2400.0).mean() < 0.005
