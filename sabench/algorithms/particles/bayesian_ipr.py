@@ -47,7 +47,6 @@ FLOORS = (0.2, 0.06)  # of the candidates of the first and the last later round
 _FEWER = 0.998  # of the candidates: more that are left share the light as before
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
-_MORE, _MOST_SPLITS = 1.002, 4  # growth in a round of splits, and rounds over those asked for
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
 _HIDDEN = 0.02  # of the pixels in which a camera sees the volume: less is chance
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
@@ -60,8 +59,7 @@ class BayesianIprSettings:
     Attributes
     ----------
     rounds : the most of search and removal, after the first.
-    splits : rounds of splits, search and removal after those; up to four times as many while they
-        find more particles.
+    splits : rounds of splits, search and removal after those.
     fits : times that all particles are fitted at each step.
     widening : of the particles' images while candidates share the light, over their width: it
         brings particles together whose images meet by chance.
@@ -118,14 +116,11 @@ def search_frame(
     if not frame.deadline.over:
         names = [camera.name for camera in case.cameras]
         search = without_wrong_cameras(search, names, partial(_find_visible, frame))
-    for number in range(_MOST_SPLITS * settings.splits):
-        before = len(search.position)
+    for _ in range(settings.splits):
         if frame.deadline.over:
             break
         weigh_pixels(search, CAPS[1])
         split_and_find(search)
-        if number + 1 >= settings.splits and len(search.position) < _MORE * before:
-            break
     weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)
     return search
