@@ -153,8 +153,8 @@ BUGS = (
     Bug(
         "quantum efficiency forgotten",
         "sabench/simulation/rendering/sensor.py",
-        "mean = sensor.quantum_efficiency * photons",
-        "mean = 1.0 * photons",
+        "mean = chain.quantum_efficiency * photons[row, column]",
+        "mean = photons[row, column]",
         case="particles",
     ),
     Bug(
@@ -282,15 +282,15 @@ BUGS = (
     Bug(
         "the gain applied twice",
         "sabench/simulation/rendering/sensor.py",
-        "electrons *= sensor.gain_dn_e",
-        "electrons *= sensor.gain_dn_e**2",
+        "signal * chain.gain_dn_e",
+        "signal * chain.gain_dn_e**2",
         case="particles",
     ),
     Bug(
         "the read noise's variance for its standard deviation",
         "sabench/simulation/rendering/sensor.py",
-        "sensor.read_noise_e * rng.standard_normal",
-        "sensor.read_noise_e**2 * rng.standard_normal",
+        "chain.read_noise_e * normal(",
+        "chain.read_noise_e**2 * normal(",
         case="particles",
     ),
     Bug(

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
 from sabench.scenes.sensor import Sensor
+from sabench.simulation.rendering.noise import READ, SHOT, normal, poisson
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
+from sabench.utils.philox import draw_key, fill_blocks
 
 _HOT = 0.5  # of the full well: mean signal of hot pixels
-_MOST_E = 1e15  # electrons: more than any well holds, and fewer than the Poisson generator refuses
+_MOST_E = 1e15  # electrons: more than any well holds, and few enough to be counted exactly
 
 
 def full_well_photons(sensor: Sensor) -> float:
@@ -62,30 +66,103 @@ def expose(
     rounded, clipped to the bit depth (EMVA 1288's linear model). A pattern multiplies the mean
     light, adds the mean signal of hot pixels before, and offsets after the full well. With
     nonlinearity a, electrons e in the well W count as e (1 - a (e / W)^2).
+
+    `rng` gives the key of the noise, in which each pixel has numbers of its own: the same for any
+    number of threads.
     """
-    mean = sensor.quantum_efficiency * photons
-    if pattern is not None:
-        mean = pattern.response * mean + pattern.hot_e
-    mean += (
-        sensor.dark_current_e_s
-        * sensor.exposure_s
-        * (1.0 if pattern is None else pattern.response > 0.0)
-    )
-    if not np.isfinite(mean).all():
+    pixels = None if pattern is None else (pattern.response, pattern.hot_e, pattern.offset_e)
+    light, grey = np.ascontiguousarray(photons), np.empty(photons.shape, dtype=np.uint16)
+    if _expose(light, pixels, draw_key(rng), _chain(sensor), grey):
         raise InputError(
-            "illumination: photon counts must be finite, got inf or NaN; check the pulse energy "
+            "illumination: photon counts must be finite and not negative; check the pulse energy "
             "and the lights"
         )
-    np.minimum(mean, _MOST_E, out=mean)
-    electrons = rng.poisson(mean).astype(np.float64) if sensor.shot_noise else mean
-    np.minimum(electrons, sensor.full_well_e, out=electrons)
-    if sensor.nonlinearity:
-        electrons *= 1.0 - sensor.nonlinearity * (electrons / sensor.full_well_e) ** 2
-    if pattern is not None:
-        electrons += pattern.offset_e
-    if sensor.read_noise_e > 0.0:
-        electrons += sensor.read_noise_e * rng.standard_normal(photons.shape)
-    electrons *= sensor.gain_dn_e
-    electrons += sensor.black_level_dn
-    np.rint(electrons, out=electrons)
-    return np.clip(electrons, 0, (1 << sensor.bit_depth) - 1, out=electrons).astype(np.uint16)
+    return grey
+
+
+class _Chain(NamedTuple):
+    """Figures of a sensor for the kernel, in the order in which a signal meets them."""
+
+    quantum_efficiency: float
+    dark_e: float
+    shot_noise: bool
+    full_well_e: float
+    nonlinearity: float
+    read_noise_e: float
+    gain_dn_e: float
+    black_level_dn: float
+    most_dn: float
+
+
+def _chain(sensor: Sensor) -> _Chain:
+    return _Chain(
+        sensor.quantum_efficiency,
+        sensor.dark_current_e_s * sensor.exposure_s,
+        sensor.shot_noise,
+        sensor.full_well_e,
+        sensor.nonlinearity or 0.0,
+        sensor.read_noise_e,
+        sensor.gain_dn_e,
+        sensor.black_level_dn,
+        float((1 << sensor.bit_depth) - 1),
+    )
+
+
+@numba.njit(cache=True, parallel=True)
+def _expose(photons: Any, pixels: Any, key: Any, chain: Any, grey: Any) -> Any:
+    """Fill in grey values; return the number of pixels whose mean is no number of electrons."""
+    wrong = 0
+    for row in numba.prange(len(photons)):
+        wrong += _expose_row(photons, pixels, key, chain, np.uint64(row), grey)
+    return wrong
+
+
+@numba.njit(cache=True)
+def _expose_row(photons: Any, pixels: Any, key: Any, chain: Any, row: Any, grey: Any) -> Any:
+    shot, read = _blocks(key, chain, row, photons.shape[1])
+    wrong = 0
+    for column in range(photons.shape[1]):
+        mean = chain.quantum_efficiency * photons[row, column]
+        if pixels is None:
+            mean += chain.dark_e
+        else:
+            mean = pixels[0][row, column] * mean + pixels[1][row, column]
+            mean += chain.dark_e * (pixels[0][row, column] > 0.0)
+        if not 0.0 <= mean < np.inf:
+            wrong += 1
+            continue
+        signal, own = min(mean, _MOST_E), np.uint64(column)
+        if chain.shot_noise:
+            signal = poisson(key, own, row, _words(shot, column), signal)
+        signal = min(signal, chain.full_well_e)
+        if chain.nonlinearity > 0.0:
+            signal *= 1.0 - chain.nonlinearity * (signal / chain.full_well_e) ** 2
+        if pixels is not None:
+            signal += pixels[2][row, column]
+        if chain.read_noise_e > 0.0:
+            signal += chain.read_noise_e * normal(key, own, row, READ, _words(read, column))
+        value = np.rint(signal * chain.gain_dn_e + chain.black_level_dn)
+        grey[row, column] = np.uint16(min(max(value, 0.0), chain.most_dn))
+    return wrong
+
+
+@numba.njit(cache=True)
+def _blocks(key: Any, chain: Any, row: Any, columns: int) -> Any:
+    """Compute the blocks (4, column) of a row's shot noise and read noise that are needed."""
+    none = np.uint64(0)
+    shot, read = np.empty((4, columns), np.uint32), np.empty((4, columns), np.uint32)
+    if chain.shot_noise:
+        fill_blocks(key, none, row, none, SHOT, shot)
+    if chain.read_noise_e > 0.0:
+        fill_blocks(key, none, row, none, READ, read)
+    return shot, read
+
+
+@numba.njit(cache=True)
+def _words(blocks: Any, column: int) -> Any:
+    return (
+        np.uint64(blocks[0, column]),
+        np.uint64(blocks[1, column]),
+        np.uint64(blocks[2, column]),
+        np.uint64(blocks[3, column]),
+    )
