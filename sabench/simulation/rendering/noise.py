@@ -39,7 +39,10 @@ def _ziggurat() -> tuple[F64, F64]:
 
 
 def _distributions() -> F64:
-    """Tabulate cumulative Poisson distributions (mean, number); the last column ends searches."""
+    """Tabulate cumulative Poisson distributions (mean, number).
+
+    The last column ends searches.
+    """
     means = np.arange(_LARGE * _PER_UNIT)[:, None] / _PER_UNIT
     chances = np.ones((len(means), _MOST))
     chances[:, 1:] = means / np.arange(1, _MOST)
@@ -131,7 +134,7 @@ def _look_up(words: Any, mean: float) -> Any:
 
 @numba.njit(cache=True)
 def _invert(u: float, mean: float) -> Any:
-    """Find the Poisson number whose cumulative probability exceeds u, for small means."""
+    """Find a small mean's number whose cumulative probability exceeds u."""
     if u < 1.0 - mean:  # which is less than exp(-mean)
         return 0.0
     k, chance = 0, math.exp(-mean)

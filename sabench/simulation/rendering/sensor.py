@@ -110,7 +110,7 @@ def _chain(sensor: Sensor) -> _Chain:
 
 @numba.njit(cache=True, parallel=True)
 def _expose(photons: Any, pixels: Any, key: Any, chain: Any, grey: Any) -> Any:
-    """Fill in grey values; return the number of pixels whose mean is no number of electrons."""
+    """Fill in grey values; return how many pixels have no possible mean."""
     wrong = 0
     for row in numba.prange(len(photons)):
         wrong += _expose_row(photons, pixels, key, chain, np.uint64(row), grey)
@@ -148,7 +148,7 @@ def _expose_row(photons: Any, pixels: Any, key: Any, chain: Any, row: Any, grey:
 
 @numba.njit(cache=True)
 def _blocks(key: Any, chain: Any, row: Any, columns: int) -> Any:
-    """Compute the blocks (4, column) of a row's shot noise and read noise that are needed."""
+    """Compute a row's blocks (4, column) of shot noise and read noise, if needed."""
     none = np.uint64(0)
     shot, read = np.empty((4, columns), np.uint32), np.empty((4, columns), np.uint32)
     if chain.shot_noise:
