@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from sabench.api import F64, Flow, Parameters
@@ -34,8 +36,25 @@ class LinearFlow(Flow):
             + (points_mm - np.asarray(chosen.center_mm)) @ np.asarray(chosen.gradient_1_s).T
         )
 
+    def carry(self, points_mm: F64, start_s: float, end_s: float) -> F64:
+        """Compute c + exp(G t) (x - c) + (t + G t^2 / 2 + ...) u."""
+        chosen: LinearParameters = self.parameters
+        center = np.asarray(chosen.center_mm)
+        motion = _motion(chosen.gradient_1_s, chosen.velocity_mm_s, end_s - start_s)
+        return np.asarray(center + (points_mm - center) @ motion[:3, :3].T + motion[:3, 3])
+
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """Return the constant gradient G."""
         return np.tile(
             np.asarray(self.parameters.gradient_1_s, dtype=np.float64), (len(points_mm), 1, 1)
         )
+
+
+@functools.lru_cache(maxsize=64)
+def _motion(gradient_1_s: tuple[Row, Row, Row], velocity_mm_s: Row, time_s: float) -> F64:
+    """Compute the affine map (4, 4) of points relative to the centre."""
+    from scipy.linalg import expm  # takes long to load
+
+    rate = np.zeros((4, 4))
+    rate[:3, :3], rate[:3, 3] = gradient_1_s, velocity_mm_s
+    return np.asarray(expm(time_s * rate))

@@ -35,7 +35,7 @@ class Generator(PlugIn):
 class Flow(PlugIn):
     """Base of a velocity field that carries particles.
 
-    Implement `velocity`, and `gradient` where the exact gradient is known.
+    Implement `velocity`, `gradient` where the exact gradient is known, and `carry` where paths are.
     """
 
     makes: ClassVar[str] = "flow"
@@ -50,6 +50,13 @@ class Flow(PlugIn):
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """Compute gradients (n, 3, 3) in 1/s, du_i / dx_j."""
         raise NotImplementedError(f"flow {type(self).__name__} must implement gradient()")
+
+    def carry(self, points_mm: F64, start_s: float, end_s: float) -> F64 | None:
+        """Compute where points (n, 3) are at another time, earlier or later.
+
+        None, as here, where paths have no formula: sabench then integrates velocities.
+        """
+        return None
 
 
 class BodyFlow(Flow):

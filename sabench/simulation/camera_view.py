@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -90,7 +91,17 @@ def _take(
     ----------
     known : images on the direct route at the middle of the pulse, where they were computed.
     """
-    total, parts = np.zeros((camera.rows, camera.columns)), len(tracers.positions_mm)
+    parts = _parts(frame, tracers, camera, known)
+    total, moments = next(parts), len(tracers.positions_mm)
+    for part in parts:
+        total += part
+    return total if moments == 1 else total / moments
+
+
+def _parts(
+    frame: FrameContent, tracers: Tracers, camera: Camera, known: ParticleImages | None
+) -> Iterator[F64]:
+    """Yield the photons of each moment of the pulse on each route."""
     for positions in tracers.positions_mm:
         moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
         middle = positions is tracers.particles.position_mm
@@ -100,9 +111,7 @@ def _take(
                 if known is not None and middle and not route.faces
                 else _image(frame, moment, camera, route)
             )
-            place = route.place(positions)
-            total += _take_part(frame, route.behind(camera), images, place) / parts
-    return total
+            yield _take_part(frame, route.behind(camera), images, route.place(positions))
 
 
 def _routes(scene: Scene, camera: Camera) -> list[Route]:

@@ -28,6 +28,8 @@ def advect(flow: Flow, points_mm: F64, start_s: float, end_s: float, tolerance_m
     out = np.array(points_mm, dtype=np.float64)
     if start_s == end_s:
         return out
+    if (exact := flow.carry(out, start_s, end_s)) is not None:
+        return exact
     for first in range(0, len(out), AT_ONCE):
         part = slice(first, first + AT_ONCE)
         out[part] = _advect_together(flow, out[part], start_s, end_s, tolerance_mm)
@@ -42,7 +44,7 @@ def _advect_together(
     scipy bounds the root mean square over all coordinates; divided by the root of their number, its
     tolerance bounds each of them.
     """
-    from scipy.integrate import solve_ivp  # takes long to load
+    from scipy.integrate import DOP853  # takes long to load
 
     calls = itertools.count()
 
@@ -63,15 +65,9 @@ def _advect_together(
         return made
 
     atol = tolerance_mm / np.sqrt(points.size)
-    done = solve_ivp(
-        velocity,
-        (start_s, end_s),
-        points.ravel(),
-        "DOP853",
-        rtol=_RELATIVE,
-        atol=atol,
-        t_eval=(end_s,),
-    )
-    if not done.success:  # velocities that are not finite, or that change too fast
-        raise complaint(f"the integration failed: {done.message}")
-    return np.asarray(done.y[:, -1].reshape(-1, 3))
+    path = DOP853(velocity, start_s, points.ravel(), end_s, rtol=_RELATIVE, atol=atol)
+    while path.status == "running":
+        reason = path.step()
+    if path.status == "failed":  # velocities that are not finite, or that change too fast
+        raise complaint(f"the integration failed: {reason}")
+    return np.asarray(path.y.reshape(-1, 3))

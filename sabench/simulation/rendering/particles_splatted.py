@@ -17,7 +17,7 @@ import numpy as np
 from sabench.geometry.camera import Camera
 from sabench.images.gaussians import fill_shares
 from sabench.simulation.rendering.particle_images import ParticleImages
-from sabench.utils.arrays import F64, I64
+from sabench.utils.arrays import F64
 
 # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
 _REACH = 4.5
@@ -36,33 +36,89 @@ def render(camera: Camera, images: ParticleImages) -> F64:
     centre lies outside the sensor still illuminate the pixels that their window reaches. Pixels are
     exact to 2e-8 of each particle's light, and the same for any number of threads.
     """
-    shape = camera.rows, camera.columns
-    sigma = np.sqrt(images.spread_px2[:, :2])
-    half = np.ceil(_REACH * sigma + 0.5)
-    near = np.abs(images.pixel - np.array([shape[1] - 1, shape[0] - 1]) / 2.0)
-    reached = (near < half + np.array([shape[1], shape[0]]) / 2.0).all(axis=1)
-    lit = np.flatnonzero((images.photons > 0.0) & reached)
-    sigma, size = np.maximum(sigma[lit], _SHARPEST), half[lit].astype(np.int64)
-    tilt = np.clip(images.spread_px2[lit, 2] / sigma.prod(axis=1), -_LONGEST, _LONGEST)
-    widest = int(size.max(initial=0))
-    margin = 2 * widest + 1 + _LANES
-    framed = np.zeros((shape[0] + 2 * margin, shape[1] + 2 * margin))
-    pixel, edge = images.pixel[lit] + margin, max(_BAND, 2 * widest + 1)
-    order, starts = _bands(pixel[:, 1], edge, len(framed))
-    pixel, photons = pixel[order], images.photons[lit[order]]
-    _add_windows(framed, starts, pixel, photons, sigma[order], tilt[order], size[order])
-    # series and table may end a little below zero, which no number of photons is
-    return np.maximum(framed[margin : margin + shape[0], margin : margin + shape[1]], 0.0)
+    given = images.pixel, images.photons, images.spread_px2
+    lit, half, widest = _find_lit(*given, camera.rows, camera.columns)
+    margin, edge = 2 * widest + 1 + _LANES, max(_BAND, 2 * widest + 1)
+    framed = np.zeros((camera.rows + 2 * margin, camera.columns + 2 * margin))
+    bands = -(-len(framed) // edge)
+    starts, *windows = _sort_windows(*given, lit, half, margin, edge, bands)
+    _add_windows(framed, starts, *windows)
+    image = np.empty((camera.rows, camera.columns))
+    _crop(framed, margin, image)
+    return image
 
 
-def _bands(row: F64, edge: int, rows: int) -> tuple[I64, I64]:
+@numba.njit(cache=True)
+def _find_lit(pixel: Any, photons: Any, spread: Any, rows: int, columns: int) -> Any:
+    """Find particles that illuminate an image.
+
+    Returns their numbers (m,), half the widths and heights (m, 2) of their windows, and the largest
+    of these.
+    """
+    lit, halves = np.empty(len(pixel), np.int64), np.empty((len(pixel), 2), np.int64)
+    count, widest, size = 0, 0, (columns, rows)
+    for i in range(len(pixel)):
+        reached = photons[i] > 0.0
+        for axis in range(2):
+            half = np.ceil(_REACH * math.sqrt(spread[i, axis]) + 0.5)
+            near = abs(pixel[i, axis] - (size[axis] - 1) / 2.0)
+            reached = reached and near < half + size[axis] / 2.0
+            halves[count, axis] = np.int64(half) if reached else 0
+        if reached:
+            widest = max(widest, halves[count, 0], halves[count, 1])
+            lit[count] = i
+            count += 1
+    return lit[:count], halves[:count], widest
+
+
+@numba.njit(cache=True)
+def _sort_windows(
+    pixel: Any,
+    photons: Any,
+    spread: Any,
+    lit: Any,
+    halves: Any,
+    margin: int,
+    edge: int,
+    bands: int,
+) -> Any:
     """Sort particles by the band of rows that they lie in.
 
-    Returns their order, and where each band's start.
+    Returns where each band's start, and their pixels in the frame, photons, widths, correlations
+    and half windows.
     """
-    band = np.rint(row).astype(np.int64) // edge
-    counts = np.bincount(band, minlength=-(-rows // edge))
-    return np.argsort(band, kind="stable"), np.concatenate([[0], np.cumsum(counts)])
+    band = np.empty(len(lit), np.int64)
+    starts, place = np.zeros(bands + 1, np.int64), np.zeros(bands, np.int64)
+    for n in range(len(lit)):
+        band[n] = np.int64(np.rint(pixel[lit[n], 1] + margin)) // edge
+        starts[band[n] + 1] += 1
+    for b in range(bands):
+        place[b] = starts[b]
+        starts[b + 1] += starts[b]
+    where, sigma = np.empty((len(lit), 2)), np.empty((len(lit), 2))
+    light, tilt, half = np.empty(len(lit)), np.empty(len(lit)), np.empty_like(halves)
+    for n in range(len(lit)):
+        i, to = lit[n], place[band[n]]
+        place[band[n]] += 1
+        for axis in range(2):
+            where[to, axis] = pixel[i, axis] + margin
+            sigma[to, axis] = max(math.sqrt(spread[i, axis]), _SHARPEST)
+            half[to, axis] = halves[n, axis]
+        light[to] = photons[i]
+        slant = spread[i, 2] / (sigma[to, 0] * sigma[to, 1])
+        tilt[to] = min(max(slant, -_LONGEST), _LONGEST)
+    return starts, where, light, sigma, tilt, half
+
+
+@numba.njit(cache=True, parallel=True)
+def _crop(framed: Any, margin: int, image: Any) -> None:
+    """Fill in an image without its frame.
+
+    Series and table may end a little below zero, which no number of photons is.
+    """
+    for row in numba.prange(len(image)):
+        for column in range(image.shape[1]):
+            image[row, column] = max(framed[margin + row, margin + column], 0.0)
 
 
 @numba.njit(cache=True, parallel=True)
