@@ -282,15 +282,15 @@ BUGS = (
     Bug(
         "the gain applied twice",
         "sabench/simulation/rendering/sensor.py",
-        "signal * chain.gain_dn_e",
-        "signal * chain.gain_dn_e**2",
+        "value * chain.gain_dn_e",
+        "value * chain.gain_dn_e**2",
         case="particles",
     ),
     Bug(
         "the read noise's variance for its standard deviation",
         "sabench/simulation/rendering/sensor.py",
-        "chain.read_noise_e * normal(",
-        "chain.read_noise_e**2 * normal(",
+        "chain.read_noise_e * noise[column]",
+        "chain.read_noise_e**2 * noise[column]",
         case="particles",
     ),
     Bug(

@@ -115,11 +115,11 @@ def load(kind: str, name: str) -> type[Any]:
     InputError
         No plug-in or two have this name, or the file cannot be imported or has no such class.
     """
-    return _load(kind, name, os.environ.get("SABENCH_PLUGINS", ""), os.getcwd())
+    return _load(kind, name, os.environ.get("SABENCH_PLUGINS", ""), Path.cwd())
 
 
 @functools.cache
-def _load(kind: str, name: str, _variable: str, _current_folder: str) -> type[Any]:
+def _load(kind: str, name: str, _variable: str, _current_folder: Path) -> type[Any]:
     """Import a plug-in once; the folders that are searched follow from the rest."""
     file = file_of(kind, name)
     sys.modules[f"{__name__}.{kind}"].__path__ = [str(folder) for folder in folders(kind)]

@@ -264,7 +264,7 @@ def trace_to_points(wall: AnyWall | None, pinhole_mm: F64, points_mm: F64) -> Pa
         return wall.paths(pinhole_mm, points_mm)
     offset = points_mm - pinhole_mm
     with np.errstate(invalid="ignore", divide="ignore"):
-        direction = offset / np.linalg.norm(offset, axis=1, keepdims=True)
+        direction = offset / np.sqrt(np.einsum("ij,ij->i", offset, offset))[:, None]
     return Paths(direction, direction, np.isfinite(direction).all(axis=1))
 
 

@@ -67,23 +67,86 @@ _STARTS = np.stack(
 _ERRORS = _stirling_errors()
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _uniform(high: Any, low: Any) -> Any:
     """Make a number in [0, 1) of the upper 53 bits of two words."""
     return np.int64((high << _SHIFT) | (low >> _UNUSED)) * 2.0**-53
 
 
 @numba.njit(cache=True)
-def normal(key: Any, column: Any, row: Any, purpose: Any, words: Any) -> Any:
-    """Draw a standard normal number by a ziggurat; it takes the first two words.
+def fill_normals(key: Any, row: Any, blocks: Any, numbers: Any) -> None:
+    """Fill in standard normal numbers (column,) of a row for read noise.
+
+    `blocks` (4, column) are the row's first blocks. Most numbers come from a loop without branches,
+    for vector registers; it leaves the others as NaN.
+    """
+    for column in range(len(numbers)):
+        x, below = _try_normal(np.uint64(blocks[0, column]), np.uint64(blocks[1, column]))
+        numbers[column] = x if below else np.nan
+    for column in range(len(numbers)):
+        if np.isnan(numbers[column]):
+            words = _words(blocks, column)
+            numbers[column] = _normal(key, np.uint64(column), row, READ, words)
+
+
+@numba.njit(cache=True)
+def fill_poisson(key: Any, row: Any, blocks: Any, means: Any) -> None:
+    """Replace the means (column,) of a row, which are at most 1e15, by Poisson numbers.
+
+    Works as `fill_normals` does.
+    """
+    numbers = np.empty_like(means)
+    for column in range(len(means)):
+        numbers[column] = _try_poisson(blocks, column, means[column])
+    for column in range(len(means)):
+        if np.isnan(numbers[column]):
+            words = _words(blocks, column)
+            numbers[column] = _poisson(key, np.uint64(column), row, words, means[column])
+    means[:] = numbers
+
+
+@numba.njit(cache=True, inline="always")
+def _try_poisson(blocks: Any, column: int, mean: float) -> Any:
+    """Draw 0 or a nearly normal number; NaN where that takes a closer look."""
+    w0, w1 = np.uint64(blocks[0, column]), np.uint64(blocks[1, column])
+    x, below = _try_normal(w0, w1)
+    k = np.floor(mean + math.sqrt(mean) * x)
+    v = _uniform(np.uint64(blocks[2, column]), np.uint64(blocks[3, column]))
+    quick = below and _is_near(k, mean, v)
+    large = k if quick else np.nan
+    small = 0.0 if mean * _PER_UNIT < 1.0 and _uniform(w0, w1) < 1.0 - mean else np.nan
+    return large if mean >= _LARGE else small
+
+
+@numba.njit(cache=True)
+def _words(blocks: Any, column: int) -> Any:
+    return (
+        np.uint64(blocks[0, column]),
+        np.uint64(blocks[1, column]),
+        np.uint64(blocks[2, column]),
+        np.uint64(blocks[3, column]),
+    )
+
+
+@numba.njit(cache=True, inline="always")
+def _try_normal(high: Any, low: Any) -> Any:
+    """Draw a place in a layer of the ziggurat, and whether it is below the density.
 
     Source: Marsaglia and Tsang, J. Stat. Software 5, 8 (2000).
     """
+    layer = np.uintp(low & _LAYER)
+    x = _uniform(high, low) * _EDGES[layer]
+    return x if low & _SIGN else -x, x < _EDGES[layer + _ONE]
+
+
+@numba.njit(cache=True)
+def _normal(key: Any, column: Any, row: Any, purpose: Any, words: Any) -> Any:
+    """Draw a standard normal number; it takes the first two words."""
+    x, below = _try_normal(words[0], words[1])
+    if below:
+        return x
     layer = np.intp(words[1] & _LAYER)
-    x = _uniform(words[0], words[1]) * _EDGES[layer]
-    if x >= _EDGES[layer + 1]:
-        x = _normal_at_edge(key, column, row, purpose, layer, x)
-    return x if words[1] & _SIGN else -x
+    return math.copysign(_normal_at_edge(key, column, row, purpose, layer, abs(x)), x)
 
 
 @numba.njit(cache=True)
@@ -112,8 +175,8 @@ def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x
 
 
 @numba.njit(cache=True)
-def poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
-    """Draw a Poisson number; `mean` is at most 1e15."""
+def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
+    """Draw a Poisson number."""
     if mean * _PER_UNIT < 1.0:
         return _invert(_uniform(words[0], words[1]), mean)
     if mean < _LARGE:
@@ -154,13 +217,19 @@ def _invert(u: float, mean: float) -> Any:
 @numba.njit(cache=True)
 def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
     root = math.sqrt(mean)
-    k = math.floor(mean + root * normal(key, column, row, SHOT, words))
-    short, u = mean - k, _uniform(words[2], words[3])
-    if short * short * short <= 6.0 * mean * mean * u or k >= math.floor(mean - 1.1484):
+    k = np.floor(mean + root * _normal(key, column, row, SHOT, words))
+    u = _uniform(words[2], words[3])
+    if _is_near(k, mean, u) or k >= np.floor(mean - 1.1484):
         return k
     if k >= 0.0 and (1.0 - u) * _normal_share(k, mean, root) <= _chance(k, mean):
         return k
     return _from_rest(key, column, row, mean, root)
+
+
+@numba.njit(cache=True, inline="always")
+def _is_near(k: float, mean: float, u: float) -> Any:
+    short = mean - k
+    return short * short * short <= 6.0 * mean * mean * u
 
 
 @numba.njit(cache=True)
@@ -172,7 +241,7 @@ def _from_rest(key: Any, column: Any, row: Any, mean: float, root: float) -> Any
         away, u = -math.log1p(-_uniform(words[0], words[1])), _uniform(words[2], words[3])
         side = 2.0 * u - 1.0
         t = 1.8 + math.copysign(away, side)
-        k = math.floor(mean + root * t)
+        k = np.floor(mean + root * t)
         lacking = (_chance(k, mean) - _normal_share(k, mean, root)) if t > -0.6744 else 0.0
         if 0.1069 * abs(side) < lacking * mean * math.exp(away):
             return k

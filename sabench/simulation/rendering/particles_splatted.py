@@ -23,6 +23,7 @@ from sabench.utils.arrays import F64
 _REACH = 4.5
 _SHARPEST = 1e-9  # px: anything sharper illuminates a single pixel as well
 _EXACT = 1e-9  # of a particle's light in any pixel: terms below are left out
+_LARGEST_TERM = 0.25  # bounds the product of both factors of a term
 _LONGEST = 0.999  # correlation beyond which an ellipse is taken for one that narrow
 _BAND = 64  # rows of a band, at least: threads fill bands that do not touch
 _LANES = 4  # pixels of a row that are added at once
@@ -141,44 +142,53 @@ def _add_band(
     if first == last:
         return
     most = 2 * half[first:last].max() + 2 + _LANES
-    edges, factors = np.zeros((2, 3, most)), np.zeros((2, most))
+    all_terms = _count_terms(np.abs(tilt[first:last]).max())
+    across, down = np.zeros((all_terms, most)), np.zeros((all_terms, most))
+    edges = np.zeros((3, most))
     for i in range(first, last):
         left = int(np.rint(pixel[i, 0])) - half[i, 0]
         top = int(np.rint(pixel[i, 1])) - half[i, 1]
         width, height = 2 * half[i, 0] + 1, 2 * half[i, 1] + 1
-        fill_shares(pixel[i, 0], sigma[i, 0], left, factors[0, :width])
-        fill_shares(pixel[i, 1], sigma[i, 1], top, factors[1, :height])
-        factors[0, width : width + _LANES] = 0.0
-        _add_product(image, top, left, photons[i], factors[1], factors[0], height, width)
-        power, n = tilt[i], 1
-        if abs(power) > _EXACT:
-            _start_terms(pixel[i, 0], sigma[i, 0], left, width, edges[0])
-            _start_terms(pixel[i, 1], sigma[i, 1], top, height, edges[1])
-        while abs(power) > _EXACT * n:
-            _fill_term(edges[0], width, factors[0])
-            _fill_term(edges[1], height, factors[1])
-            light = photons[i] * power / n
-            _add_product(image, top, left, light, factors[1], factors[0], height, width)
-            _next_terms(edges[0], width, n)
-            _next_terms(edges[1], height, n)
-            power, n = power * tilt[i], n + 1
+        fill_shares(pixel[i, 0], sigma[i, 0], left, across[0, :width])
+        fill_shares(pixel[i, 1], sigma[i, 1], top, down[0, :height])
+        terms = _count_terms(tilt[i])
+        if terms > 1:
+            _fill_terms(pixel[i, 0], sigma[i, 0], left, width, terms, edges, across)
+            _fill_terms(pixel[i, 1], sigma[i, 1], top, height, terms, edges, down)
+        light = photons[i]
+        for n in range(terms):
+            across[n, width : width + _LANES] = 0.0
+            weight = light if n == 0 else light / n
+            for j in range(height):
+                down[n, j] *= weight
+            light *= tilt[i]
+        _add_products(image, top, left, down, across, terms, height, width)
 
 
 @numba.njit(cache=True, fastmath=_ANY_ORDER)
-def _add_product(
-    image: Any, top: int, left: int, light: float, down: Any, across: Any, height: int, width: int
+def _add_products(
+    image: Any, top: int, left: int, down: Any, across: Any, terms: int, height: int, width: int
 ) -> None:
-    """Add light times an outer product.
+    """Add a sum of outer products.
 
     Columns are zero up to a whole number of lanes.
     """
     start = np.uintp(left)
     for j in range(height):
-        row, share = np.uintp(top + j), light * down[j]
+        row = np.uintp(top + j)
         for block in range((width + _LANES - 1) // _LANES):
-            for lane in range(_LANES):
-                k = np.uintp(block * _LANES + lane)
-                image[row, start + k] += share * across[k]
+            k = np.uintp(block * _LANES)
+            a = b = c = d = 0.0
+            for n in range(terms):
+                share = down[n, j]
+                a += share * across[n, k]
+                b += share * across[n, k + np.uintp(1)]
+                c += share * across[n, k + np.uintp(2)]
+                d += share * across[n, k + np.uintp(3)]
+            image[row, start + k] += a
+            image[row, start + k + np.uintp(1)] += b
+            image[row, start + k + np.uintp(2)] += c
+            image[row, start + k + np.uintp(3)] += d
 
 
 # The n-th term is r^n / n times the difference of h between both edges of a column, times that of a
@@ -186,24 +196,48 @@ def _add_product(
 
 
 @numba.njit(cache=True)
-def _start_terms(center: float, sigma: float, first: int, size: int, edges: Any) -> None:
-    """Fill in edges (standard deviations), h, and h of the order before."""
-    for i in range(size + 1):
-        z = (first + i - 0.5 - center) / sigma
-        edges[0, i], edges[1, i] = z, math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
-        edges[2, i] = 0.0
+def _count_terms(tilt: float) -> int:
+    """Count the terms of a series, with the one that has no correlation."""
+    power, n = abs(tilt) * _LARGEST_TERM, 1
+    while power > _EXACT * n:
+        power, n = power * abs(tilt), n + 1
+    return n
+
+
+@numba.njit(cache=True, fastmath=_ANY_ORDER)
+def _fill_terms(
+    center: float, sigma: float, first: int, size: int, terms: int, edges: Any, factors: Any
+) -> None:
+    """Fill in the factors (term, pixel) of all terms but the first.
+
+    `edges` (3, ...) is for edges in standard deviations, h, and h of the order before.
+    """
+    z, h, older = edges[0], edges[1], edges[2]
+    _fill_density(center, sigma, first, size + 1, z, h)
+    older[: size + 1] = 0.0
+    for n in range(1, terms):
+        before, over = math.sqrt(n - 1.0), 1.0 / math.sqrt(float(n))
+        for i in range(size):
+            factors[n, i] = h[i] - h[i + 1]
+        for i in range(size + 1):
+            higher = (z[i] * h[i] - before * older[i]) * over
+            older[i], h[i] = h[i], higher
 
 
 @numba.njit(cache=True)
-def _fill_term(edges: Any, size: int, factors: Any) -> None:
+def _fill_density(center: float, sigma: float, first: int, size: int, z: Any, h: Any) -> None:
+    """Fill in equally spaced numbers and their normal density, outwards from the middle.
+
+    Densities have ratios with a constant ratio, all at most one, so that none overflows.
+    """
+    step, middle = 1.0 / sigma, min(max(int(np.rint(center + 0.5)) - first, 0), size - 1)
     for i in range(size):
-        factors[i] = edges[1, i] - edges[1, i + 1]
-
-
-@numba.njit(cache=True)
-def _next_terms(edges: Any, size: int, n: int) -> None:
-    """Raise the order of h from n - 1 to n."""
-    before, over = math.sqrt(n - 1.0), 1.0 / math.sqrt(float(n))
-    for i in range(size + 1):
-        higher = (edges[0, i] * edges[1, i] - before * edges[2, i]) * over
-        edges[2, i], edges[1, i] = edges[1, i], higher
+        z[i] = (first + i - 0.5 - center) * step
+    change = math.exp(-step * step)
+    for way in (1, -1):
+        density = math.exp(-0.5 * z[middle] * z[middle]) / math.sqrt(2.0 * math.pi)
+        ratio = math.exp(-step * (way * z[middle] + 0.5 * step))
+        i = middle
+        while 0 <= i < size:
+            h[i] = density
+            density, ratio, i = density * ratio, ratio * change, i + way

@@ -179,13 +179,13 @@ def _nodes() -> tuple[F64, F64]:
     return points, weights
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, parallel=True)
 def _average(
     rows: Any, places: Any, at: Any, half: Any, in_plane: Any, points: Any, weights: Any, out: Any
 ) -> None:
     """Average cubic interpolations over apertures; `at` and `half` are in steps."""
     largest, last = points.shape[0] - 1, rows.shape[1] - 3
-    for i in range(len(places)):
+    for i in numba.prange(len(places)):
         count = min(int(0.3 * half[i]) + 5, largest)  # the lobes' phase needs half as many
         row, both = places[i], (1.0 - in_plane[i], in_plane[i])
         total = 0.0

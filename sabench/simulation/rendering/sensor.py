@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from sabench.scenes.sensor import Sensor
-from sabench.simulation.rendering.noise import READ, SHOT, normal, poisson
+from sabench.simulation.rendering.noise import READ, SHOT, fill_normals, fill_poisson
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
 from sabench.utils.philox import draw_key, fill_blocks
@@ -119,50 +119,41 @@ def _expose(photons: Any, pixels: Any, key: Any, chain: Any, grey: Any) -> Any:
 
 @numba.njit(cache=True)
 def _expose_row(photons: Any, pixels: Any, key: Any, chain: Any, row: Any, grey: Any) -> Any:
-    shot, read = _blocks(key, chain, row, photons.shape[1])
+    columns, first = photons.shape[1], np.uint64(0)
+    signal, noise, blocks = np.empty(columns), np.zeros(columns), np.empty((4, columns), np.uint32)
+    wrong = _fill_means(photons, pixels, chain, row, signal)
+    if chain.shot_noise and wrong == 0:
+        fill_blocks(key, first, row, first, SHOT, blocks)
+        fill_poisson(key, row, blocks, signal)
+    if chain.read_noise_e > 0.0:
+        fill_blocks(key, first, row, first, READ, blocks)
+        fill_normals(key, row, blocks, noise)
+    _fill_grey(signal, noise, pixels, chain, row, grey)
+    return wrong
+
+
+@numba.njit(cache=True)
+def _fill_means(photons: Any, pixels: Any, chain: Any, row: Any, means: Any) -> Any:
     wrong = 0
-    for column in range(photons.shape[1]):
+    for column in range(len(means)):
         mean = chain.quantum_efficiency * photons[row, column]
         if pixels is None:
             mean += chain.dark_e
         else:
             mean = pixels[0][row, column] * mean + pixels[1][row, column]
             mean += chain.dark_e * (pixels[0][row, column] > 0.0)
-        if not 0.0 <= mean < np.inf:
-            wrong += 1
-            continue
-        signal, own = min(mean, _MOST_E), np.uint64(column)
-        if chain.shot_noise:
-            signal = poisson(key, own, row, _words(shot, column), signal)
-        signal = min(signal, chain.full_well_e)
-        if chain.nonlinearity > 0.0:
-            signal *= 1.0 - chain.nonlinearity * (signal / chain.full_well_e) ** 2
-        if pixels is not None:
-            signal += pixels[2][row, column]
-        if chain.read_noise_e > 0.0:
-            signal += chain.read_noise_e * normal(key, own, row, READ, _words(read, column))
-        value = np.rint(signal * chain.gain_dn_e + chain.black_level_dn)
-        grey[row, column] = np.uint16(min(max(value, 0.0), chain.most_dn))
+        wrong += not 0.0 <= mean < np.inf
+        means[column] = min(mean, _MOST_E)
     return wrong
 
 
 @numba.njit(cache=True)
-def _blocks(key: Any, chain: Any, row: Any, columns: int) -> Any:
-    """Compute a row's blocks (4, column) of shot noise and read noise, if needed."""
-    none = np.uint64(0)
-    shot, read = np.empty((4, columns), np.uint32), np.empty((4, columns), np.uint32)
-    if chain.shot_noise:
-        fill_blocks(key, none, row, none, SHOT, shot)
-    if chain.read_noise_e > 0.0:
-        fill_blocks(key, none, row, none, READ, read)
-    return shot, read
-
-
-@numba.njit(cache=True)
-def _words(blocks: Any, column: int) -> Any:
-    return (
-        np.uint64(blocks[0, column]),
-        np.uint64(blocks[1, column]),
-        np.uint64(blocks[2, column]),
-        np.uint64(blocks[3, column]),
-    )
+def _fill_grey(signal: Any, noise: Any, pixels: Any, chain: Any, row: Any, grey: Any) -> None:
+    for column in range(len(signal)):
+        value = min(signal[column], chain.full_well_e)
+        value *= 1.0 - chain.nonlinearity * (value / chain.full_well_e) ** 2
+        if pixels is not None:
+            value += pixels[2][row, column]
+        value += chain.read_noise_e * noise[column]
+        value = np.rint(value * chain.gain_dn_e + chain.black_level_dn)
+        grey[row, column] = np.uint16(min(max(value, 0.0), chain.most_dn))

@@ -50,7 +50,25 @@ def chi_square(observed: F64, expected: F64) -> float:
 
 @pytest.mark.parametrize(
     "mean",
-    [1e-3, 0.1, 0.1249, 0.125, 1.0, 3.3, 9.999, 10.0, 10.5, 15.9, 40.0, 300.0, 1e4, 1e5, 1e6],
+    [
+        1e-3,
+        0.1,
+        0.1249,
+        0.125,
+        0.3,
+        0.7,
+        1.0,
+        3.3,
+        9.999,
+        10.0,
+        10.5,
+        15.9,
+        40.0,
+        300.0,
+        1e4,
+        1e5,
+        1e6,
+    ],
 )
 def test_electrons_have_poissons_distribution(mean: float) -> None:
     """Below 0.125, from there to 10 and above, other algorithms draw; all are compared as one.
