@@ -1,23 +1,31 @@
-"""Rates of `sabench.stream`, beside a program that only adds windows, and memory of a long stream.
+"""Rates of `sabench.stream`, next to the least that they can cost, and memory of a long stream.
 
-`python benchmarks/streaming.py [SECONDS]` prints a Markdown table and the memory as JSON.
+`python benchmarks/streaming.py [SECONDS]` prints Markdown tables and the memory as JSON.
 
-- **Rates**: samples of two frames of one camera in air, particles of equal light and images of
+- **Streams**: samples of two frames of one camera in air, particles of equal light and images of
   about 0.75 px, in windows of 9 x 9 pixels: pairs, megapixels and particle images a second, by size
-  of the images and particles per pixel; each for SECONDS (5).
-- **Roofline**: windows of 9 x 9 pixels a second that a kernel adds to an image of the same size,
-  with all profiles known, on the same number of threads. No renderer can be faster; the last column
-  is the stream's share of it, with truth, light, splat and noise.
+  of the images and particles per pixel; each for SECONDS (5). Streams of images below four
+  megapixels use one thread.
+- **Windows**: windows of 9 x 9 pixels a second that a kernel adds to an image of the same size,
+  with all profiles known, on one thread. No renderer can be faster; the share is the stream's, with
+  truth, light, splat and noise.
+- **SynthPix** (a generator of planar particle images in JAX), where it is installed: the same
+  images with Gaussian noise, in single precision, of as many particles in as large windows.
+- **Frames**: images of one frame a second by number of threads, and milliseconds of its noise per
+  megapixel, next to a kernel that computes one Philox block for each pixel, reads its light and
+  writes a grey value.
 - **Memory**: of this process after 100 and after 2,000 samples of 128 x 128 pixels.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import json
 import resource
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +33,14 @@ import numba
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from sabench.scenes import Scene, parse_scene
+from sabench.scenes import Scene, build_rig, parse_scene
+from sabench.simulation.camera_view import render
+from sabench.simulation.frame_content import FrameContent
+from sabench.simulation.frames import Frames
+from sabench.simulation.grey_values import record_image
+from sabench.simulation.in_memory import record_frame
 from sabench.simulation.streaming import stream_samples
+from sabench.utils.philox import draw_key, fill_blocks
 
 SIZES, DENSITIES = (128, 256, 512, 1024), (0.01, 0.05)
 _WINDOW, _BAND = 9, 64
@@ -80,19 +94,70 @@ def _add(image: Any, rows: Any, columns: Any, down: Any, across: Any) -> None:
                     image[top + j, left + k] += down[i, j] * across[i, k]
 
 
-def roofline(size: int, seconds: float) -> float:
-    """Count windows a second that threads add to an image of so many pixels."""
+@numba.njit(parallel=True)
+def _least_noise(photons: Any, key: Any, grey: Any) -> None:
+    """Compute a block for each pixel, and a grey value that holds both."""
+    for row in numba.prange(len(photons)):
+        _least_noise_row(photons[row], key, np.uint64(row), grey[row])
+
+
+@numba.njit
+def _least_noise_row(photons: Any, key: Any, row: Any, grey: Any) -> None:
+    blocks, none = np.empty((4, len(photons)), np.uint32), np.uint64(0)
+    fill_blocks(key, none, row, none, none, blocks)
+    for column in range(len(photons)):
+        grey[column] = np.uint16(min(0.2 * photons[column] + (blocks[0, column] & 1), 4095.0))
+
+
+def rate(work: Callable[[], object], seconds: float) -> float:
+    """Count calls a second, after one."""
+    work()
+    done, start = 0, time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        work()
+        done += 1
+    return done / (time.perf_counter() - start)
+
+
+def windows_s(size: int, seconds: float) -> float:
+    """Count windows a second that one thread adds to an image of so many pixels."""
     rng, count = np.random.default_rng(1), 50_000
     rows = rng.integers(0, _BAND - _WINDOW, count)
     columns = rng.integers(0, size - _WINDOW, count)
     down, across = rng.random((2, count, _WINDOW))
-    image, done = np.zeros((size, size)), 0
-    _add(image, rows, columns, down, across)
-    start = time.perf_counter()
-    while time.perf_counter() - start < seconds:
-        _add(image, rows, columns, down, across)
-        done += count
-    return done / (time.perf_counter() - start)
+    image = np.zeros((size, size))
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    most = count * rate(lambda: _add(image, rows, columns, down, across), seconds)
+    numba.set_num_threads(threads)
+    return most
+
+
+def synthpix_pairs_s(size: int, per_pixel: float, seconds: float) -> float | None:
+    """Count pairs that SynthPix makes in a second; None if it is not installed."""
+    if importlib.util.find_spec("synthpix") is None:
+        return None
+    import jax
+    from synthpix.generate import add_noise_to_image, img_gen_from_data
+
+    count, widest = round(per_pixel * size**2), 2.0 * (_WINDOW // 2) / 3.0
+    sigmas = jax.numpy.full(count, 2.0 * 0.75)  # its diameter is two standard deviations
+
+    @jax.jit  # type: ignore[untyped-decorator]
+    def pair(key: Any) -> Any:
+        keys = jax.random.split(key, 3)
+        places = size * jax.random.uniform(keys[0], (count, 2))
+        images = [
+            img_gen_from_data(places + shift, (size, size), widest, sigmas, sigmas)
+            for shift in (0.0, 5.0)
+        ]
+        return [
+            add_noise_to_image(own, image, noise_gaussian_std=5.0)
+            for own, image in zip(keys[1:], images, strict=True)
+        ]
+
+    keys = iter(jax.random.split(jax.random.key(1), 100_000))
+    return rate(lambda: [np.asarray(image) for image in pair(next(keys))], seconds)
 
 
 def measure(size: int, per_pixel: float, seconds: float) -> dict[str, float]:
@@ -119,18 +184,56 @@ def memory_mb(samples: int) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
+def compare_streams(seconds: float) -> None:
+    """Print the table of streams."""
+    print(
+        "| pixels | per pixel | pairs/s | megapixels/s | million images/s | of windows | SynthPix |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for size, per_pixel in itertools.product(SIZES, DENSITIES):
+        one, most = measure(size, per_pixel, seconds), windows_s(size, seconds / 5.0)
+        other = synthpix_pairs_s(size, per_pixel, seconds)
+        cells = [f"{size} x {size}", f"{per_pixel:g}", f"{one['pairs']:.0f}"]
+        cells += [f"{one['megapixels']:.1f}", f"{1e-6 * one['images']:.2f}"]
+        cells += [f"{100.0 * one['images'] / most:.1f} % of {1e-6 * most:.0f} million/s"]
+        cells += ["not installed" if other is None else f"{other:.0f} pairs/s"]
+        print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def frame_rates(frame: FrameContent, seconds: float) -> list[float]:
+    """Count images, passes of their noise, and passes of one block for each pixel, a second."""
+    view, key = render(frame, 0), draw_key(np.random.default_rng(1))
+    grey = np.empty(view.photons.shape, dtype=np.uint16)
+    return [
+        rate(lambda: record_frame(frame), seconds),
+        rate(lambda: record_image(frame, view, 0), seconds / 5.0),
+        rate(lambda: _least_noise(view.photons, key, grey), seconds / 5.0),
+    ]
+
+
+def compare_threads(seconds: float) -> None:
+    """Print the table of frames."""
+    most = numba.get_num_threads()
+    print("\n| pixels | per pixel | threads | images/s | noise, ms | block for each pixel, ms |")
+    print("|---|---|---|---|---|---|")
+    for size, per_pixel in itertools.product((256, 1024), DENSITIES):
+        scene = planar_scene(size, per_pixel)
+        frame = Frames(scene, build_rig(scene, scene.title), 1, "splat").at(0)
+        for threads in sorted({1, most}):
+            numba.set_num_threads(threads)
+            images, *passes = frame_rates(frame, seconds)
+            cells = [f"{size} x {size}", f"{per_pixel:g}", f"{threads}", f"{images:.1f}"]
+            cells += [f"{1e9 / each / size**2:.1f}" for each in passes]
+            print(f"| {' | '.join(cells)} |", flush=True)
+    numba.set_num_threads(most)
+
+
 def main() -> None:
     """Measure and print."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
     memory = {str(samples): round(memory_mb(samples), 1) for samples in (100, 2000)}
-    print("| pixels | per pixel | pairs/s | megapixels/s | million images/s | windows/s | share |")
-    print("|---|---|---|---|---|---|---|")
-    for size, per_pixel in itertools.product(SIZES, DENSITIES):
-        one, most = measure(size, per_pixel, seconds), roofline(size, seconds / 5.0)
-        cells = [f"{size} x {size}", f"{per_pixel:g}", f"{one['pairs']:.0f}"]
-        cells += [f"{one['megapixels']:.1f}", f"{1e-6 * one['images']:.2f}"]
-        cells += [f"{1e-6 * most:.0f} million", f"{100.0 * one['images'] / most:.1f} %"]
-        print(f"| {' | '.join(cells)} |", flush=True)
+    compare_streams(seconds)
+    compare_threads(seconds)
     print(json.dumps({"memory_mb": memory, "threads": numba.get_num_threads()}))
 
 

@@ -130,6 +130,9 @@ class Camera:
         outside the image: see `contains`.
         """
         points = rows_of(points_mm, 3, "points_mm")
+        if self.wall is None:
+            offset = points - np.asarray(self.center_mm)
+            return self.pixels_of(offset, np.isfinite(offset).all(axis=1))
         if not isinstance(self.wall, Wall) or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
             paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
             return self.pixels_of(paths.leaving, paths.valid)
@@ -156,7 +159,7 @@ class Camera:
         return np.column_stack([column, row])
 
     def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
-        """Project world directions (n, 3) that leave the pinhole to pixels (n, 2)."""
+        """Project world directions (n, 3), of any length, from the pinhole to pixels (n, 2)."""
         local = leaving @ np.asarray(self.rotation).T
         valid = valid & (local[:, 2] > 1e-9)
         ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]

@@ -21,6 +21,7 @@ from sabench.worlds.library.size_lattice import PER_OCTAVE, lattice_diameters_mm
 _PER_LOBE = 12  # angles for the narrowest lobe, of a width of wavelength / diameter
 _MARGIN = 3  # angles beyond the range
 _NODES = 64  # most points across an aperture
+_NONE = -100  # stands for no octave, below all that occur
 
 
 class Scattering:
@@ -65,8 +66,9 @@ class Scattering:
         """
         numbers, out = size_numbers(diameters_mm), np.zeros(len(diameters_mm))
         arrives = np.isfinite(angles_rad) & np.isfinite(half_angles_rad)
-        for octave in np.unique(numbers[arrives] // PER_OCTAVE):
-            chosen = np.flatnonzero(arrives & (numbers // PER_OCTAVE == octave))
+        octaves = np.where(arrives, numbers // PER_OCTAVE, _NONE)
+        for octave in np.flatnonzero(np.bincount(octaves - _NONE)[1:]) + 1 + _NONE:
+            chosen = np.flatnonzero(octaves == octave)
             angles, half = angles_rad[chosen], half_angles_rad[chosen]
             reach = float((angles - half).min()), float((angles + half).max())
             table = self._octave(int(octave), numbers[chosen], reach)
@@ -134,8 +136,7 @@ class _Octave:
 
     def add(self, numbers: I64) -> None:
         """Tabulate new sizes."""
-        own = np.unique(numbers)
-        own = own[self._places[own - self._octave * PER_OCTAVE] < 0]
+        own = np.unique(numbers[self._places[numbers - self._octave * PER_OCTAVE] < 0])
         if len(own):
             more = self._intensities(own, self._first, self._last)
             self._places[own - self._octave * PER_OCTAVE] = len(self.rows) + np.arange(len(own))

@@ -111,6 +111,27 @@ def test_a_field_that_cannot_be_followed_is_named_before_long() -> None:
     assert len(asked) < 40_000  # its pace tells before the 50,000 allowed are used up
 
 
+@pytest.mark.parametrize(("name", "parameters"), FLOWS)
+def test_paths_by_formula_follow_the_velocities(name: str, parameters: dict[str, Any]) -> None:
+    field, places = flow(name, parameters), points()
+
+    class Integrated(Flow):
+        name = "integrated"
+
+        def velocity(self, points_mm: F64, time_s: float) -> F64:
+            return field.velocity(points_mm, time_s)
+
+    there = field.carry(places, 0.1, 0.6)
+    if name != "linear_flow":
+        assert there is None
+        return
+    assert there is not None
+    expected = advect(Integrated(None), places, 0.1, 0.6, 1e-9)
+    np.testing.assert_allclose(there, expected, atol=1e-8)
+    np.testing.assert_allclose(field.carry(there, 0.6, 0.1), places, atol=1e-10)
+    np.testing.assert_array_equal(advect(field, places, 0.1, 0.6, 1e-9), there)
+
+
 def test_rotation_has_twice_its_rate_as_vorticity() -> None:
     turning = flow(
         "linear_flow", {"gradient_1_s": ((0.0, -2.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0))}
