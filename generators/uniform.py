@@ -68,17 +68,19 @@ class Uniform(Generator):
         size, velocity = np.asarray(domain.size_mm), np.asarray(self.parameters.velocity_mm_s)
         travelled = rng.random((count, 3)) * size + velocity * time_s
         diameter = self._diameters(rng, count)
-        turns = np.floor(travelled / size).astype(
-            np.int64
-        )  # a particle that re-enters is a new one, with a new id
+        turns = np.floor(travelled / size)
         position = domain.low_mm + np.clip(travelled - turns * size, 0.0, size)
-        identity = np.arange(count, dtype=np.int64) + count * np.abs(turns).sum(axis=1)
+        x, y, z = np.abs(turns.T).astype(np.int64)
+        # a particle that re-enters is a new one, with a new id
+        identity = np.arange(count, dtype=np.int64) + count * (x + y + z)
         return Particles(identity, position, diameter, np.tile(velocity, (count, 1)))
 
     def _diameters(self, rng: np.random.Generator, count: int) -> F64:
         chosen: UniformParameters = self.parameters
         if chosen.diameters_mm is not None:
             return rng.choice(np.array(chosen.diameters_mm), count)
+        if not chosen.diameter_spread:
+            return np.full(count, chosen.diameter_mm)
         deviation = chosen.diameter_spread * rng.standard_normal(count)
         if chosen.diameter_distribution == "normal":
             return np.asarray(chosen.diameter_mm * np.maximum(1.0 + deviation, _LEAST))

@@ -20,7 +20,7 @@ from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_p
 from sabench.geometry.rotations import cross, frame_of_normal
 from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor, sensor_axes
 from sabench.geometry.wall_records import WallRecord
-from sabench.utils.arrays import F64, Bool, rows_of, triple
+from sabench.utils.arrays import F64, Bool, all_in_row, rows_of, triple
 from sabench.utils.fields import TiltAngle
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class Camera:
         points = rows_of(points_mm, 3, "points_mm")
         if self.wall is None:
             offset = points - np.asarray(self.center_mm)
-            return self.pixels_of(offset, np.isfinite(offset).all(axis=1))
+            return self.pixels_of(offset, all_in_row(np.isfinite(offset)))
         if not isinstance(self.wall, Wall) or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
             paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
             return self.pixels_of(paths.leaving, paths.valid)
@@ -159,7 +159,10 @@ class Camera:
         return np.column_stack([column, row])
 
     def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
-        """Project world directions (n, 3), of any length, from the pinhole to pixels (n, 2)."""
+        """Project world directions (n, 3) that leave the pinhole to pixels (n, 2).
+
+        They may have any length.
+        """
         local = leaving @ np.asarray(self.rotation).T
         valid = valid & (local[:, 2] > 1e-9)
         ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]

@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 
 from sabench.geometry.path_slope import angle_in, solve_slope
-from sabench.utils.arrays import F64, Bool
+from sabench.utils.arrays import F64, Bool, all_in_row
 
 _CHUNK = 1 << 14  # points per pass: the working arrays of one pass stay in the second-level cache
 
@@ -265,7 +265,7 @@ def trace_to_points(wall: AnyWall | None, pinhole_mm: F64, points_mm: F64) -> Pa
     offset = points_mm - pinhole_mm
     with np.errstate(invalid="ignore", divide="ignore"):
         direction = offset / np.sqrt(np.einsum("ij,ij->i", offset, offset))[:, None]
-    return Paths(direction, direction, np.isfinite(direction).all(axis=1))
+    return Paths(direction, direction, all_in_row(np.isfinite(direction)))
 
 
 def trace_into_fluid(wall: AnyWall | None, pinhole_mm: F64, directions: F64) -> Rays:

@@ -22,7 +22,7 @@ import numpy as np
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.geometry.sensor_tilt import UPRIGHT, onto_sensor
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, I64, Bool, all_in_row
 
 _CHUNK, _BLOCK = 8192, 256  # points at a time: of exact paths, and of polynomials
 _DEGREES = (4, 6, 8, 11)  # of polynomials over a box, tried in this order
@@ -85,7 +85,7 @@ def find_paths(camera: Camera, points_mm: F64, box: Box | None = None) -> LightP
     if box is None or smooth is None:
         return _find_exactly(camera, points_mm)
     low, high = np.asarray(box)
-    inside = ((points_mm >= low) & (points_mm <= high)).all(axis=1)
+    inside = all_in_row((points_mm >= low) & (points_mm <= high))
     pixel, valid = camera.project(points_mm)
     table = np.empty((len(smooth.coefficients), len(points_mm)))
     _evaluate(points_mm, low, high, smooth.terms, smooth.coefficients, table)

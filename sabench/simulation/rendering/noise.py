@@ -91,9 +91,9 @@ def fill_normals(key: Any, row: Any, blocks: Any, numbers: Any) -> None:
 
 @numba.njit(cache=True)
 def fill_poisson(key: Any, row: Any, blocks: Any, means: Any) -> None:
-    """Replace the means (column,) of a row, which are at most 1e15, by Poisson numbers.
+    """Replace the means (column,) of a row by Poisson numbers.
 
-    Works as `fill_normals` does.
+    They are at most 1e15. Works as `fill_normals` does.
     """
     numbers = np.empty_like(means)
     for column in range(len(means)):

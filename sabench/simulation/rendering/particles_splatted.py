@@ -219,16 +219,16 @@ def _fill_terms(
         before, over = math.sqrt(n - 1.0), 1.0 / math.sqrt(float(n))
         for i in range(size):
             factors[n, i] = h[i] - h[i + 1]
-        for i in range(size + 1):
+        for i in range(size + 1 if n + 1 < terms else 0):
             higher = (z[i] * h[i] - before * older[i]) * over
             older[i], h[i] = h[i], higher
 
 
 @numba.njit(cache=True)
 def _fill_density(center: float, sigma: float, first: int, size: int, z: Any, h: Any) -> None:
-    """Fill in equally spaced numbers and their normal density, outwards from the middle.
+    """Fill in equally spaced numbers and their normal density.
 
-    Densities have ratios with a constant ratio, all at most one, so that none overflows.
+    It goes outwards from the middle: densities have ratios with a constant ratio, all at most one, so that none overflows.
     """
     step, middle = 1.0 / sigma, min(max(int(np.rint(center + 0.5)) - first, 0), size - 1)
     for i in range(size):
