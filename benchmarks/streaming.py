@@ -143,7 +143,7 @@ def synthpix_pairs_s(size: int, per_pixel: float, seconds: float) -> float | Non
     count, widest = round(per_pixel * size**2), 2.0 * (_WINDOW // 2) / 3.0
     sigmas = jax.numpy.full(count, 2.0 * 0.75)  # its diameter is two standard deviations
 
-    @jax.jit  # type: ignore[untyped-decorator]
+    @jax.jit
     def pair(key: Any) -> Any:
         keys = jax.random.split(key, 3)
         places = size * jax.random.uniform(keys[0], (count, 2))

@@ -228,7 +228,8 @@ def _fill_terms(
 def _fill_density(center: float, sigma: float, first: int, size: int, z: Any, h: Any) -> None:
     """Fill in equally spaced numbers and their normal density.
 
-    It goes outwards from the middle: densities have ratios with a constant ratio, all at most one, so that none overflows.
+    It goes outwards from the middle: densities have ratios with a constant ratio, all at most one,
+    so that none overflows.
     """
     step, middle = 1.0 / sigma, min(max(int(np.rint(center + 0.5)) - first, 0), size - 1)
     for i in range(size):
