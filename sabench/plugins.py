@@ -115,14 +115,14 @@ def load(kind: str, name: str) -> type[Any]:
     InputError
         No plug-in or two have this name, or the file cannot be imported or has no such class.
     """
-    return _load(kind, name, os.environ.get("SABENCH_PLUGINS", ""), Path.cwd())
+    return _load(kind, name, tuple(folders(kind)))
 
 
 @functools.cache
-def _load(kind: str, name: str, _variable: str, _current_folder: Path) -> type[Any]:
-    """Import a plug-in once; the folders that are searched follow from the rest."""
+def _load(kind: str, name: str, searched: tuple[Path, ...]) -> type[Any]:
+    """Import a plug-in from folders, once."""
     file = file_of(kind, name)
-    sys.modules[f"{__name__}.{kind}"].__path__ = [str(folder) for folder in folders(kind)]
+    sys.modules[f"{__name__}.{kind}"].__path__ = [str(folder) for folder in searched]
     try:
         module = importlib.import_module(f"{__name__}.{kind}.{name}")
     except Exception as error:
