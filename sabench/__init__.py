@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from sabench.dataset.import_recording import ImportOptions, import_recording
     from sabench.dataset.reader import Dataset, open_dataset
     from sabench.dataset.results import Result, open_result
+    from sabench.dataset.sample_set import SampleSet, open_samples
+    from sabench.dataset.splits import split_of
     from sabench.dataset.verification import verify
     from sabench.evaluation.gates.comparison import check_file as check
     from sabench.evaluation.leaderboard.submissions import submit
@@ -37,7 +39,8 @@ if TYPE_CHECKING:
     from sabench.scenes import Scene, load_scene
     from sabench.simulation.in_memory import simulate
     from sabench.simulation.pipeline import generate
-    from sabench.simulation.streaming import split_of, stream_key
+    from sabench.simulation.sample_shards import generate_samples
+    from sabench.simulation.streaming import stream_key
     from sabench.simulation.streaming import stream_samples as stream
     from sabench.tasks.own_calibration import calibrate
     from sabench.tasks.quality import quality
@@ -55,12 +58,14 @@ _HOMES = {
     "Layer": "geometry.refraction",
     "Particles": "api.truth",
     "Result": "dataset.results",
+    "SampleSet": "dataset.sample_set",
     "Scene": "scenes",
     "Wall": "geometry.refraction",
     "calibrate": "tasks.own_calibration",
     "check": "evaluation.gates.comparison:check_file",
     "export": "interop.export",
     "generate": "simulation.pipeline",
+    "generate_samples": "simulation.sample_shards",
     "import_recording": "dataset.import_recording",
     "list_generators": "plugins",
     "list_scenes": "plugins",
@@ -69,6 +74,7 @@ _HOMES = {
     "load_scene": "scenes",
     "open_dataset": "dataset.reader",
     "open_result": "dataset.results",
+    "open_samples": "dataset.sample_set",
     "quality": "tasks.quality",
     "read_camera_source": "interop.camera_sources",
     "reproduce": "evaluation.thesis",
@@ -76,7 +82,7 @@ _HOMES = {
     "score": "tasks.solve_and_score",
     "simulate": "simulation.in_memory",
     "solve": "tasks.solve_and_score",
-    "split_of": "simulation.streaming",
+    "split_of": "dataset.splits",
     "stream": "simulation.streaming:stream_samples",
     "stream_key": "simulation.streaming",
     "submit": "evaluation.leaderboard.submissions",
@@ -101,6 +107,7 @@ __all__ = [
     "Layer",
     "Particles",
     "Result",
+    "SampleSet",
     "Scene",
     "Wall",
     "__version__",
@@ -111,6 +118,7 @@ __all__ = [
     "evaluation",
     "export",
     "generate",
+    "generate_samples",
     "geometry",
     "images",
     "import_recording",
@@ -122,6 +130,7 @@ __all__ = [
     "metrics",
     "open_dataset",
     "open_result",
+    "open_samples",
     "plotting",
     "quality",
     "read_camera_source",

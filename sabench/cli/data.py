@@ -6,7 +6,7 @@ import itertools
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -28,6 +28,7 @@ from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
     from sabench.plugins import Entry
+    from sabench.scenes import Scene
     from sabench.simulation.renderer_choice import Renderer
 
 
@@ -140,6 +141,50 @@ def generate(
             help="Address of a Dask scheduler, tcp://..., whose workers do the work.",
         ),
     ] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Number of independent samples, in shards, in place of one sequence.",
+            show_default=False,
+        ),
+    ] = None,
+    split: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHARES",
+            help="Of the samples: shares of training, validation and test, 80/10/10. "
+            "[default: all for training]",
+            show_default=False,
+        ),
+    ] = None,
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KINDS",
+            help="Of the samples: truth to keep, some of particles,views,radiance, or none. "
+            "[default: particles,views]",
+            show_default=False,
+        ),
+    ] = None,
+    compression: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Of the samples: none, or gzip: smaller shards, slower to read. [default: none]",
+            show_default=False,
+        ),
+    ] = None,
+    shard_size: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Of the samples: number in a shard. [default: 64 MB of grey values]",
+            show_default=False,
+        ),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Generate a data set: images, cameras and truth.
@@ -152,18 +197,52 @@ def generate(
 
     announce_compiling()
     loaded = load_scene(scene)
-    made = make(
-        loaded if frames is None else loaded.with_frames(frames),
-        output,
-        seed=seed,
-        backend=cast("Renderer", backend),  # `make` checks the word
-        name=Path(scene).stem,
-        overwrite=overwrite,
-        jobs=jobs,
-        scheduler=scheduler,
-    )
+    loaded = loaded if frames is None else loaded.with_frames(frames)
+    common: dict[str, Any] = {
+        "seed": seed,
+        "backend": cast("Renderer", backend),  # both check the word
+        "name": Path(scene).stem,
+        "overwrite": overwrite,
+        "jobs": jobs,
+        "scheduler": scheduler,
+    }
+    own = {"split": split, "truth": truth, "compression": compression, "shard-size": shard_size}
+    given = {name: value for name, value in own.items() if value is not None}
+    if samples is not None:
+        _generate_samples(loaded, output, samples, given, common)
+        return
+    if given:
+        raise InputError(f"--{next(iter(given))}: expected --samples with it, got none")
+    made = make(loaded, output, **common)
     size = f"{made.setup.frames} frame(s) of {len(made.setup.cameras)} cameras"
     say(f"{made.root}: {size}, {made.manifest.renderer}, hash {made.content_hash[:12]}")
+
+
+def _generate_samples(
+    scene: Scene, output: Path, samples: int, given: dict[str, Any], common: dict[str, Any]
+) -> None:
+    from sabench.simulation.sample_shards import generate_samples
+
+    options: dict[str, Any] = {}
+    if "split" in given:
+        options["split"] = _shares(given["split"])
+    if "truth" in given:
+        words = [] if given["truth"] == "none" else given["truth"].split(",")
+        options["truth"] = [word.strip() for word in words]
+    if "compression" in given:
+        options["compression"] = given["compression"]
+    if "shard-size" in given:
+        options["size"] = given["shard-size"]
+    made = generate_samples(scene, output, samples=samples, **options, **common)
+    splits = ", ".join(f"{count} {name}" for name, count in made.splits.items())
+    say(f"{made.root}: {splits} samples, hash {made.content_hash[:12]}")
+
+
+def _shares(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split("/")]
+    except ValueError as error:
+        raise InputError(f"--split: expected shares such as 80/10/10, got {text}") from error
 
 
 def verify(
@@ -181,7 +260,7 @@ def verify(
     """Check every byte and every shape of a data set."""
     from sabench.dataset.agreement import disagreements
     from sabench.dataset.reader import open_dataset
-    from sabench.dataset.verification import describe_recorded
+    from sabench.dataset.verification import describe_contents
     from sabench.dataset.verification import verify as faults_of
 
     faults = faults_of(dataset)
@@ -193,7 +272,7 @@ def verify(
     if faults:
         raise typer.Exit(1)
     agrees = f", agrees with {against}" if against is not None else ""
-    say(f"{dataset}: intact{agrees}{describe_recorded(open_dataset(dataset))}")
+    say(f"{dataset}: intact{agrees}{describe_contents(dataset)}")
 
 
 def pack(
@@ -214,10 +293,15 @@ def pack(
 
     With --blind it is the observation side alone, which every solver takes.
     """
+    from sabench.dataset import schema as layout
     from sabench.dataset.observation_side import pack as copy
+    from sabench.dataset.observation_side import pack_samples
     from sabench.dataset.reader import open_dataset
 
-    data = open_dataset(dataset)
-    copy(data, output, blind=blind, overwrite=overwrite)
+    contents = layout.read_manifest(dataset)
+    if isinstance(contents, layout.ShardedContents):
+        pack_samples(dataset, output, blind=blind, overwrite=overwrite)
+    else:
+        copy(open_dataset(dataset), output, blind=blind, overwrite=overwrite)
     side = "observation side" if blind else "whole data set"
-    say(f"{output}: {side} of {data.content_hash[:12]}")
+    say(f"{output}: {side} of {contents.content_hash[:12]}")

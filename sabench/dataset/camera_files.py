@@ -17,6 +17,7 @@ from sabench.dataset.schema import (
     TRUE_CAMERAS,
     VERSION,
     Record,
+    check_versioned,
     read_versioned,
 )
 from sabench.dataset.setup_limits import check_lengths, check_shown
@@ -147,7 +148,12 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
 def read_cameras(root: Path) -> CamerasFile:
     """Read the cameras of a data set, every one with its wall."""
     path = inside(root, CAMERAS)
-    loaded = read_versioned(CamerasFile, path)
+    return check_setup(read_json(path), path)
+
+
+def check_setup(value: Any, path: Path) -> CamerasFile:
+    """Check the cameras of a data set, as `cameras.json` and shards hold them."""
+    loaded = check_versioned(CamerasFile, value, path)
     _check_names(loaded.cameras, path)
     _check_cameras(loaded.cameras, path)
     _check_one_size(loaded.cameras, path)
@@ -165,7 +171,12 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
     others.
     """
     path = inside(root, TRUE_CAMERAS)
-    loaded = read_versioned(TrueCamerasFile, path)
+    return check_true_cameras(read_json(path), path, nominal)
+
+
+def check_true_cameras(value: Any, path: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
+    """Check true cameras, as `true_cameras.json` and shards hold them."""
+    loaded = check_versioned(TrueCamerasFile, value, path)
     cameras = loaded.cameras
     expected, got = (
         [(c.name, c.rows, c.columns) for c in group] for group in (nominal.cameras, cameras)
@@ -278,7 +289,12 @@ def _check_numbers(loaded: CamerasFile, path: Path) -> None:
 
 
 def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> None:
-    """Write cameras in the format of a data set's `cameras.json`.
+    """Write cameras as `list_cameras` lists them."""
+    path.write_text(canonical_json(list_cameras(cameras, **keys)), encoding="utf-8")
+
+
+def list_cameras(cameras: Sequence[CameraModel], **keys: Any) -> dict[str, Any]:
+    """Make the content of `cameras.json`.
 
     Parameters
     ----------
@@ -287,7 +303,7 @@ def write_cameras(path: Path, cameras: Sequence[CameraModel], **keys: Any) -> No
     records = [_camera_entry(camera) for camera in cameras]
     values = {key: _plain(value) for key, value in keys.items()}
     head = {"format": FORMAT, "version": VERSION}
-    path.write_text(canonical_json({**head, **values, "cameras": records}), encoding="utf-8")
+    return {**head, **values, "cameras": records}
 
 
 def _camera_entry(camera: CameraModel) -> dict[str, Any]:

@@ -150,6 +150,18 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
     than any memory.
     """
     where = f"{file.filename}: {name}"
+    node = find_array(file, name, shape, kind)
+    _check_cost(node, where, is_open=None in shape)
+    check_streams(node, where)
+    return np.asarray(node[...])
+
+
+def find_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -> Any:
+    """Find a data set as `read_array` does, to read parts of it.
+
+    The cost of reading it is not checked.
+    """
+    where = f"{file.filename}: {name}"
     node = _node(file, name, where)
     if not isinstance(node, h5py.Dataset) or node.is_virtual or node.external:
         raise InputError(f"{where}: expected a data set with its values in this file")
@@ -162,10 +174,8 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
     if not fits or dtype.kind not in kind or dtype.itemsize > 8:
         expected = "(" + ", ".join("n" if want is None else str(want) for want in shape) + ")"
         raise InputError(f"{where}: expected shape {expected} of kind {kind}, got {got} of {dtype}")
-    _check_cost(node, where, is_open=None in shape)
     check_storage(node, where)
-    check_streams(node, where)
-    return np.asarray(node[...])
+    return node
 
 
 def walk(path: Path) -> None:

@@ -5,10 +5,13 @@ It is what solvers see, and what a participant of a private test set receives.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from sabench.dataset import schema
 from sabench.dataset.reader import Dataset
@@ -86,20 +89,55 @@ def pack(dataset: Dataset, out: Path, *, blind: bool, overwrite: bool = False) -
         The folder or archive is there already, and `overwrite` is not set; or the data set is the
         observation side alone, and the whole is asked for.
     """
+    with _folder_of(out, overwrite) as folder:
+        _copy_side(dataset, folder, blind)
+    return out
+
+
+def pack_samples(root: Path, out: Path, *, blind: bool, overwrite: bool = False) -> Path:
+    """Copy a data set of samples as `pack` does one of frames."""
+    contents = schema.read_manifest(root)
+    if not isinstance(contents, schema.ShardedContents):
+        raise InputError(f"{root}: expected a data set of samples, got one of frames")
+    files = [name for name in contents.all_files if not blind or schema.is_observed(name)]
+    with _folder_of(out, overwrite) as folder:
+        for name in progress_bar(files, "copy"):
+            place = inside(folder, name)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(inside(root, name), place)
+        text = (root / schema.MANIFEST).read_text(encoding="utf-8")
+        if blind:
+            text = schema.seal(_without_truth(contents))
+        (folder / schema.MANIFEST).write_text(text, encoding="utf-8")
+    return out
+
+
+def _without_truth(contents: schema.ShardedContents) -> dict[str, Any]:
+    """Make the manifest of the observation side of samples."""
+    keys = set(schema.ShardedContents.model_fields)
+    head = contents.model_dump(mode="json", include=keys) | {"side": "observation"}
+    for files in (head["files"], *(entry["files"] for entry in head["shards"])):
+        for name in [name for name in files if not schema.is_observed(name)]:
+            del files[name]
+    return head
+
+
+@contextlib.contextmanager
+def _folder_of(out: Path, overwrite: bool) -> Iterator[Path]:
+    """Give a folder to fill, which becomes `out`, as an archive by the name .zip."""
     with complete_or_nothing(out, overwrite=overwrite) as partial:
         folder = partial.with_name(f"{partial.name}.files") if out.suffix == ".zip" else partial
+        folder.mkdir()
         try:
-            _copy_side(dataset, folder, blind)
+            yield folder
             if folder is not partial:
                 _archive(folder, partial)
         finally:
             if folder is not partial:
                 shutil.rmtree(folder, ignore_errors=True)
-    return out
 
 
 def _copy_side(dataset: Dataset, folder: Path, blind: bool) -> None:
-    folder.mkdir()
     if blind:
         copy_observation(dataset, folder)
         return

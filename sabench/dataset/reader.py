@@ -394,4 +394,10 @@ def open_dataset(path: str | Path) -> Dataset:
         No data set there, or one of another format.
     """
     root = Path(path)
-    return Dataset(root, schema.read_manifest(root))
+    contents = schema.read_manifest(root)
+    if isinstance(contents, schema.ShardedContents):
+        raise InputError(
+            f"{root}: expected a data set of frames, got one of independent samples: open it with "
+            "sabench.open_samples"
+        )
+    return Dataset(root, contents)

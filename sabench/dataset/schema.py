@@ -14,6 +14,7 @@ from sabench.utils.validation import Model, validate
 
 FORMAT = "sabench-dataset"
 VERSION = 1
+SAMPLES_VERSION = 2  # of a data set of independent samples in shards
 MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
     "manifest.json",
     "cameras.json",
@@ -22,8 +23,11 @@ MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
     "true_cameras.json",
 )
 TARGET, POINTS = "target.json", "points.h5"
+INDEX = "samples.csv"  # of independent samples: where each lies
+MOST_SAMPLES = 100_000_000  # of a data set
 MOST_POINTS = 1_000_000  # of a target
 _LARGEST_MM = 1e6  # pitch of a target: a kilometre
+SIDES = ("observation", "truth")  # folders of shards
 REFERENCES = "images.json"  # of a recorded data set whose images lie elsewhere
 MASKS = "masks"  # folder of images that mark the pixels that count
 GIVEN = "given"  # folder of files of other programs, which the scene reads
@@ -62,6 +66,11 @@ class Contents(Record):
     files: dict[str, FileEntry]
     manifest_hash: str = Field(pattern="^[0-9a-f]{64}$")
 
+    @property
+    def all_files(self) -> dict[str, FileEntry]:
+        """Files of the data set but the manifest."""
+        return self.files
+
 
 class Manifest(Contents):
     """manifest.json: contents and origin of a data set.
@@ -80,6 +89,72 @@ class Manifest(Contents):
 
 class ObservationManifest(Contents):
     """manifest.json of the observation side alone, without the origin."""
+
+    side: Literal["observation"]
+
+
+class ShardEntry(Record):
+    """One shard: its samples, and its files by side.
+
+    A writer notes it next to the finished shard, and the manifest lists those of all shards.
+    """
+
+    name: str
+    split: str
+    first: int = Field(ge=0)
+    last: int = Field(ge=0)
+    samples: int = Field(ge=1)
+    files: dict[str, FileEntry]
+
+
+class ShardOrigin(Record):
+    """Origin of a shard, which its writer notes with its entry.
+
+    `key` is that of the stream.
+    """
+
+    seed: int = Field(ge=0)
+    key: str = Field(pattern="^[0-9a-f]{64}$")
+    entry: ShardEntry
+
+
+class ShardedContents(Contents):
+    """Contents of a data set of independent samples, or of its observation side.
+
+    `files` lists all but those of shards, `size` is the number of samples of a full shard. The
+    shape of images is (frame, camera, row, column).
+    """
+
+    samples: int = Field(ge=1, le=MOST_SAMPLES)
+    shares: tuple[float, ...] = Field(min_length=1)
+    size: int = Field(ge=1)
+    shape: tuple[int, int, int, int]
+    shards: tuple[ShardEntry, ...]
+
+    @property
+    def all_files(self) -> dict[str, FileEntry]:
+        """Files of the data set but the manifest, those of shards included."""
+        shards = ((name, one) for entry in self.shards for name, one in entry.files.items())
+        return self.files | dict(shards)
+
+
+class SamplesManifest(ShardedContents):
+    """manifest.json of a data set of independent samples.
+
+    `key` is that of the stream; `truth` lists what the shards of the truth hold.
+    """
+
+    scene: str
+    scene_hash: str = Field(pattern="^[0-9a-f]{64}$")
+    seed: int = Field(ge=0)
+    renderer: str
+    key: str = Field(pattern="^[0-9a-f]{64}$")
+    truth: tuple[str, ...]
+    versions: dict[str, str]
+
+
+class SamplesObservationManifest(ShardedContents):
+    """manifest.json of the observation side of independent samples alone."""
 
     side: Literal["observation"]
 
@@ -106,6 +181,11 @@ def image_name(camera: str, frame: int, suffix: str) -> str:
 def mask_name(camera: str) -> str:
     """Name the path of a camera's mask inside a data set."""
     return f"{MASKS}/{camera}.tif"
+
+
+def shard_file(side: str, shard: str) -> str:
+    """Name the path of a shard inside a data set."""
+    return f"{side}/{shard}.h5"
 
 
 def frame_group(frame: int) -> str:
@@ -146,7 +226,8 @@ def seal(manifest: dict[str, Any]) -> str:
 def is_observed(name: str) -> bool:
     """Return whether a file of a data set belongs to its observation side."""
     image = name.startswith(("images/", f"{MASKS}/")) and name.endswith(".tif")
-    return image or name in (CAMERAS, TARGET, POINTS)
+    image = image or name.startswith(f"{SIDES[0]}/")
+    return image or name in (CAMERAS, TARGET, POINTS, INDEX)
 
 
 def read_manifest(root: Path) -> Contents:
@@ -207,6 +288,8 @@ def read_target(root: Path) -> Target:
 def _kind_of(path: Path) -> type[Contents]:
     value = read_json(path)
     keys = value if isinstance(value, dict) else {}
+    if keys.get("version") == SAMPLES_VERSION:
+        return SamplesObservationManifest if "side" in keys else SamplesManifest
     if "side" in keys:
         return ObservationManifest
     return RecordedManifest if "recorded" in keys else Manifest
@@ -214,16 +297,21 @@ def _kind_of(path: Path) -> type[Contents]:
 
 def read_versioned(model: type[Model], path: Path) -> Model:
     """Read a JSON file of this format and version."""
-    value = read_json(path)
+    return check_versioned(model, read_json(path), path)
+
+
+def check_versioned(model: type[Model], value: Any, path: Path) -> Model:
+    """Check what a JSON file of this format holds."""
+    version = SAMPLES_VERSION if issubclass(model, ShardedContents) else VERSION
     if (
         not isinstance(value, dict)
         or value.get("format") != FORMAT
-        or value.get("version") != VERSION
+        or value.get("version") != version
     ):
         got = (
             f"{value.get('format')!r} version {value.get('version')!r}"
             if isinstance(value, dict)
             else type(value).__name__
         )
-        raise InputError(f"{path}: expected format {FORMAT!r} version {VERSION}, got {got}")
+        raise InputError(f"{path}: expected format {FORMAT!r} version {version}, got {got}")
     return validate(model, value, str(path))

@@ -10,6 +10,8 @@ from pathlib import Path
 from sabench.dataset import schema
 from sabench.dataset.hdf5_probe import probe_dataset
 from sabench.dataset.reader import Dataset
+from sabench.dataset.sample_set import open_samples
+from sabench.dataset.shard_verification import check_plan, shard_faults
 from sabench.utils.errors import InputError, UncheckedError, one_line
 from sabench.utils.files import inside, sha256
 from sabench.utils.progress import progress_bar
@@ -36,14 +38,23 @@ def verify(path: str | Path) -> list[str]:
     except InputError as error:
         return [_sentence(error)]
     faults = list(itertools.islice(_byte_faults(root, manifest), _MOST_FAULTS))
-    faults = faults or list(
-        itertools.islice(_content_faults(Dataset(root, manifest)), _MOST_FAULTS)
-    )
+    faults = faults or list(itertools.islice(_faults_inside(root, manifest), _MOST_FAULTS))
     return [one_line(fault, _LONGEST) for fault in faults]
 
 
-def describe_recorded(dataset: Dataset) -> str:
-    """Say what a recorded data set holds, as the end of a sentence; "" for any other."""
+def describe_contents(path: str | Path) -> str:
+    """Say what samples, or a recorded data set, hold, as the end of a sentence.
+
+    "" for any other.
+    """
+    contents = schema.read_manifest(Path(path))
+    if isinstance(contents, schema.ShardedContents):
+        splits = ", ".join(f"{n} {name}" for name, n in open_samples(path).splits.items())
+        return f"; {contents.samples} samples: {splits}"
+    return _describe_recorded(Dataset(Path(path), contents))
+
+
+def _describe_recorded(dataset: Dataset) -> str:
     if not dataset.recorded:
         return ""
     frames, cameras = dataset.setup.frames, len(dataset.setup.cameras)
@@ -53,27 +64,46 @@ def describe_recorded(dataset: Dataset) -> str:
     return f"; recorded: {size}{masks}{elsewhere}; no truth, no scene"
 
 
+def _faults_inside(root: Path, manifest: schema.Contents) -> Iterator[str]:
+    if isinstance(manifest, schema.ShardedContents):
+        return shard_faults(root, manifest, _try)
+    return _content_faults(Dataset(root, manifest))
+
+
 def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
     """Find missing, changed and unlisted files."""
-    whole = not isinstance(manifest, schema.ObservationManifest)
-    if whole and manifest.content_hash != schema.content_hash(manifest.files):
+    files = manifest.all_files
+    part = schema.ObservationManifest | schema.SamplesObservationManifest
+    if not isinstance(manifest, part) and manifest.content_hash != schema.content_hash(files):
         yield f"{root / schema.MANIFEST}: its content_hash does not match its files"
     present = {
         entry.relative_to(root).as_posix()
         for entry in root.rglob("*")
         if entry.is_symlink() or not entry.is_dir()
     }
-    for name in sorted(present - set(manifest.files) - {schema.MANIFEST}):
+    if isinstance(manifest, schema.ShardedContents):
+        yield from _try(lambda: check_plan(root, manifest))
+    for name in sorted(present - set(files) - {schema.MANIFEST}):
         yield f"{root / name}: a file that the manifest does not list"
-    for name, entry in progress_bar(manifest.files.items(), "verify checksums"):
+    known = {entry.sha256: name for name, entry in files.items()}
+    for name, entry in progress_bar(files.items(), "verify checksums"):
         try:
             file = inside(root, name)
             if not file.is_file():
                 yield f"{file}: missing"
-            elif file.stat().st_size != entry.bytes or sha256(file) != entry.sha256:
-                yield f"{file}: its bytes do not match the manifest"
+                continue
+            got = schema.FileEntry(bytes=file.stat().st_size, sha256=sha256(file))
+            if got != entry:
+                yield f"{file}: its bytes do not match the manifest{_guess(got, entry, known)}"
         except (InputError, OSError) as error:
             yield _sentence(error)
+
+
+def _guess(got: schema.FileEntry, entry: schema.FileEntry, known: dict[str, str]) -> str:
+    """Say what may have become of a file, as the end of a sentence."""
+    if got.sha256 in known:
+        return f": they are those of {known[got.sha256]}"
+    return f": {got.bytes} of {entry.bytes} are left" if got.bytes < entry.bytes else ""
 
 
 def _content_faults(dataset: Dataset) -> Iterator[str]:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sabench.api import Shown
 from sabench.api.truth import Prior, Target
 from sabench.dataset import schema
-from sabench.dataset.camera_files import write_cameras
+from sabench.dataset.camera_files import list_cameras
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
@@ -119,14 +119,11 @@ def dataset_writer(
     """
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
-        (root / schema.SCENE).write_text(_with_copies(scene, root).to_toml(), encoding="utf-8")
-        keys = _observation(scene, len(nominal)) | ({"shows": shows} if shows else {})
-        keys |= {"wall": wall_entry(nominal), "grid": rig.grid}
-        write_cameras(root / schema.CAMERAS, nominal, **keys)
-        if scene.calibration:
-            true = wall_entry(rig.cameras)
-            walls = {"wall": true} if true != wall_entry(nominal) else {}
-            write_cameras(root / schema.TRUE_CAMERAS, rig.cameras, **walls)
+        (root / schema.SCENE).write_text(with_copies(scene, root).to_toml(), encoding="utf-8")
+        setup, true = list_setups(scene, rig, nominal, shows)
+        (root / schema.CAMERAS).write_text(canonical_json(setup), encoding="utf-8")
+        if true is not None:
+            (root / schema.TRUE_CAMERAS).write_text(canonical_json(true), encoding="utf-8")
         with create_hdf5(root / schema.TRUTH) as (truth, check):
             with delay_interrupts():
                 truth.attrs["format"], truth.attrs["version"] = schema.FORMAT, schema.VERSION
@@ -137,7 +134,24 @@ def dataset_writer(
         )
 
 
-def _with_copies(scene: Scene, root: Path) -> Scene:
+def list_setups(
+    scene: Scene, rig: Rig, nominal: tuple[Camera, ...], shows: tuple[Shown, ...] = ()
+) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Make the contents of cameras.json and true_cameras.json.
+
+    The second is None where the true cameras are the nominal ones.
+    """
+    keys = _observation(scene, len(nominal)) | ({"shows": shows} if shows else {})
+    keys |= {"wall": wall_entry(nominal), "grid": rig.grid}
+    setup = list_cameras(nominal, **keys)
+    if not scene.calibration:
+        return setup, None
+    true = wall_entry(rig.cameras)
+    walls = {"wall": true} if true != wall_entry(nominal) else {}
+    return setup, list_cameras(rig.cameras, **walls)
+
+
+def with_copies(scene: Scene, root: Path) -> Scene:
     """Copy the scene's files into the data set; the scene then names the copies."""
     copies = {}
     for table, path in scene.files.items():
@@ -195,13 +209,9 @@ def _manifest(
 ) -> str:
     paths = sorted(path for path in root.rglob("*") if path.is_file())
     names = [path.relative_to(root).as_posix() for path in paths]
-    files = {name: known.get(name) or _entry(path) for name, path in zip(names, paths, strict=True)}
-    versions = {
-        "sabench": __version__,
-        "simulation": SIMULATION,
-        "python": platform.python_version(),
+    files = {
+        name: known.get(name) or file_entry(path) for name, path in zip(names, paths, strict=True)
     }
-    versions |= {package: importlib.metadata.version(package) for package in _RECORDED}
     return schema.seal(
         {
             "format": schema.FORMAT,
@@ -212,11 +222,18 @@ def _manifest(
             "scene_hash": scene.hash,
             "seed": seed,
             "renderer": renderer,
-            "versions": versions,
+            "versions": list_versions(),
             "files": {key: entry.model_dump() for key, entry in files.items()},
         }
     )
 
 
-def _entry(path: Path) -> schema.FileEntry:
+def list_versions() -> dict[str, str]:
+    """List the versions of all that the bytes of a data set depend on."""
+    own = {"sabench": __version__, "simulation": SIMULATION, "python": platform.python_version()}
+    return own | {package: importlib.metadata.version(package) for package in _RECORDED}
+
+
+def file_entry(path: Path) -> schema.FileEntry:
+    """Measure the size and checksum of a file."""
     return schema.FileEntry(bytes=path.stat().st_size, sha256=sha256(path))

@@ -43,8 +43,8 @@ class Frames:
     def __init__(self, scene: Scene, rig: Rig, seed: int, renderer: str = "mitsuba") -> None:
         if scene.vary is not None:
             raise InputError(
-                f"{scene.title}: vary: expected a scene whose values are fixed; sabench.stream "
-                "draws samples of one whose values vary"
+                f"{scene.title}: vary: expected a scene whose values are fixed; --samples and "
+                "sabench.stream draw samples of one whose values vary"
             )
         self.scene, self.rig, self.seed, self.renderer = light_in_fluid(scene), rig, seed, renderer
         world, timing = scene.world, scene.timing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import glob
 import shutil
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.writer import dataset_writer
 from sabench.scenes import BubbleWorld, Scene, TargetWorld, build_rig, load_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.simulation.recording.job import Job
+from sabench.simulation.recording.job import Job, record_task
 from sabench.simulation.recording.parts import KEPT, Part, Parts, files_of
 from sabench.simulation.recording.recorders import Recorder, recorder_of
 from sabench.simulation.recording.schedule import Schedule, WorkerPool
@@ -83,7 +84,8 @@ def generate(
         if scheduler:
             workers: WorkerPool = dask_pool(scheduler, parts.root)
         else:
-            workers = InProcess(recorder, parts) if jobs == 1 else ProcessPool(parts.root, jobs)
+            do = functools.partial(record_task, recorder, parts)
+            workers = InProcess(do) if jobs == 1 else ProcessPool(parts.root, jobs)
         with contextlib.closing(workers):
             run_schedule(
                 workers,

@@ -15,15 +15,20 @@ _WORKING_BYTES = 40
 _STORED_BYTES = 2  # per pixel of each picture on the disk: grey values are not compressed
 
 
-def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path) -> None:
+def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies: int = 1) -> None:
     """Refuse a scene that cannot fit into memory or on the disk.
 
     One image at a time must fit into memory, and all images on the disk of the folder.
 
     Both are lower bounds: a scene that passes may still need too much, one that does not pass would
     have failed.
+
+    Parameters
+    ----------
+    copies : number of samples of the scene.
     """
-    pixels, pictures = scene.cameras.rows * scene.cameras.columns, scene.frames * len(rig.cameras)
+    pixels = scene.cameras.rows * scene.cameras.columns
+    pictures = copies * scene.frames * len(rig.cameras)
     there, need = memory.available_mb(), pixels * _WORKING_BYTES / 1e6
     if there is not None and need > there:
         size = f"{scene.cameras.rows} x {scene.cameras.columns}"

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,19 +17,24 @@ from typing import Any
 import numpy as np
 
 from sabench.api import Observation
-from sabench.api.truth import Particles
+from sabench.api.truth import Particles, View
+from sabench.dataset.batches import Batch, make_batch
+from sabench.dataset.splits import check_shares, split_names, split_of
 from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.variation import draw_values, extremes, with_values
+from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
-from sabench.simulation.in_memory import observation_of, record_frame
+from sabench.simulation.grey_values import record_image
+from sabench.simulation.in_memory import observation_of
 from sabench.simulation.recording.job import Job
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
-from sabench.utils.arrays import F64, I64, U16
+from sabench.utils.arrays import U16
 from sabench.utils.backend import limit_kernels
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream as random_stream
 
+Views = tuple[tuple[View, ...], ...]  # of each frame and camera
 _SMALL_PX = 4_000_000  # of all cameras: threads that meet cost more time than they save
 _MOST_DRAWS = 1000  # of one sample's values: none of them gives a scene that can be
 
@@ -47,6 +51,7 @@ class Sample:
     redrawn : how often these were drawn again, as no such scene can be.
     images : (frame, camera, row, column) grey values.
     particles : true particles of each frame, the same rows for the same `id`.
+    views : their true images in each frame and camera.
     rig : true cameras, grid and occluders.
     """
 
@@ -57,6 +62,7 @@ class Sample:
     redrawn: int
     images: U16
     particles: tuple[Particles, ...]
+    views: Views
     rig: Rig
 
     def observation(self, frame: int = 0) -> Observation:
@@ -65,38 +71,6 @@ class Sample:
         every = takes_all_frames(self.scene.preprocessing or ())
         lowest = self.images.min(axis=0) if every else None
         return observation_of(content, list(self.images[frame]), lowest)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Samples whose images have one shape.
-
-    Attributes
-    ----------
-    samples : one after the other.
-    images : (sample, frame, camera, row, column) grey values.
-    """
-
-    samples: tuple[Sample, ...]
-    images: U16
-
-    @property
-    def numbers(self) -> I64:
-        """Numbers (sample,) in the stream."""
-        return np.array([one.number for one in self.samples])
-
-    @property
-    def drawn(self) -> dict[str, Any]:
-        """Values (sample,) of each key that varies; lists where they are no numbers."""
-        keys = self.samples[0].drawn
-        return {key: np.asarray([one.drawn[key] for one in self.samples]) for key in keys}
-
-    def displacements_mm(self, first: int = 0, second: int = 1) -> list[tuple[F64, F64]]:
-        """Give positions and displacements between two frames, for each sample.
-
-        Both are (n, 3), those of the particles that both frames have.
-        """
-        return [_moves(one.particles[first], one.particles[second]) for one in self.samples]
 
 
 def stream_samples(
@@ -109,7 +83,8 @@ def stream_samples(
     split: tuple[str, Sequence[float]] | None = None,
     backend: Renderer = "splat",
     key: str | None = None,
-) -> Iterator[Batch]:
+    part: tuple[int, int] = (0, 1),
+) -> Iterator[Batch[Sample]]:
     """Make independent samples of a scene with particles.
 
     Parameters
@@ -122,6 +97,7 @@ def stream_samples(
         puts into "train", "validation" or "test".
     backend : "splat" or "mitsuba".
     key : that `stream_key` gave when the stream was begun, for one that goes on.
+    part : (k, n) for every n-th batch from the k-th on: n processes share the work.
 
     Raises
     ------
@@ -145,7 +121,7 @@ def stream_samples(
     numbers = itertools.count(start) if samples is None else iter(range(start, samples))
     if split is not None:
         numbers = _of_split(numbers, *_check_split(split))
-    return _batches(_Maker(scene, seed, choose_renderer(backend)), batch, numbers)
+    return _batches(SampleMaker(scene, seed, choose_renderer(backend)), batch, numbers, part)
 
 
 def stream_key(scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = "splat") -> str:
@@ -157,30 +133,12 @@ def stream_key(scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = 
     return Job(scene, seed, choose_renderer(backend), scene.title).key
 
 
-def split_of(number: int, shares: Sequence[float]) -> str:
-    """Name the split of a sample: "train", "validation", "test", "split-3" and on.
-
-    By a hash of its number, so that a sample stays in its split however many are made.
-    """
-    if not shares or min(shares) < 0.0 or not sum(shares) > 0.0:
-        raise InputError(f"split: expected shares that are not negative, got {list(shares)}")
-    place = zlib.crc32(number.to_bytes(8, "little")) / 2.0**32 * sum(shares)
-    ends = list(itertools.accumulate(shares))
-    index = next((n for n, end in enumerate(ends) if place < end), len(shares) - 1)
-    return split_names(len(shares))[index]
-
-
-def split_names(count: int) -> list[str]:
-    """Name a number of splits."""
-    return ["train", "validation", "test", *(f"split-{n}" for n in range(3, count))][:count]
-
-
 def _check_split(split: tuple[str, Sequence[float]]) -> tuple[str, Sequence[float]]:
     """Refuse a split that no sample can be in."""
     if isinstance(split, str) or len(split) != 2:
         raise InputError(f'split: expected a name and shares, ("train", (80, 20)), got {split!r}')
     name, shares = split
-    split_of(0, shares)
+    check_shares(shares)
     if name not in (names := split_names(len(shares))):
         raise InputError(f"split: expected one of {', '.join(names)}, got {name!r}")
     if not shares[names.index(name)] > 0.0:
@@ -192,25 +150,19 @@ def _of_split(numbers: Iterator[int], name: str, shares: Sequence[float]) -> Ite
     return (number for number in numbers if split_of(number, shares) == name)
 
 
-def _batches(maker: _Maker, batch: int, numbers: Iterator[int]) -> Iterator[Batch]:
-    while chosen := list(itertools.islice(numbers, batch)):
-        made = tuple(maker.make(number) for number in chosen)
-        _check_shapes(made)
-        yield Batch(made, np.stack([one.images for one in made]))
+def _batches(
+    maker: SampleMaker, batch: int, numbers: Iterator[int], part: tuple[int, int]
+) -> Iterator[Batch[Sample]]:
+    own, count = part
+    for place in itertools.count():
+        if not (chosen := list(itertools.islice(numbers, batch))):
+            return
+        if place % count == own:
+            yield make_batch([maker.make(number) for number in chosen])
 
 
-def _check_shapes(made: Sequence[Sample]) -> None:
-    for one in made[1:]:
-        if one.images.shape != made[0].images.shape:
-            raise InputError(
-                f"{one.scene.title}: expected images (frame, camera, row, column) of one shape in "
-                f"all samples, got {made[0].images.shape} in sample {made[0].number} and "
-                f"{one.images.shape} in sample {one.number}"
-            )
-
-
-class _Maker:
-    """Makes samples of one scene, and keeps what they share."""
+class SampleMaker:
+    """Maker of the samples of one scene, which keeps what they share."""
 
     def __init__(self, scene: Scene, seed: int, renderer: str) -> None:
         if scene.tracers is None or scene.bubbles is not None or scene.solids:
@@ -228,8 +180,8 @@ class _Maker:
         frames = Frames(scene, rig, own, self.renderer)
         small = sum(camera.rows * camera.columns for camera in rig.cameras) < _SMALL_PX
         with limit_kernels(1) if small else contextlib.nullcontext():
-            images, particles = _record(frames)
-        return Sample(number, scene, own, drawn, redrawn, images, particles, rig)
+            images, particles, views = _record(frames)
+        return Sample(number, scene, own, drawn, redrawn, images, particles, views, rig)
 
     def _choose(self, number: int) -> tuple[Scene, Rig, dict[str, Any], int]:
         """Draw a sample's values, again and again if the scene asks for it."""
@@ -259,17 +211,14 @@ class _Maker:
             raise InputError(f"{error} (vary, {which}: {named})") from error
 
 
-def _record(frames: Frames) -> tuple[U16, tuple[Particles, ...]]:
-    """Record all frames: images (frame, camera, row, column), and particles."""
-    images, particles = [], []
+def _record(frames: Frames) -> tuple[U16, tuple[Particles, ...], Views]:
+    """Record images (frame, camera, row, column), particles and their images."""
+    images, particles, views = [], [], []
     for number in range(frames.scene.frames):
         content = frames.at(number)
-        images.append(record_frame(content))
+        shown = [render(content, camera) for camera in range(len(frames.rig.cameras))]
+        images.append([record_image(content, view, n) for n, view in enumerate(shown)])
+        views.append(tuple(view.particles for view in shown if view.particles is not None))
         if content.tracers is not None:
             particles.append(content.tracers.particles)
-    return np.stack(images), tuple(particles)
-
-
-def _moves(first: Particles, second: Particles) -> tuple[F64, F64]:
-    _, i, j = np.intersect1d(first.id, second.id, assume_unique=True, return_indices=True)
-    return first.position_mm[i], second.position_mm[j] - first.position_mm[i]
+    return np.array(images), tuple(particles), tuple(views)

@@ -35,8 +35,7 @@ def complete_or_nothing(target: Path, *, overwrite: bool = False) -> Iterator[Pa
     refuse_existing(target, overwrite=overwrite)
     with _temporary(target, f".{target.name}.partial-{os.getpid()}") as partial:
         yield partial
-        _flush(partial)
-        _replace(target, partial)
+        put_in_place(target, partial)
 
 
 @contextlib.contextmanager
@@ -66,11 +65,12 @@ def _temporary(target: Path, name: str) -> Iterator[Path]:
         _remove(partial)
 
 
-def _replace(target: Path, partial: Path) -> None:
-    """Put `partial` in the place of `target`.
+def put_in_place(target: Path, partial: Path) -> None:
+    """Put `partial` in the place of `target`, once it is on the disk.
 
     A folder takes two steps; `clear_abandoned` repairs a death between them.
     """
+    _flush(partial)
     if not target.is_dir() and not (target.exists() and partial.is_dir()):
         partial.replace(target)
         return

@@ -16,6 +16,7 @@ from filelock import FileLock
 
 import sabench
 from sabench.scenes import Scene, load_scene, parse_scene
+from sabench.simulation import pipeline
 from sabench.simulation.camera_view import render
 from sabench.simulation.pipeline import generate
 from sabench.simulation.recording import job, recorders, workers
@@ -200,7 +201,7 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
         return render(frame, camera)
 
     with monkeypatch.context() as patch:
-        patch.setattr(workers, "record_task", interrupted)
+        patch.setattr(pipeline, "record_task", interrupted)
         with pytest.raises(KeyboardInterrupt):
             made(scene, tmp_path / "set")
     monkeypatch.setattr(recorders, "render", counted)

@@ -9,8 +9,8 @@ from typing import Any
 from dask import config
 from distributed import Client, wait
 
-from sabench.simulation.recording.job import run_task
 from sabench.simulation.recording.schedule import Outcome, Task
+from sabench.simulation.recording.tasks import run_task
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 

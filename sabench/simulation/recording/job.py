@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.metadata
-import threading
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 
 from sabench.scenes import Scene, parse_scene
 from sabench.simulation.recording.parts import Parts
-from sabench.simulation.recording.recorders import Recorder, recorder_of
+from sabench.simulation.recording.recorders import Recorder
 from sabench.simulation.recording.schedule import Task
 from sabench.utils import memory
 from sabench.utils.code_hash import code_hash
@@ -21,7 +19,6 @@ from sabench.utils.files import canonical_json, complete_or_nothing, digest, rea
 
 JOB, _SCENE = "job.json", "scene.toml"
 _RENDERING = ("mitsuba", "drjit", "numpy", "scipy", "numba", "opencv-python-headless")
-_ONE_AT_A_TIME = threading.Lock()  # renderers cannot run in two threads
 
 
 @dataclass(frozen=True)
@@ -81,18 +78,6 @@ def read_job(root: Path) -> Job:
             "on all machines, got others here"
         )
     return job
-
-
-def run_task(root: str, task: Task) -> None:
-    """Do one task of the job in a folder, unless its result is there."""
-    with _ONE_AT_A_TIME:
-        record_task(*_open(root), task)
-
-
-@functools.lru_cache(maxsize=1)
-def _open(root: str) -> tuple[Recorder, Parts]:
-    job = read_job(Path(root))
-    return recorder_of(job.scene, job.seed, job.renderer, job.label), Parts(Path(root))
 
 
 def record_task(recorder: Recorder, parts: Parts, task: Task) -> None:

@@ -12,8 +12,9 @@ import sys
 from pathlib import Path
 from typing import TextIO
 
-from sabench.simulation.recording.job import JOB, run_task
+from sabench.simulation.recording.job import JOB
 from sabench.simulation.recording.schedule import Task
+from sabench.simulation.recording.tasks import run_task
 from sabench.utils import backend
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json

@@ -6,20 +6,19 @@ This process, several on this machine, or those of a Dask cluster.
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 
-from sabench.simulation.recording.job import record_task
-from sabench.simulation.recording.parts import Parts
-from sabench.simulation.recording.recorders import Recorder
 from sabench.simulation.recording.schedule import TRIES, Outcome, Schedule, Task, WorkerPool
 from sabench.utils.errors import InputError
 from sabench.utils.processes.servers import Servers
 from sabench.utils.progress import bar
 
 
-def run_schedule(pool: WorkerPool, schedule: Schedule, doing: str) -> None:
-    """Have workers do all tasks of a schedule.
+def run_schedule(
+    pool: WorkerPool, schedule: Schedule, doing: str, name: Callable[[Task], str] = str
+) -> None:
+    """Have workers do all tasks of a schedule; `name` names one that failed.
 
     Raises
     ------
@@ -37,7 +36,7 @@ def run_schedule(pool: WorkerPool, schedule: Schedule, doing: str) -> None:
                 else:
                     schedule.fail(outcome.task, outcome.failure)
     if schedule.failures:
-        raise UnfinishedError(f"{doing}: {_describe_failures(schedule)}")
+        raise UnfinishedError(f"{doing}: {_describe_failures(schedule, name)}")
 
 
 def _give_tasks(pool: WorkerPool, schedule: Schedule, last: dict[Hashable, int]) -> None:
@@ -49,11 +48,11 @@ def _give_tasks(pool: WorkerPool, schedule: Schedule, last: dict[Hashable, int])
         pool.give(worker, task)
 
 
-def _describe_failures(schedule: Schedule) -> str:
+def _describe_failures(schedule: Schedule, name: Callable[[Task], str]) -> str:
     (task, why), *others = schedule.failures
     more = f", and {len(others)} more" if others else ""
     return (
-        f"{task} failed {TRIES} times{more}: {why}; "
+        f"{name(task)} failed {TRIES} times{more}: {why}; "
         "finished tasks are kept: run the same command again to resume"
     )
 
@@ -67,8 +66,8 @@ class InProcess:
 
     ahead = 1
 
-    def __init__(self, recorder: Recorder, parts: Parts) -> None:
-        self._recorder, self._parts = recorder, parts
+    def __init__(self, do: Callable[[Task], None]) -> None:
+        self._do = do
         self._ended: list[Outcome] = []
 
     def idle(self) -> Sequence[Hashable]:
@@ -77,7 +76,7 @@ class InProcess:
 
     def give(self, worker: Hashable, task: Task) -> None:
         """Do the task."""
-        record_task(self._recorder, self._parts, task)
+        self._do(task)
         self._ended.append(Outcome(worker, task))
 
     def wait(self) -> list[Outcome]:

@@ -11,17 +11,12 @@ import numpy as np
 import pytest
 
 import sabench
+from sabench.dataset.splits import split_names, split_of
 from sabench.scenes import Scene, find, parse_scene
 from sabench.scenes.variation import Draw, Vary, draw_values
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.recording import job
-from sabench.simulation.streaming import (
-    Sample,
-    split_names,
-    split_of,
-    stream_key,
-    stream_samples,
-)
+from sabench.simulation.streaming import Sample, stream_key, stream_samples
 from sabench.utils.errors import InputError
 
 
@@ -226,9 +221,9 @@ def test_the_public_name() -> None:
 
 def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:
     scene = make_scene(vary=vary(**VARIED))
-    with pytest.raises(InputError, match=r"sabench\.stream draws samples"):
+    with pytest.raises(InputError, match=r"sabench\.stream draw samples"):
         simulate(scene)
-    with pytest.raises(InputError, match=r"sabench\.stream draws samples"):
+    with pytest.raises(InputError, match=r"sabench\.stream draw samples"):
         sabench.generate(scene, tmp_path / "data", seed=1)
     assert not list(tmp_path.iterdir())
 

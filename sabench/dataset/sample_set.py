@@ -1,0 +1,214 @@
+"""Samples on disk for training loops: indexed, iterated, in batches, by split.
+
+They are those of shards, or the frames of a data set of version 1. One sample at a time is read, so
+that the memory does not depend on their number.
+"""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sabench.api import Observation
+from sabench.api.truth import Particles, View
+from sabench.dataset import schema
+from sabench.dataset.batches import Batch, make_batch
+from sabench.dataset.camera_files import CamerasFile
+from sabench.dataset.frame_groups import FrameGroups
+from sabench.dataset.reader import Dataset
+from sabench.dataset.stored_shard import StoredShard
+from sabench.geometry.camera import Camera
+from sabench.utils.arrays import F32, U16
+from sabench.utils.errors import InputError
+
+_OPEN = 32  # shards whose files are open
+Store = StoredShard | FrameGroups
+
+
+@dataclass(frozen=True)
+class StoredSample:
+    """One sample on disk; its truth is read when it is asked for.
+
+    Attributes
+    ----------
+    images : (frame, camera, row, column) grey values.
+    """
+
+    images: U16
+    _store: Store
+    _row: int
+
+    @property
+    def number(self) -> int:
+        """Number of the sample."""
+        return self._store.number(self._row)
+
+    @property
+    def setup(self) -> CamerasFile:
+        """Nominal cameras, wall, grid and sensor levels, which solvers receive."""
+        return self._store.setup(self._row)
+
+    def observation(self, frame: int = 0) -> Observation:
+        """Build what a solver sees of a frame."""
+        return self._store.observation(self._row, frame, self.images)
+
+    @property
+    def seed(self) -> int:
+        """Seed of the sample: truth, as all below, not for solvers."""
+        return self._store.seed(self._row)
+
+    @property
+    def redrawn(self) -> int:
+        """Number of times that its values were drawn again, as no such scene can be."""
+        return self._store.redrawn(self._row)
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Values of the keys that vary."""
+        return self._store.drawn(self._row)
+
+    @property
+    def true_cameras(self) -> tuple[Camera, ...]:
+        """Cameras that took the images."""
+        return self._store.true_cameras(self._row)
+
+    @property
+    def particles(self) -> tuple[Particles, ...]:
+        """True particles of each frame, the same rows for the same `id`."""
+        return self._store.particles(self._row)
+
+    @property
+    def views(self) -> tuple[tuple[View, ...], ...]:
+        """True particle images of each frame and camera."""
+        return self._store.views(self._row)
+
+    @property
+    def radiance(self) -> F32:
+        """Radiance (frame, camera, row, column) without noise, photons / (mm2 sr)."""
+        return self._store.radiance(self._row)
+
+
+class SampleSet(Sequence[StoredSample]):
+    """Samples of a data set, made by `open_samples`.
+
+    Attributes
+    ----------
+    root : folder of the data set.
+    content_hash : hash of the bytes of this copy of it.
+    """
+
+    def __init__(self, root: Path, content_hash: str, stores: Sequence[tuple[str, Store]]) -> None:
+        self.root, self.content_hash, self._stores = root, content_hash, tuple(stores)
+        self._ends = list(itertools.accumulate(len(store) for _, store in self._stores))
+        self._open: dict[int, None] = {}  # numbers of stores, the last used one at the end
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return self._ends[-1] if self._ends else 0
+
+    def __getitem__(self, index: Any) -> Any:
+        """Read a sample by its place; a slice gives a list of samples."""
+        if isinstance(index, slice):
+            return [self[place] for place in range(*index.indices(len(self)))]
+        place = int(index) + len(self) * (index < 0)
+        if not 0 <= place < len(self):
+            raise IndexError(f"{self.root}: expected 0 to {len(self) - 1}, got {index}")
+        number = bisect.bisect_right(self._ends, place)
+        store = self._use(number)
+        row = place - (self._ends[number] - len(store))
+        return StoredSample(store.images(row), store, row)
+
+    def __iter__(self) -> Iterator[StoredSample]:
+        """Read all samples."""
+        return (self[place] for place in range(len(self)))
+
+    @cached_property
+    def splits(self) -> dict[str, int]:
+        """Number of samples of each split."""
+        counts: dict[str, int] = {}
+        for name, store in self._stores:
+            counts[name] = counts.get(name, 0) + len(store)
+        return counts
+
+    def split(self, name: str) -> SampleSet:
+        """Select the samples of a split.
+
+        Raises
+        ------
+        InputError
+            There is no such split.
+        """
+        if name not in self.splits:
+            raise InputError(
+                f"{self.root}: expected one of the splits {', '.join(self.splits)}, got {name!r}"
+            )
+        own = [one for one in self._stores if one[0] == name]
+        return SampleSet(self.root, self.content_hash, own)
+
+    def batches(
+        self,
+        batch: int,
+        *,
+        shuffle: int | None = None,
+        start: int = 0,
+        part: tuple[int, int] = (0, 1),
+    ) -> Iterator[Batch[StoredSample]]:
+        """Read the samples in batches; the last one may have fewer.
+
+        Parameters
+        ----------
+        shuffle : seed of their order, such as the number of the epoch; by default that on disk.
+        start : batches to leave out: an epoch goes on as if they had been read.
+        part : (k, n) for every n-th batch from the k-th on: n processes share an epoch.
+        """
+        if batch < 1:
+            raise InputError(f"batch: expected 1 or more, got {batch}")
+        order = np.arange(len(self))
+        if shuffle is not None:
+            np.random.default_rng(shuffle).shuffle(order)
+        number, count = part
+        firsts = range(0, len(order), batch)
+        for first in itertools.islice(firsts, start + (number - start) % count, None, count):
+            yield make_batch([self[place] for place in order[first : first + batch].tolist()])
+
+    def _use(self, number: int) -> Store:
+        """Give a store, and close the one that was not used for longest."""
+        self._open.pop(number, None)
+        self._open[number] = None
+        if len(self._open) > _OPEN:
+            oldest = next(iter(self._open))
+            del self._open[oldest]
+            self._stores[oldest][1].close()
+        return self._stores[number][1]
+
+
+def open_samples(path: str | Path, split: str | None = None) -> SampleSet:
+    """Open independent samples, or the frames of a data set.
+
+    Checksums are not checked here: see `verify`.
+
+    Parameters
+    ----------
+    split : only the samples of this one: "train", "validation", "test".
+
+    Raises
+    ------
+    InputError
+        No data set there, one without images, or without such a split.
+    """
+    root = Path(path)
+    contents = schema.read_manifest(root)
+    stores: list[tuple[str, Store]]
+    if isinstance(contents, schema.ShardedContents):
+        stores = [(one.split, StoredShard(root, contents, one)) for one in contents.shards]
+    else:
+        stores = [("train", FrameGroups(Dataset(root, contents)))]
+    samples = SampleSet(root, contents.content_hash, stores)
+    return samples if split is None else samples.split(split)

@@ -1,0 +1,297 @@
+"""Writer of shards: observations of many samples in a file, truth in another.
+
+A process that is killed leaves neither; the entry of a shard is written last and completes it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from sabench.api.truth import Particles, View
+from sabench.dataset import schema
+from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
+from sabench.dataset.splits import Shard
+from sabench.dataset.writer import file_entry
+from sabench.utils.arrays import F32, U8, U16
+from sabench.utils.errors import InputError
+from sabench.utils.files import atomic_file, canonical_json, read_json, sha256
+from sabench.utils.validation import validate
+
+Truth = Literal["particles", "views", "radiance"]
+Compression = Literal["none", "gzip"]
+PARTICLES = ("id", "position_mm", "diameter_mm", "velocity_mm_s")
+VIEWS = ("pixel", "photons", "sigma_px", "visible")
+_PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+_NO_IMAGES = np.empty((0, 0, 0, 0), dtype=np.uint16)
+_MAKING = "making"  # folder of shards that are being written
+
+
+@dataclass(frozen=True)
+class SampleRecord:
+    """One sample, as a shard stores it.
+
+    Attributes
+    ----------
+    number, seed, drawn, redrawn : as those of a stream's sample.
+    setup, true_cameras : what cameras.json and true_cameras.json of a data set hold.
+    images : (frame, camera, row, column) grey values.
+    particles : of each frame.
+    views : of each frame and camera.
+    radiance : (frame, camera, row, column), where it is kept.
+    """
+
+    number: int
+    seed: int
+    drawn: dict[str, Any]
+    redrawn: int
+    setup: dict[str, Any]
+    true_cameras: dict[str, Any] | None
+    images: U16
+    particles: tuple[Particles, ...]
+    views: tuple[tuple[View, ...], ...]
+    radiance: F32 | None
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Contents of shards: the kinds of truth, and how pixels are compressed."""
+
+    truth: tuple[Truth, ...] = ("particles", "views")
+    compression: Compression = "none"
+
+    def __post_init__(self) -> None:
+        """Check the words."""
+        for word in self.truth:
+            if word not in get_args(Truth):
+                raise InputError(
+                    f"truth: expected some of {', '.join(get_args(Truth))}, got {word!r}"
+                )
+        if "views" in self.truth and "particles" not in self.truth:
+            raise InputError("truth: expected particles wherever there are views of them")
+        if self.compression not in get_args(Compression):
+            raise InputError(f"compression: expected none or gzip, got {self.compression!r}")
+
+
+class ShardFolder:
+    """Folder in which processes make the shards of one data set.
+
+    Attributes
+    ----------
+    data : the data set in the making.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root, self.data = root, root / "data"
+
+    def read(self, shard: Shard, seed: int, key: str) -> schema.ShardEntry | None:
+        """Read the entry of a shard; None unless both of its files are there and intact."""
+        if (entry := self.note(shard, seed, key)) is None:
+            return None
+        for name, file in entry.files.items():
+            path = self.data / name
+            if not path.is_file() or path.stat().st_size != file.bytes:
+                return None
+            if sha256(path) != file.sha256:
+                return None
+        return entry
+
+    def note(self, shard: Shard, seed: int, key: str) -> schema.ShardEntry | None:
+        """Read the note of a shard's writer; None without one of these samples."""
+        path = self._note(shard)
+        if not path.is_file():
+            return None
+        try:
+            origin = validate(schema.ShardOrigin, read_json(path), str(path))
+        except InputError:  # damaged: it is made again
+            return None
+        same = (origin.seed, origin.key) == (seed, key)
+        files = origin.entry.files
+        return origin.entry if same and origin.entry == describe(shard, files) else None
+
+    def write(
+        self,
+        shard: Shard,
+        samples: Iterable[SampleRecord],
+        shape: tuple[int, int, int, int],
+        kept: Kept,
+        origin: tuple[int, str],
+    ) -> None:
+        """Write the shard of samples that are made one after the other.
+
+        Parameters
+        ----------
+        shape : of each sample's images.
+        origin : seed and key of the stream.
+        """
+        names = [schema.shard_file(side, shard.name) for side in schema.SIDES]
+        with self._making(shard) as making:
+            paths = [making / f"{side}.h5" for side in schema.SIDES]
+            _write_files(paths, len(shard.numbers), samples, shape, kept)
+            files = {name: file_entry(path) for name, path in zip(names, paths, strict=True)}
+            for name, path in zip(names, paths, strict=True):
+                _to_disk(path)
+                (self.data / name).parent.mkdir(parents=True, exist_ok=True)
+                path.replace(self.data / name)
+        seed, key = origin
+        note = schema.ShardOrigin(seed=seed, key=key, entry=describe(shard, files))
+        with atomic_file(self._note(shard)) as partial:
+            partial.write_text(canonical_json(note.model_dump(mode="json")), encoding="utf-8")
+
+    @contextlib.contextmanager
+    def _making(self, shard: Shard) -> Iterator[Path]:
+        """Make a folder of this process's own for as long as the block runs."""
+        if not self.data.is_dir():
+            raise InputError(f"{self.root}: expected a data set that is being made, but it is gone")
+        (self.root / _MAKING).mkdir(exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=f"{shard.name}-", dir=self.root / _MAKING))
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def _note(self, shard: Shard) -> Path:
+        return self.root / "entries" / f"{shard.name}.json"
+
+
+def describe(shard: Shard, files: dict[str, schema.FileEntry]) -> schema.ShardEntry:
+    """Describe a shard with the files that hold it."""
+    return schema.ShardEntry(
+        name=shard.name,
+        split=shard.split,
+        first=int(shard.numbers[0]),
+        last=int(shard.numbers[-1]),
+        samples=len(shard.numbers),
+        files=files,
+    )
+
+
+def _to_disk(path: Path) -> None:
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def _write_files(
+    paths: Sequence[Path],
+    count: int,
+    samples: Iterable[SampleRecord],
+    shape: tuple[int, int, int, int],
+    kept: Kept,
+) -> None:
+    """Write both files of a shard; its pixels are never in memory together."""
+    with contextlib.ExitStack() as stack:
+        opened = [stack.enter_context(create_hdf5(path)) for path in paths]
+        (seen, check_seen), (truth, check_truth) = opened
+        collected = _Collected()
+        with delay_interrupts():
+            for file in (seen, truth):
+                file.attrs["format"], file.attrs["version"] = schema.FORMAT, schema.SAMPLES_VERSION
+            images = _pixels(seen, "images", (count, *shape), "u2", kept)
+            light = None
+            if "radiance" in kept.truth:
+                light = _pixels(truth, "radiance", (count, *shape), "f4", kept)
+        for row, one in enumerate(samples):
+            _check_shape(one, shape)
+            with delay_interrupts():
+                images[row] = one.images
+                if light is not None:
+                    light[row] = one.radiance
+            check_seen()
+            check_truth()
+            collected.add(one)
+        with delay_interrupts():
+            collected.store(seen, truth, kept)
+
+
+def _pixels(file: Any, name: str, shape: tuple[int, ...], kind: str, kept: Kept) -> Any:
+    """Make a data set of images; compressed ones lie in chunks of one image."""
+    packed = kept.compression == "gzip"
+    chunks = {"chunks": (1, 1, 1, *shape[3:]), **_PACK} if packed else {}
+    return file.create_dataset(name, shape, dtype=kind, **chunks)
+
+
+def _check_shape(one: SampleRecord, shape: tuple[int, int, int, int]) -> None:
+    if one.images.shape != shape:
+        raise InputError(
+            f"sample {one.number}: expected images (frame, camera, row, column) of one shape in "
+            f"all samples, got {shape} and {one.images.shape}"
+        )
+
+
+@dataclass
+class _Texts:
+    """Different JSON values of samples, and which one each sample has."""
+
+    values: list[Any] = field(default_factory=list)
+    places: dict[str, int] = field(default_factory=dict)
+    rows: list[int] = field(default_factory=list)
+
+    def add(self, value: Any) -> None:
+        text = canonical_json(value)
+        place = self.places.setdefault(text, len(self.values))
+        if place == len(self.values):
+            self.values.append(json.loads(text))
+        self.rows.append(place)
+
+
+class _Collected:
+    """All of a shard's samples but their pixels."""
+
+    def __init__(self) -> None:
+        self._samples: list[SampleRecord] = []
+        self._setups, self._true = _Texts(), _Texts()
+
+    def add(self, one: SampleRecord) -> None:
+        """Keep what is small of a sample."""
+        self._setups.add(one.setup)
+        if one.true_cameras is not None:
+            self._true.add(one.true_cameras)
+        self._samples.append(replace(one, images=_NO_IMAGES, radiance=None))
+
+    def store(self, seen: Any, truth: Any, kept: Kept) -> None:
+        """Store it in the files of both sides."""
+        rows = self._samples
+        for file in (seen, truth):
+            file["number"] = np.array([one.number for one in rows])
+        seen["setups"], seen["setup"] = as_text(self._setups.values), np.array(self._setups.rows)
+        if self._true.rows:
+            truth["true_cameras"] = as_text(self._true.values)
+            truth["true_camera"] = np.array(self._true.rows)
+        truth["seed"] = np.array([one.seed for one in rows])
+        truth["redrawn"] = np.array([one.redrawn for one in rows])
+        truth["drawn"] = as_text([one.drawn for one in rows])
+        if "particles" in kept.truth:
+            self._store_particles(truth)
+        if "views" in kept.truth:
+            self._store_views(truth)
+
+    def _store_particles(self, truth: Any) -> None:
+        """Store the particles of all frames of all samples, one after the other."""
+        frames = [one for sample in self._samples for one in sample.particles]
+        ends = np.cumsum([len(one) for one in frames])
+        truth["particles/end"] = ends.reshape(len(self._samples), -1)
+        for name in PARTICLES:
+            truth[f"particles/{name}"] = np.concatenate([getattr(one, name) for one in frames])
+
+    def _store_views(self, truth: Any) -> None:
+        """Store the particles' images (particle, camera)."""
+        frames = [one for sample in self._samples for one in sample.views]
+        for name in VIEWS:
+            own = [np.stack([getattr(view, name) for view in one], axis=1) for one in frames]
+            values = np.concatenate(own)
+            kind = {"sigma_px": np.float32, "visible": np.uint8}.get(name, values.dtype)
+            truth[f"views/{name}"] = values.astype(kind)
+
+
+def as_text(value: Any) -> U8:
+    """Encode a JSON value as bytes (n,)."""
+    return np.frombuffer(canonical_json(value).encode(), dtype=np.uint8)

@@ -1,0 +1,212 @@
+"""Independent samples of a scene, generated into shards on disk.
+
+Any process may make a shard, in any order. Nobody handles the pixels of another's shard: the
+manifest of the data set is merged from what the writers noted of theirs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+
+from sabench.dataset import schema
+from sabench.dataset.data_card import write_card
+from sabench.dataset.sample_set import SampleSet, open_samples
+from sabench.dataset.shard_writer import Compression, Kept, ShardFolder, Truth
+from sabench.dataset.splits import check_shares
+from sabench.dataset.writer import file_entry, list_versions, with_copies
+from sabench.scenes import Scene, build_rig, load_scene
+from sabench.simulation.recording.job import Job
+from sabench.simulation.recording.schedule import Schedule, WorkerPool
+from sabench.simulation.recording.workers import (
+    InProcess,
+    ProcessPool,
+    UnfinishedError,
+    dask_pool,
+    run_schedule,
+)
+from sabench.simulation.renderer_choice import Renderer, choose_renderer
+from sabench.simulation.shard_job import PLAN, ShardJob, ShardMaker
+from sabench.simulation.size_check import check_affordable
+from sabench.utils.errors import InputError
+from sabench.utils.files import put_in_place, refuse_existing
+
+_SHARD_BYTES, _MOST_SAMPLES = 64_000_000, 1000  # of grey values in a shard, and of samples
+
+
+def generate_samples(
+    scene: Scene | str | Path,
+    out: str | Path,
+    *,
+    samples: int,
+    split: Sequence[float] = (100.0,),
+    seed: int = 0,
+    backend: Renderer = "splat",
+    truth: Sequence[Truth] = ("particles", "views"),
+    compression: Compression = "none",
+    size: int | None = None,
+    name: str | None = None,
+    overwrite: bool = False,
+    jobs: int = 1,
+    scheduler: str | None = None,
+) -> SampleSet:
+    """Generate independent samples in shards, resuming an interrupted run.
+
+    They are those of `stream_samples` with the same scene, seed and renderer. The bytes do not
+    depend on the number or order of workers.
+
+    Parameters
+    ----------
+    scene : with particles alone; also a file, or the name of a bundled scene.
+    out : the folder to make.
+    split : shares of training, validation and test samples, and of further splits.
+    backend : "splat" or "mitsuba".
+    truth : kinds that are kept: "particles"; "views", their images in each camera; "radiance", the
+        images without noise.
+    compression : "gzip" makes shards smaller, and slower to read.
+    size : samples of a shard; by default 64 MB of grey values, and at most 1000.
+    name, overwrite, jobs, scheduler : as for `generate`.
+
+    Raises
+    ------
+    InputError
+        As `stream_samples`; an existing folder, an unfinished data set of something else, a full
+        disk, or shards that failed again and again.
+    """
+    loaded, target = scene if isinstance(scene, Scene) else load_scene(scene), Path(out).absolute()
+    label = name or (loaded.title if isinstance(scene, Scene) else Path(scene).stem)
+    _check_numbers(samples=samples, jobs=jobs, size=1 if size is None else size)
+    check_shares(split)
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
+    kept = Kept(tuple(truth), compression)
+    pictures = math.prod(_image_shape(loaded, label)) * loaded.frames
+    size = size or min(_MOST_SAMPLES, max(1, _SHARD_BYTES // (2 * pictures)))
+    own = Job(loaded, seed, choose_renderer("splat" if backend == "auto" else backend), label)
+    job = ShardJob(own, samples, tuple(float(share) for share in split), size, kept)
+    refuse_existing(target, overwrite=overwrite)
+    copies = samples if compression == "none" else 1
+    check_affordable(label, loaded, build_rig(loaded, label), target.parent, copies=copies)
+    with _folder(target, job, overwrite=overwrite) as root:
+        _make(job, root, jobs, scheduler)
+        _merge(job, ShardFolder(root))
+        put_in_place(target, root / "data")
+    return open_samples(target)
+
+
+def _image_shape(scene: Scene, label: str) -> tuple[int, int, int]:
+    return len(build_rig(scene, label).cameras), scene.cameras.rows, scene.cameras.columns
+
+
+def _check_numbers(**numbers: int) -> None:
+    for name, value in numbers.items():
+        if value < 1:
+            raise InputError(f"{name}: expected 1 or more, got {value}")
+
+
+@contextlib.contextmanager
+def _folder(target: Path, job: ShardJob, *, overwrite: bool) -> Iterator[Path]:
+    """Lock the folder of a data set's shards, next to the data set.
+
+    It is removed when the data set is complete, or if there is no shard, and kept otherwise.
+    """
+    root = target.parent / f".{target.name}.shards"
+    root.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(root / "lock", timeout=0), _cleaned(root):
+            if overwrite and job.changes(root):
+                _clear(root)
+            job.write(root)
+            shutil.rmtree(root / "making", ignore_errors=True)
+            yield root
+    except Timeout as error:
+        raise InputError(
+            f"{target}: expected nobody else at it, but another process is making this data set"
+        ) from error
+    except OSError as error:
+        why = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        raise InputError(
+            f"{target}: {why}; finished shards are kept: run the same command again to resume"
+        ) from error
+
+
+@contextlib.contextmanager
+def _cleaned(root: Path) -> Iterator[None]:
+    """Remove a folder in the end, unless shards are left in it."""
+    try:
+        yield
+    finally:
+        if not any(root.glob("entries/*.json")) or not (root / "data").is_dir():
+            shutil.rmtree(root, ignore_errors=True)
+
+
+def _clear(root: Path) -> None:
+    """Remove the shards of something else."""
+    for name in ("data", "entries"):
+        shutil.rmtree(root / name, ignore_errors=True)
+    (root / PLAN).unlink()
+
+
+def _make(job: ShardJob, root: Path, jobs: int, scheduler: str | None) -> None:
+    """Have workers make all shards."""
+    shards = job.shards
+    maker = ShardMaker(job, root)  # finds what is wrong with the scene before anything is rendered
+    if scheduler:
+        workers: WorkerPool = dask_pool(scheduler, root)
+    else:
+        workers = InProcess(maker) if jobs == 1 else ProcessPool(root, jobs)
+    with contextlib.closing(workers):
+        schedule = Schedule(len(shards), 0, chained=False, ahead=workers.ahead)
+        doing = f"make shards of {job.job.label} with {job.job.renderer}"
+        run_schedule(workers, schedule, doing, name=lambda task: shards[task.frame].name)
+
+
+def _merge(job: ShardJob, folder: ShardFolder) -> None:
+    """Write the manifest from what was noted of each shard, without its pixels."""
+    own = job.job
+    entries = [folder.note(shard, own.seed, own.key) for shard in job.shards]
+    shards = tuple(entry for entry in entries if entry is not None)
+    if len(shards) < len(entries):
+        raise UnfinishedError(f"{folder.root}: expected a note of each shard; run it again")
+    root = folder.data
+    shutil.rmtree(root / schema.GIVEN, ignore_errors=True)
+    (root / schema.SCENE).write_text(with_copies(own.scene, root).to_toml(), encoding="utf-8")
+    head: dict[str, Any] = {
+        "format": schema.FORMAT,
+        "version": schema.SAMPLES_VERSION,
+        "samples": job.samples,
+        "shares": list(job.shares),
+        "size": job.size,
+        "shape": list(job.shape),
+        "truth": list(job.kept.truth),
+        "scene": own.label,
+        "scene_hash": own.scene.hash,
+        "seed": own.seed,
+        "renderer": own.renderer,
+        "key": own.key,
+        "versions": list_versions(),
+        "shards": [entry.model_dump() for entry in shards],
+    }
+    write_card(root, head, own.scene.title, job.shards)
+    head["files"] = _other_files(root)
+    head["content_hash"] = schema.content_hash(
+        {name: schema.FileEntry(**one) for name, one in head["files"].items()}
+        | {name: file for entry in shards for name, file in entry.files.items()}
+    )
+    (root / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")
+
+
+def _other_files(root: Path) -> dict[str, dict[str, Any]]:
+    """List all files but the manifest and the shards."""
+    files = {}
+    for path in sorted(path for path in root.rglob("*") if path.is_file()):
+        name = path.relative_to(root).as_posix()
+        if name != schema.MANIFEST and not name.startswith(tuple(f"{s}/" for s in schema.SIDES)):
+            files[name] = file_entry(path).model_dump()
+    return files
