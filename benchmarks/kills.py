@@ -1,6 +1,7 @@
 """Generation killed at random moments and resumed: the data set is the same.
 
-`python benchmarks/kills.py [TIMES FRAMES]` prints JSON, and exits 1 if it is not.
+`python benchmarks/kills.py [TIMES FRAMES]` prints JSON, and exits 1 if it is not. A third argument,
+`samples`, makes FRAMES independent samples in shards of ten in place of a sequence.
 
 TIMES (50) runs of FRAMES (500) frames with two processes are killed by `kill -9` at a moment that
 is uniform over the time that an undisturbed run takes: alternately the scheduler, a worker, or the
@@ -19,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import sabench
@@ -52,8 +54,8 @@ def scene_file(folder: Path, frames: int) -> Path:
     return file
 
 
-def start(scene: Path, out: Path) -> subprocess.Popen[bytes]:
-    """Generate in a process group of its own."""
+def start(scene: Path, out: Path, more: Sequence[str]) -> subprocess.Popen[bytes]:
+    """Generate in a process group of its own, with more words of the command."""
     words = [
         sys.executable,
         "-m",
@@ -66,6 +68,7 @@ def start(scene: Path, out: Path) -> subprocess.Popen[bytes]:
         "splat",
         "--jobs",
         "2",
+        *more,
     ]
     return subprocess.Popen(
         words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
@@ -94,14 +97,14 @@ def kill(process: subprocess.Popen[bytes], whom: str) -> bool:
     return True
 
 
-def run_to_end(scene: Path, out: Path) -> str:
+def run_to_end(scene: Path, out: Path, more: Sequence[str]) -> str:
     """Run the command to its end; returns the content hash."""
-    with start(scene, out) as process:
+    with start(scene, out, more) as process:
         process.wait()
-    return sabench.open_dataset(out).content_hash
+    return sabench.open_samples(out).content_hash
 
 
-def kill_and_resume(scene: Path, out: Path, whom: str, within_s: float) -> str:
+def kill_and_resume(scene: Path, out: Path, more: Sequence[str], whom: str, within_s: float) -> str:
     """Kill once, then run to the end; returns the content hash.
 
     The moment is one at which there is something to kill.
@@ -109,26 +112,30 @@ def kill_and_resume(scene: Path, out: Path, whom: str, within_s: float) -> str:
     killed = False
     while not killed:
         shutil.rmtree(out, ignore_errors=True)
-        with start(scene, out) as process:
+        with start(scene, out, more) as process:
             time.sleep(random.uniform(0.0, within_s))
             killed = kill(process, whom)
             process.wait()
-    return sabench.open_dataset(out).content_hash if out.is_dir() else run_to_end(scene, out)
+    if out.is_dir():
+        return sabench.open_samples(out).content_hash
+    return run_to_end(scene, out, more)
 
 
 def main() -> None:
     """Print one JSON object."""
-    times, frames = (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) == 3 else (50, 500)
+    times, frames = (int(sys.argv[1]), int(sys.argv[2])) if len(sys.argv) >= 3 else (50, 500)
+    shards = sys.argv[3:] == ["samples"]
+    more = ["--samples", str(frames), "--shard-size", "10", "--split", "80/10/10"] * shards
     random.seed(1)
     with tempfile.TemporaryDirectory() as work:
         folder = Path(work)
-        scene, begun = scene_file(folder, frames), time.perf_counter()
-        expected = run_to_end(scene, folder / "undisturbed")
+        scene, begun = scene_file(folder, 2 if shards else frames), time.perf_counter()
+        expected = run_to_end(scene, folder / "undisturbed", more)
         took = time.perf_counter() - begun
         same, killed = 0, dict.fromkeys(_WHOM, 0)
         for number in progress_bar(range(times), "kill and go on"):
             whom, out = _WHOM[number % 3], folder / str(number)
-            same += kill_and_resume(scene, out, whom, took) == expected
+            same += kill_and_resume(scene, out, more, whom, took) == expected
             killed[whom] += 1
             left = [entry.name for entry in folder.glob(f".{number}.*")]
             assert not left, left
@@ -136,7 +143,7 @@ def main() -> None:
     print(
         json.dumps(
             {
-                "frames": frames,
+                "samples" if shards else "frames": frames,
                 "seconds_undisturbed": round(took, 1),
                 "times": times,
                 "killed": killed,

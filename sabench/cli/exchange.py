@@ -41,7 +41,8 @@ def export(
         typer.Option(
             metavar="FORMAT",
             help="vtk, netcdf, mat or csv: the truth or a result; openptv, myptv, openlpt or "
-            "lpt-challenge: cameras and images, or cameras and a result.",
+            "lpt-challenge: cameras and images, or cameras and a result; coco: boxes and masks of "
+            "bubbles.",
         ),
     ] = "vtk",
     overwrite: Overwrite = False,

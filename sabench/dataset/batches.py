@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from sabench.api.truth import Particles
-from sabench.utils.arrays import F64, I64, U16, Bool
+from sabench.utils.arrays import F64, I64, U16
 from sabench.utils.errors import InputError
 
 
@@ -67,27 +68,34 @@ class Batch(Generic[S]):
         """
         return [_moves(one.particles[first], one.particles[second]) for one in self.samples]
 
-    def positions_mm(self, most: int, frame: int = 0) -> tuple[F64, Bool]:
-        """Give positions as arrays of one shape, for compiled training steps.
+    def arrays(self, particles: int | None = None) -> dict[str, npt.NDArray[Any]]:
+        """Give arrays whose first axis is the sample, for libraries of machine learning.
 
-        Positions (sample, most, 3), zero where there is no particle, and (sample, most) where there
-        is one.
+        `number` and `images`; with `particles`, the largest number of them in any frame, also
+        `position_mm` (sample, frame, particle, 3), zero where there is none, and `present` (sample,
+        frame, particle).
 
         Raises
         ------
         InputError
-            A sample with more particles.
+            A frame with more particles.
         """
-        positions = np.zeros((len(self.samples), most, 3))
-        there = np.zeros((len(self.samples), most), dtype=np.bool_)
-        for row, one in enumerate(self.samples):
-            own = one.particles[frame].position_mm
-            if len(own) > most:
-                raise InputError(
-                    f"sample {one.number}: expected at most {most} particles, got {len(own)}"
-                )
-            positions[row, : len(own)], there[row, : len(own)] = own, True
-        return positions, there
+        arrays: dict[str, npt.NDArray[Any]] = {"number": self.numbers, "images": self.images}
+        if particles is not None:
+            shape = (*self.images.shape[:2], particles)
+            positions, present = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.bool_)
+            for row, one in enumerate(self.samples):
+                for frame, own in enumerate(one.particles):
+                    _check_count(one.number, len(own), particles)
+                    positions[row, frame, : len(own)] = own.position_mm
+                    present[row, frame, : len(own)] = True
+            arrays |= {"position_mm": positions, "present": present}
+        return arrays
+
+
+def _check_count(number: int, count: int, most: int) -> None:
+    if count > most:
+        raise InputError(f"sample {number}: expected at most {most} particles, got {count}")
 
 
 def make_batch(samples: Sequence[S]) -> Batch[S]:

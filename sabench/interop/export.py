@@ -19,7 +19,7 @@ from sabench.dataset.results import Result, open_result
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.images.tiff_exr import write_tiff
-from sabench.interop import openlpt, openptv, vtkhdf
+from sabench.interop import coco, openlpt, openptv, vtkhdf
 from sabench.interop.cameras import check_writable, openptv_project, read_cameras, write_into
 from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.interop.image_statistics import measure_statistics
@@ -30,7 +30,9 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
 from sabench.utils.progress import progress_bar
 
-Format = Literal["vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"]
+Format = Literal[
+    "vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv", "coco"
+]
 ProgramFormat = Literal["openptv", "myptv", "openlpt", "lpt-challenge"]
 _PROGRAMS: dict[str, ProgramFormat] = {name: name for name in get_args(ProgramFormat)}
 _GREY = "grey values are scaled to 8 bits, so that the peak of a bright particle has 160"
@@ -52,7 +54,8 @@ def export(
     ----------
     to : vtk: one file for each frame and kind (see `vtkhdf`), of the truth or of the result.
         netcdf, mat, csv: one table of particles, true or found. openptv, myptv, openlpt,
-        lpt-challenge: cameras and images; with a result, cameras and particles.
+        lpt-challenge: cameras and images; with a result, cameras and particles. coco: images, and
+        boxes and masks of true bubbles.
 
     Raises
     ------
@@ -76,11 +79,19 @@ def export(
         root.mkdir()
         if to == "vtk":
             vtkhdf.write(root, data, found)
+        elif to == "coco":
+            _refuse_result(found)
+            coco.write(root, data)
         elif program and found is None:
             _write_observation(root, data, program, Path(out).absolute())
         else:
             _write_particles(root, data, found, to)
     return Path(out)
+
+
+def _refuse_result(found: Result | None) -> None:
+    if found is not None:
+        raise InputError(f"{found.path}: expected no result for coco, which has true bubbles")
 
 
 def _write_particles(

@@ -95,7 +95,7 @@ def generate_samples(
     check_affordable(label, loaded, build_rig(loaded, label), target.parent, copies=copies)
     with _folder(target, job, overwrite=overwrite) as root:
         _make(job, root, jobs, scheduler)
-        _merge(job, ShardFolder(root))
+        merge_shards(job, ShardFolder(root))
         put_in_place(target, root / "data")
     return open_samples(target)
 
@@ -167,7 +167,7 @@ def _make(job: ShardJob, root: Path, jobs: int, scheduler: str | None) -> None:
         run_schedule(workers, schedule, doing, name=lambda task: shards[task.frame].name)
 
 
-def _merge(job: ShardJob, folder: ShardFolder) -> None:
+def merge_shards(job: ShardJob, folder: ShardFolder) -> None:
     """Write the manifest from what was noted of each shard, without its pixels."""
     own = job.job
     entries = [folder.note(shard, own.seed, own.key) for shard in job.shards]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ class ShardJob:
     size: int
     kept: Kept
 
-    @property
+    @functools.cached_property
     def shards(self) -> list[Shard]:
         """Shards in the order of the manifest."""
         return plan_shards(self.samples, self.shares, self.size)

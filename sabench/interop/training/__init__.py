@@ -1,0 +1,1 @@
+"""Adapters of samples for libraries of machine learning; each needs its library."""
