@@ -1,6 +1,6 @@
 """Samples in shards: 10,000 of `quick`, epochs through loaders, resumption and growth.
 
-`python benchmarks/shards.py generate|resume|epochs|growth|dask FOLDER [SAMPLES]` prints JSON.
+`python benchmarks/shards.py generate|resume|epochs|kills|growth|dask FOLDER [SAMPLES]` prints JSON.
 
 - **generate**: SAMPLES (10,000) of `quick` into FOLDER by two processes: seconds, files, bytes, and
   the memory of the largest process; then seconds of `sabench verify`.
@@ -8,6 +8,9 @@
   compared bit by bit with what is stored there.
 - **epochs**: samples a second, and the most memory, of an epoch through each loader that is
   installed; each in a process of its own, from a cache of the system that holds what it can.
+- **kills**: SAMPLES (60) of small images in shards of five, 50 times: the process is killed by
+  `kill -9` at a moment that is uniform over the time of an undisturbed run, another one goes on,
+  and its hash is compared. `benchmarks/kills.py` kills workers and schedulers of several, too.
 - **growth**: a plan of 1,000,000 samples in shards of 100 for 1 to 1,000 simulated workers, with
   measured times of shards, of a task's exchange and of what one process does before and after.
 - **dask**: shards a second by 1, 2 and 4 processes of a Dask cluster on this machine.
@@ -18,7 +21,10 @@ from __future__ import annotations
 import functools
 import json
 import os
+import random
 import resource
+import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -91,6 +97,41 @@ def resume(folder: Path, samples: int) -> dict[str, Any]:
             )
         same += 1
     return {"places": 20, "same": same}
+
+
+def kills(folder: Path, samples: int) -> dict[str, Any]:
+    """Kill runs and go on."""
+    folder.mkdir(parents=True)
+    start = time.perf_counter()
+    os.waitpid(_fork(folder / "undisturbed", samples), 0)
+    took = time.perf_counter() - start
+    expected = sabench.open_samples(folder / "undisturbed").content_hash
+    same, shards = 0, []
+    for number in progress_bar(range(50), "kill and go on"):
+        out, killed = folder / str(number), False
+        while not killed:
+            shutil.rmtree(out, ignore_errors=True)
+            pid = _fork(out, samples)
+            time.sleep(random.uniform(0.0, took))
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            killed = not out.is_dir()
+        shards.append(len(list(folder.glob(f".{number}.shards/entries/*.json"))))
+        os.waitpid(_fork(out, samples), 0)
+        same += sabench.open_samples(out).content_hash == expected
+        assert not list(folder.glob(f".{number}.*")), number
+        shutil.rmtree(out)
+    return {"samples": samples, "times": 50, "same_hash": same, "finished_shards_at_kill": shards}
+
+
+def _fork(out: Path, samples: int) -> int:
+    """Generate in a process that has all modules loaded; returns its number."""
+    pid = os.fork()
+    if pid == 0:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        generate_samples(small(2), out, samples=samples, split=_SHARES, size=5, seed=1)
+        os._exit(0)
+    return pid
 
 
 def growth(folder: Path, samples: int) -> dict[str, Any]:
@@ -300,6 +341,7 @@ STAGES = {
     "generate": generate,
     "resume": resume,
     "epochs": epochs,
+    "kills": kills,
     "growth": growth,
     "dask": dask,
 }
@@ -311,7 +353,7 @@ def main() -> None:
     if stage == "epoch":
         print(json.dumps(epoch(folder, sys.argv[3])))
         return
-    default = {"dask": 400}.get(stage, 10_000)
+    default = {"dask": 400, "kills": 60}.get(stage, 10_000)
     samples = int(sys.argv[3]) if len(sys.argv) > 3 else default
     print(json.dumps(round_all({stage: STAGES[stage](folder, samples)}), indent=1))
 

@@ -43,6 +43,6 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies:
     free, stored = shutil.disk_usage(there_now).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
     if stored > free:
         raise InputError(
-            f"{name}: frames: expected a data set that fits on the disk, but {pictures} pictures "
+            f"{name}: {'frames' if copies == 1 else 'samples'}: expected a data set that fits on the disk, but {pictures} pictures "
             f"need {stored:.0f} MB where {free:.0f} are free"
         )
