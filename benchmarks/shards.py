@@ -8,7 +8,7 @@
   compared bit by bit with what is stored there.
 - **epochs**: samples a second, and the most memory, of an epoch through each loader that is
   installed; each in a process of its own, from a cache of the system that holds what it can.
-- **kills**: SAMPLES (60) of small images in shards of five, 50 times: the process is killed by
+- **kills**: SAMPLES (20) of small images in shards of two, 50 times: the process is killed by
   `kill -9` at a moment that is uniform over the time of an undisturbed run, another one goes on,
   and its hash is compared. `benchmarks/kills.py` kills workers and schedulers of several, too.
 - **growth**: a plan of 1,000,000 samples in shards of 100 for 1 to 1,000 simulated workers, with
@@ -129,7 +129,7 @@ def _fork(out: Path, samples: int) -> int:
     pid = os.fork()
     if pid == 0:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-        generate_samples(small(2), out, samples=samples, split=_SHARES, size=5, seed=1)
+        generate_samples(small(2), out, samples=samples, split=_SHARES, size=2, seed=1)
         os._exit(0)
     return pid
 
@@ -353,7 +353,7 @@ def main() -> None:
     if stage == "epoch":
         print(json.dumps(epoch(folder, sys.argv[3])))
         return
-    default = {"dask": 400, "kills": 60}.get(stage, 10_000)
+    default = {"dask": 400, "kills": 20}.get(stage, 10_000)
     samples = int(sys.argv[3]) if len(sys.argv) > 3 else default
     print(json.dumps(round_all({stage: STAGES[stage](folder, samples)}), indent=1))
 

@@ -42,7 +42,8 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies:
     there_now = next(path for path in (folder, *folder.parents) if path.exists())
     free, stored = shutil.disk_usage(there_now).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
     if stored > free:
+        key = "frames" if copies == 1 else "samples"
         raise InputError(
-            f"{name}: {'frames' if copies == 1 else 'samples'}: expected a data set that fits on the disk, but {pictures} pictures "
+            f"{name}: {key}: expected a data set that fits on the disk, but {pictures} pictures "
             f"need {stored:.0f} MB where {free:.0f} are free"
         )
