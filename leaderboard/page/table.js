@@ -105,6 +105,8 @@ function detailsOf(row, line) {
     ["reproduce", row.commands.length ? row.commands.map(place => command(textOf(place))) : "this record does not say by which command it was made"],
     ["solver", textOf(row.name)], ["parameters", textOf(row.parameters) || "its defaults, unnamed"],
     ["submission", row.submission && `${row.submission.name}, ${row.submission.date}`],
+    ["same estimates as", row.twin],
+    ...Object.entries(row.card ?? {}).filter(([key]) => key !== "solver").map(([key, text]) => [key === "parameters" ? "parameters selected" : key.replaceAll("_", " "), text]),
     ["case", listed([own.suite && `suite ${own.suite}`, own.recorded ? "recorded" : `scene ${own.scene}`, own.axes, !own.recorded && `renderer ${own.renderer}`, `${own.split} split`].filter(Boolean))],
     [own.recorded ? "data set" : "scene hash", own.hash], ["machine", textOf(row.machineAll)], ["versions", textOf(row.versions)],
     ["code hash", listed(row.codes.map(textOf), "")],

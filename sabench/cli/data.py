@@ -15,6 +15,7 @@ from sabench.cli import tables
 from sabench.cli.options import (
     KINDS,
     AsJson,
+    Cards,
     DataSet,
     Jobs,
     Overwrite,
@@ -276,7 +277,12 @@ def verify(
 
 
 def pack(
-    dataset: DataSet,
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PATH", help="A data set folder, or a result file or a folder of some."
+        ),
+    ],
     output: Annotated[
         Path,
         typer.Option(
@@ -287,12 +293,25 @@ def pack(
         bool,
         typer.Option("--blind", help="Leave out the truth, the scene and the seed."),
     ] = False,
+    card: Cards = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Copy a data set for others, as a folder or an archive.
+    """Copy a data set, or results with the card of their solver, for others.
 
-    With --blind it is the observation side alone, which every solver takes.
+    With --blind a data set is its observation side alone, which every solver takes. An archive of
+    results is what `sabench submit` takes.
     """
+    if path.is_dir() and (path / "manifest.json").exists():
+        if card:
+            raise InputError(f"--card: expected results to pack with it, got the data set {path}")
+        _pack_dataset(path, output, blind, overwrite)
+    elif blind:
+        raise InputError(f"{path}: expected a data set to pack with --blind, found none")
+    else:
+        _pack_results(path, output, card or [], overwrite)
+
+
+def _pack_dataset(dataset: Path, output: Path, blind: bool, overwrite: bool) -> None:
     from sabench.dataset import schema as layout
     from sabench.dataset.observation_side import pack as copy
     from sabench.dataset.observation_side import pack_samples
@@ -305,3 +324,13 @@ def pack(
         copy(open_dataset(dataset), output, blind=blind, overwrite=overwrite)
     side = "observation side" if blind else "whole data set"
     say(f"{output}: {side} of {contents.content_hash[:12]}")
+
+
+def _pack_results(path: Path, output: Path, cards: list[Path], overwrite: bool) -> None:
+    from sabench.evaluation.leaderboard.archives import submitted_files
+    from sabench.evaluation.leaderboard.result_packs import pack_results
+
+    with submitted_files(path) as files:
+        count, carded = pack_results(files, output, cards, overwrite=overwrite)
+    described = f"the card of {' and '.join(carded)}" if carded else "no solver card"
+    say(f"{output}: {count} result(s), {described}")

@@ -10,6 +10,7 @@ import typer
 from sabench.cli import tables
 from sabench.cli.options import (
     AsJson,
+    Cards,
     Jobs,
     Leaderboard,
     SuiteName,
@@ -219,13 +220,15 @@ def submit(
             show_default=False,
         ),
     ] = None,
+    card: Cards = None,
     leaderboard: Leaderboard = Path("leaderboard"),
     as_json: AsJson = False,
 ) -> None:
     """Check and score submitted results and add them to the leaderboard."""
     from sabench.evaluation.leaderboard.submissions import submit as send
 
-    standings = send(result, name, data or [Path("work/datasets")], leaderboard)
+    folders = data or [Path("work/datasets")]
+    standings = send(result, name, folders, leaderboard, cards=card or ())
     if as_json:
         say_json([{**one.record, "rank": one.rank, "of": one.of} for one in standings])
         return

@@ -14,6 +14,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from sabench.cli import data, evaluate, exchange, solve
+from sabench.cli.challenge import challenge, participate
 from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.importing import import_recording
@@ -50,6 +51,8 @@ for _command in (
     evaluate.check,
     reproduce,
     evaluate.submit,
+    challenge,
+    participate,
     evaluate.board,
     doctor,
     warmup,

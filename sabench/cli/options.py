@@ -108,7 +108,25 @@ ParameterPairs = Annotated[
     list[str] | None,
     typer.Option("-p", "--parameter", metavar="NAME=VALUE", help="Set a parameter; repeatable."),
 ]
+TimeLimit = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS", help="Time limit of a program. [default: 3600]", show_default=False
+    ),
+]
+MemoryLimit = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MB",
+        help="Memory limit of all processes of a program. [default: 90 % of the free memory]",
+        show_default=False,
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
+Cards = Annotated[
+    list[Path] | None,
+    typer.Option("--card", metavar="FILE", help="Solver card of the results; repeatable."),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON value.")]
 Leaderboard = Annotated[
     Path, typer.Option(metavar="FOLDER", help="Folder of the records and the page.")

@@ -11,8 +11,10 @@ from sabench.cli import tables
 from sabench.cli.options import (
     AsJson,
     DataSet,
+    MemoryLimit,
     Overwrite,
     ParameterPairs,
+    TimeLimit,
     complete_calibration_solver,
     complete_solver,
     complete_task,
@@ -39,20 +41,8 @@ def solve(
         Path, typer.Option("-o", "--output", metavar="FILE", help="The result file to create.")
     ],
     parameter: ParameterPairs = None,
-    time_limit: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SECONDS", help="Time limit of a program. [default: 3600]", show_default=False
-        ),
-    ] = None,
-    memory_limit: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MB",
-            help="Memory limit of all processes of a program. [default: 90 % of the free memory]",
-            show_default=False,
-        ),
-    ] = None,
+    time_limit: TimeLimit = None,
+    memory_limit: MemoryLimit = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Run a solver on a data set and write its result file."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from sabench.images.tiff_exr import write_tiff
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, inside, sha256
 from sabench.utils.progress import progress_bar
+from sabench.utils.zip_archives import zip_folder
 
 
 def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) -> None:
@@ -131,7 +131,7 @@ def _folder_of(out: Path, overwrite: bool) -> Iterator[Path]:
         try:
             yield folder
             if folder is not partial:
-                _archive(folder, partial)
+                zip_folder(folder, partial)
         finally:
             if folder is not partial:
                 shutil.rmtree(folder, ignore_errors=True)
@@ -151,12 +151,3 @@ def _copy_side(dataset: Dataset, folder: Path, blind: bool) -> None:
         place = inside(folder, name)
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(inside(dataset.root, name), place)
-
-
-def _archive(folder: Path, out: Path) -> None:
-    """Write a folder's files into an archive, without dates and without compression."""
-    with zipfile.ZipFile(out, "w") as archive:
-        for file in progress_bar(sorted(one for one in folder.rglob("*") if one.is_file()), "pack"):
-            entry = zipfile.ZipInfo(file.relative_to(folder).as_posix())
-            with file.open("rb") as source, archive.open(entry, "w", force_zip64=True) as place:
-                shutil.copyfileobj(source, place)

@@ -247,7 +247,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
     return Result(
         path=file_path,
         task=_task(head, path),
-        solver=printable(str(head.get("solver", "unknown"))),
+        solver=_solver(head),
         parameters=_parameters(str(head.get("parameters", "{}")), path),
         grid=dataset.setup.grid,
         isolated=bool(head.get("isolated", 0) == 1),
@@ -301,6 +301,19 @@ def read_dataset_names(path: Path) -> DatasetNames:
     """
     with open_hdf5(path) as file:
         return _names(_head(file))
+
+
+def read_solver(path: Path) -> str:
+    """Read the name of the solver of a result.
+
+    Raises as `open_result` does.
+    """
+    with open_hdf5(path) as file:
+        return _solver(_head(file))
+
+
+def _solver(head: dict[str, Any]) -> str:
+    return printable(str(head.get("solver", "unknown")))
 
 
 def add_identity(path: Path, dataset: Dataset) -> None:

@@ -25,6 +25,7 @@ from pydantic import (
 
 from sabench import tasks
 from sabench.api.solvers import TaskName
+from sabench.evaluation.solver_card import SolverCard
 from sabench.tasks.quality_figures import FIGURES
 from sabench.tasks.task import Score
 from sabench.utils.errors import one_line
@@ -148,7 +149,12 @@ class Head(_Part):
         None, description="of the program that solved: sabench and the solver's file"
     )
     run_hash: Name
+    estimate_hash: Name | None = Field(None, description="of the arrays that the solver returned")
     submission: Submission | None = None
+    card: SolverCard | None = Field(None, description="of a submission's solver")
+    same_estimates_as: Name | None = Field(
+        None, description="solver entry whose estimates a submission repeats under another name"
+    )
     date: _Time | None = Field(None, description="when the score was known; UTC")
     versions: dict[str, Any]
     machine: dict[str, Any]

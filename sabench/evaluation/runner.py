@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sabench import tasks
+from sabench.dataset.estimate_hash import estimate_hash
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
 from sabench.dataset.verification import verify
@@ -237,7 +238,7 @@ def _rank(
             judged = (
                 judge(case, out) if isinstance(case, RecordedCase) else Judged(score(dataset, out))
             )
-            record |= _checked(judged.scores, head)
+            record |= _checked(judged.scores, head) | {"estimate_hash": estimate_hash(out)}
             if folder:
                 _picture_result(folder / name, record["task"], dataset, out, judged.residuals)
         except InputError as error:

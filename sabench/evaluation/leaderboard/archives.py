@@ -1,4 +1,4 @@
-"""Result files of a submission: a file, a folder or an archive.
+"""Result files and solver cards of a submission: a file, a folder or an archive.
 
 None of it is trusted.
 """
@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from sabench.evaluation.solver_card import CARD
 from sabench.utils.errors import InputError
 from sabench.utils.validation import printable
 
@@ -30,9 +31,20 @@ _PIECE = 1 << 20
 _ENDING = ".h5"
 
 
+Files = list[tuple[str, Path]]
+
+
+@dataclass(frozen=True)
+class Submitted:
+    """Names and paths of the files of a submission, sorted."""
+
+    results: Files
+    cards: Files
+
+
 @dataclass(frozen=True)
 class Member:
-    """Result file inside an archive, with the name and size of its header."""
+    """File inside an archive, with the name and size of its header."""
 
     name: str
     bytes: int
@@ -40,11 +52,11 @@ class Member:
 
 
 @contextlib.contextmanager
-def result_files(path: Path) -> Iterator[list[tuple[str, Path]]]:
-    """List names and paths of the result files in a submission, sorted.
+def submitted_files(path: Path) -> Iterator[Submitted]:
+    """List the result files and solver cards in a submission.
 
-    It is a file, a folder or an archive (.zip, .tar, .tar.gz). Unpacked files are deleted at the
-    end of the block.
+    It is a result file, a folder or an archive (.zip, .tar, .tar.gz). Unpacked files are deleted at
+    the end of the block.
 
     Raises
     ------
@@ -58,23 +70,24 @@ def result_files(path: Path) -> Iterator[list[tuple[str, Path]]]:
             f"{'a link' if path.is_symlink() else 'none'}"
         )
     if path.is_dir():
-        yield _sort_results(_in_folder(path), path)
+        yield _sort_files(_in_folder(path), path)
     elif not path.is_file():
         raise InputError(f"{path}: expected a file, an archive or a folder")
     elif path.name.lower().endswith((".zip", ".tar", ".tar.gz", ".tgz")):
         with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
-            yield _sort_results(_unpack(path, Path(folder)), path)
+            yield _sort_files(_unpack(path, Path(folder)), path)
     else:
-        yield [(path.name, path)]
+        yield Submitted([(path.name, path)], [])
 
 
-def _sort_results(files: list[tuple[str, Path]], path: Path) -> list[tuple[str, Path]]:
-    if not files:
+def _sort_files(files: Files, path: Path) -> Submitted:
+    results = sorted(one for one in files if one[0].endswith(_ENDING))
+    if not results:
         raise InputError(f"{path}: expected result files, whose names end in {_ENDING}, found none")
-    return sorted(files)
+    return Submitted(results, sorted(one for one in files if one not in results))
 
 
-def _in_folder(root: Path) -> list[tuple[str, Path]]:
+def _in_folder(root: Path) -> Files:
     found = []
     for number, entry in enumerate(root.rglob("*")):
         if number >= _MEMBERS:
@@ -83,13 +96,13 @@ def _in_folder(root: Path) -> list[tuple[str, Path]]:
             raise InputError(
                 f"{root}: expected no links, got {printable(entry.relative_to(root).as_posix())}"
             )
-        if entry.is_file() and _is_result(entry.name):
+        if entry.is_file() and _is_wanted(entry.name):
             found.append((entry.relative_to(root).as_posix(), entry))
     return found
 
 
-def _unpack(path: Path, folder: Path) -> list[tuple[str, Path]]:
-    """Unpack the archive's result files into `folder`, with numbers as names.
+def _unpack(path: Path, folder: Path) -> Files:
+    """Unpack the archive's result files and cards into `folder`, with numbers as names.
 
     No name of the archive becomes a name on the disk.
     """
@@ -97,7 +110,7 @@ def _unpack(path: Path, folder: Path) -> list[tuple[str, Path]]:
         with _open_archive(path) as (archive, members):
             wanted = _select_members(path, members)
             return [
-                (member.name, _copy(archive, member, folder / f"{number}{_ENDING}", path))
+                (member.name, _copy(archive, member, folder / str(number), path))
                 for number, member in enumerate(wanted)
             ]
     except (
@@ -184,7 +197,7 @@ def _tar_member(path: Path, info: tarfile.TarInfo) -> Member:
 
 
 def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
-    """Check all members and select the result files among them."""
+    """Check all members and select the result files and cards among them."""
     packed, total, names, every = path.stat().st_size, 0, set(), []
     for member in itertools.islice(members, _MEMBERS + 1):
         total += member.bytes
@@ -202,11 +215,11 @@ def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
         every.append(member)
     if len(every) > _MEMBERS:
         raise InputError(f"{path}: expected at most {_MEMBERS} files, got more")
-    return [member for member in every if _is_result(member.name.rpartition("/")[2])]
+    return [member for member in every if _is_wanted(member.name.rpartition("/")[2])]
 
 
-def _is_result(name: str) -> bool:
-    return name.endswith(_ENDING) and not name.startswith(".")
+def _is_wanted(name: str) -> bool:
+    return name.endswith((_ENDING, CARD)) and not name.startswith(".")
 
 
 def _check_name(path: Path, name: str) -> None:

@@ -169,6 +169,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "machineAll": pool(text_of(row["machine"])),
         "versions": pool(text_of(row["versions"])),
         "submission": row.get("submission"),
+        **_provenance(row),
         "commands": [pool(text) for text in commands(runs)],
         "seeds": [run["seed"] for run in runs],
         "datasets": [pool(run.get("identity") or run["dataset"]) for run in runs],
@@ -189,6 +190,12 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "declined": bool(row["error"])
         and all(run.get("declined") for run in runs if run.get("error")),
     }
+
+
+def _provenance(row: Record) -> dict[str, Any]:
+    """Return what a submission says of its solver, and what is known of its estimates."""
+    known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
+    return {key: one for key, one in known.items() if one}
 
 
 def commands(runs: Sequence[Record]) -> list[str]:

@@ -5,37 +5,28 @@ Submissions are data only: sabench executes nothing of them.
 
 from __future__ import annotations
 
-import contextlib
 import datetime
-import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from sabench import tasks
-from sabench.dataset.agreement import disagreements
-from sabench.dataset.hdf5_probe import probe
-from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.results import read_dataset_names
-from sabench.dataset.schema import MANIFEST
-from sabench.dataset.verification import verify
-from sabench.evaluation.leaderboard.archives import result_files
+from sabench.dataset.reader import Dataset
+from sabench.evaluation.leaderboard.archives import submitted_files
 from sabench.evaluation.leaderboard.disclosure import describe_data
+from sabench.evaluation.leaderboard.foreign_results import match_data_sets, score_safely
+from sabench.evaluation.leaderboard.recognition import bundled_records, recognise
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import append, encode, latest, read_records, run_key, same_data
 from sabench.evaluation.runner import build_board
-from sabench.tasks.external_programs import adopt
-from sabench.tasks.solve_and_score import score
+from sabench.evaluation.solver_card import SolverCard, check_solvers, read_cards
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
-from sabench.utils.processes.isolated import call_isolated
-from sabench.utils.progress import progress_bar
+from sabench.utils.progress import console, progress_bar
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
 
 _LONGEST_NAME = 80
-_SCORE_S = 3600.0  # for one result
 
 
 @dataclass(frozen=True)
@@ -62,6 +53,7 @@ def submit(
     data: Sequence[Path],
     leaderboard: Path,
     *,
+    cards: Sequence[Path] = (),
     date: datetime.date | None = None,
 ) -> list[Standing]:
     """Score submitted results and add them to the leaderboard.
@@ -74,13 +66,15 @@ def submit(
     name : of the submitter.
     data : folders of data sets, or of folders of them.
     leaderboard : folder of the records and the page.
+    cards : solver cards, besides those in the archive or folder.
     date : by default today's.
 
     Raises
     ------
     InputError
-        A bad name, archive or result, two results of one data set, solver and parameters, a result
-        whose data set is not in `data`, or one that the submitter has sent today already.
+        A bad name, archive, result or solver card, two results of one data set, solver and
+        parameters, a result whose data set is not in `data`, or one that the submitter has sent
+        today already.
     UncheckedError
         A file could not be checked in the time for it.
     """
@@ -90,17 +84,21 @@ def submit(
         "date": (date or datetime.datetime.now(datetime.UTC).date()).isoformat(),
     }
     known = read_records(leaderboard / "records")
-    with result_files(path) as files:
-        sets = _datasets(files, data)
+    with submitted_files(path) as files:
+        carded = read_cards(files.cards, cards)
+        sets = match_data_sets(files.results, data)
         made = [
             _record(label, file, sets[label], known) | {"submission": submission}
-            for label, file in progress_bar(files, "check and score")
+            for label, file in progress_bar(files.results, "check and score")
         ]
-    labels = [label for label, _ in files]
+    labels = [label for label, _ in files.results]
+    check_solvers(carded, [record["solver"] for record in made])
+    made = [_with_card(record, carded) for record in made]
     _refuse_twins(path, labels, made)
     _refuse_known(labels, made, known)
     for label, record in zip(labels, made, strict=True):
         _check_record(label, record)
+    made = _recognised(labels, made, known)
     for record in made:
         append(leaderboard / "records" / "submitted.jsonl", record)
     build_board(leaderboard)
@@ -116,70 +114,26 @@ def check_name(name: str) -> None:
         )
 
 
-def _datasets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
-    """Find the data set of every result; verify each once.
-
-    It is the copy that was solved, or else another one.
-    """
-    there = list(_data_sets(folders))
-    intact: dict[Path, Dataset] = {}
-    found = {}
-    for label, file in files:
-        probe(file)
-        wanted = read_dataset_names(file)
-        copies = sorted(
-            (one for one in there if wanted.fits(one)),
-            key=lambda one: one.content_hash != wanted.content_hash,
-        )
-        if not copies:
-            where = ", ".join(str(folder) for folder in folders)
-            raise InputError(
-                f"{printable(label)}: expected a result of a data set in {where}, but none there "
-                f"has the hash {printable(wanted.content_hash, 12)!r}"
-            )
-        if not all(one.root in intact for one in copies):
-            _check_copies(label, copies)
-            intact |= {one.root: one for one in copies}
-        found[label] = copies[0]
-    return found
+def _with_card(record: Record, cards: dict[str, SolverCard]) -> Record:
+    card = cards.get(record["solver"])
+    return record if card is None else {**record, "card": card.model_dump()}
 
 
-def _check_copies(label: str, copies: list[Dataset]) -> None:
-    """Refuse damaged data sets, and copies that differ by more than rounding."""
-    for one in copies:
-        if faults := verify(one.root):
-            raise InputError(
-                f"{printable(label)}: expected an intact data set at {one.root}, but {faults[0]}"
-            )
-    for one in copies[1:]:
-        if faults := disagreements(copies[0], one):
-            raise InputError(
-                f"{printable(label)}: expected equal copies of its data set at {copies[0].root} "
-                f"and {one.root}, but {faults[0]}; give the one that counts with --data"
-            )
-
-
-def _data_sets(folders: Sequence[Path]) -> Iterator[Dataset]:
-    """List every data set in the folders that can be read and has its truth.
-
-    Data sets lie at a folder or directly below it; anything else is skipped.
-    """
-    for folder in folders:
-        if not folder.is_dir():
-            raise InputError(f"{folder}: expected a folder of data sets, found none")
-        for root in (folder, *sorted(folder.iterdir())):
-            if not root.name.startswith(".") and (root / MANIFEST).is_file():
-                with contextlib.suppress(InputError):  # no result belongs to it
-                    data = open_dataset(root)
-                    if data.has_truth:
-                        yield data
+def _recognised(labels: list[str], made: list[Record], known: list[Record]) -> list[Record]:
+    """Note in records, and say, whose estimates they repeat."""
+    earlier = [*known, *bundled_records()]
+    noted: list[Record] = []
+    for label, record in zip(labels, made, strict=True):
+        if twin := recognise(record, [*earlier, *noted]):
+            text = f"{printable(label)}: its estimates are those of {twin}; the record says so"
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
+        noted.append({**record, "same_estimates_as": twin})
+    return noted
 
 
 def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Record:
     """Make the record of one result, which is scored in a child process."""
-    scores = call_isolated(
-        _score, file, data.root, doing=f"result {printable(label)}", time_s=_SCORE_S
-    )
+    scores = score_safely(label, file, data)
     head = describe_data(data, known) | {
         key: scores[key] for key in ("task", "solver", "parameters")
     }
@@ -191,23 +145,13 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
         "dataset": data.content_hash,
         "identity": identity,
         "run_hash": run_hash,
+        "estimate_hash": scores["estimate_hash"],
         "versions": {"sabench": __version__},
         "machine": {},
         "error": None,
         "declined": False,
     }
     return head | rest | figures | costs
-
-
-def _score(file: Path, root: Path) -> dict[str, Any]:
-    """Score a copy of a submitted file.
-
-    The values of the file are read once, under all checks, and written to the copy.
-    """
-    with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
-        copy = Path(folder) / "result.h5"
-        adopt(file, root, copy, None, False)
-        return score(root, copy)
 
 
 def _check_record(label: str, record: Record) -> None:

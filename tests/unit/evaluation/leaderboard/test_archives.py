@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from sabench.evaluation.leaderboard.archives import result_files
+from sabench.evaluation.leaderboard.archives import submitted_files
 from sabench.utils.errors import InputError
 
 Make = Callable[[Path], Path]
@@ -47,24 +47,34 @@ def test_result_files_come_out_as_they_went_in(tmp_path: Path, ending: str) -> N
     if ending == "zip":
         zipped(
             path,
-            {"b/two.h5": content, "notes.txt": b"no result", "__MACOSX/._two.h5": b"no result"},
+            {
+                "b/two.h5": content,
+                "notes.txt": b"no result",
+                "__MACOSX/._two.h5": b"no result",
+                "__MACOSX/._card.toml": b"no card",
+                "b/card.toml": b"card",
+            },
         )
     else:
         taped(path, "b/two.h5", content)
-    with result_files(path) as found:
-        assert [(name, file.read_bytes()) for name, file in found] == [("b/two.h5", content)]
-        places = [file for _, file in found]
+    with submitted_files(path) as found:
+        assert [(name, file.read_bytes()) for name, file in found.results] == [
+            ("b/two.h5", content)
+        ]
+        assert [name for name, _ in found.cards] == ["b/card.toml"] * (ending == "zip")
+        places = [file for _, file in (*found.results, *found.cards)]
     assert not any(place.exists() for place in places)
 
 
 def test_a_folder_and_a_single_file(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
-    for name in ("b.h5", "in/a.h5", "notes.txt"):
+    for name in ("b.h5", "in/a.h5", "notes.txt", "in/my.card.toml"):
         (tmp_path / name).write_bytes(b"x")
-    with result_files(tmp_path) as found:
-        assert [name for name, _ in found] == ["b.h5", "in/a.h5"]
-    with result_files(tmp_path / "notes.txt") as found:
-        assert [name for name, _ in found] == ["notes.txt"]
+    with submitted_files(tmp_path) as found:
+        assert [name for name, _ in found.results] == ["b.h5", "in/a.h5"]
+        assert [name for name, _ in found.cards] == ["in/my.card.toml"]
+    with submitted_files(tmp_path / "notes.txt") as found:
+        assert [name for name, _ in found.results] == ["notes.txt"]
 
 
 def bomb(path: Path) -> Path:
@@ -122,7 +132,7 @@ def test_what_no_honest_archive_has_is_refused(
     tmp_path: Path, name: str, make: Make, words: str
 ) -> None:
     path = make(tmp_path / name)
-    with pytest.raises(InputError, match=words), result_files(path):
+    with pytest.raises(InputError, match=words), submitted_files(path):
         pytest.fail("it was opened")
     assert list(tmp_path.iterdir()) == [path]
 
@@ -132,13 +142,13 @@ def test_two_members_of_one_name(tmp_path: Path) -> None:
     with tarfile.open(path, "w") as file:
         for _ in range(2):
             file.addfile(tarfile.TarInfo("a.h5"))
-    with pytest.raises(InputError, match="different names"), result_files(path):
+    with pytest.raises(InputError, match="different names"), submitted_files(path):
         pytest.fail("it was opened")
 
 
 def test_links_in_folders(tmp_path: Path) -> None:
     (tmp_path / "a.h5").symlink_to("/etc/passwd")
-    with pytest.raises(InputError, match="no links"), result_files(tmp_path):
+    with pytest.raises(InputError, match="no links"), submitted_files(tmp_path):
         pytest.fail("it was opened")
-    with pytest.raises(InputError, match="a link"), result_files(tmp_path / "a.h5"):
+    with pytest.raises(InputError, match="a link"), submitted_files(tmp_path / "a.h5"):
         pytest.fail("it was opened")
