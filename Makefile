@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint types gate wheel clean
+.PHONY: demo test lint types gate wheel installs release clean
 
 demo: $(VENV)/.installed
 	$(BIN)/sabench run demo
@@ -32,6 +32,14 @@ wheel: $(VENV)/.installed
 	$(BIN)/sabench list > build/wheel/checkout.txt
 	cd build/wheel && venv/bin/sabench list > wheel.txt
 	diff build/wheel/checkout.txt build/wheel/wheel.txt && echo "wheel: sabench list equals the checkout's"
+
+# The wheel in fresh environments of other interpreters: make installs PYTHONS="python3.12 python3.13"
+installs: $(VENV)/.installed
+	$(BIN)/python benchmarks/installs.py $(PYTHONS)
+
+# All that a release must pass, and what a person has to look at.
+release: $(VENV)/.installed-dev
+	$(BIN)/python benchmarks/release.py
 
 $(VENV)/bin/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "sabench needs Python 3.11 or later: make PYTHON=/path/to/python3.11"; exit 2; }

@@ -53,7 +53,7 @@ class Entry:
 
 
 def bundled_folder(kind: str) -> Path:
-    """Find the bundled folder of a kind: generators, solvers, scenes or leaderboard."""
+    """Find a bundled folder: generators, solvers, scenes, templates or leaderboard."""
     beside = _PACKAGE.parent / kind
     checkout = (_PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir()
     return beside if checkout else _PACKAGE / "_plugins" / kind

@@ -18,6 +18,7 @@ from sabench.cli.challenge import challenge, participate
 from sabench.cli.doctor import doctor
 from sabench.cli.help_pages import Command, Group
 from sabench.cli.importing import import_recording
+from sabench.cli.new import new
 from sabench.cli.options import say
 from sabench.cli.planning import plan
 from sabench.cli.preprocess import preprocess
@@ -53,6 +54,7 @@ for _command in (
     evaluate.submit,
     challenge,
     participate,
+    new,
     evaluate.board,
     doctor,
     warmup,

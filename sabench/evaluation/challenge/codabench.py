@@ -25,7 +25,7 @@ _PROGRAM = Path(__file__).with_name("score.py")
 _COMMAND = "command: python3 /app/program/score.py /app/input/ /app/output/\n"
 _DIGITS = 6  # that the server's table shows
 _LIMIT_S = 3600  # for the scores of one submission
-_DOCKERFILE = """# Image in which the scoring program runs: put the wheel of sabench next to this file.
+_DOCKERFILE = """# Image for the scoring program: put the wheel of sabench next to this file.
 FROM python:3.12-slim
 COPY sabench-{version}-py3-none-any.whl /tmp/
 RUN pip install --no-cache-dir /tmp/sabench-{version}-py3-none-any.whl

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 from sabench.api.solvers import TaskName
 from sabench.dataset.observation_side import copy_observation
@@ -80,10 +81,10 @@ def _choose_task(cases: list[Case], task: TaskName | None, suite: str) -> TaskNa
     chosen = task or known[0]
     if chosen not in known:
         raise InputError(f"--task: expected one of {', '.join(known)}, got {chosen!r}")
-    return chosen
+    return cast("TaskName", chosen)
 
 
-def _tasks(case: Case) -> set[TaskName]:
+def _tasks(case: Case) -> set[str]:
     return {entry.describe()[1] for entry in case.solvers}
 
 

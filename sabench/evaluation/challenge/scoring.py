@@ -18,6 +18,7 @@ from sabench.utils.validation import printable
 from sabench.utils.version import __version__
 
 COSTS = ("seconds", "peak_mb", "reconstruction_s")  # of the participants' machines
+_LEFT_OUT = (*COSTS, "compile_s", "isolated", "whole_process", "estimate_hash")
 ADMITTED = "admitted"
 
 
@@ -26,7 +27,8 @@ def score_submission(reference: Path, submission: Path, out: Path) -> dict[str, 
 
     `scores.json` holds the mean of each score over the data sets, and the share of them whose
     result is admitted to the ranking. A score that a data set lacks has no mean.
-    `scores_of_data_sets.json` holds what `sabench score --json` prints for each result.
+    `scores_of_data_sets.json` holds what `sabench score --json` prints for each result, but no
+    costs.
 
     Parameters
     ----------
@@ -89,4 +91,4 @@ def _names(challenge: Challenge, sets: dict[str, Dataset]) -> dict[str, str]:
 
 def _checked(label: str, scores: dict[str, Any], challenge: Challenge) -> dict[str, Any]:
     check_result_task(scores["task"], challenge.task, printable(label))
-    return {key: one for key, one in scores.items() if key != "estimate_hash"}
+    return {key: one for key, one in scores.items() if key not in _LEFT_OUT}
