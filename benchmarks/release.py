@@ -61,7 +61,7 @@ def entries_say_whether_scores_change() -> str | None:
     """Check the end of every entry of the newest heading."""
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     entries = text.split("\n## ")[1].split("\n- ")[1:]
-    silent = [one.strip()[:60] for one in entries if "scores change: " not in one]
+    silent = [one.strip()[:60] for one in entries if "scores change: " not in one.lower()]
     return f"no 'scores change': {silent[0]} ..." if silent else None
 
 

@@ -504,6 +504,15 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     return feed
 
 
+CARD = (
+    b"".join(
+        b'%s = "text"\n' % key.encode()
+        for key in ("solver", "paper", "code", "licence", "hardware")
+    )
+    + b'parameters = "none"\ntraining_data = "none"\n'
+)
+
+
 def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     """`sabench submit` of an archive, folder or file."""
     tasks = ("reconstruction", "calibration", "particles", "see_through")
@@ -523,13 +532,15 @@ def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     name = rng.choice(
         ("Ann", "Ann", "Ann", "", "x" * 81, "a\nb", "<b>", "é", "\x1b[2J", "[red]", "\ud800")
     )
+    cards = [inputs / "my.card.toml"] if rng.random() < 0.3 else []
+    for card in cards:
+        card.write_bytes(mutations.data(CARD, rng))
 
     def feed() -> None:
         from sabench.evaluation.leaderboard.submissions import submit
 
-        submit(
-            path, name, [base.particles.root, base.target.root, base.code.root], out / "leaderboard"
-        )
+        data = [base.particles.root, base.target.root, base.code.root]
+        submit(path, name, data, out / "leaderboard", cards=cards)
 
     return feed
 

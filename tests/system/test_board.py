@@ -99,6 +99,8 @@ def test_no_text_of_a_record_is_markup(tmp_path: Path) -> None:
         scene="<img src=x onerror=alert(2)>",
         parameters={'"quoted"': "' onclick='alert(3)"},
         label="<b>",
+        card={"paper": HOSTILE},
+        same_estimates_as=HOSTILE,
     )
     text = page_of([hostile, record("b", error="<b>bad</b>")], tmp_path)
     assert solvers(text) == ["<b>", "b"]

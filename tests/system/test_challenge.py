@@ -23,7 +23,7 @@ from sabench.utils.files import read_json
 from tests.conftest import ROOT, Command
 
 SECRET = 'secret = "0123456789abcdef"\nseeds = 2\n'
-SUITE = """title = "Tracers: a \\"challenge\\""
+SUITE = """title = "Tracers: a \\"challenge\\" ü 😀"
 backend = "splat"
 scenes = ["quick"]
 solvers = [{ name = "asa" }]
@@ -133,7 +133,7 @@ def test_the_bundle_is_as_the_server_documents_it(organised: Path, tmp_path: Pat
     yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
     bundle = unzipped(organised / "out" / "codabench.zip", tmp_path / "bundle")
     read: dict[str, Any] = yaml.safe_load((bundle / "competition.yaml").read_text("utf-8"))
-    assert read["title"] == 'Tracers: a "challenge"'
+    assert read["title"] == 'Tracers: a "challenge" ü 😀'
     assert read["version"] == 2
     assert read["docker_image"] == "somewhere/sabench:1"
     (task,), (phase,), (board,) = read["tasks"], read["phases"], read["leaderboards"]
@@ -168,6 +168,17 @@ def test_what_is_sent_must_be_one_result_for_each_data_set(
     with pytest.raises(InputError, match="expected sabench 0, got"):
         score_submission(reference, sent, tmp_path / "scores")
     assert not (tmp_path / "scores").exists()
+
+
+def test_a_card_of_another_solver_is_refused_before_solving(
+    organised: Path, command: Command, tmp_path: Path
+) -> None:
+    (tmp_path / "card.toml").write_text(CARD.replace('"asa"', '"msa"'), encoding="utf-8")
+    archive = organised / "out" / "participant.zip"
+    done = command("participate", archive, "asa", "-o", "s.zip", "--card", "card.toml")
+    assert done.returncode == 2
+    assert "expected the solver of a result (asa), got 'msa'" in done.stderr
+    assert not (tmp_path / "work").exists()
 
 
 def test_both_commands_resume(

@@ -82,18 +82,18 @@ def competition(challenge: Challenge, image: str) -> Iterator[str]:
     """Give the lines of competition.yaml; texts are quoted as JSON, which YAML reads."""
     start = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M:%S")
     yield "version: 2"
-    yield f"title: {json.dumps(challenge.title)}"
-    yield f"description: {json.dumps(f'Task {challenge.task} on private data sets')}"
+    yield f"title: {_quoted(challenge.title)}"
+    yield f"description: {_quoted(f'Task {challenge.task} on private data sets')}"
     yield "image: logo.png"
     yield "terms: pages/terms.md"
-    yield f"docker_image: {json.dumps(image)}"
+    yield f"docker_image: {_quoted(image)}"
     yield "make_programs_available: true"
     yield "pages:"
     for name in NAMES:
         yield f"  - {{title: {name.capitalize()}, file: pages/{name}.md}}"
     yield "tasks:"
     yield "  - index: 0"
-    yield f"    name: {json.dumps(challenge.title)}"
+    yield f"    name: {_quoted(challenge.title)}"
     yield "    scoring_program: scoring_program"
     yield "    reference_data: reference_data"
     yield "phases:"
@@ -113,6 +113,11 @@ def competition(challenge: Challenge, image: str) -> Iterator[str]:
     yield from _columns(challenge)
 
 
+def _quoted(text: str) -> str:
+    """Quote a text for YAML, which has JSON's escapes but no surrogate pairs."""
+    return json.dumps(text, ensure_ascii=False)
+
+
 def _columns(challenge: Challenge) -> Iterator[str]:
     scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
     for number, one in enumerate(scores):
@@ -125,5 +130,5 @@ def _sorting(score: Score) -> str:
 
 
 def _column(number: int, key: str, title: str, sorting: str) -> str:
-    values = f"title: {json.dumps(title)}, key: {key}, index: {number}, sorting: {sorting}"
+    values = f"title: {_quoted(title)}, key: {key}, index: {number}, sorting: {sorting}"
     return f"      - {{{values}, precision: {_DIGITS}}}"

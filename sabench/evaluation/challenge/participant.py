@@ -11,6 +11,7 @@ from sabench.dataset.results import open_result
 from sabench.evaluation.challenge.contents import Challenge, opened_challenge, read_challenge
 from sabench.evaluation.leaderboard.archives import Submitted
 from sabench.evaluation.leaderboard.result_packs import pack_results
+from sabench.evaluation.solver_card import check_solvers, read_cards
 from sabench.tasks.external_programs import is_program, solver_name
 from sabench.tasks.solve_and_score import check_result_task, solve
 from sabench.utils.errors import InputError
@@ -49,9 +50,10 @@ def participate(
         As `solve` and `pack_results`, or a solver of another task.
     """
     refuse_existing(out, overwrite=overwrite)
+    shown = solver_name(solver) if is_program(solver) else solver
+    check_solvers(read_cards([], cards), [shown])  # before hours of solving
     with opened_challenge(path) as folder:
         challenge = read_challenge(folder)
-        shown = solver_name(solver) if is_program(solver) else solver
         tag = digest([solver, parameters or {}])[:8]
         made = []
         for number, name in enumerate(challenge.data_sets, 1):
