@@ -85,8 +85,9 @@ def install(python: str, wheel: Path, place: Path, light: bool) -> dict[str, Any
     """Install the wheel in a fresh environment and run the smoke test there."""
     shutil.rmtree(place, ignore_errors=True)
     start = time.monotonic()
-    run([python, "-m", "venv", str(place)], wheel.parent)
-    own, pip = str(place / "bin" / "python"), [str(place / "bin" / "pip"), "install", "--quiet"]
+    run([python, "-m", "venv", "--without-pip", str(place)], wheel.parent)
+    own = str(place / "bin" / "python")
+    pip = [sys.executable, "-m", "pip", "--python", own, "install", "--quiet"]
     if light:
         run([*pip, "-r", str(ROOT / "score-requirements.txt")], wheel.parent)
         run([*pip, "--no-deps", str(wheel)], wheel.parent)

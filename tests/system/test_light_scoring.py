@@ -14,7 +14,12 @@ import sabench
 from sabench.dataset.reader import Dataset
 from tests.conftest import ROOT
 
-MODULES = {"opencv-python-headless": "cv2", "scikit-image": "skimage", "openexr": "OpenEXR"}
+MODULES = {
+    "opencv-python-headless": "cv2",
+    "scikit-image": "skimage",
+    "openexr": "OpenEXR",
+    "vl-convert-python": "vl_convert",
+}
 SCRIPT = """
 import sys
 class Missing:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from sabench.cli.new import KINDS
 from sabench.evaluation.solver_card import read_card
 from tests.conftest import ROOT, Command
 
@@ -26,26 +26,45 @@ def own_tests(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_tests_of_a_template_pass(kind: str, command: Command, tmp_path: Path) -> None:
-    done = command("new", kind, "repository")
-    assert done.stdout == f"repository: template of a {kind}; read README.md\n", done.stderr
-    folder = tmp_path / "repository"
-    assert (folder / ".github" / "workflows" / "sabench.yml").is_file()
-    if kind != "suite":
-        first = own_tests(folder, "-k", "worse")
-        assert first.returncode == 1
-        assert "baseline.json" in first.stdout
-        assert own_tests(folder, "--sabench-update", "-k", "worse").returncode == 0
-    passed = own_tests(folder)
-    assert passed.returncode == 0, passed.stdout
-    if kind == "solver":
-        read_card(folder / "card.toml")
-        solver = folder / "plugins" / "solvers" / "mine.py"
-        text = solver.read_text(encoding="utf-8")
-        worse = text.replace("volume[volume < self.parameters.floor] = 0.0", "volume[::2] = 0.0")
-        solver.write_text(worse, encoding="utf-8")
-        assert own_tests(folder, "-k", "worse").returncode == 1
+@pytest.fixture
+def made(command: Command, tmp_path: Path) -> Callable[[str], Path]:
+    """Make a repository of a kind in a fresh folder."""
+
+    def make(kind: str) -> Path:
+        done = command("new", kind, "repository")
+        assert done.stdout == f"repository: template of a {kind}; read README.md\n", done.stderr
+        folder = tmp_path / "repository"
+        assert (folder / ".github" / "workflows" / "sabench.yml").is_file()
+        return folder
+
+    return make
+
+
+def test_a_suite_passes_its_tests(made: Callable[[str], Path]) -> None:
+    done = own_tests(made("suite"))
+    assert done.returncode == 0, done.stdout
+
+
+def test_a_gate_passes_its_tests_when_its_baseline_is_written(made: Callable[[str], Path]) -> None:
+    folder = made("gate")
+    first = own_tests(folder)
+    assert first.returncode == 1
+    assert "baseline.json" in first.stdout
+    assert own_tests(folder, "--sabench-update").returncode == 0
+    done = own_tests(folder)
+    assert done.returncode == 0, done.stdout
+
+
+def test_a_solver_passes_its_tests_and_a_worse_one_does_not(made: Callable[[str], Path]) -> None:
+    folder = made("solver")
+    done = own_tests(folder, "--sabench-update")
+    assert done.returncode == 0, done.stdout
+    assert read_card(folder / "card.toml").solver == "mine"
+    solver = folder / "plugins" / "solvers" / "mine.py"
+    text = solver.read_text(encoding="utf-8")
+    kept = "volume[volume < self.parameters.floor] = 0.0"
+    solver.write_text(text.replace(kept, "volume[::2] = 0.0"), encoding="utf-8")
+    assert own_tests(folder, "-k", "worse").returncode == 1
 
 
 def test_a_folder_that_is_there_is_kept(command: Command, tmp_path: Path) -> None:
