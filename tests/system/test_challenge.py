@@ -202,6 +202,7 @@ def test_both_commands_resume(
     [
         (("participate", "none.zip", "asa", "-o", "s.zip"), "folder or archive, found none"),
         (("participate", ".", "asa", "-o", "s.zip"), "with a file challenge.json, found none"),
+        (("participate", "bad.zip", "asa", "-o", "s.tar"), "a name that ends in .zip"),
         (("participate", "bad.zip", "asa", "-o", "s.zip"), "expected an intact .zip archive"),
         (
             ("challenge", "standard", "--hidden", "secret.toml", "-o", "out"),

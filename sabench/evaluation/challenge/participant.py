@@ -10,7 +10,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
 from sabench.evaluation.challenge.contents import Challenge, opened_challenge, read_challenge
 from sabench.evaluation.leaderboard.archives import Submitted
-from sabench.evaluation.leaderboard.result_packs import pack_results
+from sabench.evaluation.leaderboard.result_packs import check_name, pack_results
 from sabench.evaluation.solver_card import check_solvers, read_cards
 from sabench.tasks.external_programs import is_program, solver_name
 from sabench.tasks.solve_and_score import check_result_task, solve
@@ -49,6 +49,7 @@ def participate(
     InputError
         As `solve` and `pack_results`, or a solver of another task.
     """
+    check_name(out)
     refuse_existing(out, overwrite=overwrite)
     shown = solver_name(solver) if is_program(solver) else solver
     check_solvers(read_cards([], cards), [shown])  # before hours of solving

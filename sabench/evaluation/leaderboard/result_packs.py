@@ -41,8 +41,7 @@ def pack_results(
         Another ending of the archive's name, a file that is no result, a bad card, or a card that
         belongs to no result.
     """
-    if out.suffix != ".zip":
-        raise InputError(f"{out}: expected a name that ends in .zip for an archive of results")
+    check_name(out)
     known = read_cards(files.cards, cards)
     check_solvers(known, _solvers(files))
     with (
@@ -52,6 +51,12 @@ def pack_results(
         _copy(files, list(known.values()), Path(folder))
         zip_folder(Path(folder), partial)
     return len(files.results), list(known)
+
+
+def check_name(out: Path) -> None:
+    """Refuse a name that is not one of a zip archive."""
+    if out.suffix != ".zip":
+        raise InputError(f"{out}: expected a name that ends in .zip for an archive of results")
 
 
 def _solvers(files: Submitted) -> list[str]:
