@@ -18,6 +18,7 @@ class Mine(Solver):
     """Minimum line of sight: a voxel is as bright as in its darkest view."""
 
     name = "mine"
+    references = ("Putze and Maas, Int. Arch. Photogramm. Remote Sens. XXXVII-B5 (2008) 33-38",)
     Parameters = MineParameters
 
     def skip(self, case: Observation) -> str | None:
