@@ -70,7 +70,7 @@ def read_card(path: Path, name: str | None = None) -> SolverCard:
 
 
 def read_cards(inside: Sequence[tuple[str, Path]], given: Sequence[Path]) -> dict[str, SolverCard]:
-    """Read the cards inside a submission, with their names there, and those given with it.
+    """Read the cards inside a submission (names and paths), and those given with it.
 
     Returns them by their solvers.
 

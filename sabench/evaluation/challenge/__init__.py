@@ -1,1 +1,1 @@
-"""Challenges on private test sets: the organiser's, the participants' and a server's part."""
+"""Challenges on private test sets: organiser, participants and server."""

@@ -1,4 +1,4 @@
-"""The organiser's part of a challenge: private data sets, and what participants receive."""
+"""The organiser's part of a challenge: private data sets and archives."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def make_challenge(
     image: str | None = None,
     jobs: int = 1,
 ) -> Challenge:
-    """Make the private data sets of a suite, and the archives for participants and a server.
+    """Make the private data sets of a suite, and the archives for others.
 
     Data sets that are there and intact are used again, so that an interrupted call is resumed.
 

@@ -1,4 +1,4 @@
-"""The participant's part of a challenge: all data sets solved, and the results packed."""
+"""The participant's part of a challenge: data sets solved, results packed."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def _in_folder(root: Path) -> Files:
 
 
 def _unpack(path: Path, folder: Path) -> Files:
-    """Unpack the archive's result files and cards into `folder`, with numbers as names.
+    """Unpack the archive's results and cards into `folder`, with numbers as names.
 
     No name of the archive becomes a name on the disk.
     """

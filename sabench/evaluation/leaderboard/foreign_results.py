@@ -1,4 +1,4 @@
-"""Result files from outside: their data sets found, their estimates checked and scored."""
+"""Result files from outside: matched to data sets, checked and scored."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
 
 
 def _provenance(row: Record) -> dict[str, Any]:
-    """Return what a submission says of its solver, and what is known of its estimates."""
+    """Return the card of a submission, and the entry whose estimates it repeats."""
     known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
     return {key: one for key, one in known.items() if one}
 

@@ -17,7 +17,7 @@ def bundled_records() -> list[Record]:
 
 
 def recognise(record: Record, known: Sequence[Record]) -> str | None:
-    """Name the solver entry whose estimates a submitted record has, if it is another one.
+    """Name the other solver entry whose estimates a submitted record has, if any.
 
     Estimates are the same if they are of the same data set and have the same content hash. A run of
     a solver is not another entry than a result of the solver by its own name. Records that repeat
