@@ -122,6 +122,7 @@ class BubblesTask(FrameByFrame):
               "the same over that velocity"),
     )
     # fmt: on
+    sufficient = 0.8
     gate = Gate("precision", 0.02)
     captions = Captions(
         heading="Bubbles from the front and from the side",

@@ -143,6 +143,7 @@ class CalibrationTask(Task):
               "mean of the points' errors along Z after a rigid motion", hidden=True),
     )
     # fmt: on
+    sufficient = 0.1  # px
     picture_has_truth = True
     captions = Captions(
         heading="Errors in the images",

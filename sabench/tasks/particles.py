@@ -134,6 +134,7 @@ class ParticlesTask(Task):
               counted=True, hidden=True),
     )
     # fmt: on
+    sufficient = 0.8
     gate = Gate("precision", 0.02)
     captions = Captions(
         heading="Particles in the middle slice",

@@ -85,6 +85,7 @@ class ReconstructionTask(FrameByFrame):
               "rms px, with particles found as local maxima", hidden=True),
     )
     # fmt: on
+    sufficient = 0.75  # the usual limit of a good reconstruction, Elsinga et al. (2006)
     gate = Gate("peak_precision", 0.02)
     captions = Captions(
         heading="Middle slice",

@@ -62,6 +62,7 @@ class SeeThroughTask(FrameByFrame):
               "d' of single images, mean over the cameras"),
     )
     # fmt: on
+    sufficient = 90.0
     gate = Gate("read_percent", 60.0)
     picture_has_truth = True
     captions = Captions(

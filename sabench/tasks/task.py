@@ -127,6 +127,7 @@ class Task(ABC):
     estimate : class of the estimates that its solvers return.
     scores : its own, the most important one first; `all_scores` adds the costs.
     gate : which estimates the first score ranks; None: all that have it.
+    sufficient : first score from which on seconds are compared: nobody is fast at a worse one.
     captions : of its figures.
     picture_has_truth : whether the figure of an estimate needs the truth.
     """
@@ -136,6 +137,7 @@ class Task(ABC):
     estimate: ClassVar[type[Estimate]]
     scores: ClassVar[tuple[Score, ...]]
     gate: ClassVar[Gate | None] = None
+    sufficient: ClassVar[float]
     captions: ClassVar[Captions]
     picture_has_truth: ClassVar[bool] = False
 

@@ -93,6 +93,7 @@ class VelocimetryTask(Task):
               "root mean square error of the displacement along Z", hidden=True),
     )
     # fmt: on
+    sufficient = 0.25  # voxel
     gate = Gate("yield_percent", 50.0)
     picture_has_truth = True
     captions = Captions(

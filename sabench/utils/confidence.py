@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,9 +41,13 @@ def mean_of(values: Sequence[float]) -> Mean | None:
         return None
     if count == 1:
         return Mean(float(values[0]), None, 1)
+    error = float(np.std(values, ddof=1)) / math.sqrt(count)
+    return Mean(float(np.mean(values)), quantile(count) * error, count)
+
+
+@functools.cache
+def quantile(count: int) -> float:
+    """Compute Student's quantile for the mean of two or more values."""
     from scipy.special import stdtrit  # takes long to load
 
-    error = float(np.std(values, ddof=1)) / math.sqrt(count)
-    return Mean(
-        float(np.mean(values)), float(stdtrit(count - 1, (1.0 + CONFIDENCE) / 2.0)) * error, count
-    )
+    return float(stdtrit(count - 1, (1.0 + CONFIDENCE) / 2.0))

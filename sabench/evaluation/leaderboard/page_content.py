@@ -14,7 +14,7 @@ from sabench.evaluation.leaderboard.score_columns import Table, every_table, tab
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.tasks.task import Task
-from sabench.utils.confidence import CONFIDENCE, Mean
+from sabench.utils.confidence import Mean, quantile
 
 _NO_RANK = "Recorded images have no truth: their results have no rank."
 _RESIDUALS = "The first frame's images of all cameras, then what the particles leave of each."
@@ -249,8 +249,4 @@ def _quantiles() -> list[float]:
 
     The page uses them for intervals of differences, as `sabench.utils.confidence` does.
     """
-    from scipy.special import stdtrit  # takes long to load
-
-    return [
-        short(float(stdtrit(degree, (1.0 + CONFIDENCE) / 2.0))) for degree in range(1, _DEGREES + 1)
-    ]
+    return [short(quantile(degree + 1)) for degree in range(1, _DEGREES + 1)]
