@@ -239,7 +239,7 @@ def parse(line: bytes) -> Record:
 
 def score_faults(task: str, values: Record) -> Iterator[str]:
     """Find values that scores of a task cannot have, one sentence each."""
-    yield from _faults(tasks.of(task).all_scores, values)
+    yield from _faults((*tasks.of(task).all_scores, *tasks.of(task).curve), values)
 
 
 def _faults(scores: Iterable[Score], values: Record) -> Iterator[str]:

@@ -14,6 +14,7 @@ from sabench.utils.arrays import F32, F64, I64, Bool
 
 THESIS_RADIUS = 1.5  # voxels, Euclidean
 CHALLENGE_RADIUS = 1.0  # voxels, largest component, exclusive
+MATCHING_DISTANCES = tuple((np.arange(1, 11) / 10.0).tolist())  # voxels, of curves of F1
 _LOWEST = 0.10
 
 

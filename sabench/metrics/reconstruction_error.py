@@ -9,11 +9,13 @@ from sabench.api.truth import Particles, View
 from sabench.geometry.grid import Grid
 from sabench.metrics.blob_intensity import intensity_error
 from sabench.metrics.particle_detection import (
+    MATCHING_DISTANCES,
     Counts,
     count_challenge,
     count_thesis,
     detect,
     detect_peaks,
+    f1_over_distance,
 )
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import brightness, true_field
@@ -43,15 +45,26 @@ def score_frame(
     }
 
 
+def peak_f1_over_distance(grid: Grid, particles: Particles, estimate: Reconstruction) -> F64:
+    """Compute peak F1 as a curve over the matching distances of `MATCHING_DISTANCES`."""
+    truth, peaks = grid.to_voxels(particles.position_mm), _peaks(grid, estimate)
+    scored = grid.in_scored(peaks), grid.in_scored(truth)
+    return f1_over_distance(peaks, truth, *scored, MATCHING_DISTANCES)
+
+
 def _particles(grid: Grid, estimate: Reconstruction) -> tuple[F64, F64]:
     """Detect particles (n, 3), in voxels, as components and as peaks.
 
     Where the estimate itself lists particles, both are that list.
     """
+    peaks = _peaks(grid, estimate)
+    return (detect(estimate.volume) if estimate.particles_mm is None else peaks), peaks
+
+
+def _peaks(grid: Grid, estimate: Reconstruction) -> F64:
     if estimate.particles_mm is None:
-        return detect(estimate.volume), detect_peaks(estimate.volume)
-    given = grid.to_voxels(estimate.particles_mm)
-    return given, given
+        return detect_peaks(estimate.volume)
+    return grid.to_voxels(estimate.particles_mm)
 
 
 def _counts(grid: Grid, estimate: F64, truth: F64) -> tuple[Counts, Counts]:

@@ -21,6 +21,7 @@ from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_squ
 from sabench.metrics.claimed_accuracy import brier_score, coverage, rms_over_bound
 from sabench.metrics.particle_bounds import true_spots
 from sabench.metrics.particle_detection import (
+    MATCHING_DISTANCES,
     challenge_pairs,
     count_challenge,
     count_duplicates,
@@ -44,6 +45,7 @@ from sabench.tasks.task import (
     Score,
     Source,
     Task,
+    Tolerance,
     check_number,
     share_near,
 )
@@ -55,7 +57,7 @@ from sabench.utils.progress import progress_bar
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
 # share of the particles found with the cameras in another order, and how near, in voxels
 _ALIKE, _NEAR_VOXELS = 0.9, 0.2
-_RADII = tuple((np.arange(1, 11) / 10.0).tolist())  # matching distances, voxels
+_TOLERANCE = Tolerance("f1", "F1", "voxel", MATCHING_DISTANCES)
 
 
 class ParticlesTask(Task):
@@ -134,6 +136,7 @@ class ParticlesTask(Task):
               counted=True, hidden=True),
     )
     # fmt: on
+    tolerance = _TOLERANCE
     sufficient = 0.8
     gate = Gate("precision", 0.02)
     captions = Captions(
@@ -261,6 +264,7 @@ def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame
     error = estimate.position_mm[i] - truth.position_mm[j]
     apart = np.linalg.norm(error, axis=1)
     duplicates = count_duplicates(found, true, scored[0])
+    curve = f1_over_distance(found, true, *scored, MATCHING_DISTANCES)
     return {
         "f1": 2.0 * counts.precision * counts.recall / whole if whole else 0.0,
         "precision": counts.precision,
@@ -268,7 +272,8 @@ def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame
         "ghost_percent": counts.ghost_percent,
         "rms_px": _apart_px(data, estimate.position_mm[i], truth.position_mm[j]),
         "rms_mm": finite_or_none(root_mean_square(apart)),
-        "f1_area": float(f1_over_distance(found, true, *scored, _RADII).mean()),
+        "f1_area": float(curve.mean()),
+        **_TOLERANCE.figures(curve),
         "duplicate_percent": 100.0 * duplicates / len(i) if len(i) else None,
         "rms_over_bound": finite_or_none(
             rms_over_bound(error, _bounds(data, frame, j)) if len(j) else np.nan

@@ -14,7 +14,8 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
 from sabench.geometry.visibility import any_in_view
 from sabench.metrics.averages import mean_of_each
-from sabench.metrics.reconstruction_error import score_frame
+from sabench.metrics.particle_detection import MATCHING_DISTANCES
+from sabench.metrics.reconstruction_error import peak_f1_over_distance, score_frame
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting import pictures
 from sabench.tasks.sequence_call import answers_of_frames, image_sequence
@@ -26,6 +27,7 @@ from sabench.tasks.task import (
     Gate,
     Score,
     Source,
+    Tolerance,
     check_estimate,
     check_number,
     correlation,
@@ -41,6 +43,7 @@ _TRIED = 33  # voxels along each axis that are projected into the images
 PARTICLE_IMAGES = (
     "First frame of every camera, one brightness scale for all; dim particles are raised."
 )
+_TOLERANCE = Tolerance("peak_f1", "peak F1", "voxel", MATCHING_DISTANCES)
 _ALIKE = 0.95  # correlation of volumes from cameras in another order
 
 
@@ -85,6 +88,7 @@ class ReconstructionTask(FrameByFrame):
               "rms px, with particles found as local maxima", hidden=True),
     )
     # fmt: on
+    tolerance = _TOLERANCE
     sufficient = 0.75  # the usual limit of a good reconstruction, Elsinga et al. (2006)
     gate = Gate("peak_precision", 0.02)
     captions = Captions(
@@ -167,7 +171,10 @@ class ReconstructionTask(FrameByFrame):
         if isinstance(source, Result) and estimate.particles_mm is not None:
             where = f"{source.path}: {frame_group(frame)}/particles_mm"
             check_number(len(estimate.particles_mm), len(particles.position_mm), where)
-        return score_frame(data.setup.grid, particles, data.views(frame), estimate)
+        grid = data.setup.grid
+        curve = peak_f1_over_distance(grid, particles, estimate)
+        scores = score_frame(grid, particles, data.views(frame), estimate)
+        return scores | _TOLERANCE.figures(curve)
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
         """Compare volumes by their correlation: MART and its kin depend on the order."""

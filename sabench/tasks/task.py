@@ -97,6 +97,38 @@ COSTS = (
 
 
 @dataclass(frozen=True)
+class Tolerance:
+    """Curve of a score over the distance within which detections match.
+
+    Attributes
+    ----------
+    of : key of the score, as it is at one of the distances.
+    heading : of the score.
+    unit : of the distances.
+    distances : rising.
+    """
+
+    of: str
+    heading: str
+    unit: str
+    distances: tuple[float, ...]
+
+    @property
+    def scores(self) -> tuple[Score, ...]:
+        """The curve's values as scores, which records have and tables do not."""
+        return tuple(
+            Score(f"{self.of}_within_{one:g}", f"{self.heading} within {one:g} {self.unit}",
+                  "", "larger", 3, "a point of the curve over the matching distance",
+                  counted=True, hidden=True)
+            for one in self.distances
+        )  # fmt: skip
+
+    def figures(self, values: F64) -> Figures:
+        """Name the values of the curve."""
+        return {one.key: float(value) for one, value in zip(self.scores, values, strict=True)}
+
+
+@dataclass(frozen=True)
 class Captions:
     """Headings and captions of a task's figures on the page.
 
@@ -127,6 +159,7 @@ class Task(ABC):
     estimate : class of the estimates that its solvers return.
     scores : its own, the most important one first; `all_scores` adds the costs.
     gate : which estimates the first score ranks; None: all that have it.
+    tolerance : curve that its results have besides; None: no score depends on a distance.
     sufficient : first score from which on seconds are compared: nobody is fast at a worse one.
     captions : of its figures.
     picture_has_truth : whether the figure of an estimate needs the truth.
@@ -137,6 +170,7 @@ class Task(ABC):
     estimate: ClassVar[type[Estimate]]
     scores: ClassVar[tuple[Score, ...]]
     gate: ClassVar[Gate | None] = None
+    tolerance: ClassVar[Tolerance | None] = None
     sufficient: ClassVar[float]
     captions: ClassVar[Captions]
     picture_has_truth: ClassVar[bool] = False
@@ -150,6 +184,11 @@ class Task(ABC):
     def columns(self) -> tuple[Score, ...]:
         """Scores that tables show, the one that ranks first."""
         return tuple(score for score in self.all_scores if not score.hidden)
+
+    @property
+    def curve(self) -> tuple[Score, ...]:
+        """Points of its curve over the matching distance."""
+        return self.tolerance.scores if self.tolerance else ()
 
     def score_of(self, key: str) -> Score:
         """Look a score up by its key; a KeyError names one that the task does not have."""

@@ -1,4 +1,4 @@
-"""Results of one case that can be compared: of the same data sets, one for each entry."""
+"""Results of one case that are compared: one for each entry, on the same data."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ComparedCase:
     results: dict[str, Result]
 
     def runs(self, entry: str) -> dict[int, Record]:
-        """Select the runs of an entry on the compared data sets that did not fail, by seed."""
+        """Select the runs of an entry on the compared data, without failed ones, by seed."""
         result = self.results.get(entry)
         runs = _runs_by_data(result.row) if result else {}
         there = {seed: runs.get(data) for seed, data in self.data.items()}
@@ -103,5 +103,5 @@ def _runs_by_data(row: Record) -> dict[str, Record]:
 
 
 def _data_key(run: Record) -> str:
-    """Identify a data set with its seed; copies made on other processors have one identity."""
+    """Identify a data set and its seed; copies share an identity."""
     return f"{run['seed']} {run.get('identity') or run['dataset']}"

@@ -37,9 +37,9 @@ def _beat(gain: F64, one: F64) -> Bool:
 
 
 def ranks_of_distinct(scores: F64, larger: bool, names: Sequence[Hashable]) -> list[int]:
-    """Rank entries, where those of one name are one result that was sent several times.
+    """Rank entries, of which those with one name are one result, sent several times.
 
-    Such a result takes one rank, so that sending it again pushes nobody down.
+    It takes one rank, so that sending it again pushes nobody down.
     """
     first = {name: row for row, name in reversed(list(enumerate(names)))}
     rows = sorted(first.values())

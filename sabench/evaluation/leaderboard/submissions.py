@@ -140,7 +140,8 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
     identity = data.identity if head["split"] == "public" else None
     run_hash = digest([identity or data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # measured on an unknown machine
-    figures = {one.key: scores[one.key] for one in tasks.of(head["task"]).columns}
+    task = tasks.of(head["task"])
+    figures = {one.key: scores[one.key] for one in (*task.columns, *task.curve)}
     rest = {
         "dataset": data.content_hash,
         "identity": identity,
