@@ -1,5 +1,5 @@
 "use strict";
-// The page's script: its files are joined in the order base, state, rows, table, plots, case, main.
+// The page's script: its files are joined in the order of sabench/evaluation/leaderboard/page.py.
 // No text of a record becomes markup, a style or code: it is only ever a text node, an attribute of a fixed name, or a value in a plot's data.
 // Where the browser can, it holds everyone to that, the plotting library, too, which empties its element by way of markup.
 globalThis.trustedTypes?.createPolicy("default", { createHTML: text => (text === "" ? "" : null) });
@@ -80,4 +80,10 @@ function copyButton(text) {
 
 function command(text) {
   return make("div", { class: "command" }, make("code", {}, text), copyButton(text));
+}
+
+// Act when the whole file is there: figures and the plotting library come after this script.
+function whenLoaded(act) {
+  if (document.readyState === "loading") addEventListener("DOMContentLoaded", act, { once: true });
+  else act();
 }

@@ -24,29 +24,32 @@ function caseView() {
   const rows = byTask[state.task].filter(row => caseOf(row) === own);
   const facts = [own.suite && `suite ${own.suite}`, !own.recorded && `scene ${own.scene}`, own.difficulty, own.axis && `axis ${own.axis}`, own.axes, !own.recorded && `renderer ${own.renderer}`, `${own.recorded ? "data set" : "scene hash"} ${own.hash.slice(0, 12)}`];
   return [
-    make("p", {}, make("a", { href: link({ view: "table", case: "", sort: "", page: "1", a: "", b: "" }) }, "Back to all cases")),
+    make("p", {}, make("a", { href: link({ view: "front", case: "", sort: "", page: "1", a: "", b: "", left: "", right: "" }) }, "Back to the ranking")),
     make("h2", { tabindex: "-1" }, own.name), own.recorded ? make("p", {}, make("span", { class: "chip" }, "recorded, no truth"), ` ${data.tasks[state.task].gate}`) : null,
     own.split === "hidden" ? make("p", {}, make("span", { class: "chip hidden" }, "hidden split"), " Its data sets are not published.") : null,
     make("p", { class: "quiet" }, listed(facts.filter(Boolean))),
-    ...tableView(rows), ...comparison(rows, own), ...gallery(rows, own),
+    ...tableView(rows), ...viewer(rows, own), ...gallery(rows, own), ...comparison(rows, own), ...toleranceOf(rows),
     make("h3", {}, "Accuracy against time"), timePlot(rows, firstKnown(rows), own),
   ].filter(Boolean);
 }
 
 function gallery(rows, own) {
   const { heading: title, text, wide, cameras } = data.tasks[state.task].pictured, album = albumOf(own);
-  const first = data.tasks[state.task].columns[0];
   const out = [];
   if (album.images) out.push(make("h3", {}, "Camera images"), make("div", { class: "cameras" },
     figure(album.images, `Camera images: ${own.name}`, make("span", { class: "quiet" }, cameras))));
-  const shots = rows.filter(row => album[`row${row.place}`]).map(row => figure(album[`row${row.place}`], `${title}: ${solverOf(row)}`,
-    make("b", {}, solverOf(row)), row.scores[0] ? ` ${first.heading} ${shown(row.scores[0], first.decimals)}` : "", make("span", { class: "quiet few" }, textOf(row.parameters))));
-  if (album.truth) shots.unshift(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
-  if (shots.length) out.push(make("h3", {}, title), make("p", { class: "quiet" }, text), make("div", { class: wide ? "row wide" : "row" }, shots));
+  const shots = figuresOf(rows, own);
+  if (shots.length === 1) out.push(make("h3", {}, title), make("p", { class: "quiet" }, text), make("div", { class: wide ? "row wide" : "row" },
+    shots.map(([, name, own_]) => figure(own_, `${title}: ${name}`, make("b", {}, name)))));
   const fewer = shots.length || album.images ? "" : "This page has no pictures of this case.";
   if (fewer) out.push(make("p", { class: "quiet" }, fewer));
   if (data.leftOut) out.push(make("p", { class: "quiet" }, `To keep the page small, ${data.leftOut} pictures of all cases are not in it: those of the lowest ranks.`));
   return out;
+}
+
+function toleranceOf(rows) {
+  const own = rows.filter(row => row.curve);
+  return own.length ? [make("h3", {}, "Score over the matching tolerance"), tolerancePlot(own)] : [];
 }
 
 // Two solvers of one case.
@@ -60,7 +63,7 @@ function comparison(rows, own) {
     selector("First", a.id, options, id => change({ a: id, b: id === b.id ? a.id : b.id })),
     selector("Second", b.id, options, id => change({ b: id, a: id === a.id ? b.id : a.id })));
   return [make("section", { id: "compare", "aria-label": "Two solvers compared" },
-    make("h3", {}, "Two solvers compared"), form, differences(a, b), ...sideBySide(a, b, own))];
+    make("h3", {}, "Two solvers compared"), form, differences(a, b))];
 }
 
 function titleOf(row, rows) {
@@ -104,16 +107,4 @@ function differences(a, b) {
   return make("div", {}, make("div", { class: "box differences-box", role: "region", "aria-label": "Scores of the two and their differences", tabindex: "0" }, table),
     make("p", { class: "quiet" }, "The difference is the mean over the seeds that both have, of the first's score minus the second's on the same data, with half the width of its 95 % "
       + "confidence interval: “yes” where that interval does not hold zero."));
-}
-
-function sideBySide(a, b, own) {
-  const { heading: title, text, wide, errors } = data.tasks[state.task].pictured, album = albumOf(own);
-  const both = (kind, word) => [a, b].filter(row => album[kind + row.place]).map(row => figure(album[kind + row.place], `${word}: ${solverOf(row)}`, make("b", {}, titleOf(row, [a, b]))));
-  const estimates = both("row", title), maps = both("error", own.recorded ? "Residuals" : "Error");
-  const grid = figures => make("div", { class: wide ? "pair wide" : "pair" }, figures);
-  const out = [];
-  if (album.truth && estimates.length) estimates.push(figure(album.truth, `${title}: the truth`, make("b", {}, "truth")));
-  if (estimates.length) out.push(make("h4", {}, title), make("p", { class: "quiet" }, text), grid(estimates));
-  if (maps.length) out.push(make("h4", {}, own.recorded ? "Residuals" : "Errors"), make("p", { class: "quiet" }, errors), grid(maps));
-  return out;
 }

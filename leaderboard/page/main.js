@@ -47,11 +47,11 @@ function render() {
   tasksBar();
   viewsBar();
   if (before.task !== state.task || before.moved) drawFilters();
-  part.filters.hidden = state.view === "case";
+  part.filters.hidden = state.view === "case" || state.view === "front";
   part.filters.dataset.view = state.view;
   const rows = chosen();
-  part.status.textContent = state.view === "case" ? "" : `${rows.length} of ${byTask[state.task].length} results`;
-  const views = { table: () => tableView(rows), time: () => timeView(rows), why: () => whyView(rows), case: caseView };
+  part.status.textContent = part.filters.hidden ? "" : `${rows.length} of ${byTask[state.task].length} results`;
+  const views = { front: frontView, table: () => tableView(rows), time: () => timeView(rows), why: () => whyView(rows), case: caseView };
   part.content.replaceChildren(...views[state.view]().filter(Boolean));
   if (before.view === state.view && before.task === state.task) main.querySelector(".box")?.scrollTo(top, 0);
 }
@@ -71,17 +71,18 @@ function moved() {
 function start() {
   document.querySelector(".skip").addEventListener("click", () => main.focus());
   if (!data.rows.length) {
-    main.append(make("p", {}, "There are no records yet: ", make("code", {}, "sabench run quick"), " makes the first."));
+    main.replaceChildren(make("p", {}, "There are no records yet: ", make("code", {}, "sabench run quick"), " makes the first."));
     return;
   }
   part.status.setAttribute("role", "status");
-  main.append(part.views, part.filters, part.status, part.content);
+  main.replaceChildren(part.views, part.filters, part.status, part.content);
   render();
   requestAnimationFrame(() => setTimeout(() => performance.mark("first row")));  // when it is on the screen: benchmarks/page.py reads it
   addEventListener("hashchange", moved);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", render);
 }
 
-// The table needs no more than what is above this script; pictures and the library come after it.
-if (state.view === "table" || !data.rows.length) start();
+// The tables need no more than what is above this script; pictures and the library come after it.
+main.replaceChildren();
+if (state.view === "front" || state.view === "table" || !data.rows.length) start();
 else addEventListener("DOMContentLoaded", start);

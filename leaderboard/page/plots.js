@@ -55,9 +55,10 @@ function plot(spec, label) {
   const place = make("div", { class: "plot" });
   const options = { mode: "vega-lite", ast: true, actions: false, defaultStyle: false, renderer: "svg", tooltip: tip, config: theme() };
   const whole = { width: "container", description: label, autosize: { type: "fit", contains: "padding" }, ...spec };
-  requestAnimationFrame(() => vegaEmbed(place, whole, options).then(
+  // the library comes after this script
+  whenLoaded(() => requestAnimationFrame(() => vegaEmbed(place, whole, options).then(
     view => { place.dataset.drawn = "yes"; place.view = view; },
-    error => place.append(make("p", { class: "error" }, `This plot cannot be drawn: ${error.message}`))));
+    error => place.append(make("p", { class: "error" }, `This plot cannot be drawn: ${error.message}`)))));
   return place;
 }
 
@@ -84,6 +85,11 @@ function points(rows, x, y, along) {
 function plotted(row, score, column, more) {
   const solver = solverOf(row);
   return { solver, ...lookOf(solver), low: null, high: null, ...spanOf(score), value: score[0], text: `${solver}: ${column.heading} ${shown(score, column.decimals)}${more}` };
+}
+
+// The numbers of a plot as lines of a file.
+function plottedRows(points_, column, along, words_ = along) {
+  return points_.map(one => ({ [words_]: one[along], solver: one.solver, [column.heading]: one.value, low: one.low ?? "", high: one.high ?? "" }));
 }
 
 function spanOf([mean, half]) {
@@ -145,7 +151,8 @@ function timePlot(rows, column, own) {
   const x = { field: "time", type: "quantitative", scale: { type: "log" }, title: TIMES[state.x] ?? "seconds", axis: { labelOverlap: true, gridOpacity: 0.5 } };
   const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
   const label = `${column.heading} against time of ${known.length} results of the case ${own.name}; the table says the same in numbers`;
-  return make("figure", {}, plot({ height: 380, layer: points(points_, x, y, "y") }, label), legend(values(known, solverOf)),
+  const drawing = plot({ height: 380, layer: points(points_, x, y, "y") }, label);
+  return make("figure", {}, drawing, legend(values(known, solverOf)), plotDownloads(drawing, `${column.heading} against time ${own.name}`, () => plottedRows(points_, column, "time", "seconds or kernels")),
     make("figcaption", { class: "quiet" }, `${meant(column)} Bars are 95 % confidence intervals over the seeds; time is of the solver alone, on the machine that a point's tip names; `
       + "in reference kernels it is over the time that a fixed piece of work took on the same machine in the same run."
       + (known.some(row => row.wholeProcess) ? ` ${PROCESS_TEXT}` : "")));
@@ -240,7 +247,8 @@ function levelPlot(levels, column) {
   const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
   const offset = { xOffset: { field: "solver", type: "nominal" } };
   const layer = points(levels, x, y, "y").map(one => ({ ...one, encoding: { ...one.encoding, ...offset } }));
-  return make("figure", {}, make("h3", {}, "By difficulty"), plot({ height: 320, layer }, `${column.heading} of easy, standard and hard cases`),
+  const drawing = plot({ height: 320, layer }, `${column.heading} of easy, standard and hard cases`);
+  return make("figure", {}, make("h2", {}, "By difficulty"), drawing, plotDownloads(drawing, `${column.heading} by difficulty`, () => plottedRows(levels, column, "difficulty")),
     make("figcaption", { class: "quiet" }, `${meant(column)} Bars are 95 % confidence intervals over the seeds.`));
 }
 
@@ -251,8 +259,8 @@ function lossPlot(losses, column) {
   const layer = points(losses, x, y, "x").map(one => ({ ...one, encoding: { ...one.encoding, ...offset } }));
   const zero = { data: { values: [{ value: 0 }] }, mark: { type: "rule", strokeDash: [4, 4], color: theme().axis.domainColor }, encoding: { x: { field: "value", type: "quantitative" } } };
   const steps = new Set(losses.map(one => one.axis)).size * Math.max(3, new Set(losses.map(one => one.solver)).size);
-  return make("figure", {}, make("h3", {}, "What each axis costs"),
-    plot({ height: Math.max(140, 16 * steps), layer: [zero, ...layer] }, `change of ${column.heading} by axis`),
+  const drawing = plot({ height: Math.max(140, 16 * steps), layer: [zero, ...layer] }, `change of ${column.heading} by axis`);
+  return make("figure", {}, make("h2", {}, "What each axis costs"), drawing, plotDownloads(drawing, `change of ${column.heading} by axis`, () => plottedRows(losses, column, "axis")),
     make("figcaption", { class: "quiet" }, `Each axis changes one thing of the standard case. ${meant(column)} Left of the dashed line the score is smaller than there, right of it larger; `
       + "bars are 95 % confidence intervals of the difference of the two cases' means."));
 }

@@ -40,9 +40,15 @@ function wrapped(name) {
 }
 
 function solverCell(row) {
-  const parameters = textOf(row.parameters);
+  const parameters = alone(row) ? "" : textOf(row.parameters);  // others are in the details
   return make("th", { scope: "row" }, make("span", { class: "name" }, wrapped(solverOf(row))), chips(row),
     parameters && make("span", { class: "quiet few clamp", title: parameters }, parameters));
+}
+
+// Whether a solver has no other row of the same case.
+function alone(row) {
+  row.twins ??= byTask[caseOf(row).task].filter(one => one.case === row.case && one.solver === row.solver).length;
+  return row.twins === 1;
 }
 
 function scoreCells(row, columns) {
@@ -50,7 +56,7 @@ function scoreCells(row, columns) {
     const word = row.declined ? "declined: " : "failed: ";
     return [make("td", { class: row.declined ? "error quiet" : "error", colspan: columns.length }, word + row.error)];
   }
-  return columns.map(column => make("td", { class: "number" }, scoreWords(row, column)));
+  return columns.map(column => make("td", { class: "number score", "data-label": column.heading }, scoreWords(row, column)));
 }
 
 // A score, marked where it is not measured as others are.
@@ -62,13 +68,13 @@ function lineOf(row, columns) {
   const own = caseOf(row);
   const line = make("tr", { class: row.error ? "failed" : null },
     solverCell(row),
-    oneCase() ? null : make("td", { class: "words" }, make("a", { href: link({ view: "case", case: own.id, sort: "", page: "1", a: "", b: "" }) }, own.name)),
-    graded() ? make("td", {}, own.difficulty ?? DASH, own.axis && make("span", { class: "quiet few" }, own.axis)) : null,
-    make("td", { class: "number" }, String(row.seeds.length)),
+    oneCase() ? null : make("td", { class: "words", "data-label": "case" }, make("a", { href: link({ view: "case", case: own.id, sort: "", page: "1", a: "", b: "" }) }, own.name)),
+    graded() ? make("td", { "data-label": "difficulty" }, own.difficulty ?? DASH, own.axis && make("span", { class: "quiet few" }, own.axis)) : null,
+    make("td", { class: "number", "data-label": "seeds" }, String(row.seeds.length)),
     scoreCells(row, columns),
-    make("td", { class: "words" }, textOf(row.machine) || DASH),
-    make("td", {}, row.commands.length ? copyButton(textOf(row.commands[0])) : DASH),
-    make("td", {}, detailsButton(row)));
+    make("td", { class: "words", "data-label": "machine" }, textOf(row.machine) || DASH),
+    make("td", { "data-label": "reproduce" }, row.commands.length ? copyButton(textOf(row.commands[0])) : DASH),
+    make("td", { "data-label": "details" }, detailsButton(row)));
   return line;
 }
 
@@ -126,7 +132,7 @@ function tableOf(rows, label, all = rows) {
     if (open.has(row.id)) body.append(detailsOf(row, line));
   }
   return make("div", { class: "box", role: "region", "aria-label": label, tabindex: "0" },
-    make("table", {}, make("caption", { class: "unseen" }, label), make("thead", {}, heads(columns)), body));
+    make("table", { class: "cards" }, make("caption", { class: "unseen" }, label), make("thead", {}, heads(columns)), body));
 }
 
 function pager(count) {
@@ -149,7 +155,22 @@ function pageOf(count) {
 function tableView(rows) {
   const sorted = ordered(rows), first = (pageOf(rows.length) - 1) * PAGE;
   const label = `Results of the task ${taskName(state.task)}`;
-  return [tableOf(sorted.slice(first, first + PAGE), label, rows), pager(rows.length), legendOfColumns(rows)];
+  const save_ = downloads(oneCase() ? label : `results of ${state.task}`, () => sorted.map(logRow));
+  return [sortChoice(rows), tableOf(sorted.slice(first, first + PAGE), label, rows), pager(rows.length), rows.length ? save_ : null, legendOfColumns(rows)];
+}
+
+// On a narrow screen the table has no headings that could be pressed.
+function sortChoice(rows) {
+  const keys = columnsOf(rows).flatMap(column => [[column.key, `${column.heading}, rising`], [`-${column.key}`, `${column.heading}, falling`]]);
+  return make("div", { class: "form narrow" }, selector("Order", state.sort, [["", "by case and rank"], ["solver", "solver"], ...keys], sort => filter({ sort })));
+}
+
+// A result as a line of a file: everything that the table could show.
+function logRow(row) {
+  const own = caseOf(row), { columns } = data.tasks[state.task];
+  const scores = columns.flatMap((column, place) => [[column.key, row.scores[place]?.[0] ?? ""], [`${column.key} half width`, row.scores[place]?.[1] ?? ""]]);
+  return { solver: solverOf(row), parameters: textOf(row.parameters), by: row.submission?.name ?? "", case: own.name, suite: own.suite ?? "", difficulty: own.difficulty ?? "", axis: own.axis ?? "",
+    split: own.split, seeds: row.seeds.join(" "), ...Object.fromEntries(scores), ranked: String(row.ranked), error: row.error ?? "", machine: textOf(row.machine), command: row.commands.map(textOf).join("; ") };
 }
 
 function legendOfColumns(rows) {

@@ -100,17 +100,17 @@ def is_public(scene_hash: str, seed: int) -> bool:
     """Check whether a bundled suite has a scene of that hash with that seed."""
     for entry in plugins.tables("suite"):
         seeds = tomllib.loads(entry.file.read_text(encoding="utf-8")).get("seeds", [1])
-        if seed in seeds and scene_hash in _scene_hashes(entry.file):
+        if seed in seeds and scene_hash in scenes_of(entry.file):
             return True
     return False
 
 
 @functools.cache
-def _scene_hashes(file: Path) -> frozenset[str]:
-    """Hash all scenes of a bundled suite, whose geometry is known to be good."""
+def scenes_of(file: Path) -> Mapping[str, Scene]:
+    """Read a bundled suite's scenes, whose geometry is known to be good, by hash."""
     read = functools.cache(read_scene)
     variants = (_variants(spec, file, read) for spec in _specs(_read_suite(file)))
-    return frozenset(scene.hash for *_, scene in itertools.chain.from_iterable(variants))
+    return {scene.hash: scene for *_, scene in itertools.chain.from_iterable(variants)}
 
 
 def _cases(spec: CaseSpec, suite: Suite, file: Path, load: Load) -> Iterator[SceneCase]:

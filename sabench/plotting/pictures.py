@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +11,7 @@ import numpy.typing as npt
 from sabench.utils.arrays import F32, F64, U16, Bool
 
 U8 = npt.NDArray[np.uint8]
+Colour = tuple[float, float, float]
 
 _MONTAGE_PX = 900  # widest mosaic
 _CELLS = 12  # along the longer side of an image
@@ -20,6 +22,10 @@ _BRIGHTEST = 99.9  # percentile shown as white
 _LEAST_RANGE = 0.01  # of black to white: below this, noise would be shown as light
 _WINDOW = 200  # voxels of a slice that are shown, per side
 _ENLARGED_PX = 400  # side of a slice's image
+# Blue, green, red of detections on black, which the colour-blind can distinguish
+FOUND: Colour = (135.0, 200.0, 40.0)
+MISSED: Colour = (233.0, 180.0, 86.0)
+GHOSTS: Colour = (0.0, 159.0, 230.0)
 # Blue, green, red of errors, equally dark, which the colour-blind can distinguish: the ends and the
 # middle of RdBu.
 _MISSING, _RIGHT, _TOO_MUCH = (
@@ -103,6 +109,54 @@ def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> 
     strength = np.sqrt(np.clip(np.abs(off) / (_top(window) or 1.0), 0.0, 1.0))[..., None]
     ends = np.where(off[..., None] > 0.0, _TOO_MUCH, _MISSING)
     return _png(_enlarge(np.rint(_RIGHT + strength * (ends - _RIGHT)).astype(np.uint8)))
+
+
+def class_slice(parts: Sequence[tuple[F32, Colour]], scored: tuple[slice, slice, slice]) -> bytes:
+    """Draw the same window of several volumes, each in a colour on black, as a PNG.
+
+    Brightness is the square root of the intensity, up to the largest; colours add.
+
+    Parameters
+    ----------
+    parts : volumes (z, y, x) with their colours: blue, green, red, 0 to 255.
+    """
+    windows = [_window(volume[scored]) for volume, _ in parts]
+    top = max(float(window.max()) for window in windows) or 1.0
+    light = sum(
+        np.sqrt(np.maximum(window, 0.0) / top)[..., None] * np.asarray(colour)
+        for window, (_, colour) in zip(windows, parts, strict=True)
+    )
+    return _png(_enlarge(np.rint(np.clip(light, 0.0, 255.0)).astype(np.uint8)))
+
+
+def slice_voxels(scored: tuple[slice, slice, slice]) -> int:
+    """Return the number of voxels along x that the window of a slice shows."""
+    return int(min(scored[2].stop - scored[2].start, _WINDOW))
+
+
+def with_scale_bar(picture: bytes, width_mm: float) -> bytes:
+    """Draw a scale bar into a PNG.
+
+    Its length is 1, 2 or 5 times a power of ten mm, at most a third of the width.
+
+    Parameters
+    ----------
+    width_mm : of the whole picture.
+    """
+    import cv2
+
+    pixels = cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert pixels is not None  # this module encoded it
+    rows, columns = pixels.shape[:2]
+    most, step = width_mm / 3.0, 10.0 ** math.floor(math.log10(width_mm / 3.0))
+    length = max(factor * step for factor in (1.0, 2.0, 5.0) if factor * step <= most)
+    start, end = (10, rows - 10), (10 + round(length / width_mm * columns), rows - 10)
+    text, place = f"{length:g} mm", (10, rows - 18)
+    ink = 0.0 if pixels.mean() > 127.0 else 255.0
+    for grey, width in ((255.0 - ink, 4), (ink, 1)):  # the outline, then the bar
+        cv2.line(pixels, start, end, (grey,) * 3, width + 1)
+        cv2.putText(pixels, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (grey,) * 3, width)
+    return _png(pixels)
 
 
 def _window(part: F32) -> F64:

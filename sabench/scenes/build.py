@@ -77,7 +77,7 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         in the fluid, a grid that does not fit, a volume that no camera sees, occluders that are not
         between the cameras and the wall (or the volume), a backlight that is not behind the volume.
     """
-    check, count = Collector(source), _camera_count(scene.cameras)
+    check, count = Collector(source), scene.cameras.count
     if count > _MOST_CAMERAS:
         expected = f"expected at most {_MOST_CAMERAS} cameras"
         raise InputError(f"{source}: cameras.layout: {expected}, got {count}")
@@ -158,22 +158,6 @@ def _build_occluder(spec: OccluderSpec) -> Disc:
 def _corners(scene: Scene) -> F64:
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     return np.asarray(scene.volume.center_mm + signs * np.asarray(scene.volume.size_mm))
-
-
-def _camera_count(spec: Cameras) -> int:
-    """Count the cameras of a layout before any is built."""
-    chosen = spec.layout
-    if isinstance(chosen, ListLayout):
-        return len(chosen.places)
-    if isinstance(chosen, CrossLayout):
-        return 4 * chosen.arm + 1
-    if isinstance(chosen, GridLayout):
-        across, down = (
-            len(values) if values is not None else count or 1
-            for values, count in ((chosen.x_mm, chosen.columns), (chosen.y_mm, chosen.rows))
-        )
-        return across * down
-    return chosen.count
 
 
 def _places(spec: Cameras) -> list[Place]:

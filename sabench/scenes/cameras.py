@@ -151,6 +151,22 @@ class Cameras(Table):
         discriminator="kind"
     )
 
+    @property
+    def count(self) -> int:
+        """Number of the cameras of the layout."""
+        chosen = self.layout
+        if isinstance(chosen, ListLayout):
+            return len(chosen.places)
+        if isinstance(chosen, CrossLayout):
+            return 4 * chosen.arm + 1
+        if isinstance(chosen, GridLayout):
+            across, down = (
+                len(values) if values is not None else count or 1
+                for values, count in ((chosen.x_mm, chosen.columns), (chosen.y_mm, chosen.rows))
+            )
+            return across * down
+        return chosen.count
+
     def of_camera(self, name: str) -> tuple[Cameras, CameraSpec]:
         """Give the array's table with one camera's numbers, and the camera's own table."""
         own = next((one for one in self.each or () if one.camera == name), CameraSpec(camera=name))

@@ -35,7 +35,7 @@ from sabench.tasks.found_frames import (
     link_sequence,
 )
 from sabench.tasks.particles_over_time import score_over_time
-from sabench.tasks.reconstruction import PARTICLE_IMAGES
+from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.sequence_call import image_sequence
 from sabench.tasks.solver_call import SolverClock
 from sabench.tasks.task import (
@@ -144,6 +144,7 @@ class ParticlesTask(Task):
         estimates="Found particles as Gaussian blobs on the grid, in the same window of the middle "
         "z plane of the scored volume, x to the right, y down.",
         cameras=PARTICLE_IMAGES,
+        errors="Errors: green particles were found, blue ones were missed, orange ones are ghosts.",
     )
 
     def case(self, data: Dataset) -> ImageSequence:
@@ -247,7 +248,21 @@ class ParticlesTask(Task):
         grid, positions = data.setup.grid, self.read(data, source, 0).position_mm
         sigma_mm = _DRAWN_VOXELS * grid.voxel_mm[0]
         volume = synthesise(grid, positions, np.ones(len(positions)), sigma_mm)
-        return pictures.slice_picture(volume, grid.scored)
+        return with_bar(pictures.slice_picture(volume, grid.scored), grid)
+
+    def error_picture(self, data: Dataset, result: Result) -> bytes:
+        """Draw found, missed and false particles in the same slice as a PNG."""
+        grid, true = data.setup.grid, data.particles(0).position_mm
+        found = self.read(data, result, 0).position_mm
+        i, j = challenge_pairs(grid.to_voxels(found), grid.to_voxels(true))
+        kinds = (
+            (true[j], pictures.FOUND),
+            (np.delete(true, j, axis=0), pictures.MISSED),
+            (np.delete(found, i, axis=0), pictures.GHOSTS),
+        )
+        sigma_mm = _DRAWN_VOXELS * grid.voxel_mm[0]
+        parts = [(synthesise(grid, p, np.ones(len(p)), sigma_mm), c) for p, c in kinds]
+        return with_bar(pictures.class_slice(parts, grid.scored), grid)
 
 
 def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame: int) -> Figures:

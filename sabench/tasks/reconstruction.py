@@ -12,6 +12,7 @@ from sabench.api import Observation, Reconstruction, SequenceSolver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
+from sabench.geometry.grid import Grid
 from sabench.geometry.visibility import any_in_view
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.particle_detection import MATCHING_DISTANCES
@@ -182,12 +183,20 @@ class ReconstructionTask(FrameByFrame):
 
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw a slice of the first frame's volume as a PNG."""
-        return pictures.slice_picture(self.read(data, source, 0).volume, data.setup.grid.scored)
+        grid = data.setup.grid
+        drawn = pictures.slice_picture(self.read(data, source, 0).volume, grid.scored)
+        return with_bar(drawn, grid)
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
         """Draw the same slice of the estimate minus the truth as a PNG."""
         estimate, truth = self.read(data, result, 0), self.truth(data, 0)
-        return pictures.error_slice(estimate.volume, truth.volume, data.setup.grid.scored)
+        grid = data.setup.grid
+        return with_bar(pictures.error_slice(estimate.volume, truth.volume, grid.scored), grid)
+
+
+def with_bar(picture: bytes, grid: Grid) -> bytes:
+    """Draw a scale bar into the picture of a slice of a grid."""
+    return pictures.with_scale_bar(picture, pictures.slice_voxels(grid.scored) * grid.voxel_mm[0])
 
 
 def check_images(case: Observation, source: str) -> None:

@@ -19,7 +19,6 @@ from sabench.dataset import schema
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
 from sabench.scenes import Scene, parse_scene
-from sabench.scenes.build import _camera_count
 from sabench.utils.errors import InputError
 from tests.helpers import mutations, untrusted_files
 from tests.helpers.bubble_scenes import small
@@ -253,7 +252,7 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 def steps_of(loaded: Scene) -> float:
     """Estimate the work of generating a scene: pixels, particles and files of all its images."""
     count = (loaded.particles or {}).get("count") or 0
-    images = 0.5 * _camera_count(loaded.cameras) * loaded.frames
+    images = 0.5 * loaded.cameras.count * loaded.frames
     return images * (loaded.cameras.rows * loaded.cameras.columns + 1000 * count + 50_000)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from sabench.evaluation.leaderboard.submissions import standing
 from sabench.evaluation.record_schema import Record
 from sabench.plotting import pictures
 from sabench.tasks import NAMES
+from sabench.utils.version import __version__
 from tests.conftest import Command
 
 HOSTILE = "</script><script>alert(1)</script><!--<script>"
@@ -104,11 +106,76 @@ def test_no_text_of_a_record_is_markup(tmp_path: Path) -> None:
     )
     text = page_of([hostile, record("b", error="<b>bad</b>")], tmp_path)
     assert solvers(text) == ["<b>", "b"]
-    outside = [
-        re.sub(r'(?<=id="data">).*?(?=</script>)', "", one, count=1, flags=re.DOTALL)
-        for one in (plain, text)
-    ]
+    outside = [re.sub(STATIC, "", without_data(one), flags=re.DOTALL) for one in (plain, text)]
     assert outside[0] == outside[1]
+
+
+STATIC = r'<section class="static">.*?</section>\n'
+
+
+def without_data(text: str) -> str:
+    """A page without its block of JSON."""
+    return re.sub(r'(?<=id="data">).*?(?=</script>)', "", text, count=1, flags=re.DOTALL)
+
+
+class Elements(HTMLParser):
+    """The elements of a text with their attributes, and its words."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, tuple[tuple[str, str | None], ...]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, tuple(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+@pytest.mark.parametrize("name", [HOSTILE, "<img src=x>", "' onclick='x", "</table>", "&lt;b>"])
+def test_the_static_table_has_no_markup_of_a_record(tmp_path: Path, name: str) -> None:
+    """It has the same elements, and the text of the record as it is."""
+    plain, hostile = (
+        Elements(
+            "".join(
+                re.findall(
+                    STATIC,
+                    without_data(page_of([record(own, 0.5, suite=own, case=own)], tmp_path)),
+                    re.DOTALL,
+                )
+            )
+        )
+        for own in ("plain", name)
+    )
+    assert plain.elements == hostile.elements
+    assert len(plain.elements) > 8
+    assert name in "".join(hostile.words)
+
+
+def test_the_static_table_has_few_lines_of_many(tmp_path: Path) -> None:
+    records = [record(f"s{n}", n / 1000.0, suite="trial") for n in range(900)]
+    (text,) = re.findall(STATIC, without_data(page_of(records, tmp_path)), re.DOTALL)
+    assert text.count("<tr>") == 201
+    assert "700 more entries" in text
+    assert ">s899<" in text
+    assert ">s0<" not in text
+
+
+def test_the_footer_says_version_date_licence_and_how_to_cite(tmp_path: Path) -> None:
+    text = page_of([record("a", 0.5, date="2026-03-04T05:06:07Z"), record("b", 0.4)], tmp_path)
+    foot = text[text.index("<footer>") : text.index("</footer>")]
+    assert all(
+        part in foot
+        for part in (
+            f"sabench {__version__}",
+            "2026-03-04",
+            "BSD 3-Clause",
+            "@software{sabench, author = {{The sabench authors}}",
+            "sabench submit",
+        )
+    )
 
 
 def test_half_a_surrogate_pair_does_not_stop_the_page(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ DRAWN = (
     "document.querySelectorAll('.plot').length > 0 && "
     "[...document.querySelectorAll('.plot')].every(plot => plot.dataset.drawn)"
 )
+LOG = "#view=table"
 EVIL = '"><img src=x onerror="document.title=1">'
 Q = {
     "a": (0.50, 0.55, 0.52),
@@ -174,7 +175,7 @@ def test_rows_without_a_rank_come_last_whichever_column_is_sorted(
     ]
     records.append(record("a failed one", task="bubbles", error="it broke"))
     rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
-    browser.open(tmp_path / "index.html")
+    browser.open(tmp_path / "index.html", LOG)
     assert browser.ask(SOLVERS) == ["good", "fair", "little", "a failed one"]
     for name in ("solver", "F1, large", "seconds"):
         orders = []
@@ -194,13 +195,13 @@ def test_seconds_of_whole_processes_are_marked_and_explained(
         record("an old record", 0.7, seconds=3.0),
     ]
     rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
-    browser.open(tmp_path / "index.html")
+    browser.open(tmp_path / "index.html", LOG)
     cells = "[...document.querySelectorAll('tbody td.number')].map(td => td.textContent)"
     assert {"2.00 †", "1.00", "3.00"} < set(browser.ask(cells))
     legend = "document.querySelector('.meaning').textContent.includes('† marks the seconds')"
     assert browser.ask(legend)
     rows.build_page(records[1:], tmp_path / "pictures", tmp_path / "index.html")
-    browser.open(tmp_path / "index.html")
+    browser.open(tmp_path / "index.html", LOG)
     assert not browser.ask(legend)
 
 
@@ -223,7 +224,7 @@ def test_a_key_sorts_aria_says_so_and_the_heading_keeps_the_focus(
 
 def test_scores_that_no_shown_row_has_take_no_column(browser: Browser, page: Path) -> None:
     heads = "[...document.querySelectorAll('thead th')].map(th => th.textContent)"
-    browser.open(page)
+    browser.open(page, LOG)
     assert browser.ask(heads) == [
         "solver",
         "case",
@@ -274,7 +275,7 @@ def test_the_hidden_split_and_submissions_are_marked(browser: Browser, page: Pat
         "[...document.querySelectorAll('tbody tr')]"
         ".map(row => [...row.querySelectorAll('.chip')].map(chip => chip.textContent))"
     )
-    browser.open(page)
+    browser.open(page, LOG)
     assert browser.ask(chips) == [[], [], [], [], ["hidden split", f"by {EVIL}"]]
     browser.open(page, "#split=hidden")
     assert browser.ask(STATUS) == "1 of 5 results"
@@ -286,12 +287,12 @@ def test_the_hidden_split_and_submissions_are_marked(browser: Browser, page: Pat
 def test_filters_are_kept_in_the_fragment_and_a_link_opens_the_same_view(
     browser: Browser, graded: Path
 ) -> None:
-    browser.open(graded)
+    browser.open(graded, LOG)
     browser.press("//input[@type='search']", "standard a")
     browser.press("//select[option[text()='all axes']]/option[@value='density']")
     browser.press(heading("Q"))
     fragment, shown = browser.ask("location.hash"), browser.ask(SOLVERS)
-    assert fragment == "#q=standard+a&axis=density&sort=q"
+    assert fragment == "#view=table&q=standard+a&axis=density&sort=q"
     assert shown == []
     browser.press("//select[option[text()='all axes']]/option[@value='-']")
     browser.press("//select[option[text()='all difficulties']]/option[@value='standard']")
@@ -324,7 +325,7 @@ def test_a_fragment_that_says_nonsense_breaks_nothing(
 
 
 def test_back_leaves_a_view_and_another_task_keeps_the_search(browser: Browser, page: Path) -> None:
-    browser.open(page)
+    browser.open(page, LOG)
     browser.press("//input[@type='search']", "a")
     browser.press("//nav[@id='tasks']/a[2]")
     browser.wait(
@@ -346,6 +347,7 @@ def test_back_leaves_a_view_and_another_task_keeps_the_search(browser: Browser, 
     "fragment",
     [
         "",
+        LOG,
         "#view=time",
         "#view=case&case=tank-5c5c5c5c-splat",
         "#view=case&case=" + "x" * 100 + "-5c5c5c5c-splat-hidden",
@@ -369,7 +371,7 @@ def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment:
         "[...document.images].every(image => image.src.startsWith('data:image/png;base64,'))"
     )
     assert browser.complaints() == []
-    if fragment == "":
+    if fragment == LOG:
         text = browser.ask("document.body.innerText")
         assert all(
             part in text
@@ -385,7 +387,7 @@ def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment:
 
 def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) -> None:
     """The test above would see a complaint: these provoke it."""
-    browser.open(page)
+    browser.open(page, LOG)
     browser.ask("document.body.append(Object.assign(new Image(), {src: 'absent.png'}))")
     assert any("Content Security Policy" in complaint for complaint in browser.complaints())
     for refused in (
@@ -416,7 +418,7 @@ def labels(browser: Browser, plot: int) -> list[str]:
 def test_accuracy_against_time_has_a_point_for_every_solver_with_a_tip(
     browser: Browser, graded: Path
 ) -> None:
-    browser.open(graded)
+    browser.open(graded, LOG)
     assert browser.ask("document.querySelectorAll('.plot').length") == 0
     browser.press("//a[text()='Accuracy against time']")
     browser.wait(DRAWN)
@@ -481,18 +483,21 @@ def test_a_page_without_levels_says_so(browser: Browser, page: Path) -> None:
 
 
 def test_pictures_come_with_their_case_only(browser: Browser, page: Path) -> None:
-    browser.open(page)
+    browser.open(page, LOG)
     assert browser.ask("document.images.length") == 0
     browser.press("//a[text()='tank']")
     browser.wait("document.querySelector('h2')?.textContent === 'tank'")
     assert browser.ask("document.activeElement.textContent") == "tank"
-    assert browser.ask(
-        "[...document.querySelectorAll('#compare h4')].map(head => head.textContent)"
-    ) == ["Middle slice", "Errors"]
+    assert (
+        browser.ask(
+            "[...document.querySelectorAll('#viewer option')].map(option => option.textContent)"
+        )
+        == ["truth", "add", "add: errors", "ten", "ten: errors"] * 2
+    )
     browser.wait("[...document.images].every(image => image.complete)")
     assert (
-        browser.ask("[...document.images].map(image => image.naturalWidth > 0)") == [True] * 9
-    )  # cameras; truth and 2; compared: 2, truth, 2 errors
+        browser.ask("[...document.images].map(image => image.naturalWidth > 0)") == [True] * 3
+    )  # two figures on top of each other, and the cameras
     assert browser.ask("[...document.images].every(image => image.alt)")
 
 
@@ -604,7 +609,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, large: Path) -> None:
-    browser.open(large)
+    browser.open(large, LOG)
     assert browser.ask(STATUS) == "10000 of 10000 results"
     assert browser.ask("document.querySelectorAll('*').length") < 1500
     browser.press(heading("Q"))
@@ -625,7 +630,7 @@ def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, la
         ["solver_1", *(f"solver_{number}" for number in range(10, 20))]
     )
     assert browser.ask(STATUS) == "11 of 10000 results"
-    assert re.fullmatch(r"#q=case-499\+solver_1&sort=q", browser.ask("location.hash"))
+    assert re.fullmatch(r"#view=table&q=case-499\+solver_1&sort=q", browser.ask("location.hash"))
     assert browser.ask("document.querySelectorAll('*').length") < 1500
     assert browser.complaints() == []
 
@@ -634,7 +639,7 @@ def test_pages_follow_each_other_and_the_pager_keeps_the_focus(
     browser: Browser, large: Path
 ) -> None:
     cases = "[...document.querySelectorAll('tbody tr a')].map(link => link.textContent)"
-    browser.open(large)
+    browser.open(large, LOG)
     assert browser.ask(cases) == ["case-0"] * 20 + ["case-1"] * 5
     browser.press("//button[text()='next']")
     assert browser.ask(cases) == ["case-1"] * 15 + ["case-2"] * 10
@@ -643,7 +648,7 @@ def test_pages_follow_each_other_and_the_pager_keeps_the_focus(
 
 def test_a_page_without_records_says_how_to_make_one(browser: Browser, tmp_path: Path) -> None:
     rows.build_page([], tmp_path, tmp_path / "index.html")
-    browser.open(tmp_path / "index.html")
+    browser.open(tmp_path / "index.html", LOG)
     assert "sabench run quick" in browser.ask("document.body.innerText")
     assert browser.complaints() == []
 
@@ -690,7 +695,7 @@ def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Pa
         record("c", task="particles", f1=0.7, seconds=1.0),
     ]
     rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
-    browser.open(tmp_path / "index.html")
+    browser.open(tmp_path / "index.html", LOG)
     tables = "[...document.querySelectorAll('#tasks a')].map(one => one.firstChild.textContent)"
     assert browser.ask(tables) == ["particles", "particles, recorded"]
     assert browser.ask(SOLVERS) == ["c"]
@@ -714,7 +719,7 @@ def test_results_without_any_figure_show_their_costs(browser: Browser, tmp_path:
     head: dict[str, Any] = {"recorded": True, "task": "velocimetry", "quality": None}
     records = [record(name, **head, seconds=2.0) for name in ("a", "b")]
     rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
-    browser.open(tmp_path / "index.html")
+    browser.open(tmp_path / "index.html", LOG)
     assert browser.ask(SOLVERS) == ["a", "b"]
     content = "document.getElementById('content').textContent"
     browser.press("//td/a[text()='tank']")

@@ -19,9 +19,22 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from sabench import plugins
 from sabench.evaluation.leaderboard.page_content import cases_of, content_of
 from sabench.evaluation.leaderboard.page_figures import albums_of
+from sabench.evaluation.leaderboard.page_standings import front_of
 from sabench.evaluation.record_schema import Record
+from sabench.utils.version import __version__
 
-_SCRIPTS = ("base", "state", "rows", "table", "plots", "case", "main")
+_SCRIPTS = (
+    "base",
+    "state",
+    "rows",
+    "download",
+    "table",
+    "plots",
+    "front",
+    "viewer",
+    "case",
+    "main",
+)
 
 
 def render(rows: Sequence[Record], pictures: Path) -> str:
@@ -31,10 +44,15 @@ def render(rows: Sequence[Record], pictures: Path) -> str:
     """
     cases = cases_of(rows)
     albums, left_out = albums_of(cases, pictures)
-    return _assemble(content_of(cases) | {"leftOut": left_out}, albums)
+    front, static = front_of(cases)
+    dates = [run["date"][:10] for row in rows for run in row["runs"] if run.get("date")]
+    facts = {"version": __version__, "date": max(dates, default=""), "static": static}
+    return _assemble(content_of(cases) | front | {"leftOut": left_out}, albums, facts)
 
 
-def _assemble(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
+def _assemble(
+    data: dict[str, Any], albums: dict[int, dict[str, str]], facts: dict[str, Any]
+) -> str:
     folder = plugins.bundled_folder("leaderboard")
     style = _inline((folder / "page" / "page.css").read_text(encoding="utf-8"))
     parts = "\n".join(
@@ -53,7 +71,7 @@ def _assemble(data: dict[str, Any], albums: dict[int, dict[str, str]]) -> str:
     blocks = {number: _data(album) for number, album in albums.items()}
     hashes = {name: _hash(text) for name, text in texts.items()}
     return environment.get_template("page.html.j2").render(
-        **texts, hashes=hashes, data=_data(data), albums=blocks
+        **texts, **facts, hashes=hashes, data=_data(data), albums=blocks
     )
 
 

@@ -14,7 +14,7 @@ from sabench.evaluation.leaderboard.score_columns import Table, every_table, tab
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.tasks.task import Task
-from sabench.utils.confidence import Mean, quantile
+from sabench.utils.confidence import Mean, mean_of, quantile
 
 _NO_RANK = "Recorded images have no truth: their results have no rank."
 _RESIDUALS = "The first frame's images of all cameras, then what the particles leave of each."
@@ -115,8 +115,17 @@ def _table(table: Table) -> dict[str, Any]:
         "main": len(columns) if table.recorded else _MAIN,
         "larger": None if table.recorded else table.columns[0].better == "larger",
         "gate": _NO_RANK if table.recorded else gate_text(table.task),
+        "tolerance": _tolerance(table),
         "pictured": pictured,
     }
+
+
+def _tolerance(table: Table) -> dict[str, Any] | None:
+    """Describe the curve over the matching distance, if the task has one."""
+    own = None if table.recorded else table.task.tolerance
+    if own is None:
+        return None
+    return {"heading": own.heading, "unit": own.unit, "distances": own.distances}
 
 
 def gate_text(task: Task) -> str:
@@ -179,10 +188,11 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
             for text in dict.fromkeys(run["code_hash"] for run in runs if run.get("code_hash"))
         ],
         "reference": short(sum(reference) / len(reference)) if reference else None,
-        "scores": [_pair(row[key]) for key in keys],
+        "scores": [pair(row[key]) for key in keys],
         "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys]
         if several
         else None,
+        "curve": _curve(row),
         "ranked": row["ranked"],
         "wholeProcess": any(run.get("whole_process") for run in runs),
         "open": any(run.get("isolated") is False for run in runs),
@@ -196,6 +206,16 @@ def _provenance(row: Record) -> dict[str, Any]:
     """Return the card of a submission, and the entry whose estimates it repeats."""
     known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
     return {key: one for key, one in known.items() if one}
+
+
+def _curve(row: Record) -> list[list[float] | None] | None:
+    """Average the curve over the matching distance over the seeds; None without one."""
+    keys = [] if row["recorded"] else [one.key for one in tasks.of(row["task"]).curve]
+    values = [
+        [run[key] for run in row["runs"] if run.get(key) is not None and not run.get("error")]
+        for key in keys
+    ]
+    return [pair(mean_of(own)) for own in values] if any(values) else None
 
 
 def commands(runs: Sequence[Record]) -> list[str]:
@@ -220,7 +240,7 @@ def commands(runs: Sequence[Record]) -> list[str]:
     return list(dict.fromkeys(run["command"] for run in known))
 
 
-def _pair(score: Mean | None) -> list[float] | None:
+def pair(score: Mean | None) -> list[float] | None:
     """Return a mean with its half width, if there is one."""
     if score is None:
         return None

@@ -1,0 +1,283 @@
+"""The ranking in a browser: order, cards, files, figures on top of each other, accessibility."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sabench.evaluation.leaderboard import rows
+from sabench.evaluation.record_schema import Record
+from tests.helpers.browser import Browser, chromium
+from tests.system.test_board import HOSTILE, draw, record
+
+AXE = Path(__file__).resolve().parents[1] / "data" / "axe-core-4.14.1.min.js.gz"
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
+DASH = "\u2013"
+EVIL = '=1+1"><img src=x onerror="document.title=1">'
+PLACES = (
+    "[...document.querySelectorAll('.board tbody tr:not(.truth)')]"
+    ".map(row => [row.querySelector('.place').textContent, row.querySelector('.name').textContent])"
+)
+RANKS = (
+    "[...document.querySelectorAll('.board tbody tr:not(.truth)')]"
+    ".map(row => [...row.querySelectorAll('.rank')].map(cell => cell.textContent))"
+)
+DRAWN = (
+    "document.querySelectorAll('.plot').length > 0 && "
+    "[...document.querySelectorAll('.plot')].every(plot => plot.dataset.drawn)"
+)
+# what a press would save: the page makes a blob of it and follows a link
+CATCH = (
+    "(() => { const blob = window.Blob; window.saved = []; "
+    "window.Blob = function (parts, options) { saved.push([options.type, parts.join('')]); "
+    "return new blob(parts, options); }; "
+    "HTMLAnchorElement.prototype.click = function () { saved.push(this.download); }; "
+    "return true; })()"
+)
+VIEWS = ("", "#view=table", "#view=time", "#view=why", "#view=case&case=standard-standard-splat")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as session:
+        if session is None:
+            pytest.skip("chromium and chromedriver are not both on the PATH")
+        yield session
+
+
+def trial() -> list[Record]:
+    """Four solvers in three cases of five seeds, and in two that change the density."""
+    levels = {"easy": 0.9, "standard": 0.8, "hard": 0.5}
+    solvers = {"good": 0.0, "close": -0.001, "fair": -0.2, EVIL: -0.3}
+    curve = {f"peak_f1_within_{number / 10:g}": number / 10 for number in range(1, 11)}
+    head: dict[str, Any] = {"suite": "trial", "reference_s": 0.5, "rms_px": 0.2, **curve}
+    records = [
+        record(
+            solver,
+            base + change + 0.03 * ((seed * (3 if solver == "close" else 1)) % 5 - 2),
+            seed=seed,
+            case=level,
+            scene_hash=level,
+            difficulty=level,
+            dataset=f"{level}-{seed}",
+            seconds=10.0 * (1.0 + change),
+            pictures=level if seed == 1 else None,
+            **head,
+        )
+        for level, base in levels.items()
+        for solver, change in solvers.items()
+        if (level, solver) != ("hard", "fair")
+        for seed in range(1, 6)
+    ]
+    dense = [
+        record(
+            solver,
+            0.8 + change - ppp + 0.01 * seed,
+            seed=seed,
+            case=f"dense-{ppp}",
+            scene_hash=f"dense-{ppp}",
+            dataset=f"{ppp}-{seed}",
+            axis="density",
+            axes={"particles.per_pixel": ppp},
+            seconds=1.0,
+            **head,
+        )
+        for ppp in (0.05, 0.1, 0.2)
+        for solver, change in solvers.items()
+        for seed in range(1, 4)
+    ]
+    return [*records, *dense, record("alone", task="see_through", read_percent=90.0)]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("front")
+    names = [f"{solver}-01234567" for solver in ("good", "close")]
+    for level in ("easy", "standard", "hard"):
+        files = ["truth.png", *(f"{n}.png" for n in names), *(f"{n}.error.png" for n in names)]
+        draw(folder / "pictures" / level, files)
+    rows.build_page(trial(), folder / "pictures", folder / "index.html")
+    return folder / "index.html"
+
+
+# The ranking
+
+
+def test_the_page_opens_with_the_ranking(browser: Browser, page: Path) -> None:
+    browser.open(page)
+    assert browser.ask(PLACES) == [["1", "good"], ["1", "close"], ["3", EVIL], [DASH, "fair"]]
+    assert browser.ask(RANKS) == [["=1"] * 3, ["=1"] * 3, ["4", "4", "3"], ["3", "3", DASH]]
+    bold = "[...document.querySelectorAll('.board b.score')].map(one => one.textContent)"
+    assert browser.ask(bold) == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
+    browser.wait(DRAWN)
+    assert browser.complaints() == []
+
+
+def test_thumbnails_show_the_truth_and_the_estimates(browser: Browser, page: Path) -> None:
+    browser.open(page)
+    shown = "[...document.querySelectorAll('.thumb:not([hidden]) img')].map(one => one.alt)"
+    browser.wait(f"{shown}.length === 9")
+    assert browser.ask(shown)[:3] == ["part of the truth"] * 3
+    first = "document.querySelector('.board tbody tr').className"
+    assert browser.ask(first) == "truth"
+
+
+def test_curves_are_drawn_with_bands(browser: Browser, page: Path) -> None:
+    browser.open(page)
+    browser.wait(DRAWN)
+    count = "document.querySelectorAll('.plot').length"
+    assert browser.ask(count) == 2  # over the density and over the tolerance
+    bands = "document.querySelectorAll('.plot')[0].querySelectorAll('.mark-area path').length"
+    assert browser.ask(bands) == 4
+    points = "document.querySelectorAll('.plot')[1].querySelectorAll('.mark-symbol path').length"
+    assert browser.ask(points) == 4 * 10
+    heads = "[...document.querySelectorAll('h3')].map(head => head.textContent)"
+    assert browser.ask(heads) == [
+        "Score over one property of the scene",
+        "Score over the matching tolerance, standard",
+    ]
+
+
+def test_links_of_earlier_pages_open_the_table(browser: Browser, page: Path) -> None:
+    browser.open(page, "#q=good")
+    current = "document.querySelector('#views [aria-current]').textContent"
+    assert browser.ask(current) == "All results"
+    browser.open(page, "#view=nonsense")
+    assert browser.ask(current) == "Ranking"
+
+
+# Files
+
+
+def saved(browser: Browser, name: str) -> str:
+    """The content that a button would save."""
+    browser.ask(CATCH)
+    browser.press(f"(//button[starts-with(@aria-label, 'save') and text()='{name}'])[1]")
+    browser.wait("window.saved.length === 2")
+    return str(browser.ask("window.saved[0][1]"))
+
+
+@pytest.mark.parametrize("view", ["", "#view=table"])
+def test_what_is_shown_is_saved(browser: Browser, page: Path, view: str) -> None:
+    browser.open(page, view)
+    lines = list(csv.DictReader(io.StringIO(saved(browser, "CSV"))))
+    assert {line["solver"] for line in lines} == {"good", "close", "fair", f"'{EVIL}"}
+    browser.open(page, view)
+    assert {line["solver"] for line in json.loads(saved(browser, "JSON"))} >= {"good", EVIL}
+    browser.open(page, view)
+    tex = saved(browser, "LaTeX")
+    assert tex.startswith("\\begin{tabular}")
+    assert tex.count("&") > 4 * len(lines)
+    assert "%" not in tex.replace("\\%", "")
+
+
+def test_plots_are_saved_as_svg_and_png(browser: Browser, page: Path) -> None:
+    browser.open(page)
+    browser.wait(DRAWN)
+    browser.ask(CATCH)
+    browser.press("(//button[text()='SVG'])[1]")
+    browser.wait("window.saved.length === 2")
+    assert browser.ask("window.saved[0][1].startsWith('<svg')")
+    browser.press("(//button[text()='PNG'])[1]")
+    browser.wait("window.saved.length === 4")
+    assert str(browser.ask("window.saved[3]")).endswith(".png")
+    assert browser.complaints() == []
+
+
+# Figures on top of each other
+
+
+def test_a_slider_uncovers_one_of_two_figures_and_both_zoom(browser: Browser, page: Path) -> None:
+    browser.open(page, VIEWS[-1])
+    names = "[...document.querySelectorAll('.swipe span')].map(one => one.textContent)"
+    assert browser.ask(names) == ["truth", "good"]
+    browser.press("//select/option[text()='close: errors']/..")
+    right = "//section[@id='viewer']//label[span='Right']//option[text()='close: errors']"
+    browser.press(right)
+    assert browser.ask(names) == ["truth", "close: errors"]
+    cover = "document.querySelector('.cover').style.clipPath"
+    assert "50%" in browser.ask(cover)
+    browser.press("//input[@type='range']", "\ue012")  # arrow to the left
+    assert "49%" in browser.ask(cover)
+    browser.press("//button[starts-with(text(), '4')]")
+    browser.press("//div[contains(@class, 'frame')]", "\ue014")  # arrow to the right
+    moved = "[...document.querySelectorAll('.frame img')].map(one => one.style.transform)"
+    assert browser.ask(moved) == ["scale(4) translate(-2.5%, 0%)"] * 2
+
+
+# Narrow screens, no script, accessibility
+
+
+def test_a_narrow_screen_shows_cards_with_scores_first(browser: Browser, page: Path) -> None:
+    browser.open(page, "", 390)
+    assert browser.ask("document.documentElement.scrollWidth") <= 390
+    boxes = (
+        "[...document.querySelectorAll('.cards tbody tr:not(.details)')]"
+        ".map(row => row.getBoundingClientRect()).map(box => [box.left, box.right])"
+    )
+    assert all(0 <= left < right <= 390 for left, right in browser.ask(boxes))
+    top = "document.querySelector('.board b.score').getBoundingClientRect().top"
+    assert browser.ask(top) < 844
+    browser.open(page, "#view=table", 390)
+    order = (
+        "[...document.querySelector('.cards tbody tr').children].map(cell => [cell.dataset.label, "
+        "cell.getBoundingClientRect().top]).sort((a, b) => a[1] - b[1]).map(cell => cell[0])"
+    )
+    assert browser.ask(order)[1:4] == ["Q", "seconds", "case"]
+    assert browser.ask("document.documentElement.scrollWidth") <= 390
+
+
+def test_without_scripts_a_static_table_is_there(browser: Browser, page: Path) -> None:
+    browser.devtools("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.open(page)
+        nodes = browser.devtools("Accessibility.getFullAXTree")["nodes"]
+    finally:
+        browser.devtools("Emulation.setScriptExecutionDisabled", value=False)
+    headers = [
+        one["name"]["value"]
+        for one in nodes
+        if not one["ignored"] and one["role"]["value"] == "rowheader"
+    ]
+    assert headers == ["good", "close", EVIL, "fair", "alone"]
+    browser.open(page)
+    assert browser.ask("document.querySelectorAll('.static').length") == 0
+
+
+@pytest.mark.parametrize("mode", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("view", VIEWS)
+def test_axe_finds_nothing(browser: Browser, page: Path, view: str, width: int, mode: str) -> None:
+    """Axe-core (MPL-2.0) checks contrast, names, roles and order against WCAG 2.1 AA."""
+    scheme = [{"name": "prefers-color-scheme", "value": mode}]
+    browser.devtools("Emulation.setEmulatedMedia", features=scheme)
+    browser.open(page, view, width)
+    browser.ask("document.querySelectorAll('details').forEach(details => { details.open = true })")
+    if view != "#view=table":
+        browser.wait(DRAWN)
+    source = gzip.decompress(AXE.read_bytes()).decode()
+    browser.devtools("Runtime.evaluate", expression=source)
+    found = browser.ask(
+        f"axe.run(document, {{runOnly: {RULES}}})"
+        ".then(result => result.violations.map(one => "
+        "`${one.impact} ${one.id}: ${one.nodes[0].html} (${one.nodes.length})`))"
+    )
+    browser.devtools("Emulation.setEmulatedMedia", features=[])
+    assert found == []
+
+
+def test_hostile_names_stay_text_in_the_ranking(browser: Browser, tmp_path: Path) -> None:
+    records = [record(name, 0.5, suite=EVIL, case=EVIL, axis=EVIL) for name in (HOSTILE, EVIL)]
+    rows.build_page(records, tmp_path, tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    assert browser.ask("document.title") == "sabench leaderboard"
+    assert browser.ask("document.querySelectorAll('[onerror], b img').length") == 0
+    assert HOSTILE in browser.ask("document.getElementById('content').innerText")
+    assert browser.complaints() == []
