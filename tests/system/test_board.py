@@ -239,6 +239,17 @@ def test_what_the_gate_does_not_admit_has_no_standing() -> None:
     assert standing(every[1], every).rank is None
 
 
+def test_a_result_sent_under_other_names_counts_once_in_a_standing() -> None:
+    head: dict[str, Any] = {"task": "reconstruction", "submission": None}
+    copies = [
+        {**record(name, 0.9, **head, rms_px=0.2), "run_hash": name}
+        for name in ("first", "copy", "another copy")
+    ]
+    own = record("own", 0.5, **head, rms_px=0.3)
+    found = standing(own, [*copies, own])
+    assert (found.rank, found.of) == (2, 2)
+
+
 def test_cases_come_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
     names = ["tank-0.05", "tank-0.1", "tank-2", "tank-10"]
     text = page_of([record("a", 0.5, case=name) for name in names[::-1]], tmp_path)
@@ -552,3 +563,45 @@ def test_the_truth_has_no_errors_and_nothing_misses_all(scale: float) -> None:
         bgr(pictures.error_slice(np.zeros_like(truth), truth, scored)), -1, 0
     )
     assert (blue > red).all()
+
+
+@pytest.mark.parametrize(
+    ("width_mm", "length_mm"), [(9.0, 2.0), (8.0, 2.0), (0.9, 0.2), (31.0, 10.0), (3000.0, 1000.0)]
+)
+@pytest.mark.parametrize("grey", [0, 255], ids=["on black", "on white"])
+def test_a_scale_bar_has_its_length(width_mm: float, length_mm: float, grey: int) -> None:
+    volume = np.full((3, 200, 200), 1.0, dtype=np.float32)
+    scored = (slice(0, 3), slice(0, 200), slice(0, 200))
+    plain = pictures.slice_picture(volume if grey else 0.0 * volume, scored)
+    shown = decoded(pictures.with_scale_bar(plain, width_mm)).astype(int)
+    bar = np.flatnonzero(np.abs(shown[390, :, 0] - (255 - grey)) < 3)
+    assert bar[-1] - bar[0] == pytest.approx(400.0 * length_mm / width_mm, abs=3.0)
+    assert length_mm <= width_mm / 3.0
+
+
+def test_kinds_of_detections_have_their_colours() -> None:
+    scored = (slice(0, 3), slice(0, 10), slice(0, 10))
+    parts = [np.zeros((3, 10, 10), dtype=np.float32) for _ in range(2)]
+    parts[0][1, 2, 3] = parts[1][1, 7, 8] = 0.5
+    shown = bgr(
+        pictures.class_slice([(parts[0], pictures.FOUND), (parts[1], pictures.GHOSTS)], scored)
+    )
+    assert tuple(shown[2, 3]) == pictures.FOUND
+    assert tuple(shown[7, 8]) == pictures.GHOSTS
+    assert (shown.sum(axis=2) > 0).sum() == 2
+
+
+# The curve over the matching distance
+
+
+def test_the_curve_is_averaged_over_the_seeds(tmp_path: Path) -> None:
+    seeds = [
+        record("a", 0.5, seed=seed, peak_f1_within_1=value) for seed, value in ((1, 0.6), (2, 0.8))
+    ]
+    row = block(page_of([*seeds, record("b", 0.4)], tmp_path))["rows"]
+    assert row[0]["curve"][:9] == [None] * 9
+    assert row[0]["curve"][9] == [pytest.approx(0.7), pytest.approx(1.2706, abs=1e-3)]
+    assert row[1]["curve"] is None
+    assert (
+        block(page_of(seeds, tmp_path))["tasks"]["reconstruction"]["tolerance"]["unit"] == "voxel"
+    )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import sabench
+from sabench import tasks
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import image_name
 from sabench.dataset.verification import verify
@@ -173,6 +174,7 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
         "solver",
         "parameters",
         *SCORES,
+        *(point.key for point in tasks.of("reconstruction").curve),
         "seconds",
         "peak_mb",
         "compile_s",

@@ -81,6 +81,13 @@ def signature(task_name: str, runs: dict[int, Record]) -> Hashable | None:
     )
 
 
+def distinct(records: Sequence[Record]) -> list[Record]:
+    """Select one record of each result, of records of one data set and task."""
+    named = [signature(one["task"], {one["seed"]: one}) for one in records]
+    keys = [name or number for number, name in enumerate(named)]
+    return list(dict(zip(keys, records, strict=True)).values())
+
+
 def _digits(value: float | None) -> str:
     return "" if value is None else f"{value:.{_SAME_DIGITS}g}"
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from sabench import tasks
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.leaderboard.archives import submitted_files
+from sabench.evaluation.leaderboard.comparison import distinct
 from sabench.evaluation.leaderboard.disclosure import describe_data
 from sabench.evaluation.leaderboard.foreign_results import match_data_sets, score_safely
 from sabench.evaluation.leaderboard.recognition import bundled_records, recognise
@@ -192,7 +193,7 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
     """Rank a record among those of its data set and task.
 
     The task's first score decides among those that its gate admits; equal scores share the better
-    rank.
+    rank. A result that was sent several times counts once.
     """
     task = tasks.of(record["task"])
     score = task.columns[0]
@@ -206,14 +207,16 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
         and task.admits(one)
     ]
     own = record.get(key) if task.admits(record) else None
-    rank = None if own is None else 1 + sum(sign * one[key] > sign * own for one in rivals)
+    better = [one for one in rivals if own is not None and sign * one[key] > sign * own]
+    rank = None if own is None else 1 + len(distinct(better))
     others = [
         one
         for one in rivals
         if (one["run_hash"], one.get("submission")) != (record["run_hash"], record["submission"])
     ]
     best = max(others, key=lambda one: sign * one[key], default=None)
-    return Standing(record, rank, len(rivals), (entry_name(best), best[key]) if best else None)
+    count = len(distinct(rivals))
+    return Standing(record, rank, count, (entry_name(best), best[key]) if best else None)
 
 
 def _has(record: Record, key: str) -> bool:

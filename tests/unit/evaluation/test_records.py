@@ -115,6 +115,8 @@ WRONG: list[dict[str, Any]] = [
     {"reference_s": 1.7e308},
     {"reference_s": -1.0},
     {"q": 2.5},
+    {"peak_f1_within_0.5": 1.5},
+    {"peak_f1_within_0.5": "much"},
     {"q": 10**400},
     {"q": True},
     {"q": "0.9"},
