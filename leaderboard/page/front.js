@@ -22,7 +22,7 @@ function frontView() {
   const select = boards.length > 1 ? make("div", { class: "form" }, selector("Suite", board.title, boards.map(one => [one.title, one.title]), group => change({ group }))) : null;
   return [
     make("h2", {}, `Ranking: ${taskName(state.task)}`), select, boards.length > 1 ? null : make("p", { class: "quiet" }, board.title),
-    boardTable(board), moreLines(board), speedNote(board), downloads(`ranking of ${state.task} in ${board.title}`, () => boardRows(board)), boardLegend(board),
+    boardTable(board), moreLines(board), seedNote(board), speedNote(board), downloads(`ranking of ${state.task} in ${board.title}`, () => boardRows(board)), boardLegend(board),
     ...curveSection(board), ...toleranceSection(board), all,
   ];
 }
@@ -100,6 +100,10 @@ function boardTable(board) {
   return make("div", { class: "box", role: "region", "aria-label": label, tabindex: "0" }, make("table", { class: "board cards" }, make("caption", { class: "unseen" }, label),
     make("thead", {}, make("tr", {}, make("th", { scope: "col", class: "plain" }, "place"), make("th", { scope: "col", class: "plain" }, "solver"),
       make("th", { scope: "col", class: "plain number" }, "mean rank"), heads)), body));
+}
+
+function seedNote(board) {
+  return board.columns.some(one => one.seeds === 1) ? make("p", { class: "quiet" }, "Of a single seed there is no interval: ranks may be chance.") : null;
 }
 
 function speedNote(board) {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from sabench import plugins
@@ -54,8 +55,9 @@ def curves_of(cases: Sequence[Sequence[Record]]) -> list[Curve]:
     Scenes of bundled suites are compared as a whole; of other cases the varied values are known.
     """
     groups: dict[str, dict[int, Facts]] = {}
+    bundled = {one.file.stem: one.file for one in plugins.tables("suite")}
     for place, rows in enumerate(cases):
-        if not table_of(rows[0]).recorded and (facts := _facts(rows[0])):
+        if not table_of(rows[0]).recorded and (facts := _facts(rows[0], bundled)):
             groups.setdefault(key_of(rows[0], _GROUP), {})[place] = facts
     return [
         Curve(cases[points[0][1]][0]["task"], _words(key), key in _LOGARITHMIC, points)
@@ -84,16 +86,11 @@ def _varied(group: Mapping[int, Facts]) -> Iterator[tuple[str, tuple[tuple[float
                 yield key, tuple(sorted(points))
 
 
-def _facts(row: Record) -> Facts:
-    """List the properties of a case by dotted keys."""
-    scene = _scenes(row.get("suite") or "").get(row["scene_hash"])
+def _facts(row: Record, bundled: Mapping[str, Path]) -> Facts:
+    """List the properties of a case by dotted keys; files of bundled suites are by name."""
+    file = bundled.get(row.get("suite") or "")
+    scene = scenes_of(file).get(row["scene_hash"]) if file else None
     return _flatten(_comparable(scene)) if scene else dict(row.get("axes") or {})
-
-
-def _scenes(suite: str) -> Mapping[str, Scene]:
-    """Return the scenes of a bundled suite by their hashes; none of another suite."""
-    file = next((one.file for one in plugins.tables("suite") if one.file.stem == suite), None)
-    return scenes_of(file) if file else {}
 
 
 def _comparable(scene: Scene) -> Facts:
