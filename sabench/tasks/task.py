@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -113,7 +114,7 @@ class Tolerance:
     unit: str
     distances: tuple[float, ...]
 
-    @property
+    @cached_property
     def scores(self) -> tuple[Score, ...]:
         """The curve's values as scores, which records have and tables do not."""
         return tuple(

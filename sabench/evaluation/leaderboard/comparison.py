@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 from sabench import tasks
 from sabench.evaluation.record_schema import Record
@@ -22,7 +23,7 @@ class Result:
     case: int
     row: Record
 
-    @property
+    @cached_property
     def entry(self) -> str:
         """Key of the solver entry."""
         return key_of(self.row, _ENTRY)
@@ -40,9 +41,15 @@ class ComparedCase:
 
     data: dict[int, str]
     results: dict[str, Result]
+    _runs: dict[str, dict[int, Record]] = field(default_factory=dict)
 
     def runs(self, entry: str) -> dict[int, Record]:
         """Select the runs of an entry on the compared data, without failed ones, by seed."""
+        if entry not in self._runs:
+            self._runs[entry] = self._select(entry)
+        return self._runs[entry]
+
+    def _select(self, entry: str) -> dict[int, Record]:
         result = self.results.get(entry)
         runs = _runs_by_data(result.row) if result else {}
         there = {seed: runs.get(data) for seed, data in self.data.items()}
