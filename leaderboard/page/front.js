@@ -27,8 +27,10 @@ function frontView() {
   ];
 }
 
+// Marks of a line: one case that was not confined is enough.
 function lineChips(line) {
-  return [...chips(data.rows[line.row]), line.also.length ? make("span", { class: "chip", title: line.also.join(", ") }, `also sent as ${line.also.slice(0, 3).join(", ")}`) : null];
+  const places = line.cells.flatMap(cell => cell.places), open_ = places.find(place => data.rows[place].open);
+  return [...chips(data.rows[open_ ?? line.row]), line.also.length ? make("span", { class: "chip", title: line.also.join(", ") }, `also sent as ${line.also.slice(0, 3).join(", ")}`) : null];
 }
 
 function rankText(cell) {
@@ -198,10 +200,11 @@ function curveFigure(points_, x, column, label, caption, fewer) {
 // A score over the distance within which detections match, beside the single figure at one of them.
 
 function toleranceSection(board) {
-  const one = board.columns.find(column => column.name === "standard") ?? board.columns[0];
-  const rows = byTask[state.task].filter(row => one.cases.includes(row.case) && row.curve);
-  if (!data.tasks[state.task].tolerance || !rows.length) return [];
-  return [make("h3", {}, `Score over the matching tolerance, ${one.name}`), tolerancePlot(one.cases.length === 1 ? rows : rows.filter(row => row.case === one.cases[0]))];
+  if (!data.tasks[state.task].tolerance) return [];
+  const rowsOf = column => byTask[state.task].filter(row => row.case === column.cases[0] && row.curve);
+  const standardFirst = [...board.columns].sort((a, b) => (b.name === "standard") - (a.name === "standard"));
+  const one = standardFirst.find(column => rowsOf(column).length);
+  return one ? [make("h3", {}, `Score over the matching tolerance, ${one.name}`), tolerancePlot(rowsOf(one))] : [];
 }
 
 function tolerancePlot(rows) {

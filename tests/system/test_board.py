@@ -285,8 +285,10 @@ def test_a_solver_that_could_read_the_truth_is_marked(tmp_path: Path) -> None:
         record("b", 0.8, isolated=True),
         record("c", 0.7),
     ]
-    data = block(page_of(records, tmp_path))
-    assert [row["open"] for row in data["rows"]] == [True, False, False]
+    text = page_of(records, tmp_path)
+    assert [row["open"] for row in block(text)["rows"]] == [True, False, False]
+    (static,) = re.findall(STATIC, without_data(text), re.DOTALL)
+    assert re.findall(r'<th scope="row">(.*?)</th>', static) == ["a (not isolated)", "b", "c"]
 
 
 def test_a_score_that_some_seeds_lack_is_the_mean_of_the_others() -> None:

@@ -281,3 +281,29 @@ def test_hostile_names_stay_text_in_the_ranking(browser: Browser, tmp_path: Path
     assert browser.ask("document.querySelectorAll('[onerror], b img').length") == 0
     assert HOSTILE in browser.ask("document.getElementById('content').innerText")
     assert browser.complaints() == []
+
+
+def test_marks_of_results_are_kept_in_the_ranking(browser: Browser, tmp_path: Path) -> None:
+    """A program's seconds, a solver that was not confined in one case, a sender, a copy."""
+    sent = {"submission": {"name": "Ann", "date": "2026-01-02"}}
+    records = [
+        record("program", 0.9, seconds=2.0, reference_s=1.0, whole_process=True, rms_px=0.1),
+        record("open", 0.8, case="one", suite="tank", isolated=True),
+        record("open", 0.8, case="two", suite="tank", scene_hash="two", isolated=False),
+        record("sent", 0.7, **sent),
+        record("copy", 0.9, rms_px=0.1, **sent),
+    ]
+    records = [{**one, "suite": "trial"} for one in records]
+    rows.build_page(records, tmp_path, tmp_path / "index.html")
+    browser.open(tmp_path / "index.html")
+    chips = (
+        "Object.fromEntries([...document.querySelectorAll('.board tbody tr')].map(row => "
+        "[row.querySelector('.name').textContent, "
+        "[...row.querySelectorAll('.chip')].map(chip => chip.textContent)]))"
+    )
+    assert browser.ask(chips) == {
+        "program": ["also sent as copy by Ann"],
+        "open": ["not isolated"],
+        "sent": ["by Ann"],
+    }
+    assert "\u2020" in browser.ask("document.querySelector('.board').textContent")

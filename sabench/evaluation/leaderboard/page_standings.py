@@ -145,13 +145,18 @@ def _static(boards: Sequence[Board]) -> Iterator[dict[str, Any]]:
                 "lines": [
                     {
                         "place": line.place or "-",
-                        "name": _plain(_sender(line.result.row)),
+                        "name": _plain(_sender(line.result.row)) + _mark(line.result.row),
                         "rank": f"{line.mean_rank:.2f}",
                         "cells": [_words(board.task, cell) for cell in line.cells],
                     }
                     for line in lines
                 ],
             }
+
+
+def _mark(row: Record) -> str:
+    """Mark a solver that could have read the truth."""
+    return " (not isolated)" if any(run.get("isolated") is False for run in row["runs"]) else ""
 
 
 def _plain(text: str) -> str:
