@@ -87,7 +87,7 @@ def _varied(group: Mapping[int, Facts]) -> Iterator[tuple[str, tuple[tuple[float
 
 
 def _facts(row: Record, bundled: Mapping[str, Path]) -> Facts:
-    """List the properties of a case by dotted keys; files of bundled suites are by name."""
+    """List the properties of a case by dotted keys; bundled suites are by name."""
     file = bundled.get(row.get("suite") or "")
     scene = scenes_of(file).get(row["scene_hash"]) if file else None
     return _flatten(_comparable(scene)) if scene else dict(row.get("axes") or {})
