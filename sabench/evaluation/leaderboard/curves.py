@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sabench import plugins
+from sabench.evaluation.leaderboard.page_content import details_of
 from sabench.evaluation.leaderboard.score_columns import table_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
@@ -57,8 +58,9 @@ def curves_of(cases: Sequence[Sequence[Record]]) -> list[Curve]:
     groups: dict[str, dict[int, Facts]] = {}
     bundled = {one.file.stem: one.file for one in plugins.tables("suite")}
     for place, rows in enumerate(cases):
-        if not table_of(rows[0]).recorded and (facts := _facts(rows[0], bundled)):
-            groups.setdefault(key_of(rows[0], _GROUP), {})[place] = facts
+        head = rows[0] | details_of(rows)
+        if not table_of(head).recorded and (facts := _facts(head, bundled)):
+            groups.setdefault(key_of(head, _GROUP), {})[place] = facts
     return [
         Curve(cases[points[0][1]][0]["task"], _words(key), key in _LOGARITHMIC, points)
         for group in groups.values()

@@ -136,14 +136,19 @@ def gate_text(task: Task) -> str:
     return f"{first.heading} ranks results whose {one.heading} is {task.gate.least:g} or more."
 
 
-def _case(rows: Sequence[Record]) -> dict[str, Any]:
-    """Describe a case for the page; older records lack some of the values."""
-    first = rows[0]
-    hidden = "-hidden" if first["split"] == "hidden" else ""
-    details = {
+def details_of(rows: Sequence[Record]) -> Record:
+    """Collect what the records of a case say of it; older ones lack some values."""
+    return {
         name: next((row[name] for row in rows if row.get(name)), None)
         for name in ("suite", "difficulty", "axis", "axes")
     }
+
+
+def _case(rows: Sequence[Record]) -> dict[str, Any]:
+    """Describe a case for the page."""
+    first = rows[0]
+    hidden = "-hidden" if first["split"] == "hidden" else ""
+    details = details_of(rows)
     head = {name: first[name] for name in ("scene", "renderer", "split")}
     tag = f"{first['case']}-{first['scene_hash'][:8]}-{first['renderer']}{hidden}"
     return {

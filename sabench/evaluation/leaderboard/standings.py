@@ -9,6 +9,7 @@ from itertools import groupby
 from sabench import tasks
 from sabench.evaluation.leaderboard.cells import Cell, fill_column
 from sabench.evaluation.leaderboard.comparison import Result, compare, newest
+from sabench.evaluation.leaderboard.page_content import details_of
 from sabench.evaluation.leaderboard.ranking import mean_rank
 from sabench.evaluation.leaderboard.score_columns import table_of
 from sabench.evaluation.record_schema import Record
@@ -81,7 +82,10 @@ def boards_of(cases: Sequence[Sequence[Record]]) -> list[Board]:
     """
     numbers = iter(range(sum(len(rows) for rows in cases)))
     results = [
-        Result(next(numbers), place, row) for place, rows in enumerate(cases) for row in rows
+        Result(next(numbers), place, row | details)
+        for place, rows in enumerate(cases)
+        for details in [details_of(rows)]
+        for row in rows
     ]
     scored = sorted((one for one in results if not table_of(one.row).recorded), key=_group)
     boards = [_board(list(group)) for _, group in groupby(scored, key=_group)]

@@ -230,6 +230,14 @@ def test_suites_renderers_and_splits_have_standings_of_their_own() -> None:
     assert len({(one.suite, one.renderer, one.split) for one in found}) == len(found) == 4
 
 
+def test_a_record_that_says_less_of_its_case_is_compared_with_the_others() -> None:
+    """As older records do, and submissions of data sets that nobody has run."""
+    old = results("old", {"easy": around(0.7)}, suite=None, difficulty=None)
+    found = board([*old, *results("new", {"easy": around(0.8)})])
+    assert [line.place for line in found.lines] == [1, 2]
+    assert found.columns[0].name == "easy"
+
+
 def test_recorded_results_have_no_standing() -> None:
     assert boards_of(cases_of(over_seeds([record("a", task="particles", recorded=True)]))) == []
 
