@@ -153,13 +153,22 @@ def f1_over_distance(
 def count_duplicates(estimate: F64, truth: F64, scored_estimate: Bool) -> int:
     """Count the scored detections of true particles that have a better one."""
     a, _ = challenge_pairs(estimate, truth)
-    alone = scored_estimate.copy()
-    alone[a] = False
+    return int((mark_duplicates(estimate, truth, a) & scored_estimate).sum())
+
+
+def mark_duplicates(estimate: F64, truth: F64, matched: I64) -> Bool:
+    """Mark the detections (n,) of true particles that have a better one.
+
+    `matched` are the rows of the detections in pairs; see `challenge_pairs`.
+    """
+    alone = np.ones(len(estimate), dtype=np.bool_)
+    alone[matched] = False
     if not alone.any() or not len(truth):
-        return 0
+        return np.zeros(len(estimate), dtype=np.bool_)
     limit = CHALLENGE_RADIUS
     apart, _ = cKDTree(truth).query(estimate[alone], p=np.inf, distance_upper_bound=limit)
-    return int((apart < limit).sum())
+    alone[alone] = apart < limit
+    return alone
 
 
 def challenge_pairs(estimate: F64, truth: F64, radius: float = CHALLENGE_RADIUS) -> tuple[I64, I64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from sabench.utils.arrays import F32, F64, U16, Bool
 
 U8 = npt.NDArray[np.uint8]
 Colour = tuple[float, float, float]
+AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
 _MONTAGE_PX = 900  # widest mosaic
 _CELLS = 12  # along the longer side of an image
@@ -52,7 +54,7 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
             f"montage: expected images (camera, row, column), got shape {images.shape}"
         )
     across = _across(*images.shape)
-    small = _join_blocks(
+    small = join_blocks(
         images, math.ceil(across * images.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1)))
     )
     least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
@@ -69,7 +71,7 @@ def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
     if dark.ndim != 3 or not dark.size:
         raise ValueError(f"backlit: expected images (camera, row, column), got shape {dark.shape}")
     across = _across(*dark.shape)
-    small = _join_blocks(
+    small = join_blocks(
         dark, math.ceil(across * dark.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1)))
     )
     return _png(
@@ -303,8 +305,8 @@ def _across(cameras: int, rows: int, columns: int) -> int:
     return min(range(cameras, 0, -1), key=badness)
 
 
-def _join_blocks(images: U16, block: int) -> U16:
-    """Join block x block pixels by their maximum.
+def join_blocks(images: npt.NDArray[AnyNumber], block: int) -> npt.NDArray[AnyNumber]:
+    """Join block x block pixels of images (n, row, column) by their maximum.
 
     The last row and column of blocks may be cut.
     """

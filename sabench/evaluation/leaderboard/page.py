@@ -5,10 +5,7 @@ Users sort, filter, plot and compare the rows in their browser.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
-import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -21,6 +18,7 @@ from sabench.evaluation.leaderboard.page_content import cases_of, content_of
 from sabench.evaluation.leaderboard.page_figures import albums_of
 from sabench.evaluation.leaderboard.page_standings import front_of
 from sabench.evaluation.record_schema import Record
+from sabench.utils.inline_code import escape_code, escape_json, hash_code
 from sabench.utils.version import __version__
 
 _SCRIPTS = (
@@ -54,12 +52,12 @@ def _assemble(
     data: dict[str, Any], albums: dict[int, dict[str, str]], facts: dict[str, Any]
 ) -> str:
     folder = plugins.bundled_folder("leaderboard")
-    style = _inline((folder / "page" / "page.css").read_text(encoding="utf-8"))
+    style = escape_code((folder / "page" / "page.css").read_text(encoding="utf-8"))
     parts = "\n".join(
         (folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS
     )
     # the function's names are separate from the library's
-    script = _inline(f"(() => {{\n{parts}}})();")
+    script = escape_code(f"(() => {{\n{parts}}})();")
     texts = {"style": style, "script": script, "library": library()}
     environment = Environment(
         loader=FileSystemLoader(folder),
@@ -69,7 +67,7 @@ def _assemble(
         lstrip_blocks=True,
     )
     blocks = {number: _data(album) for number, album in albums.items()}
-    hashes = {name: _hash(text) for name, text in texts.items()}
+    hashes = {name: hash_code(text) for name, text in texts.items()}
     return environment.get_template("page.html.j2").render(
         **texts, **facts, hashes=hashes, data=_data(data), albums=blocks
     )
@@ -80,21 +78,9 @@ def library() -> str:
     """Load the plotting library as a script: Vega-Embed with all that it needs."""
     import vl_convert  # it loads 90 MB, which no other command needs
 
-    return _inline(vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;"))
-
-
-def _inline(text: str) -> str:
-    """Escape a text so that a script or style element can hold it."""
-    return re.sub(
-        r"<(?=/script|/style|!--)", r"<\\", text.replace("\r\n", "\n"), flags=re.IGNORECASE
-    )
-
-
-def _hash(text: str) -> str:
-    """Hash a script or style as a content security policy names it."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+    return escape_code(vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;"))
 
 
 def _data(value: Any) -> str:
     """Serialise as JSON in which no markup can begin."""
-    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return escape_json(json.dumps(value, separators=(",", ":"), allow_nan=False))
