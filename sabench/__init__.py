@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from sabench.evaluation.leaderboard.submissions import submit
     from sabench.evaluation.runner import run_suite
     from sabench.evaluation.thesis import reproduce
+    from sabench.evaluation.viewer.view import View, view
     from sabench.geometry.camera import Camera
     from sabench.geometry.grid import Grid
     from sabench.geometry.refraction import Layer, Wall
@@ -60,6 +61,7 @@ _HOMES = {
     "Result": "dataset.results",
     "SampleSet": "dataset.sample_set",
     "Scene": "scenes",
+    "View": "evaluation.viewer.view",
     "Wall": "geometry.refraction",
     "calibrate": "tasks.own_calibration",
     "check": "evaluation.gates.comparison:check_file",
@@ -87,6 +89,7 @@ _HOMES = {
     "stream_key": "simulation.streaming",
     "submit": "evaluation.leaderboard.submissions",
     "verify": "dataset.verification",
+    "view": "evaluation.viewer.view",
 }
 _NAMESPACES = (
     "algorithms",
@@ -109,6 +112,7 @@ __all__ = [
     "Result",
     "SampleSet",
     "Scene",
+    "View",
     "Wall",
     "__version__",
     "algorithms",
@@ -145,6 +149,7 @@ __all__ = [
     "submit",
     "tasks",
     "verify",
+    "view",
 ]
 
 

@@ -26,6 +26,7 @@ from sabench.cli.quality import quality
 from sabench.cli.recordings import compare_statistics
 from sabench.cli.refocus import refocus
 from sabench.cli.reproduce import reproduce
+from sabench.cli.view import view
 from sabench.cli.warmup import warmup
 from sabench.utils.errors import InputError
 from sabench.utils.version import __version__
@@ -44,6 +45,7 @@ for _command in (
     solve.score,
     refocus,
     quality,
+    view,
     exchange.export,
     exchange.import_result,
     solve.conform,

@@ -1,4 +1,4 @@
-"""Classification of estimates by the rules of the scores: found, missed, ghosts, duplicates."""
+"""Classification of estimates by the rules of the scores."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def true_bubbles(data: Dataset, frame: int) -> Cloud:
 def target_points(data: Dataset, frame: int) -> Cloud:
     """Read the true points of a calibration target."""
     points = data.placed().points_mm[frame]
-    return Cloud.of_kind(points, TRUE, np.arange(len(points)))
+    return Cloud.of_kind(points, TRUE)
 
 
 def classify_particles(found: FoundParticles, data: Dataset, frame: int) -> Cloud:
@@ -59,9 +59,7 @@ def find_peaks(found: Reconstruction, data: Dataset) -> FoundParticles:
 def classify_bubbles(found: Detections, data: Dataset, frame: int) -> Cloud:
     """Mark found bubbles and true ones by the rule of the task; see `match`."""
     kind = GHOST if data.has_truth else FOUND
-    estimate = Cloud.of_kind(
-        found.center_mm, kind, found.trajectory, shape_mm=_shapes(found)
-    )
+    estimate = Cloud.of_kind(found.center_mm, kind, found.trajectory, shape_mm=_shapes(found))
     if not data.has_truth:
         return estimate
     true = true_bubbles(data, frame)
@@ -81,10 +79,10 @@ def place_vectors(field: Velocity, data: Dataset, pair: tuple[int, int]) -> Clou
 
 
 def place_target(found: Calibration, data: Dataset, frame: int) -> Cloud:
-    """Place a target's true points and, if the solver estimates them, the estimated ones."""
+    """Place a target's true points, and the estimated ones if there are any."""
     true = target_points(data, frame) if data.has_truth and data.shows_target else None
     points = np.zeros((0, 3)) if found.points_mm is None else found.points_mm[frame]
-    estimate = Cloud.of_kind(points, FOUND, np.arange(len(points)))
+    estimate = Cloud.of_kind(points, FOUND)
     return estimate if true is None else true + estimate
 
 

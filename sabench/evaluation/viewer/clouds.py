@@ -80,7 +80,7 @@ class Cloud:
 
     def counts(self) -> list[int]:
         """Count the objects of each kind."""
-        return np.bincount(self.kind, minlength=len(KINDS)).tolist()
+        return [int(count) for count in np.bincount(self.kind, minlength=len(KINDS))]
 
 
 def link_to_earlier(cloud: Cloud, earlier: Cloud | None) -> I64:
@@ -90,7 +90,7 @@ def link_to_earlier(cloud: Cloud, earlier: Cloud | None) -> I64:
         return rows
     for true in (True, False):
         own, other = (
-            np.flatnonzero((np.isin(one.kind, _OF_TRUTH) == true) & (one.trajectory >= 0))
+            np.flatnonzero((np.isin(one.kind, _OF_TRUTH, invert=not true)) & (one.trajectory >= 0))
             for one in (cloud, earlier)
         )
         _, i, j = np.intersect1d(

@@ -1,20 +1,21 @@
-"""Contents of a page: surroundings, frames and names, of a rig, a data set or a result."""
+"""Contents of a page: surroundings, frames and names."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from sabench import tasks
-from sabench.api import Calibration, Detections, FoundParticles, Reconstruction, Velocity
+from sabench.api import Calibration, Velocity
 from sabench.api.truth import Solid
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
 from sabench.evaluation.viewer import classification as classify
 from sabench.evaluation.viewer.clouds import KINDS, Cloud, with_velocities
+from sabench.evaluation.viewer.estimates import Estimates
 from sabench.evaluation.viewer.surroundings import Surroundings
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import propose_box
@@ -23,6 +24,7 @@ from sabench.scenes import BubbleWorld, Scene, build_rig
 from sabench.simulation.frames import light_in_fluid
 from sabench.utils.progress import progress_bar
 
+Sort = Literal["Particles", "Vectors", "Target"]
 MOST_FRAMES = 50
 _TRUTH = {"true": "true"}
 _MATCHED = {
@@ -59,7 +61,7 @@ class Contents:
     labels : names of the kinds of particles and bubbles, by `KINDS`.
     data : data set whose images are shown; None for a rig.
     volume : reconstruction (z, y, x) of the first frame, where a result has one.
-    vectors : whether the particles are nodes of a velocity field.
+    sort : heading of what the particles are.
     notes : sentences on what is left out.
     """
 
@@ -70,7 +72,7 @@ class Contents:
     labels: dict[str, str] = field(default_factory=dict)
     data: Dataset | None = None
     volume: Any = None
-    vectors: bool = False
+    sort: Sort = "Particles"
     notes: tuple[str, ...] = ()
 
     def totals(self) -> dict[str, dict[str, list[int]]]:
@@ -117,91 +119,34 @@ def of_dataset(data: Dataset, result: Result | None = None) -> Contents:
     """
     setup = data.setup
     count = min(setup.frames, MOST_FRAMES)
-    estimates = _Estimates(data, result, count)
+    estimates = None if result is None else Estimates(data, result)
     frames = [_frame(data, n, estimates) for n in progress_bar(range(count), "frames")]
     notes = []
     if count < setup.frames:
         notes.append(f"The first {count} of {setup.frames} frames are shown.")
-    if estimates.peaks:
+    if estimates is not None and estimates.peaks:
         notes.append("Particles of the result are local maxima of its volume.")
     scene = data.scene if data.has_truth else None
     cameras = data.true_cameras if data.has_truth else setup.cameras
-    estimated = estimates.calibration.cameras if estimates.calibration else ()
     title = data.root.resolve().name if scene is None else scene.title
     return Contents(
         title,
         (*_facts(data, result), *_rig_facts(setup.cameras, setup.grid)),
-        _surround(cameras, setup.grid, scene, estimated),
+        _surround(cameras, setup.grid, scene, () if estimates is None else estimates.cameras),
         _fill_velocities(frames),
         _labels(data, result),
         data,
-        estimates.volume,
-        estimates.kind is Velocity,
+        None if estimates is None else estimates.volume,
+        _sort(data, result),
         tuple(notes),
     )
 
 
-class _Estimates:
-    """Estimates of a result, read frame by frame.
-
-    Attributes
-    ----------
-    volume : reconstruction of the first frame.
-    peaks : whether its particles are local maxima.
-    """
-
-    def __init__(self, data: Dataset, result: Result | None, count: int) -> None:
-        self._data, self._result = data, result
-        self._task = None if result is None else tasks.of(result.task)
-        if result is not None and data.has_truth:
-            tasks.check_task(result.task, data, result.path)
-        self.kind = None if self._task is None else self._task.estimate
-        self.calibration: Calibration | None = None
-        if self.kind is Calibration:
-            self.calibration = self._read(0)
-        self._pairs = dict(data.setup.pairs())
-        self.volume: Any = None
-        self.peaks = False
-
-    def _read(self, frame: int) -> Any:
-        assert self._task is not None and self._result is not None
-        return self._task.read(self._data, self._result, frame)
-
-    def particles(self, frame: int) -> Cloud | None:
-        """Read a frame's particles, vectors or points; None where there are none."""
-        data = self._data
-        if self.kind is FoundParticles:
-            return classify.classify_particles(self._read(frame), data, frame)
-        if self.kind is Reconstruction:
-            return self._of_volume(frame)
-        if self.kind is Velocity and frame in self._pairs:
-            pair = frame, self._pairs[frame]
-            return classify.place_vectors(self._read(frame), data, pair)
-        if self.calibration is not None:
-            return classify.place_target(self.calibration, data, frame)
-        return None
-
-    def bubbles(self, frame: int) -> Cloud | None:
-        """Read a frame's bubbles; None where there are none."""
-        if self.kind is not Detections:
-            return None
-        return classify.classify_bubbles(self._read(frame), self._data, frame)
-
-    def _of_volume(self, frame: int) -> Cloud | None:
-        found: Reconstruction = self._read(frame)
-        if frame == 0:
-            self.volume = found.volume
-        if self._result is None or self._result.task != "reconstruction":
-            return None
-        self.peaks = found.particles_mm is None
-        peaks = classify.find_peaks(found, self._data)
-        return classify.classify_particles(peaks, self._data, frame)
-
-
-def _frame(data: Dataset, number: int, estimates: _Estimates) -> Frame:
+def _frame(data: Dataset, number: int, estimates: Estimates | None) -> Frame:
     """Collect a frame: what a result found, and the truth of everything else."""
     nothing = Cloud.of_kind(np.zeros((0, 3)), 0)
-    particles, bubbles = estimates.particles(number), estimates.bubbles(number)
+    particles = None if estimates is None else estimates.particles(number)
+    bubbles = None if estimates is None else estimates.bubbles(number)
     solids: tuple[Solid, ...] = ()
     if data.has_truth:
         world = data.scene.world
@@ -253,6 +198,12 @@ def _labels(data: Dataset, result: Result | None) -> dict[str, str]:
     if kind is Calibration:
         return _TARGET
     return _MATCHED if data.has_truth else _UNMATCHED
+
+
+def _sort(data: Dataset, result: Result | None) -> Sort:
+    if result is not None and tasks.of(result.task).estimate is Velocity:
+        return "Vectors"
+    return "Target" if data.shows_target else "Particles"
 
 
 def _facts(data: Dataset, result: Result | None) -> list[tuple[str, str]]:

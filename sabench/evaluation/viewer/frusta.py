@@ -1,4 +1,4 @@
-"""Frusta of cameras: light paths of an image's border, through the wall into the volume."""
+"""Frusta of cameras: light paths of an image's border, through the wall."""
 
 from __future__ import annotations
 

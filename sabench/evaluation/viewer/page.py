@@ -18,7 +18,7 @@ from sabench.utils.inline_code import escape_code, escape_json, hash_code
 from sabench.utils.version import __version__
 
 _FOLDER = Path(__file__).with_name("page")
-_SCRIPTS = ("base", "colours", "space", "rig", "objects", "planes", "images", "main")
+_SCRIPTS = ("base", "colours", "raster", "space", "rig", "objects", "planes", "images", "main")
 
 
 def render(contents: Contents) -> tuple[str, list[str]]:

@@ -21,9 +21,9 @@ from sabench.evaluation.viewer.surroundings import Surroundings, rounded
 from sabench.evaluation.viewer.thinning import shown_share, thin
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.volume_polynomials import fit_volume_polynomials
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, Bool
 
-_FAR = 1.0  # of the volume's size outside it: what is farther away is left out
+_FAR = 1.5  # of the volume's size, from its middle: what is farther away is left out
 _BEYOND = 0.05  # of the volume's size, on either side: how far projections hold
 _LEVELS, _STEPS = 65_535, 32_767  # of positions, and of velocities
 _USUAL = 95.0  # percentile of speeds that has the brightest colour
@@ -50,7 +50,8 @@ def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
         "share": share,
         **_frames(near, thin(particles, share), packer),
         "totals": contents.totals(),
-        "vectors": contents.vectors,
+        "sort": contents.sort,
+        "vectors": contents.sort == "Vectors",
         "backlit": contents.data is not None and is_bright(contents.data),
         **_seen(contents, notes),
         "arrays": packer.index,
@@ -62,11 +63,11 @@ def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
 def _leave_out_far(contents: Contents) -> tuple[list[Frame], list[str]]:
     """Drop particles far outside the volume, and say how many."""
     around = contents.surroundings
-    size = _FAR * (around.high_mm - around.low_mm)
+    size = around.high_mm - around.low_mm
     frames, dropped = [], 0
     for one in contents.frames:
-        inside = (one.particles.position_mm >= around.low_mm - size).all(axis=1)
-        inside &= (one.particles.position_mm <= around.high_mm + size).all(axis=1)
+        off = np.abs(one.particles.position_mm - around.center_mm)
+        inside: Bool = np.asarray((off <= _FAR * size).all(axis=1))
         dropped += int((~inside).sum())
         own = one.particles.select(inside)
         frames.append(Frame(one.number, one.time_s, own, one.bubbles, one.solids))
@@ -113,6 +114,7 @@ def _frames(frames: Sequence[Frame], shown: Sequence[Cloud], packer: Packer) -> 
             }
         )
     return {
+        "linked": any((one.trajectory >= 0).any() for one in shown) and len(frames) > 1,
         "box": {"low": rounded(low, 6), "size": rounded(size, 6)},
         "fastest": fastest,
         "usual": usual,
@@ -160,7 +162,7 @@ def _short_velocities(cloud: Cloud, fastest: float) -> Any:
 
 
 def _seen(contents: Contents, notes: list[str]) -> dict[str, Any]:
-    """Describe the cameras' images, the projections into them and the stacks of planes."""
+    """Describe the cameras' images, projections into them and stacks of planes."""
     maps = projections(contents.surroundings)
     data = contents.data
     if data is None or not has_images(data):

@@ -17,46 +17,51 @@ from sabench.dataset.schema import image_name
 from sabench.evaluation.viewer.surroundings import rounded
 from sabench.geometry.grid import Grid
 from sabench.plotting.pictures import join_blocks
-from sabench.utils.arrays import F32, F64, U8
-from sabench.utils.errors import InputError
+from sabench.utils.arrays import F32, F64, U8, triple
 from sabench.utils.progress import progress_bar
 
 _PLANES = 40
 _SLICE_PX, _LONGEST_PX = 480, 1024
 _QUALITY, _LOWEST_QUALITY = 80, 20
 _GAMMA = 0.5
-_BRIGHTEST = 99.9  # percentile shown as white
+_DARKEST, _BRIGHTEST = 20.0, 99.9  # percentiles shown as black and white
+_X, _Y, _Z = np.eye(3)
 
 
 @dataclass(frozen=True)
-class Stack:
-    """Planes of the volume as pictures.
+class Planes:
+    """Position of a stack of parallel planes.
 
     Attributes
     ----------
-    name : what they show.
-    corner_mm : (3,) of the first plane's first pixel, at its outer corner.
-    across_mm, down_mm : (3,) edges of a plane.
+    corner_mm : (3,) outer corner of the first plane's first pixel.
+    across_mm, down_mm : (3,) edges of a plane, along its columns and its rows.
     step_mm : (3,) from a plane to the next one.
-    planes : (plane, row, column) grey values.
     """
 
-    name: str
     corner_mm: F64
     across_mm: F64
     down_mm: F64
     step_mm: F64
-    planes: U8
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Planes of the volume as pictures (plane, row, column) of grey values."""
+
+    name: str
+    place: Planes
+    pictures: U8
 
     def describe(self) -> dict[str, Any]:
         """Describe the stack as the page's JSON holds it."""
         return {
             "name": self.name,
-            "corner": rounded(self.corner_mm),
-            "across": rounded(self.across_mm),
-            "down": rounded(self.down_mm),
-            "step": rounded(self.step_mm, 6),
-            "planes": [compress(one, _QUALITY) for one in self.planes],
+            "corner": rounded(self.place.corner_mm),
+            "across": rounded(self.place.across_mm),
+            "down": rounded(self.place.down_mm),
+            "step": rounded(self.place.step_mm, 6),
+            "planes": [compress(one, _QUALITY) for one in self.pictures],
         }
 
 
@@ -90,7 +95,7 @@ def camera_pictures(
 
 
 def has_images(data: Dataset) -> bool:
-    """Return whether a data set has images; those of targets may have pixels of points alone."""
+    """Return whether a data set has images; that of a target may have none."""
     first = image_name(data.setup.cameras[0].name, 0, "tif")
     return first in data.contents.files or data.references is not None
 
@@ -101,7 +106,7 @@ def is_bright(data: Dataset) -> bool:
 
 
 def _grey_images(data: Dataset, frame: int) -> Iterator[U8]:
-    """Scale a frame's images to 8 bits: backlit ones as they are, dim particles raised."""
+    """Scale a frame's images to 8 bits; dim particles are raised."""
     images = np.stack([data.raw_image(n, frame) for n in range(len(data.setup.cameras))])
     light = images.astype(np.float32) - np.float32(data.setup.sensor.black_dn)
     top = np.percentile(light, _BRIGHTEST)
@@ -116,21 +121,17 @@ def _grey(values: F32, low: float, high: float, gamma: float) -> U8:
 
 
 def refocused_stack(data: Dataset, frame: int) -> Stack:
-    """Refocus a frame on planes through the volume, at right angles to the view.
-
-    Raises
-    ------
-    InputError
-        No image shows anything.
-    """
+    """Refocus a frame on planes through the volume, at right angles to the view."""
     case, backlit = data.observation(frame), "bubbles" in data.shows
     images = transmission(case) if backlit else case.normalised_images()
     axis, sign = _viewing_axis(case)
     if axis == 2 and find_edge_on(case.cameras, case.grid) is None:
-        stack = _by_slabs(case, images)
+        planes, place = _by_slabs(case, images)
     else:
-        stack = _plane_by_plane(case, images, axis, sign)
-    return _as_stack("refocused images", *stack, backlit=backlit)
+        planes, place = _plane_by_plane(case, images, axis, sign)
+    low, high = np.percentile(planes, [1.0 if backlit else _DARKEST, _BRIGHTEST])
+    grey = _grey(planes, float(low), float(high), 1.0 if backlit else _GAMMA)
+    return Stack("refocused images", place, grey)
 
 
 def volume_stack(volume: F32, grid: Grid) -> Stack:
@@ -138,69 +139,67 @@ def volume_stack(volume: F32, grid: Grid) -> Stack:
     thick = -(-volume.shape[0] // _PLANES)
     block = -(-max(volume.shape[1:]) // _SLICE_PX)
     padded = np.pad(volume, ((0, -len(volume) % thick), (0, 0), (0, 0)))
-    joined = padded.reshape(-1, thick, *volume.shape[1:]).max(axis=1)
-    low = np.asarray(grid.low_mm) - np.asarray(grid.voxel_mm) / 2.0
-    low[2] += thick * grid.voxel_mm[2] / 2.0
-    size = np.asarray(grid.voxel_mm) * grid.shape[::-1]
-    edges = [size[0] * np.eye(3)[0], size[1] * np.eye(3)[1], thick * grid.voxel_mm[2] * np.eye(3)[2]]
-    return _as_stack("reconstruction", join_blocks(joined, block), low, *edges, backlit=False)
+    joined = join_blocks(padded.reshape(-1, thick, *volume.shape[1:]).max(axis=1), block)
+    (low, high), step = grid.box_mm, thick * grid.voxel_mm[2]
+    corner = low + step / 2.0 * _Z
+    place = Planes(corner, (high - low) * _X, (high - low) * _Y, step * _Z)
+    return Stack("reconstruction", place, _grey(joined, 0.0, _top(joined), _GAMMA))
 
 
-def _as_stack(
-    name: str, planes: F32, corner: F64, across: F64, down: F64, step: F64, *, backlit: bool
-) -> Stack:
-    low, high = np.percentile(planes, [1.0 if backlit else 20.0, _BRIGHTEST])
-    grey = _grey(planes, float(low), float(high), 1.0 if backlit else _GAMMA)
-    return Stack(name, corner, across, down, step, grey)
+def _top(values: F32) -> float:
+    """Find the value shown as white; few voxels may be bright at all."""
+    bright = values[values > 0.0]
+    return float(np.percentile(bright, _BRIGHTEST)) if bright.size else 1.0
 
 
 def _viewing_axis(case: Observation) -> tuple[int, int]:
     """Find the axis of the world that the cameras look along, and the sign."""
-    middles = np.array([[[one.columns / 2.0, one.rows / 2.0]] for one in case.cameras])
+    middles = [np.array([[one.columns / 2.0, one.rows / 2.0]]) for one in case.cameras]
     rays = [one.back_project(at) for one, at in zip(case.cameras, middles, strict=True)]
     mean = np.nanmean([one.directions[0] for one in rays], axis=0)
     axis = int(np.argmax(np.abs(mean)))
     return axis, -1 if mean[axis] < 0.0 else 1
 
 
-_Planes = tuple[F32, F64, F64, F64, F64]
-
-
-def _by_slabs(case: Observation, images: F32) -> _Planes:
-    """Refocus planes of constant Z; they are joined from planes of the data set's voxels."""
+def _by_slabs(case: Observation, images: F32) -> tuple[F32, Planes]:
+    """Refocus planes of constant Z, at the data set's voxels where they are small."""
     low, high = case.grid.box_mm
-    size = high - low
-    pixel = max(float(size[:2].max()) / _SLICE_PX, min(case.grid.voxel_mm[:2]))
-    finer = max(1, int(pixel / min(case.grid.voxel_mm[:2])))
-    counts = np.maximum(np.rint(size[:2] / pixel * finer), 1.0)
-    planes = min(_PLANES, case.grid.shape[0])
-    voxel = np.array([*(size[:2] / counts), size[2] / planes])
-    grid = Grid(tuple(low + voxel / 2.0), tuple(voxel), (planes, int(counts[1]), int(counts[0])))
-    stack = join_blocks(refocus_sum(images, case.cameras, grid), finer)
-    corner = low + [0.0, 0.0, voxel[2] / 2.0]
-    return stack, corner, *(length * one for length, one in zip((size[0], size[1], voxel[2]), np.eye(3), strict=True))
+    size, voxel = high - low, min(case.grid.voxel_mm[:2])
+    pixel = max(float(size[:2].max()) / _SLICE_PX, voxel)
+    finer = max(1, int(pixel / voxel))
+    columns, rows = (max(1, round(float(edge / pixel * finer))) for edge in size[:2])
+    shape = min(_PLANES, case.grid.shape[0]), rows, columns
+    edges = size / shape[::-1]
+    grid = Grid(triple(low + edges / 2.0), triple(edges), shape)
+    planes = join_blocks(refocus_sum(images, case.cameras, grid), finer)
+    place = Planes(low + edges[2] / 2.0 * _Z, size * _X, size * _Y, edges[2] * _Z)
+    return planes, place
 
 
-def _plane_by_plane(case: Observation, images: F32, axis: int, sign: int) -> _Planes:
+def _plane_by_plane(case: Observation, images: F32, axis: int, sign: int) -> tuple[F32, Planes]:
     """Refocus planes of any orientation, coarser: each point is projected on its own."""
     low, high = case.grid.box_mm
-    size = high - low
-    across, down = _plane_axes(axis, sign)
-    shape = [int(np.clip(abs(size @ one) / size.max() * _SLICE_PX / 2, 2, None)) for one in (down, across)]
-    step = sign * np.eye(3)[axis] * size[axis] / _PLANES
-    corner = (low + high) / 2.0 - (abs(size @ across) * across + abs(size @ down) * down) / 2.0
-    corner = corner - (_PLANES - 1) / 2.0 * step
-    edges = abs(size @ across) * across, abs(size @ down) * down
-    rows, columns = ((np.arange(count) + 0.5) / count for count in shape)
-    plane = corner + rows[:, None, None] * edges[1] + columns[:, None] * edges[0]
+    place = _place_planes(low, high, axis, sign)
+    edges = place.down_mm, place.across_mm
+    pixel = 2.0 * max(np.linalg.norm(one) for one in edges) / _SLICE_PX
+    rows, columns = (
+        (np.arange(count) + 0.5) / count
+        for count in (max(2, round(float(np.linalg.norm(one) / pixel))) for one in edges)
+    )
+    first = place.corner_mm + rows[:, None, None] * edges[0] + columns[:, None] * edges[1]
     made = [
-        refocus_on_surface(images, case.cameras, plane + n * step, "additive").values
+        refocus_on_surface(images, case.cameras, first + n * place.step_mm, "additive").values
         for n in progress_bar(range(_PLANES), "planes")
     ]
-    return np.nan_to_num(np.stack(made)), corner, *edges, step
+    return np.nan_to_num(np.stack(made)), place
 
 
-def _plane_axes(axis: int, sign: int) -> tuple[F64, F64]:
-    """Choose unit vectors (3,) to the right and down in a plane, as the cameras see it."""
-    down = np.eye(3)[2 if axis == 1 else 1]
-    return np.cross(down, sign * np.eye(3)[axis]), down
+def _place_planes(low_mm: F64, high_mm: F64, axis: int, sign: int) -> Planes:
+    """Place planes across an axis of a box; their front faces the cameras."""
+    size, ahead = high_mm - low_mm, sign * np.eye(3)[axis]
+    down = _Z if axis == 1 else _Y
+    across = np.cross(down, ahead)
+    edges = abs(size @ across) * across, abs(size @ down) * down
+    step = ahead * size[axis] / _PLANES
+    middle = (low_mm + high_mm) / 2.0 - (_PLANES - 1) / 2.0 * step
+    return Planes(middle - (edges[0] + edges[1]) / 2.0, *edges, step)

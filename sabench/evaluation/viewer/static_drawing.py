@@ -1,4 +1,4 @@
-"""Drawings of a rig that need no script: projections along two edges of the volume."""
+"""Drawings of a rig that need no script, along two edges of the volume."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _symbol(camera: dict[str, Any], plane: list[int], length_mm: float) -> Outli
 
 
 def _hull(points_mm: F64, plane: list[int]) -> F64:
-    """Find the rim (n, 2) of points (n, 3) as seen in a plane; their ends, if it is a line."""
+    """Find the rim (n, 2) of points (n, 3) in a plane, or the ends of a line."""
     flat = points_mm[:, plane]
     try:
         return np.asarray(flat[ConvexHull(flat).vertices])

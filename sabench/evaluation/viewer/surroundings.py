@@ -96,7 +96,7 @@ class Surroundings:
         ]
         corners = np.array([self.low_mm, self.high_mm, self.center_mm])
         points = np.concatenate([*paths, corners])
-        return points[np.isfinite(points).all(axis=1)]
+        return np.asarray(points[np.isfinite(points).all(axis=1)])
 
     def _describe_light(self, light: Illumination) -> dict[str, Any]:
         """Describe the light as a box that is longer than the volume."""
@@ -187,4 +187,6 @@ def _padded(values: F64) -> tuple[F64, F64]:
 def rounded(values: npt.ArrayLike, decimals: int = _DECIMALS) -> Any:
     """Convert an array to nested lists of short numbers; NaN becomes None."""
     array = np.round(np.asarray(values, dtype=np.float64), decimals) + 0.0
-    return np.where(np.isfinite(array), array, None).tolist()
+    made = array.astype(object)
+    made[~np.isfinite(array)] = None
+    return made.tolist()

@@ -83,12 +83,14 @@ def view(source: Scene | Dataset | str | Path, result: str | Path | None = None)
 
 
 def _collect(source: Scene | Dataset | str | Path, result: str | Path | None) -> Contents:
-    if isinstance(source, Dataset) or is_file(Path(str(source)) / MANIFEST):
-        return _of_dataset(source, result)
-    if result is not None:
-        raise InputError(f"{source}: expected the data set of {result}, got something else")
+    if result is not None and isinstance(source, Scene):
+        raise InputError(f"{source.title}: expected the data set of {result}, got a scene")
     if isinstance(source, Scene):
         return of_scene(source, source.title)
+    if isinstance(source, Dataset) or is_file(Path(source) / MANIFEST):
+        return _of_dataset(source, result)
+    if result is not None:
+        raise InputError(f"{source}: expected the data set of {result}, found none there")
     path = Path(source)
     if path.suffix in _RESULTS:
         return _of_dataset(_find_dataset(path), path)

@@ -99,7 +99,7 @@ def test_the_bare_command_prints_help_and_no_error(command: Command) -> None:
 
 def test_help_shows_no_types_of_flags() -> None:
     commands = [info.name or info.callback.__name__ for info in registered() if info.callback]
-    assert len(commands) == 27
+    assert len(commands) == 28
     for name in commands:
         done = CliRunner().invoke(command_line.app, [name, "--help"])
         assert done.exit_code == 0

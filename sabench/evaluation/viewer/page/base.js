@@ -1,5 +1,5 @@
 "use strict";
-// The page's script: its files are joined in the order base, colours, space, rig, objects, planes, images, main.
+// The page's script: its files are joined in the order base, colours, raster, space, rig, objects, planes, images, main.
 // No text of a data set becomes markup, a style or code: it is only ever a text node or text on a canvas.
 const data = JSON.parse(document.getElementById("data").textContent);
 const SVG = "http://www.w3.org/2000/svg";

@@ -65,7 +65,7 @@ function legendCard(sort, title) {
   const fill = () => rows.forEach((kind, i) => { counts[i].textContent = count.format(data.totals[sort][kind][state.frame] ?? 0); });
   fill();
   listeners.push(what => { if (what.has("frame")) fill(); });
-  const ticks = rows.map((kind, i) => tick(labelOf(kind), true, on => { state.kinds[kind] = on; changed("kinds"); }, icon(kind, sort === "bubbles"), counts[i]));
+  const ticks = rows.map((kind, i) => tick(labelOf(kind), state.kinds[kind], on => { state.kinds[kind] = on; changed("kinds"); }, icon(kind, sort === "bubbles"), counts[i]));
   return make("fieldset", { class: "card", id: sort }, make("legend", {}, title), ticks, rows.some(kind => ERRORS.has(kind)) && !data.vectors ? onlyErrors(rows, ticks) : null);
 }
 
@@ -91,7 +91,7 @@ function drawCard() {
   const parts = [];
   const moving = data.usual > 0;
   if (Object.keys(data.totals.particles).length) parts.push(slide("size of particles", { least: .4, most: 3, step: .1, value: 1, show: value => `x ${value}` }, value => { state.size = value; changed("size"); }));
-  if (data.frames.length > 1) parts.push(slide("paths, frames back", { least: 0, most: Math.min(data.frames.length - 1, 20), step: 1, value: state.tail, show: String }, value => { state.tail = value; changed("lines"); }));
+  if (data.linked) parts.push(slide("paths, frames back", { least: 0, most: Math.min(data.frames.length - 1, 20), step: 1, value: state.tail, show: String }, value => { state.tail = value; changed("lines"); }));
   if (moving) {
     const most = longestStep();
     parts.push(slide("velocities", { least: 0, most: 1, step: .05, value: state.vectors / most, show: value => (value ? `${+(value * most * 1000).toPrecision(2)} ms` : "off") }, value => { state.vectors = value * most; changed("lines"); }));
@@ -115,9 +115,9 @@ async function start() {
   const arrays = await unpack(), stage = make("div", { class: "stage", id: "stage" });
   const column = make("div", { class: "column" }, stage), panel = make("div", { class: "panel" });
   main.append(column, panel);
-  if (data.frames.length > 1) state.tail = Math.min(data.frames.length - 1, 6);
+  if (data.linked) state.tail = Math.min(data.frames.length - 1, 6);
   if (data.frames.length) state.frusta = "one";
-  if (data.vectors) state.vectors = longestStep() / 2;
+  if (data.vectors) Object.assign(state, { vectors: longestStep() / 2, kinds: { ...state.kinds, true: false } });
   let space = null, rig = null;
   try { space = new Space(stage); } catch { stage.append(make("p", { class: "lack" }, "This browser offers no WebGL, so nothing is drawn in space: see the pictures and the drawings and tables below.")); }
   const objects = space ? new Objects(space, rig = new Rig(space), arrays) : Object.assign(Object.create(Objects.prototype), { arrays, low: data.box?.low, size: data.box?.size });
@@ -126,7 +126,7 @@ async function start() {
     document.getElementById("tables").open = false;
   }
   column.append(timeBar() ?? "");
-  panel.append(legendCard("particles", data.vectors ? "Vectors" : "Particles") ?? "", legendCard("bubbles", "Bubbles") ?? "", drawCard() ?? "", rigCard());
+  panel.append(legendCard("particles", data.sort) ?? "", legendCard("bubbles", "Bubbles") ?? "", drawCard() ?? "", rigCard());
   const planes = data.stacks.length ? new Planes(space, objects, arrays) : null, images = data.frames.length ? new Images(objects, arrays) : null;
   if (planes || images) main.append(make("div", { class: "pictures" }, images?.card(), planes?.card()));
   else if (space) rigPicker(panel);

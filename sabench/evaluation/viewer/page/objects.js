@@ -37,6 +37,7 @@ void main() {
   gl_FragColor = vec4(vTint, 1.);
 }`;
 const SIZES = { true: .95, found: .95, missed: 1.25, ghost: 1.15, duplicate: 1.2 };  // the errors are to be seen first
+const MOST_IN_SOFTWARE = 5000;  // points that WebGL draws without a graphics card
 const LEAST_PX = 1.7, MOST_PX = 15;
 
 class Objects {
@@ -50,6 +51,8 @@ class Objects {
     this.points = this.lines = this.arrows = null;
     this.round = new THREE.Group();
     this.geometries = new Map();
+    this.raster = space.software && Math.max(0, ...data.frames.map(one => one.particles.count)) > MOST_IN_SOFTWARE ? new Raster(space.stage) : null;
+    if (this.raster) space.after.push(() => this.drawRaster());
     space.scene.add(this.round);
     space.before.push(distance => this.scaleWith(distance));
     this.build();
@@ -95,7 +98,7 @@ class Objects {
     const { scale, least, most, near, far } = this.material.uniforms, pixels = this.space.renderer.getPixelRatio();
     const count = Math.max(this.frame?.particles.count ?? 1, 1), size = this.size.reduce((a, b) => a * b, 1);
     const apart = Math.cbrt(Math.max(size, 1e-9) / count);
-    const height = this.space.canvas.height / (2 * Math.tan(FIELD_DEG / 2 * Math.PI / 180));
+    const height = this.space.stage.clientHeight * pixels / (2 * Math.tan(FIELD_DEG / 2 * Math.PI / 180));
     scale.value = .3 * apart * height * state.size;
     least.value = LEAST_PX * pixels * Math.sqrt(state.size);
     most.value = MOST_PX * pixels * state.size;
@@ -115,8 +118,17 @@ class Objects {
     this.points = new THREE.Points(this.geometries.get(state.frame), this.material);
     this.points.position.set(...this.low);
     this.points.scale.set(...this.size);
+    this.points.visible = !this.raster;
     this.points.frustumCulled = false;
     this.space.scene.add(this.points);
+  }
+
+  drawRaster() {
+    if (!this.points) { this.raster.clear(); return; }
+    this.points.updateMatrixWorld();
+    const { camera, stage } = this.space, cloud = this.frame.particles, ratio = this.space.renderer.getPixelRatio();
+    const matrix = new THREE.Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse).multiply(this.points.matrixWorld);
+    this.raster.draw(this.arrays[cloud.position], this.arrays[cloud.kind], matrix, this.material.uniforms, Math.round(ratio * stage.clientWidth), Math.round(ratio * stage.clientHeight));
   }
 
   geometryOf(cloud) {

@@ -104,7 +104,8 @@ class Rig {
     const faint = Math.max(.16, .5 / Math.sqrt(others.length || 1));
     this.group.add(segments(others.flatMap(one => frustumLines(one, false)), colours.rig, faint));
     this.group.add(segments(frustumLines(data.rig.cameras[state.camera], false), colours.chosen));
-    if (data.rig.estimated.length) this.group.add(segments(data.rig.estimated.flatMap(one => frustumLines(one, false)), colours.found, .6));
+    const estimated = data.rig.estimated.filter((_, number) => state.frusta === "all" || number === state.camera);
+    if (estimated.length) this.group.add(segments(estimated.flatMap(one => frustumLines(one, false)), colours.found, .6));
   }
 
   // Bodies and lenses of cameras; a symbol has a size of the rig, not of a real camera.

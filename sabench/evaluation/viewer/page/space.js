@@ -1,13 +1,15 @@
 // The drawing in space: camera, presets and drawing on demand.
 const UP = new THREE.Vector3(0, -1, 0);  // the world's y points down
 const FIELD_DEG = 35;
+const CALM_MS = 180;  // after the last movement
 const vector = values => new THREE.Vector3(...values);
 
 class Space {
   constructor(stage) {
     this.stage = stage;
     this.canvas = make("canvas", { tabindex: "0", role: "img", "aria-label": "Drawing in space. Arrow keys turn it, plus and minus zoom, 0 shows all.", keydown: event => this.key(event) });
-    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true, powerPreference: "high-performance" });
+    this.software = drawsInSoftware();
+    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: !this.software, powerPreference: "high-performance" });
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(FIELD_DEG, 1, 1, 1000);
     this.camera.up.copy(UP);
@@ -18,8 +20,10 @@ class Space {
     this.scene.add(this.sky, this.camera);
     stage.prepend(this.canvas);
     this.controls = new THREE.OrbitControls(this.camera, this.canvas);
-    this.controls.addEventListener("change", () => this.invalidate());
+    this.controls.addEventListener("change", () => (this.software ? this.hurry() : this.invalidate()));
     this.before = [];  // called before each drawing
+    this.after = [];
+    this.hurried = null;  // the timer of the next drawing of all pixels
     this.asked = false;
     new ResizeObserver(() => this.resize()).observe(stage);
     this.resize();
@@ -28,7 +32,7 @@ class Space {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.stage;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(this.software ? 1 : Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
@@ -41,6 +45,19 @@ class Space {
     requestAnimationFrame(() => this.draw());
   }
 
+  // While the drawing moves in software, it has half as many pixels along each side.
+  hurry() {
+    if (this.hurried === null) this.setRatio(.5);
+    clearTimeout(this.hurried);
+    this.hurried = setTimeout(() => { this.hurried = null; this.setRatio(1); this.invalidate(); }, CALM_MS);
+    this.invalidate();
+  }
+
+  setRatio(ratio) {
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(this.stage.clientWidth, this.stage.clientHeight, false);
+  }
+
   draw() {
     this.asked = false;
     const distance = this.camera.position.distanceTo(this.controls.target);
@@ -50,6 +67,7 @@ class Space {
     for (const act of this.before) act(distance);
     this.renderer.setClearColor(colours.stage);
     this.renderer.render(this.scene, this.camera);
+    for (const act of this.after) act();
   }
 
   // Look at points from a direction, as near as all of them are in view.
