@@ -137,6 +137,15 @@ def test_list_prints_json(command: Command) -> None:
     assert set(NAMES) < {one["name"] for one in read_strictly(done.stdout)}
 
 
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", NAMES)
+def test_view_prints_json(command: Command, boards: Dataset, tmp_path: Path, name: str) -> None:
+    made = sabench.solve(name, boards, tmp_path / "r.h5")
+    done = command("view", boards.root, made.path, "--json")
+    assert done.returncode == 0, done.stderr
+    assert read_strictly(done.stdout)["cameras"] == len(boards.setup.cameras)
+
+
 def test_refocus_prints_one_sentence(command: Command, boards: Dataset) -> None:
     """Points of targets are no images to refocus."""
     done = command("refocus", boards.root, "-o", "wall", "--json")
@@ -170,6 +179,7 @@ def test_commands_on_own_recordings_print_json_of_images_that_show_nothing(
         ("import", "films", "--cameras", quick.root, "-o", "tank", "--json"),
         ("preprocess", "tank", "-o", "preview.png", "--json"),
         ("quality", "tank", "found.h5", "--no-again", "--json"),
+        ("view", "tank", "found.h5", "--json"),
         ("plan", "quick", "--json"),
     ]
     for words in asked:
@@ -206,5 +216,6 @@ def test_every_command_with_json_is_tried_here() -> None:
         "run",
         "score",
         "submit",
+        "view",
     }
     assert with_json == tried | {"reproduce"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from sabench.geometry.common_view import propose_box
 from sabench.geometry.grid import Grid
 from sabench.scenes import BubbleWorld, Scene, build_rig
 from sabench.simulation.frames import light_in_fluid
+from sabench.utils.arrays import F32
 from sabench.utils.progress import progress_bar
 
 Sort = Literal["Particles", "Vectors", "Target"]
@@ -71,7 +72,7 @@ class Contents:
     frames: tuple[Frame, ...] = ()
     labels: dict[str, str] = field(default_factory=dict)
     data: Dataset | None = None
-    volume: Any = None
+    volume: F32 | None = None
     sort: Sort = "Particles"
     notes: tuple[str, ...] = ()
 

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from sabench.dataset.reader import Dataset
 from sabench.evaluation.viewer.clouds import KINDS, Cloud, link_to_earlier
 from sabench.evaluation.viewer.contents import Contents, Frame
 from sabench.evaluation.viewer.packing import Packer
 from sabench.evaluation.viewer.pictures import (
+    Stack,
     camera_pictures,
     has_images,
     is_bright,
@@ -171,11 +173,21 @@ def _seen(contents: Contents, notes: list[str]) -> dict[str, Any]:
     pictures, complete = camera_pictures(data, frames, _PICTURES_BYTES)
     if not complete:
         notes.append(f"Images of the first {len(pictures)} frames are shown.")
-    stacks = [] if data.shows_target else [refocused_stack(data, 0)]
+    described = [one.describe() for one in _stacks(contents, data, notes)]
+    return {"maps": maps, "pictures": pictures, "stacks": described}
+
+
+def _stacks(contents: Contents, data: Dataset, notes: list[str]) -> list[Stack]:
+    """Make the stacks of planes of the first frame."""
+    stacks = []
+    if not data.shows_target:
+        try:
+            stacks.append(refocused_stack(data, 0))
+        except ValueError:
+            notes.append("Not refocused: some of the volume has no light path to a camera.")
     if contents.volume is not None:
         stacks.append(volume_stack(contents.volume, data.setup.grid))
-    described = [one.describe() for one in stacks]
-    return {"maps": maps, "pictures": pictures, "stacks": described}
+    return stacks
 
 
 def projections(around: Surroundings) -> list[dict[str, Any] | None]:

@@ -132,7 +132,7 @@ async function start() {
   else if (space) rigPicker(panel);
   dark.addEventListener("change", () => { readColours(); changed("theme"); });
   document.documentElement.dataset.ready = "yes";
-  globalThis.sabenchView = { space, state, changed, objects };  // for tests and benchmarks
+  globalThis.sabenchView = { space, state, changed, objects, images };  // for tests and benchmarks
 }
 
 // Of a rig without images: which camera is chosen.

@@ -1,0 +1,102 @@
+"""The command view and sabench.view."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+import sabench
+from sabench.dataset.observation_side import copy_observation
+from sabench.dataset.reader import Dataset
+from tests.conftest import Command
+
+
+def test_a_result_is_shown_next_to_its_data_set(
+    command: Command, quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
+    done = command("view", quick.root, quick_result, "-o", "mine.html", "--json")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["cameras"] == 4
+    assert summary["particles"] >= 600
+    assert summary["notes"] == ["Particles of the result are local maxima of its volume."]
+    page = (tmp_path / "mine.html").read_text(encoding="utf-8")
+    assert summary["bytes"] == len(page.encode()) < 15_000_000
+    alone = command("view", quick_result, "-o", "alone.html")
+    assert alone.returncode == 0, alone.stderr
+    assert (tmp_path / "alone.html").read_text(encoding="utf-8") == page
+    again = command("view", quick.root, "-o", "mine.html")
+    assert again.returncode == 2
+    assert "mine.html exists already" in again.stderr
+
+
+@pytest.mark.parametrize("what", ["cylinder-tank", "quick.toml"])
+def test_a_rig_is_shown(command: Command, tmp_path: Path, quick_toml: str, what: str) -> None:
+    (tmp_path / "quick.toml").write_text(quick_toml, encoding="utf-8")
+    done = command("view", what)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("view.html: 4 cameras, 0 frames, 0 particles, 0 bubbles, 0.")
+
+
+def test_cameras_of_a_data_set_are_shown_without_its_images(quick: Dataset) -> None:
+    made = sabench.view(quick.root / "cameras.json")
+    assert made.summary["cameras"] == 4
+    assert made.summary["frames"] == 0
+
+
+def test_the_observation_side_alone_shows_what_was_found(
+    quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
+    copy_observation(quick, tmp_path / "blind")
+    blind = sabench.open_dataset(tmp_path / "blind")
+    made = sabench.view(blind, quick_result)
+    assert made.summary["particles"] > 300
+    assert "found; no truth is known" in made.html
+    assert sabench.view(blind).summary["particles"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nothing"], "nothing: expected a file or one of "),
+        (["nothing.h5"], "nothing.h5: expected a result file, found none"),
+        (["quick", "result.h5"], "quick: expected the data set of result.h5, found none there"),
+        (["."], "expected cameras.json of `sabench calibrate`"),
+        (["broken.h5"], "broken.h5"),
+    ],
+)
+def test_errors_are_one_sentence(
+    command: Command, tmp_path: Path, words: list[str], said: str
+) -> None:
+    (tmp_path / "broken.h5").write_bytes(b"no HDF5")
+    done = command("view", *words)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("sabench: ")
+    assert said in done.stderr
+    assert not (tmp_path / "view.html").exists()
+
+
+def test_a_result_without_its_data_set_says_what_to_run(
+    command: Command, quick_result: Path, tmp_path: Path
+) -> None:
+    shutil.copy(quick_result, tmp_path / "away.h5")
+    done = command("view", "away.h5")
+    assert done.returncode == 2
+    assert "run `sabench view DATASET RESULT`" in done.stderr
+
+
+def test_notebooks_show_the_page_in_a_frame_of_its_own(tmp_path: Path) -> None:
+    made = sabench.view(sabench.load_scene("quick"))
+    shown = made._repr_html_()
+    assert shown.startswith('<iframe sandbox="allow-scripts" srcdoc="&lt;!DOCTYPE html&gt;')
+    assert shown.count("<") == 2  # the page is text of an attribute
+    path = made.save(tmp_path / "rig.html")
+    assert path.read_text(encoding="utf-8") == made.html
+    with pytest.raises(sabench.api.InputError, match="exists already"):
+        made.save(path)
+    made.save(path, overwrite=True)

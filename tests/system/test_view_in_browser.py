@@ -1,0 +1,248 @@
+"""The page of a view in a browser without network.
+
+It draws all points, follows its controls and the keyboard, fits a phone, runs no name as code, and
+says what is missing where there is no WebGL or no script.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from sabench.dataset.reader import Dataset
+from sabench.evaluation.viewer.clouds import FOUND, MISSED, TRUE, Cloud
+from sabench.evaluation.viewer.contents import Contents, Frame, of_dataset, of_scene
+from sabench.evaluation.viewer.page import render
+from sabench.scenes import load_scene
+from tests.helpers.browser import Browser, chromium
+
+EVIL = '</script><img src=x onerror="document.title=1">'
+SHOWN = "sabenchView.objects.points.geometry.attributes.position.count"
+NO_WEBGL = """const real = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  return kind.startsWith("webgl") ? null : real.call(this, kind, ...rest);
+};"""
+# what Chromium says of drawing in software
+EXPECTED = ("software WebGL", "GPU stall due to ReadPixels")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with chromium() as session:
+        if session is None:
+            pytest.skip("chromium and chromedriver are not both on the PATH")
+        session.devtools("Network.enable")
+        session.devtools(
+            "Network.emulateNetworkConditions",
+            offline=True,
+            latency=0,
+            downloadThroughput=0,
+            uploadThroughput=0,
+        )
+        yield session
+
+
+def moving(count: int = 40) -> Contents:
+    """Particles of three kinds that move, in three frames of the quick scene."""
+    contents = of_scene(load_scene("quick"), "made up")
+    low, high = contents.surroundings.low_mm, contents.surroundings.high_mm
+    start = np.random.default_rng(1).uniform(low + 1.0, high - 1.0, (count, 3))
+    kind = np.repeat([TRUE, FOUND, MISSED], [count // 2, count // 4, count // 4]).astype(np.uint8)
+    nothing = Cloud.of_kind(np.zeros((0, 3)), TRUE)
+    frames = tuple(
+        Frame(
+            n,
+            0.1 * n,
+            Cloud.of_kind(start + 0.3 * n, kind, np.arange(count), np.full((count, 3), 3.0)),
+            nothing,
+        )
+        for n in range(3)
+    )
+    labels = {"found": EVIL, "missed": "missed"}
+    return replace(contents, title=EVIL, frames=frames, labels=labels)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("view") / "moving.html"
+    file.write_text(render(moving())[0], encoding="utf-8")
+    return file
+
+
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory: pytest.TempPathFactory, quick: Dataset) -> Path:
+    file = tmp_path_factory.mktemp("view") / "quick.html"
+    file.write_text(render(of_dataset(quick))[0], encoding="utf-8")
+    return file
+
+
+def open_page(browser: Browser, page: Path, width: int = 1400) -> None:
+    browser.complaints()
+    browser.open(page, width=width)
+    browser.wait("document.documentElement.dataset.ready")
+
+
+def faults(browser: Browser) -> list[str]:
+    return [one for one in browser.complaints() if not any(known in one for known in EXPECTED)]
+
+
+def drawing(browser: Browser) -> np.ndarray:
+    """Picture of the drawing in space, as the screen has it."""
+    browser.ask("new Promise(done => setTimeout(done, 350))")  # the drawing at rest
+    box = browser.ask(
+        "(({x, y, width, height}) => ({x, y, width, height}))"
+        "(document.getElementById('stage').getBoundingClientRect())"
+    )
+    shot = browser.devtools("Page.captureScreenshot", format="png", clip=box | {"scale": 1})
+    data = np.frombuffer(base64.b64decode(shot["data"]), dtype=np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    assert image is not None
+    return np.asarray(image).astype(int)
+
+
+def test_all_points_are_drawn_without_faults(browser: Browser, page: Path) -> None:
+    open_page(browser, page)
+    assert browser.ask(SHOWN) == 40
+    assert browser.ask("sabenchView.space.renderer.info.render.points") == 40
+    assert faults(browser) == []
+
+
+def test_kinds_can_be_left_out(browser: Browser, page: Path) -> None:
+    open_page(browser, page)
+    before = drawing(browser)
+    for box in ("//fieldset[@id='particles']//label[1]//input", "//button[text()='errors only']"):
+        browser.press(box)
+        after = drawing(browser)
+        assert np.abs(after - before).max() > 50
+        before = after
+    ticks = "[...document.querySelectorAll('#particles input')].map(one => one.checked)"
+    assert browser.ask(ticks) == [False, False, True]
+
+
+def test_time_goes_on_and_paths_are_drawn(browser: Browser, page: Path) -> None:
+    open_page(browser, page)
+    first = browser.ask("sabenchView.objects.points.geometry.uuid")
+    assert browser.ask("sabenchView.objects.lines") is None
+    browser.press("//input[@aria-label='Frame']", "\ue014\ue014")
+    assert "frame 2, t = 0.2 s" in browser.ask("document.querySelector('#time output').textContent")
+    assert browser.ask("sabenchView.objects.points.geometry.uuid") != first
+    # two steps back for each of 40 particles, two ends each
+    count = "sabenchView.objects.lines.geometry.attributes.position.count"
+    assert browser.ask(count) == 2 * 2 * 40
+    browser.press("//input[@aria-label='velocities']", "\ue014")
+    assert browser.ask("sabenchView.objects.arrows.geometry.attributes.position.count") == 2 * 40
+    assert faults(browser) == []
+
+
+@pytest.mark.parametrize("key", ["\ue012", "\ue013", "+", "-"])
+def test_keys_move_the_view_and_0_takes_it_back(browser: Browser, page: Path, key: str) -> None:
+    open_page(browser, page)
+    place = "sabenchView.space.camera.position.toArray()"
+    home = np.array(browser.ask(place))
+    browser.press("//div[@id='stage']/canvas", key)
+    assert np.linalg.norm(np.array(browser.ask(place)) - home) > 0.1
+    browser.press("//div[@id='stage']/canvas", "0")
+    assert browser.ask(place) == pytest.approx(home.tolist())
+
+
+def test_names_are_never_run(browser: Browser, page: Path) -> None:
+    open_page(browser, page)
+    assert browser.ask("document.querySelectorAll('img').length") == 0
+    assert browser.ask("document.title").startswith("</script>")
+    assert browser.ask("document.querySelector('h1').textContent") == EVIL
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_nothing_is_wider_than_the_screen(browser: Browser, pictured: Path, width: int) -> None:
+    open_page(browser, pictured, width)
+    browser.press("//summary")
+    assert browser.ask("document.documentElement.scrollWidth") <= width
+    names = browser.ask(
+        "[...document.querySelectorAll('button, select, input, canvas[tabindex]')]"
+        ".filter(one => !(one.ariaLabel || one.labels?.length || one.textContent)).length"
+    )
+    assert names == 0
+    assert faults(browser) == []
+
+
+def test_particles_are_marked_where_the_image_shows_them(browser: Browser, pictured: Path) -> None:
+    """Marks are at bright pixels of the camera's image, and follow the chosen camera."""
+    open_page(browser, pictured)
+    script = """(() => {{
+      const images = sabenchView.images, marks = [...images.marks()], canvas = images.picture.image;
+      const own = document.createElement("canvas").getContext("2d");
+      Object.assign(own.canvas, {{ width: canvas.width, height: canvas.height }});
+      own.drawImage(canvas, 0, 0);
+      const pixels = own.getImageData(0, 0, canvas.width, canvas.height).data;
+      const at = (x, y) => pixels[4 * (Math.floor(y) * canvas.width + Math.floor(x))];
+      const mean = values => values.reduce((a, b) => a + b, 0) / values.length;
+      const inside = marks.filter(([, x, y]) => x > 0 && y > 0 && x < 320 && y < 240);
+      return [inside.length, mean(inside.map(([, x, y]) => at(x, y))), mean([...pixels])];
+    }})()"""
+    for number in range(2):
+        browser.wait("sabenchView.images.picture.image")
+        count, marked, every = browser.ask(script.replace("{{", "{").replace("}}", "}"))
+        assert count > 200, number
+        assert marked > 100.0, number
+        assert every < 80.0, number
+        browser.press("//button[@aria-label='next camera']")
+        browser.ask("new Promise(done => setTimeout(done, 200))")
+
+
+def test_planes_can_be_gone_through_and_shown_in_space(browser: Browser, pictured: Path) -> None:
+    open_page(browser, pictured)
+    before = drawing(browser)
+    browser.press("//section[@id='planes']//input[@type='checkbox']")
+    shown = drawing(browser)
+    assert np.abs(shown - before).max() > 50
+    text = "document.querySelector('#planes p').textContent"
+    first = browser.ask(text)
+    browser.press("//section[@id='planes']//input[@type='range']", "\ue014")
+    assert browser.ask(text) != first
+    assert faults(browser) == []
+
+
+def test_without_webgl_there_is_a_sentence_and_the_rest(browser: Browser, pictured: Path) -> None:
+    added = browser.devtools("Page.addScriptToEvaluateOnNewDocument", source=NO_WEBGL)
+    try:
+        open_page(browser, pictured)
+        assert "no WebGL" in browser.ask("document.getElementById('stage').textContent")
+        assert browser.ask("document.getElementById('tables').open")
+        assert browser.ask("document.querySelectorAll('svg.drawing').length") == 2
+        assert browser.ask("[...sabenchView.images.marks()].length") > 200
+    finally:
+        browser.devtools("Page.removeScriptToEvaluateOnNewDocument", **added)
+
+
+def test_without_scripts_there_are_drawings_and_tables(browser: Browser, pictured: Path) -> None:
+    browser.devtools("Emulation.setScriptExecutionDisabled", value=True)
+    try:
+        browser.open(pictured, width=1400)
+        root = browser.devtools("DOM.getDocument")["root"]["nodeId"]
+        found = browser.devtools("DOM.querySelector", nodeId=root, selector="noscript p")
+        text = browser.devtools("DOM.getOuterHTML", nodeId=found["nodeId"])["outerHTML"]
+        assert "allow it to run" in text
+        drawings = browser.devtools("DOM.querySelectorAll", nodeId=root, selector="svg.drawing")
+        assert len(drawings["nodeIds"]) == 2
+    finally:
+        browser.devtools("Emulation.setScriptExecutionDisabled", value=False)
+
+
+def test_many_points_are_drawn_by_the_page_itself_in_software(
+    browser: Browser, tmp_path: Path
+) -> None:
+    file = tmp_path / "many.html"
+    file.write_text(render(moving(6000))[0], encoding="utf-8")
+    open_page(browser, file)
+    if not browser.ask("sabenchView.space.software"):
+        pytest.skip("WebGL has a graphics card here")
+    before = drawing(browser)
+    browser.ask("(() => { sabenchView.objects.raster.canvas.style.visibility = 'hidden'; })()")
+    points = np.abs(drawing(browser) - before).max(axis=2) > 20
+    assert 0.002 < points.mean() < 0.5

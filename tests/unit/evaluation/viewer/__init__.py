@@ -1,0 +1,1 @@
+"""Pages that show rigs, data sets and results in space."""

@@ -1,0 +1,336 @@
+"""Contents of pages: what became of particles, projections, planes, and the rig."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import sabench
+from sabench.api import Detections, FoundParticles, Velocity
+from sabench.api.truth import Bubbles
+from sabench.dataset.reader import Dataset
+from sabench.dataset.results import Result, open_result, result_writer
+from sabench.evaluation.viewer import pictures, thinning
+from sabench.evaluation.viewer.classification import (
+    classify_bubbles,
+    classify_particles,
+    place_vectors,
+)
+from sabench.evaluation.viewer.clouds import DUPLICATE, FOUND, GHOST, KINDS, MISSED, TRUE, Cloud
+from sabench.evaluation.viewer.contents import Contents, Frame, of_dataset, of_scene
+from sabench.evaluation.viewer.page import render
+from sabench.evaluation.viewer.page_content import content_of
+from sabench.evaluation.viewer.static_drawing import draw_surroundings
+from sabench.geometry.common_view import lattice_of
+from sabench.geometry.rotations import rotation_matrices
+from sabench.metrics.particle_detection import challenge_pairs, count_duplicates
+from sabench.scenes import load_scene
+from sabench.utils.arrays import F64
+from tests.helpers.calibration_cases import calibration_scene
+
+FOLDER = Path(pictures.__file__).parent / "page"
+EVIL = '</script><img src=x onerror="document.title=1">'
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """Two frames of the quick scene."""
+    folder = tmp_path_factory.mktemp("view") / "quick"
+    scene = load_scene("quick").model_copy(update={"frames": 2})
+    return sabench.generate(scene, folder, seed=1, backend="splat")
+
+
+@pytest.fixture(scope="module")
+def found(moving: Dataset) -> Result:
+    """Result with errors of all kinds in both frames."""
+    path = moving.root.parent / "found.h5"
+    with result_writer(path, moving, EVIL, "particles", {}) as writer:
+        for frame in range(2):
+            writer.add(estimate_of(moving, frame), frame)
+    return open_result(path, moving)
+
+
+def estimate_of(data: Dataset, frame: int) -> FoundParticles:
+    """Leave out ten particles, add five duplicates and three ghosts."""
+    true, voxel = data.particles(frame).position_mm, np.asarray(data.setup.grid.voxel_mm)
+    duplicates = true[20:25] + 0.4 * voxel
+    ghosts = np.asarray(data.setup.grid.low_mm) - voxel * [[3.0], [5.0], [7.0]]
+    position = np.concatenate([true[10:] + 0.1 * voxel, duplicates, ghosts])
+    return FoundParticles(position, trajectory=np.arange(len(position)))
+
+
+@pytest.fixture(scope="module")
+def shown(moving: Dataset, found: Result) -> Contents:
+    """Contents of the result, with a hostile title."""
+    return replace(of_dataset(moving, found), title=EVIL)
+
+
+@pytest.fixture(scope="module")
+def html(shown: Contents) -> str:
+    """Page of the result."""
+    return render(shown)[0]
+
+
+def values_of(html: str) -> dict[str, Any]:
+    """Read the values that a page's script reads."""
+    text = re.findall(r'<script type="application/json" id="data">(.*?)</script>', html)
+    values: dict[str, Any] = json.loads(text[0])
+    return values
+
+
+def test_particles_are_classified_as_they_are_scored(moving: Dataset) -> None:
+    estimate = estimate_of(moving, 0)
+    cloud = classify_particles(estimate, moving, 0)
+    counts = dict(zip(KINDS, cloud.counts(), strict=True))
+    assert counts == {"true": 290, "found": 290, "missed": 10, "ghost": 3, "duplicate": 5}
+    to_voxels = moving.setup.grid.to_voxels
+    voxels = [to_voxels(one) for one in (estimate.position_mm, moving.particles(0).position_mm)]
+    pairs, _ = challenge_pairs(voxels[0], voxels[1])
+    every = np.ones(len(voxels[0]), dtype=np.bool_)
+    assert counts["found"] == len(pairs)
+    assert counts["duplicate"] == count_duplicates(voxels[0], voxels[1], every)
+    missed = cloud.position_mm[cloud.kind == MISSED]
+    assert np.array_equal(np.sort(missed, axis=0), np.sort(moving.particles(0).position_mm[:10], 0))
+    ghosts = cloud.select(cloud.kind == GHOST)
+    assert ghosts.position_mm == pytest.approx(estimate.position_mm[-3:])
+    assert (cloud.kind == DUPLICATE).sum() == 5
+
+
+def test_the_truth_finds_everything_and_an_empty_result_nothing(moving: Dataset) -> None:
+    true = moving.particles(0).position_mm
+    best = classify_particles(FoundParticles(true), moving, 0)
+    assert set(best.kind) == {TRUE, FOUND}
+    worst = classify_particles(FoundParticles(np.zeros((0, 3))), moving, 0)
+    assert set(worst.kind) == {MISSED}
+
+
+def some_bubbles(count: int) -> Bubbles:
+    rng = np.random.default_rng(3)
+    turn = rotation_matrices(rng.normal(size=(count, 3)))
+    center = np.arange(count)[:, None] * np.array([10.0, 1.0, -2.0])
+    semi_axes = rng.uniform(0.5, 2.0, (count, 3))
+    return Bubbles(np.arange(count), center, semi_axes, turn, np.ones((count, 3)))
+
+
+def test_bubbles_are_classified_and_keep_their_shapes() -> None:
+    true = some_bubbles(6)
+    data: Any = SimpleNamespace(has_truth=True, bubbles=lambda frame: true)
+    moved = true.center_mm[1:] + np.array([[0.1], [50.0], [0.1], [0.0], [0.0]])
+    found = Detections(moved, true.semi_axes_mm[1:], true.turn[1:])
+    cloud = classify_bubbles(found, data, 0)
+    counts = dict(zip(KINDS, cloud.counts(), strict=True))
+    assert counts == {"true": 4, "found": 4, "missed": 2, "ghost": 1, "duplicate": 0}
+    assert np.flatnonzero(cloud.kind == MISSED).tolist() == [0, 2]
+    assert cloud.shape_mm is not None
+    rim = cloud.shape_mm[:6] @ np.array([0.6, 0.0, 0.8])
+    inside = np.linalg.norm(np.einsum("nij,nj->ni", true.to_ball, rim), axis=1)
+    assert inside == pytest.approx(1.0)
+
+
+def test_a_page_of_a_result_has_trajectories_counts_and_labels(shown: Contents, html: str) -> None:
+    values = values_of(html)
+    assert values["totals"]["particles"]["ghost"] == [3, 3]
+    assert values["linked"]
+    assert values["labels"]["missed"] == "missed"
+    assert dict(shown.facts)["result"].startswith("found.h5, </script>")
+    assert [one["particles"]["count"] for one in values["frames"]] == [598, 598]
+    assert len(values["pictures"]["1"]) == 4
+
+
+def test_projections_are_those_of_the_cameras(moving: Dataset, html: str) -> None:
+    points = lattice_of(moving.setup.grid, 5)
+    for camera, own in zip(moving.true_cameras, values_of(html)["maps"], strict=True):
+        at = (points - own["middle"]) / np.array(own["half"])
+        terms = np.prod(at[:, None] ** np.array(own["powers"]), axis=2)
+        exact, valid = camera.project(points)
+        assert valid.all()
+        assert np.abs(terms @ np.array(own["coefficients"]) - exact).max() < 5e-3
+
+
+def value_at(stack: pictures.Stack, points_mm: F64) -> F64:
+    """Read a stack's grey values at points (n, 3)."""
+    place, shape = stack.place, np.array(stack.pictures.shape)
+    off = points_mm - place.corner_mm
+    shares = [off @ one / (one @ one) for one in (place.down_mm, place.across_mm)]
+    plane = np.rint(off @ place.step_mm / (place.step_mm @ place.step_mm)).astype(int)
+    row, column = (
+        np.clip((share * count).astype(int), 0, count - 1)
+        for share, count in zip(shares, shape[1:], strict=True)
+    )
+    return np.asarray(stack.pictures[np.clip(plane, 0, shape[0] - 1), row, column], np.float64)
+
+
+@pytest.mark.parametrize("by_slabs", [True, False])
+def test_refocused_planes_are_bright_at_the_particles(
+    moving: Dataset, monkeypatch: pytest.MonkeyPatch, by_slabs: bool
+) -> None:
+    if not by_slabs:
+        monkeypatch.setattr(pictures, "find_edge_on", lambda *_: "edge-on")
+        monkeypatch.setattr(pictures, "_PLANES", 8)
+    stack = pictures.refocused_stack(moving, 0)
+    true = moving.particles(0).position_mm
+    elsewhere = true * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * moving.scene.volume.center_mm[2]]
+    assert value_at(stack, true).mean() > 1.4 * value_at(stack, elsewhere).mean()
+    assert value_at(stack, true).mean() > 3.0 * stack.pictures.mean()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_planes_of_any_axis_fill_the_volume_and_face_the_cameras(axis: int, sign: int) -> None:
+    low, high = np.array([-1.0, -2.0, -3.0]), np.array([3.0, 4.0, 5.0])
+    place = pictures._place_planes(low, high, axis, sign)
+    ahead = np.cross(place.across_mm, place.down_mm)
+    assert ahead @ place.step_mm > 0.0
+    assert np.sign(place.step_mm[axis]) == sign
+    count = pictures._PLANES
+    ends = [place.corner_mm - place.step_mm / 2.0, place.corner_mm + (count - 0.5) * place.step_mm]
+    ends[1] = ends[1] + place.across_mm + place.down_mm
+    assert np.min(ends, axis=0) == pytest.approx(low)
+    assert np.max(ends, axis=0) == pytest.approx(high)
+
+
+def test_the_planes_of_a_reconstruction_show_its_voxels(moving: Dataset) -> None:
+    grid = moving.setup.grid
+    volume = np.zeros(grid.shape, dtype=np.float32)
+    volume[25, 30, 200] = 1.0
+    stack = pictures.volume_stack(volume, grid)
+    place = np.array([[axis[n] for axis, n in zip(grid.axes_mm, (200, 30, 25), strict=True)]])
+    assert value_at(stack, place)[0] == 255
+    assert (stack.pictures > 0).sum() == 1
+
+
+def test_pictures_are_compressed_until_they_fit(moving: Dataset) -> None:
+    made, complete = pictures.camera_pictures(moving, [0, 1], 10_000_000)
+    assert complete
+    assert [len(one) for one in made.values()] == [4, 4]
+    size = sum(map(len, made[0]))
+    few, complete = pictures.camera_pictures(moving, [0, 1], size + 10)
+    assert not complete
+    assert list(few) == [0]
+    assert sum(map(len, few[0])) == size
+
+
+def test_a_compressed_picture_is_the_image(moving: Dataset) -> None:
+    grey = np.tile(np.arange(0, 240, dtype=np.uint8), (64, 1))
+    text = pictures.compress(grey, 90)
+    head, _, data = text.partition(",")
+    assert head == "data:image/webp;base64"
+    back = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert np.abs(back.astype(int) - grey).mean() < 3.0
+
+
+def test_particles_far_outside_are_left_out_and_it_is_said(moving: Dataset) -> None:
+    contents = of_dataset(moving)
+    far = np.concatenate([contents.frames[0].particles.position_mm, [[1e6, 0.0, 0.0]]])
+    frame = replace(contents.frames[0], particles=Cloud.of_kind(far, TRUE))
+    values, _, notes = content_of(replace(contents, frames=(frame,), data=None))
+    assert values["frames"][0]["particles"]["count"] == 300
+    assert notes == ["1 particles farther outside the volume than its size are left out."]
+    assert max(values["box"]["size"]) < 20.0
+
+
+def test_too_many_particles_are_thinned_and_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(thinning, "IN_FRAME", 2000)
+    contents = of_scene(load_scene("quick"), "quick")
+    around = contents.surroundings
+    position = np.random.default_rng(1).uniform(around.low_mm, around.high_mm, (20_000, 3))
+    nothing = Cloud.of_kind(np.zeros((0, 3)), TRUE)
+    frame = Frame(0, 0.0, Cloud.of_kind(position, TRUE), nothing)
+    html, notes = render(replace(contents, frames=(frame,)))
+    assert notes[0].startswith("Particles are thinned: about 2000 of 20000 are drawn, 10 %")
+    assert notes[0] in html
+
+
+def test_vectors_are_measured_interpolated_and_true(moving: Dataset) -> None:
+    valid = np.ones((1, 2, 3), dtype=np.bool_)
+    valid[0, 1, 2] = False
+    field = Velocity((-2.0, -1.0, 30.0), (2.0, 2.0, 1.0), np.full((1, 2, 3, 3), 4.0), valid)
+    cloud = place_vectors(field, moving, (0, 1))
+    assert cloud.counts() == [6, 5, 0, 1, 0]
+    measured = cloud.select(cloud.kind != TRUE)
+    assert measured.position_mm[5] == pytest.approx([2.0, 1.0, 30.0])
+    assert measured.velocity_mm_s == pytest.approx(np.full((6, 3), 4.0))
+    true = cloud.select(cloud.kind == TRUE)
+    assert true.velocity_mm_s == pytest.approx(
+        np.zeros((6, 3))
+    )  # the scene's particles are at rest
+
+
+def test_a_target_without_images_shows_its_points(tmp_path: Path) -> None:
+    data = sabench.generate(calibration_scene(), tmp_path / "b", seed=1, backend="splat")
+    contents = of_dataset(data)
+    assert contents.sort == "Target"
+    assert not pictures.has_images(data)
+    points = data.placed().points_mm
+    assert contents.frames[1].particles.position_mm == pytest.approx(points[1])
+
+
+@pytest.mark.parametrize(
+    ("scene", "walls"), [("quick", 1), ("cylinder-tank", 1), ("two-faces", 2), ("occlusion", 0)]
+)
+def test_a_rig_has_all_its_parts(scene: str, walls: int) -> None:
+    contents = of_scene(load_scene(scene), scene)
+    rig = contents.surroundings.describe()
+    assert len(rig["walls"]) == walls
+    assert len(rig["discs"]) == len(load_scene(scene).occluders or ())
+    for wall in rig["walls"]:
+        if wall["kind"] == "plane":
+            first, second = np.array(wall["axes"])
+            assert np.cross(first, second) == pytest.approx(wall["normal"], abs=1e-5)
+    assert len(draw_surroundings(contents.surroundings)) == 2
+
+
+def test_names_become_text_and_never_markup(html: str) -> None:
+    assert "<img" not in html
+    assert html.count("</script>") == 4
+    assert html.count("&lt;img src=x onerror=") >= 3
+
+
+def test_the_page_needs_no_other_file(html: str) -> None:
+    own = html.replace((FOLDER / "three.min.js").read_text(encoding="utf-8"), "")
+    assert set(re.findall(r"https?://[^\"'\s]+", own)) <= {"http://www.w3.org/2000/svg"}
+    assert "default-src 'none'" in own
+
+
+def test_the_library_comes_with_its_licence() -> None:
+    assert (FOLDER / "LICENSE.three.txt").read_text(encoding="utf-8").startswith("The MIT License")
+    assert "MIT licence" in (FOLDER / "three.min.js").read_text(encoding="utf-8")[:200]
+
+
+def themes() -> list[dict[str, str]]:
+    style = (FOLDER / "page.css").read_text(encoding="utf-8")
+    blocks = re.findall(r":root \{(.*?)\}", style, flags=re.DOTALL)
+    assert len(blocks) == 2
+    return [dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", one)) for one in blocks]
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of WCAG 2."""
+    parts = np.array([int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def contrast(one: str, other: str) -> float:
+    bright, dark = sorted((luminance(one), luminance(other)), reverse=True)
+    return (bright + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("theme", [0, 1], ids=["light", "dark"])
+def test_colours_have_the_contrast_of_aa(theme: int) -> None:
+    colours = themes()[theme]
+    for ground in ("page", "card", "stage", "shade"):
+        for text in ("text", "quiet", "link"):
+            assert contrast(colours[text], colours[ground]) >= 4.5, (text, ground)
+    for mark in (*KINDS, "rig", "chosen", "glass", "light"):
+        assert contrast(colours[mark], colours["stage"]) >= 3.0, mark
+    assert contrast(colours["on-link"], colours["link"]) >= 4.5
