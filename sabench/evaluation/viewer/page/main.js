@@ -1,6 +1,6 @@
 // What belongs together on the screen: the drawing, its controls, the pictures.
 const main = document.getElementById("main");
-const PRESETS = { rig: "whole rig", volume: "volume", x: "along x", y: "along y", z: "along z" };
+const PRESETS = { rig: "whole rig", volume: "volume", x: "x", y: "y", z: "z" };
 const ERRORS = new Set(["missed", "ghost", "duplicate"]);
 const count = new Intl.NumberFormat("en");
 
@@ -17,7 +17,7 @@ function views(space, rig) {
   space.home = acts[first];
   acts[first]();
   return make("div", { class: "views", role: "group", "aria-label": "Views" },
-    Object.entries(PRESETS).map(([name, text]) => make("button", { type: "button", "data-view": name, click: acts[name] }, text)));
+    Object.entries(PRESETS).map(([name, text]) => make("button", { type: "button", "data-view": name, "aria-label": text.length > 1 ? text : `along ${text}`, click: acts[name] }, text)));
 }
 
 // From beside the cameras, above the volume.
