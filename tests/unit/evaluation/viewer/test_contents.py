@@ -225,7 +225,7 @@ def test_a_compressed_picture_is_the_image(moving: Dataset) -> None:
     head, _, data = text.partition(",")
     assert head == "data:image/webp;base64"
     back = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert np.abs(back.astype(int) - grey).mean() < 3.0
+    assert np.abs(np.asarray(back, dtype=int) - grey).mean() < 3.0
 
 
 def test_particles_far_outside_are_left_out_and_it_is_said(moving: Dataset) -> None:
