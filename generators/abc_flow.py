@@ -11,11 +11,13 @@ from sabench.api import F64, Flow, Parameters
 class AbcParameters(Parameters):
     """Amplitudes and wavelength."""
 
-    center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    wavelength_mm: float = Field(20.0, gt=0.0)
-    a_mm_s: float = 100.0
-    b_mm_s: float = 81.6497
-    c_mm_s: float = 57.735
+    center_mm: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="origin of the flow's coordinates"
+    )
+    wavelength_mm: float = Field(20.0, gt=0.0, description="period along each axis")
+    a_mm_s: float = Field(100.0, description="amplitude A, of the waves along Z")
+    b_mm_s: float = Field(81.6497, description="amplitude B, of the waves along X")
+    c_mm_s: float = Field(57.735, description="amplitude C, of the waves along Y")
 
 
 class AbcFlow(Flow):

@@ -16,15 +16,18 @@ class BoardsParameters(Parameters):
     Over the frames it moves uniformly through the depth of the volume.
     """
 
-    pattern: Literal["checkerboard", "circles", "charuco"] = "checkerboard"
-    columns: int = Field(11, ge=3, le=200, description="points along X")
-    rows: int = Field(11, ge=3, le=200, description="points along Y")
-    pitch_mm: float = Field(4.0, gt=0.0, description="distance of neighbouring points")
+    pattern: Literal["checkerboard", "circles", "charuco"] = Field(
+        "checkerboard", description="pattern on the board"
+    )
+    columns: int = Field(11, ge=3, le=200, description="number of points along X")
+    rows: int = Field(11, ge=3, le=200, description="number of points along Y")
+    pitch_mm: float = Field(4.0, gt=0.0, description="distance between neighbouring points")
     mark_mm: float | None = Field(
         None,
         gt=0.0,
         description="diameter of a circle (by default half a pitch), edge of a ChArUco marker "
         "(0.7 of it)",
+        examples=[2.0],
     )
     tilt_deg: float = Field(10.0, ge=0.0, le=60.0, description="largest rotation about X and Y")
     roll_deg: float = Field(

@@ -21,12 +21,16 @@ class BubbleListParameters(BubbleParameters):
     center_mm: tuple[Vector, ...] = Field((), description="at the start")
     radius_mm: tuple[float, ...] = Field((), description="long semi-axes")
     aspect: tuple[float, ...] | None = Field(
-        None, description="short over long axis; by default 1, a ball"
+        None, description="short over long axis; by default 1, a ball", examples=[[0.8]]
     )
     turn_deg: tuple[Vector, ...] | None = Field(
-        None, description="rotation vectors; unturned, the short axis is Y"
+        None,
+        description="rotation vectors; unturned, the short axis is Y",
+        examples=[[[0.0, 0.0, 30.0]]],
     )
-    velocity_mm_s: tuple[Vector, ...] | None = Field(None, description="by default they rest")
+    velocity_mm_s: tuple[Vector, ...] | None = Field(
+        None, description="by default they rest", examples=[[[0.0, -250.0, 0.0]]]
+    )
 
     @model_validator(mode="after")
     def _one_each(self) -> BubbleListParameters:

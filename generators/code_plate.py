@@ -33,14 +33,14 @@ class CodePlateParameters(SolidParameters):
     Columns lie along X, rows along Y. The plate itself has no surface.
     """
 
-    columns: int = Field(16, ge=2, le=200)
-    rows: int = Field(12, ge=2, le=200)
+    columns: int = Field(16, ge=2, le=200, description="number of cells along X")
+    rows: int = Field(12, ge=2, le=200, description="number of cells along Y")
     cell_mm: float = Field(2.0, gt=0.0, description="edge of a cell")
-    thickness_mm: float = Field(0.1, gt=0.0, description="of the dark cells")
+    thickness_mm: float = Field(0.1, gt=0.0, description="thickness of the dark cells")
     bend_radius_mm: float | None = Field(
         None,
-        description="of the cylinder on which the plate lies, around an axis along Y at this Z of "
-        "its own frame; flat by default",
+        description="radius of the cylinder on which the plate lies, around an axis along Y at "
+        "this Z of its own frame; flat by default",
     )
 
 

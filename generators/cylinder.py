@@ -11,9 +11,9 @@ from sabench.api import Solid, SolidGenerator, SolidParameters
 class CylinderParameters(SolidParameters):
     """Size of the cylinder; its axis is Y before rotation."""
 
-    radius_mm: float = Field(5.0, gt=0.0)
-    length_mm: float = Field(40.0, gt=0.0)
-    sections: int = Field(256, ge=8, le=4096, description="plane faces around it")
+    radius_mm: float = Field(5.0, gt=0.0, description="radius of the cylinder")
+    length_mm: float = Field(40.0, gt=0.0, description="length along its axis")
+    sections: int = Field(256, ge=8, le=4096, description="number of plane faces around its axis")
 
 
 class Cylinder(SolidGenerator):

@@ -17,15 +17,19 @@ class FlowAroundParameters(Parameters):
     """Mean flow, fluid and lattice."""
 
     velocity_mm_s: Vector = Field(
-        (10.0, 0.0, 0.0), description="mean over the box, bodies included"
+        (10.0, 0.0, 0.0), description="mean velocity over the box, bodies included"
     )
-    viscosity_mm2_s: float = Field(10.0, gt=0.0, description="kinematic: 1 for water")
+    viscosity_mm2_s: float = Field(
+        10.0, gt=0.0, description="kinematic viscosity of the fluid: 1 for water"
+    )
     box_mm: Vector = Field(
         (36.0, 24.0, 24.0),
         description="periodic box around the volume's centre; the bodies' images in it stand this "
         "far apart",
     )
-    step_mm: float = Field(0.4, gt=0.0, description="of the lattice; edges of the box are rounded")
+    step_mm: float = Field(
+        0.4, gt=0.0, description="spacing of the lattice; edges of the box are rounded to it"
+    )
 
     @field_validator("box_mm")
     @classmethod

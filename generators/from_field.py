@@ -24,29 +24,37 @@ class FromFieldParameters(FileParameters):
 
     velocity: tuple[str, ...] = Field(
         ("u", "v", "w"),
-        description="three arrays, or one with the three components as its last axis",
+        description="names of three arrays, or of one whose last axis has the three components",
     )
     axes: tuple[str, str, str] = Field(
-        ("x", "y", "z"), description="the lattice's coordinates: rising, not necessarily even"
+        ("x", "y", "z"),
+        description="names of the lattice's coordinates, which rise, by any steps",
     )
     time: str | None = Field(
         None,
-        description="the times of a field that changes; arrays then have time as their first axis",
+        description="name of the times of a field that changes, the first axis of its arrays",
+        examples=["t"],
     )
-    order: str = Field("zyx", description="of the arrays' axes, the slowest first")
+    order: str = Field("zyx", description="order of the arrays' axes, the slowest first")
     length: str | float | None = Field(
         None,
         description="unit of the coordinates, or mm in one of them; by default as the file says",
+        examples=["m"],
     )
     speed: str | float | None = Field(
         None,
         description="unit of the velocities, or mm/s in one of them; by default as the file says",
+        examples=["m/s"],
     )
     seconds: str | float | None = Field(
-        None, description="unit of the times, or s in one of them; by default as the file says"
+        None,
+        description="unit of the times, or s in one of them; by default as the file says",
+        examples=["ms"],
     )
     center_mm: tuple[float, float, float] | None = Field(
-        None, description="where the box's middle is put; by default the file's coordinates hold"
+        None,
+        description="where the box's middle is put; by default the file's coordinates hold",
+        examples=[[0.0, 0.0, 30.0]],
     )
     periodic: str = Field(
         "",

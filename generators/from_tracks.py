@@ -32,43 +32,55 @@ class FromTracksParameters(FileParameters):
     text without a line of names are "1", "2" and so on.
     """
 
-    id: str = Field("particle", description="trajectory that a point belongs to")
-    time: str = Field("frame", description="when it was there: times, or numbers of frames")
-    axes: tuple[str, str, str] = Field(("x", "y", "z"), description="where")
+    id: str = Field("particle", description="column of the trajectory's number")
+    time: str = Field("frame", description="column of the time, or of the frame's number")
+    axes: tuple[str, str, str] = Field(("x", "y", "z"), description="columns of the coordinates")
     velocity: tuple[str, str, str] | None = Field(
-        None, description="velocities; by default from the neighbours on the trajectory"
+        None,
+        description="columns of the velocity; by default it follows from neighbouring points",
+        examples=[["vx", "vy", "vz"]],
     )
-    diameter: str | None = Field(None, description="of the particle, in the unit of length")
+    diameter: str | None = Field(
+        None, description="column of the diameter, in the unit of length", examples=["diameter"]
+    )
     diameter_mm: float = Field(
-        0.05, gt=0.0, description="of all particles, where the file has none"
+        0.05, gt=0.0, description="diameter of all particles, where the file has none"
     )
     length: str | float | None = Field(
         None,
         description="unit of the coordinates, or mm in one of them; by default as the file says",
+        examples=["m"],
     )
     speed: str | float | None = Field(
         None,
         description="unit of the velocities, or mm/s in one of them; by default as the file says",
+        examples=["m/s"],
     )
     seconds: str | float | None = Field(
         None,
         description="unit of the times, or s in one of them or in a frame; by default as the "
         "file says",
+        examples=["ms"],
     )
     start_s: float | None = Field(
         None,
         description="time on the file's clock at which the first frame is taken; by default the "
         "first in the file",
+        examples=[0.0],
     )
-    skip_lines: int = Field(0, ge=0, description="lines left out at the top of each text file")
+    skip_lines: int = Field(
+        0, ge=0, description="number of lines left out at the top of each text file"
+    )
     share: float = Field(
-        1.0, gt=0.0, le=1.0, description="of the trajectories that are kept, chosen by the seed"
+        1.0, gt=0.0, le=1.0, description="fraction of the trajectories that is kept, at random"
     )
     scale: float = Field(
         1.0, gt=0.0, description="factor of positions and velocities, about the origin"
     )
     center_mm: tuple[float, float, float] | None = Field(
-        None, description="where the middle of all points is put; by default they stay"
+        None,
+        description="where the middle of all points is put; by default they stay",
+        examples=[[0.0, 0.0, 30.0]],
     )
 
     @model_validator(mode="after")

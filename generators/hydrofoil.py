@@ -18,11 +18,13 @@ class HydrofoilParameters(SolidParameters):
     digits: str = Field(
         "0012",
         pattern="^[0-9]{4}$",
-        description="NACA's: 2412 is cambered by 2 % at 0.4 of the chord, and 12 % thick",
+        description="NACA's four digits: 2412 is cambered by 2 % at 0.4 of the chord, 12 % thick",
     )
-    chord_mm: float = Field(20.0, gt=0.0)
-    span_mm: float = Field(40.0, gt=0.0)
-    points: int = Field(200, ge=8, le=4096, multiple_of=2, description="around the section")
+    chord_mm: float = Field(
+        20.0, gt=0.0, description="length of the section, from leading to trailing edge"
+    )
+    span_mm: float = Field(40.0, gt=0.0, description="length along Y")
+    points: int = Field(200, ge=8, le=4096, multiple_of=2, description="points around the section")
 
     @field_validator("digits")
     @classmethod

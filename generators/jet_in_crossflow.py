@@ -24,13 +24,13 @@ class JetInCrossflowParameters(BubbleParameters, Spectrum, Crossflow):
     index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of the liquid")
     radius_mm: float = Field(0.35, gt=0.0, description="median radius of a ball of the same volume")
     radius_range_mm: tuple[float, float] = Field(
-        (0.1, 1.2), description="radii beyond it are drawn again"
+        (0.1, 1.2), description="range of radii; those beyond it are drawn again"
     )
     count: int = Field(
         400,
         ge=0,
         le=100_000,
-        description="drops between where the column breaks and the volume's end",
+        description="number of drops between where the column breaks and the volume's end",
     )
     lower_part: float = Field(
         0.4, ge=0.0, lt=1.0, description="the spray's lower edge over its upper one"

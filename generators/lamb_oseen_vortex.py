@@ -14,12 +14,20 @@ _SMALL = 1e-4  # of the core squared: below, the series is exact to rounding
 class LambOseenParameters(Parameters):
     """Strength, position and spreading of the vortex."""
 
-    center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    core_mm: float = Field(4.0, gt=0.0, description="r_c of 1 - exp(-r^2 / r_c^2), at the start")
-    circulation_mm2_s: float = Field(4000.0, description="far away")
+    center_mm: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="point on the vortex's axis"
+    )
+    axis: tuple[float, float, float] = Field(
+        (0.0, 0.0, 1.0), description="direction of the vortex's axis"
+    )
+    core_mm: float = Field(
+        4.0, gt=0.0, description="core radius r_c of 1 - exp(-r^2 / r_c^2), at the start"
+    )
+    circulation_mm2_s: float = Field(4000.0, description="circulation far from the axis")
     viscosity_mm2_s: float = Field(
-        0.0, ge=0.0, description="r_c^2 grows by four times that per second: 1 for water"
+        0.0,
+        ge=0.0,
+        description="kinematic viscosity, 1 for water: r_c^2 grows by 4 times that per second",
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+from pydantic import Field
 
 from sabench.api import F64, Flow, Parameters
 
@@ -14,9 +15,12 @@ Row = tuple[float, float, float]
 class LinearParameters(Parameters):
     """Velocity at a point, and its gradient."""
 
-    center_mm: Row = (0.0, 0.0, 0.0)
-    velocity_mm_s: Row = (0.0, 0.0, 0.0)
-    gradient_1_s: tuple[Row, Row, Row] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    center_mm: Row = Field((0.0, 0.0, 0.0), description="point with the given velocity")
+    velocity_mm_s: Row = Field((0.0, 0.0, 0.0), description="velocity at that point")
+    gradient_1_s: tuple[Row, Row, Row] = Field(
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        description="velocity gradient: row i, column j is du_i / dx_j",
+    )
 
 
 class LinearFlow(Flow):

@@ -22,8 +22,12 @@ class LiquidColumnParameters(SolidParameters, Crossflow):
     `nozzle_mm` is the position of the nozzle.
     """
 
-    step_mm: float = Field(0.2, gt=0.0, description="of the lattice on which its surface is found")
-    material: Material = Material(kind="liquid")
+    step_mm: float = Field(
+        0.2, gt=0.0, description="spacing of the lattice on which its surface is found"
+    )
+    material: Material = Field(
+        Material(kind="liquid"), description="optical material of its surface"
+    )
 
 
 class LiquidColumn(SolidGenerator):

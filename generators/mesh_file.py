@@ -16,7 +16,9 @@ _MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 class MeshFileParameters(SolidParameters, FileParameters):
     """File (STL, PLY, OBJ or GLB) and its unit, which such files do not state."""
 
-    unit: Literal["mm", "cm", "m", "inch"] = Field(description="of the file's coordinates")
+    unit: Literal["mm", "cm", "m", "inch"] = Field(
+        description="unit of the file's coordinates", examples=["mm"]
+    )
 
 
 class MeshFile(SolidGenerator):

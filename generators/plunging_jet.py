@@ -24,26 +24,29 @@ class PlungingJetParameters(BubbleParameters, Spectrum):
     """
 
     impact_mm: tuple[float, float, float] = Field(
-        (0.0, 0.0, 0.0), description="where the jet meets the surface; it points down, along +Y"
+        (0.0, 0.0, 0.0),
+        description="point at which the jet meets the surface; it points down, along +Y",
     )
     inclination_deg: tuple[float, float] = Field(
         (0.0, 0.0), description="angles of the jet to +Y, towards +X and towards +Z"
     )
-    penetration_mm: float = Field(120.0, gt=0.0, description="Y_p")
+    penetration_mm: float = Field(120.0, gt=0.0, description="Y_p, depth that the bubbles reach")
     equivalent_mm: float = Field(48.1, gt=0.0, description="D_eq, diameter of the cloud at Y_p")
     total_percent: float = Field(
         0.34, gt=0.0, le=5.0, description="C_tot, mean void fraction of the cone down to Y_p"
     )
-    weight: float = Field(0.903, gt=0.0, lt=1.0, description="A of equation 5.18")
-    width: float = Field(0.1894, gt=0.0, description="s of equation 5.18")
+    weight: float = Field(0.903, gt=0.0, lt=1.0, description="weight A of equation 5.18")
+    width: float = Field(0.1894, gt=0.0, description="width s of equation 5.18")
     cutoff_mm: float = Field(
         0.525, gt=0.0, description="largest radius below Y_p, half the diameter of figure 5-23"
     )
     speed_mm_s: float = Field(
-        3780.0, ge=0.0, description="V_i of the jet at impact: bubbles sink with what is left of it"
+        3780.0,
+        ge=0.0,
+        description="V_i, speed of the jet at impact; bubbles sink with the rest of it",
     )
     jet_mm: float = Field(6.01, gt=0.0, description="D_i, the jet's diameter at impact")
-    rise_mm_s: float = Field(250.0, ge=0.0, description="terminal velocity, upwards")
+    rise_mm_s: float = Field(250.0, ge=0.0, description="terminal velocity of bubbles, upwards")
 
 
 class PlungingJet(BubbleGenerator):

@@ -19,7 +19,9 @@ class PropellerParameters(SolidParameters):
     blades: int = Field(
         4, ge=2, le=12, description="number of blades; the first one points along +Y"
     )
-    diameter_mm: float = Field(30.0, gt=0.0)
+    diameter_mm: float = Field(
+        30.0, gt=0.0, description="diameter of the circle of the blades' tips"
+    )
     hub_mm: float = Field(
         6.0,
         gt=0.0,
@@ -27,19 +29,18 @@ class PropellerParameters(SolidParameters):
     )
     pitch_mm: float = Field(
         30.0,
-        description="way along the axis that a blade's mean surface, a helicoid, climbs in a "
+        description="distance along the axis that a blade's mean surface, a helicoid, climbs in a "
         "turn; negative: left-handed",
     )
-    chord_mm: float = Field(9.0, gt=0.0, description="of the sections, at every radius")
+    chord_mm: float = Field(9.0, gt=0.0, description="chord of the sections, equal at every radius")
     thickness: float = Field(
         0.15,
         gt=0.0,
         le=0.4,
-        description="of the sections, NACA's four digits without camber: largest thickness over "
-        "chord",
+        description="largest thickness of the sections, NACA's without camber, over their chord",
     )
     step_mm: float = Field(
-        0.25, gt=0.0, description="of the lattice: edges are two of it thick, and round"
+        0.25, gt=0.0, description="spacing of the lattice: edges are two of it thick, and round"
     )
 
     @model_validator(mode="after")

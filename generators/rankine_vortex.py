@@ -12,12 +12,16 @@ from sabench.worlds.library.vortices import lateral, turning, turning_gradient
 class RankineParameters(Parameters):
     """Position, direction and strength of the vortex."""
 
-    center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    center_mm: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="point on the vortex's axis"
+    )
+    axis: tuple[float, float, float] = Field(
+        (0.0, 0.0, 1.0), description="direction of the vortex's axis"
+    )
     core_mm: float = Field(
         4.0, gt=0.0, description="radius inside which the fluid turns like a solid"
     )
-    peak_mm_s: float = Field(100.0, description="speed at that radius")
+    peak_mm_s: float = Field(100.0, description="speed at the edge of the core")
 
 
 class RankineVortex(Flow):

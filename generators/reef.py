@@ -33,15 +33,19 @@ class ReefParameters(SolidParameters):
 
     size_mm: Vector = Field(
         (36.0, 20.0, 28.0),
-        description="of the box that holds it: width along X, height, depth along Z",
+        description="size of the box that holds it: width along X, height, depth along Z",
     )
-    branches: int = Field(120, ge=1, le=5000, description="that grow out of each other")
-    tunnels: int = Field(20, ge=0, le=1000, description="bored through it, straight and round")
+    branches: int = Field(
+        120, ge=1, le=5000, description="number of branches, which grow out of each other"
+    )
+    tunnels: int = Field(
+        20, ge=0, le=1000, description="number of straight round tunnels through it"
+    )
     step_mm: float = Field(
         0.3,
         gt=0.0,
-        description="of the lattice; a fifth of the thinnest branch's radius or less keeps all "
-        "of them round",
+        description="spacing of the lattice; a fifth of the thinnest branch's radius or less keeps "
+        "all of them round",
     )
 
     @field_validator("size_mm")

@@ -11,15 +11,17 @@ from sabench.api import F64, Flow, Parameters
 class ShearWaveParameters(Parameters):
     """Direction, amplitude and wavelength of the wave."""
 
-    center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    center_mm: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="point at which the velocity is zero"
+    )
     along: tuple[float, float, float] = Field(
         (1.0, 0.0, 0.0), description="direction of the velocity"
     )
     across: tuple[float, float, float] = Field(
         (0.0, 1.0, 0.0), description="direction in which it varies"
     )
-    wavelength_mm: float = Field(10.0, gt=0.0)
-    peak_mm_s: float = 100.0
+    wavelength_mm: float = Field(10.0, gt=0.0, description="wavelength of the velocity")
+    peak_mm_s: float = Field(100.0, description="largest velocity")
 
     @model_validator(mode="after")
     def _square(self) -> ShearWaveParameters:

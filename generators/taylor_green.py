@@ -12,16 +12,18 @@ class TaylorGreenParameters(Parameters):
     """Size, speed and decay of the cells."""
 
     center_mm: tuple[float, float, float] = Field(
-        (0.0, 0.0, 0.0), description="a corner where eight cells meet"
+        (0.0, 0.0, 0.0), description="corner where eight cells meet"
     )
-    wavelength_mm: float = Field(20.0, gt=0.0, description="of two cells")
+    wavelength_mm: float = Field(20.0, gt=0.0, description="length of two cells")
     peak_mm_s: float = Field(100.0, description="largest speed, at the start")
     deep: bool = Field(
         True,
         description="cells along Z as well, with the start of Taylor and Green's own flow; else "
         "columns, which solve Navier-Stokes",
     )
-    viscosity_mm2_s: float = Field(0.0, ge=0.0, description="columns decay by it: 1 for water")
+    viscosity_mm2_s: float = Field(
+        0.0, ge=0.0, description="kinematic viscosity, by which columns decay: 1 for water"
+    )
 
 
 class TaylorGreen(Flow):

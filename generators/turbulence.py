@@ -20,14 +20,17 @@ _SMOOTH = 400  # shells for the limits of what can be asked
 class TurbulenceParameters(Parameters):
     """Lengths of the field, and number of modes that represent it."""
 
-    rms_mm_s: float = Field(50.0, gt=0.0, description="root mean square of each component")
+    rms_mm_s: float = Field(50.0, gt=0.0, description="root mean square of each velocity component")
     integral_mm: float = Field(
-        20.0, gt=0.0, description="integral of the longitudinal correlation f(r) over r"
+        20.0,
+        gt=0.0,
+        description="integral length: that of the longitudinal correlation f(r) over r",
     )
     kolmogorov_mm: float | None = Field(
         None,
         gt=0.0,
         description="Kolmogorov length, (nu^3 / epsilon)^(1/4); the viscosity nu follows from it",
+        examples=[0.5],
     )
     viscosity_mm2_s: float | None = Field(
         None,
@@ -41,8 +44,12 @@ class TurbulenceParameters(Parameters):
         description="standard deviation of a mode's angular frequency over the turnover rate "
         "(k^3 E(k))^(1/2) of its wave number k; 0 is frozen",
     )
-    modes: int = Field(200, ge=60, le=5000, description="rounded up to a multiple of 6")
-    draw: int = Field(1, ge=0, description="which field of all that have this spectrum")
+    modes: int = Field(
+        200, ge=60, le=5000, description="number of modes, rounded up to a multiple of 6"
+    )
+    draw: int = Field(
+        1, ge=0, description="number of the random field among those with this spectrum"
+    )
 
     @model_validator(mode="after")
     def _check_lengths(self) -> TurbulenceParameters:

@@ -30,10 +30,16 @@ class UniformParameters(Parameters):
         "diameter over its median (normal); 0: all are equal",
     )
     diameter_distribution: Literal["log-normal", "normal"] | None = Field(
-        None, description="by default log-normal; a normal one ends at a tenth of the median"
+        None,
+        description="distribution of diameters, by default log-normal; a normal one ends at a "
+        "tenth of the median",
+        examples=["normal"],
     )
     diameters_mm: tuple[Annotated[float, Field(gt=0.0)], ...] | None = Field(
-        None, min_length=1, description="instead: sizes of which each particle has one at random"
+        None,
+        min_length=1,
+        description="diameters of which each particle has one at random, in place of `diameter_mm`",
+        examples=[[0.01, 0.05]],
     )
     velocity_mm_s: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="velocity of all particles"

@@ -13,15 +13,15 @@ _AXIS = 1e-9  # mm: nearer to the ring's axis there is no direction away from it
 class VortexRingParameters(Parameters):
     """Position, size and speed of the ring."""
 
-    center_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    center_mm: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="centre of the ring")
     axis: tuple[float, float, float] = Field(
-        (0.0, 0.0, 1.0), description="through the ring's middle, the way it moves the fluid there"
+        (0.0, 0.0, 1.0), description="direction in which the ring moves the fluid at its centre"
     )
-    diameter_mm: float = Field(20.0, gt=0.0, description="of the toroidal axis")
+    diameter_mm: float = Field(20.0, gt=0.0, description="diameter of the toroidal axis")
     core_mm: float = Field(
-        4.0, gt=0.0, description="distance from the toroidal axis at which the fluid is fastest, l"
+        4.0, gt=0.0, description="distance l from the toroidal axis at which the fluid is fastest"
     )
-    peak_mm_s: float = Field(100.0, description="speed there, 8 K / e")
+    peak_mm_s: float = Field(100.0, description="speed at the distance `core_mm`, 8 K / e")
     fold_mm: float = Field(
         0.5,
         gt=0.0,

@@ -11,8 +11,8 @@ from sabench.api import Domain, Parameters, Pose, Target, TargetGenerator, rotat
 class WandParameters(Parameters):
     """Balls of the wand; its positions and directions are random."""
 
-    balls: int = Field(2, ge=2, le=20)
-    pitch_mm: float = Field(20.0, gt=0.0, description="distance of neighbouring balls")
+    balls: int = Field(2, ge=2, le=20, description="number of balls in a row")
+    pitch_mm: float = Field(20.0, gt=0.0, description="distance between neighbouring balls")
     ball_mm: float = Field(1.0, gt=0.0, description="diameter of a ball")
 
 

@@ -109,33 +109,36 @@ class Material(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     kind: Literal["matte", "principled", "measured", "liquid"] = Field(
-        "matte", description="how it reflects, or liquid: transparent"
+        "matte", description="model of its reflection; `liquid` is transparent"
     )
-    reflectance: float = Field(0.5, ge=0.0, le=1.0, description="of matte and principled materials")
-    roughness: float = Field(0.5, ge=0.0, le=1.0, description="of principled materials")
-    metallic: float = Field(0.0, ge=0.0, le=1.0, description="of principled materials")
-    specular: float = Field(0.5, ge=0.0, le=1.0, description="of principled materials")
+    reflectance: float = Field(
+        0.5, ge=0.0, le=1.0, description="reflected fraction of the light: matte and principled"
+    )
+    roughness: float = Field(0.5, ge=0.0, le=1.0, description="roughness: principled")
+    metallic: float = Field(0.0, ge=0.0, le=1.0, description="share of metal: principled")
+    specular: float = Field(0.5, ge=0.0, le=1.0, description="specular reflection: principled")
     index: float = Field(1.333, ge=1.0, le=4.0, description="refractive index of a liquid")
     measured: str | None = Field(
         None,
-        description="whole path of a measured material in the RGL format (.bsdf), read when it is "
-        "rendered",
+        description="absolute path of a measured material in the RGL format (.bsdf), read when "
+        "images are rendered",
+        examples=["/data/brdf/satin_gold_rgb.bsdf"],
     )
 
 
 class SolidParameters(Parameters):
     """Base of the parameters of a body's generator: position, motion, material."""
 
-    place_mm: Vector = Field((0.0, 0.0, 0.0), description="where its own origin is at the start")
+    place_mm: Vector = Field((0.0, 0.0, 0.0), description="position of its own origin at the start")
     turn_deg: Vector = Field(
         (0.0, 0.0, 0.0),
         description="rotation vector, world frame: its direction is the axis, its length the angle",
     )
-    velocity_mm_s: Vector = (0.0, 0.0, 0.0)
+    velocity_mm_s: Vector = Field((0.0, 0.0, 0.0), description="velocity of its own origin")
     spin_deg_s: Vector = Field(
         (0.0, 0.0, 0.0), description="rotation vector a second, about its own axes"
     )
-    material: Material = Material()
+    material: Material = Field(Material(), description="optical material of its surface")
 
 
 class SolidGenerator(PlugIn):

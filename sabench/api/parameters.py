@@ -19,9 +19,14 @@ class FileParameters(Parameters):
     A data set keeps a copy of the file.
     """
 
-    file: str = Field(description="its path, from the scene file's folder")
+    file: str = Field(
+        description="path of the file, from the scene file's folder", examples=["measured.h5"]
+    )
     sha256: str | None = Field(
-        None, pattern="^[0-9a-f]{64}$", description="of the file: filled in where it is not given"
+        None,
+        pattern="^[0-9a-f]{64}$",
+        description="SHA-256 of the file: filled in where it is not given",
+        examples=["0" * 64],
     )
 
 

@@ -25,7 +25,7 @@ class _Step(BaseModel):
 class SlidingMinimum(_Step):
     """Subtract the least value of the pixels around each one."""
 
-    step: Literal["sliding_minimum"]
+    step: Literal["sliding_minimum"] = Field(description="`sliding_minimum`")
     window_px: int = Field(10, ge=2, le=1000, description="edge of the square of pixels")
 
     def apply(self, images: F32) -> F32:
@@ -41,11 +41,9 @@ class SlidingMinimum(_Step):
 class Gaussian(_Step):
     """Convolve with a Gaussian."""
 
-    step: Literal["gaussian"]
-    reach_px: int = Field(
-        1, ge=1, le=50, description="of the kernel to either side: 1 makes it 3 x 3"
-    )
-    sigma_px: float = Field(0.5, gt=0.0, description="standard deviation")
+    step: Literal["gaussian"] = Field(description="`gaussian`")
+    reach_px: int = Field(1, ge=1, le=50, description="half width of the kernel: 1 makes it 3 x 3")
+    sigma_px: float = Field(0.5, gt=0.0, description="standard deviation of the Gaussian")
 
     def apply(self, images: F32) -> F32:
         """Apply the step to images (camera, row, column).
@@ -64,7 +62,7 @@ class MatchHistograms(_Step):
     Rank by rank.
     """
 
-    step: Literal["match_histograms"]
+    step: Literal["match_histograms"] = Field(description="`match_histograms`")
 
     def apply(self, images: F32) -> F32:
         """Apply the step to images (camera, row, column).
@@ -81,8 +79,10 @@ class Stretch(_Step):
     It then fills the whole range.
     """
 
-    step: Literal["stretch"]
-    percent: float = Field(0.1, ge=0.0, lt=50.0, description="of the pixels, at either end")
+    step: Literal["stretch"] = Field(description="`stretch`")
+    percent: float = Field(
+        0.1, ge=0.0, lt=50.0, description="pixels cut off at either end of the range"
+    )
 
     def apply(self, images: F32) -> F32:
         """Scale images (camera, row, column) to 0 to 1.
@@ -103,7 +103,7 @@ class TemporalMinimum(_Step):
     It is the first step.
     """
 
-    step: Literal["temporal_minimum"]
+    step: Literal["temporal_minimum"] = Field(description="`temporal_minimum`")
 
 
 Step = Annotated[

@@ -24,14 +24,19 @@ class Background(Table):
     variation: float = Field(
         0.5, ge=0.0, le=1.0, description="largest departure of the smooth light from its mean"
     )
-    glints: int = Field(0, ge=0, le=_MOST, description="small bright reflections in each image")
-    glint_level: Positive = Field(2.0, description="their peak; above 1 they saturate")
-    glint_sigma_px: tuple[Positive, Positive] = Field(
-        (1.0, 3.0), description="smallest and largest standard deviation of these Gaussians"
+    glints: int = Field(
+        0, ge=0, le=_MOST, description="number of small bright reflections in each image"
     )
-    dust: int = Field(0, ge=0, le=_MOST, description="specks of dust on the wall in each image")
+    glint_level: Positive = Field(2.0, description="peak of the reflections; above 1 they saturate")
+    glint_sigma_px: tuple[Positive, Positive] = Field(
+        (1.0, 3.0),
+        description="smallest and largest standard deviation of the reflections, Gaussians",
+    )
+    dust: int = Field(
+        0, ge=0, le=_MOST, description="number of specks of dust on the wall in each image"
+    )
     dust_level: Positive = Field(0.02, description="largest light of a speck, a uniform disc")
-    dust_radius_px: Positive = Field(6.0, description="radius of these discs, out of focus")
+    dust_radius_px: Positive = Field(6.0, description="radius of a speck, a disc out of focus")
     flicker: float | None = Field(
         None,
         ge=0.0,

@@ -53,6 +53,7 @@ class Calibration(Table):
         ge=0.0,
         le=10.0,
         description="standard deviation of each angle between sensor and lens",
+        examples=[0.2],
     )
     points: float = Field(
         0.0,
@@ -67,30 +68,51 @@ class Calibration(Table):
     )
     known: tuple[KnownPoint, ...] = Field((), description="points whose positions are known")
     wall_mm: float | None = Field(
-        None, ge=0.0, description="standard deviation of the plane wall's place along its normal"
+        None,
+        ge=0.0,
+        description="standard deviation of the plane wall's place along its normal",
+        examples=[1.0],
     )
     wall_deg: float | None = Field(
-        None, ge=0.0, le=10.0, description="standard deviation of the wall's tilt about two axes"
+        None,
+        ge=0.0,
+        le=10.0,
+        description="standard deviation of the wall's tilt about two axes",
+        examples=[0.5],
     )
     thickness_percent: float | None = Field(
-        None, ge=0.0, le=20.0, description="standard deviation of the thickness of every layer"
+        None,
+        ge=0.0,
+        le=20.0,
+        description="standard deviation of the thickness of every layer",
+        examples=[2.0],
     )
     layer_index: float | None = Field(
-        None, ge=0.0, le=0.05, description="standard deviation of the index of every layer"
+        None,
+        ge=0.0,
+        le=0.05,
+        description="standard deviation of the index of every layer",
+        examples=[0.005],
     )
     fluid_index: float | None = Field(
-        None, ge=0.0, le=0.05, description="standard deviation of the fluid's index"
+        None,
+        ge=0.0,
+        le=0.05,
+        description="standard deviation of the fluid's index",
+        examples=[0.001],
     )
     known_cameras: bool | None = Field(
         None,
         description="solvers learn that the nominal cameras are the true ones, and that only the "
         "wall and the target are not",
+        examples=[True],
     )
     unknown: tuple[LensNumber | WallNumber, ...] | None = Field(
         None,
         description="unmeasured numbers of the lenses and the wall; solvers receive their names, "
         "and zero for coefficients of distortion; `tilt` is that of the sensors against the "
         "lenses, `wall` the place and tilt of the wall",
+        examples=[["k1", "wall"]],
     )
 
     @property

@@ -13,14 +13,18 @@ from sabench.utils.fields import Direction, Positive, Table, TiltAngle, Vector
 class GridLayout(Table):
     """Cameras in columns and rows: uniform by count and spacing, or at given offsets."""
 
-    kind: Literal["grid"]
-    columns: int | None = Field(None, ge=1)
-    rows: int | None = Field(None, ge=1)
+    kind: Literal["grid"] = Field(description="`grid`")
+    columns: int | None = Field(None, ge=1, description="number of columns of cameras")
+    rows: int | None = Field(None, ge=1, description="number of rows of cameras")
     spacing_mm: tuple[Positive, Positive] | None = Field(
-        None, description="between columns, between rows"
+        None, description="distance between columns, and between rows"
     )
-    x_mm: tuple[float, ...] | None = Field(None, min_length=1, description="offsets of the columns")
-    y_mm: tuple[float, ...] | None = Field(None, min_length=1, description="offsets of the rows")
+    x_mm: tuple[float, ...] | None = Field(
+        None, min_length=1, description="offset of each column", examples=[[-120.0, 0.0, 200.0]]
+    )
+    y_mm: tuple[float, ...] | None = Field(
+        None, min_length=1, description="offset of each row", examples=[[-100.0, 100.0]]
+    )
 
     @model_validator(mode="after")
     def _check_offsets(self) -> GridLayout:
@@ -36,27 +40,31 @@ class GridLayout(Table):
 class RingLayout(Table):
     """Cameras on a circle."""
 
-    kind: Literal["ring"]
-    count: int = Field(ge=1)
-    radius_mm: Positive
-    start_deg: float = 0.0
+    kind: Literal["ring"] = Field(description="`ring`")
+    count: int = Field(ge=1, description="number of cameras, at equal angles", examples=[8])
+    radius_mm: Positive = Field(description="radius of the circle", examples=[200.0])
+    start_deg: float = Field(0.0, description="angle of the first camera, from x_axis to y_axis")
 
 
 class LineLayout(Table):
     """Cameras on a straight line."""
 
-    kind: Literal["line"]
-    count: int = Field(ge=1)
-    spacing_mm: Positive
-    angle_deg: float = 0.0
+    kind: Literal["line"] = Field(description="`line`")
+    count: int = Field(ge=1, description="number of cameras", examples=[5])
+    spacing_mm: Positive = Field(
+        description="distance between neighbouring cameras", examples=[100.0]
+    )
+    angle_deg: float = Field(0.0, description="direction of the line, from x_axis to y_axis")
 
 
 class CrossLayout(Table):
     """Camera in the centre, with four arms of cameras."""
 
-    kind: Literal["cross"]
-    arm: int = Field(ge=1, description="cameras per arm")
-    spacing_mm: Positive
+    kind: Literal["cross"] = Field(description="`cross`")
+    arm: int = Field(ge=1, description="number of cameras in each of the four arms", examples=[2])
+    spacing_mm: Positive = Field(
+        description="distance between neighbouring cameras of an arm", examples=[100.0]
+    )
 
 
 class Place(Table):
@@ -65,73 +73,94 @@ class Place(Table):
     By default it is aimed at the array's aim point.
     """
 
-    center_mm: Vector
-    aim_mm: Vector | None = None
+    center_mm: Vector = Field(description="position of the pinhole")
+    aim_mm: Vector | None = Field(
+        None,
+        description="point at the image centre; by default the array's aim point",
+        examples=[[0.0, 0.0, 30.0]],
+    )
     rotation: tuple[Vector, Vector, Vector] | None = Field(
-        None, description="from world to camera axes; its rows are the camera's X, Y, Z axes"
+        None,
+        description="rotation from world to camera axes, instead of `aim_mm`; its rows are the "
+        "camera's X, Y, Z axes",
     )
 
 
 class ListLayout(Table):
     """Cameras at listed positions."""
 
-    kind: Literal["list"]
-    places: tuple[Place, ...] = Field(min_length=1)
+    kind: Literal["list"] = Field(description="`list`")
+    places: tuple[Place, ...] = Field(min_length=1, description="position of each camera")
 
 
 class DistortionSpec(Table):
     """Radial-tangential (Brown-Conrady) coefficients."""
 
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
+    k1: float = Field(0.0, description="radial coefficient of r^2", examples=[-0.1])
+    k2: float = Field(0.0, description="radial coefficient of r^4", examples=[0.05])
+    p1: float = Field(0.0, description="first tangential coefficient", examples=[0.001])
+    p2: float = Field(0.0, description="second tangential coefficient", examples=[-0.0005])
+    k3: float = Field(0.0, description="radial coefficient of r^6", examples=[0.0])
 
 
 class CameraSpec(Table):
     """Lens and sensor of one camera; other numbers are those of the array."""
 
     camera: str = Field(description="name of the camera: camera_00, camera_01, ...")
-    focal_length_mm: Positive | None = None
-    f_number: Positive | None = None
-    focus_mm: Positive | None = Field(None, description="focus distance in air")
-    distortion: DistortionSpec | None = None
-    principal_point_px: tuple[float, float] | None = Field(
-        None, description="column and row; by default the centre of the image"
+    focal_length_mm: Positive | None = Field(None, description="focal length of the lens")
+    f_number: Positive | None = Field(
+        None, description="focal length divided by the aperture's diameter"
     )
-    pixel_mm: float | None = Field(None, gt=0.0, le=10.0, description="pixel pitch")
+    focus_mm: Positive | None = Field(
+        None, description="distance in air at which the lens is focused", examples=[600.0]
+    )
+    distortion: DistortionSpec | None = Field(None, description="distortion of the lens")
+    principal_point_px: tuple[float, float] | None = Field(
+        None,
+        description="column and row where the optical axis meets the sensor; by default the centre "
+        "of the image",
+        examples=[[500.0, 498.0]],
+    )
+    pixel_mm: float | None = Field(
+        None, gt=0.0, le=10.0, description="distance between neighbouring pixels"
+    )
     tilt_deg: tuple[TiltAngle, TiltAngle] | None = Field(
         None,
         description="angles by which the sensor is turned against the lens (Scheimpflug): about "
         "the lens's X axis (right), then about its own Y axis (down)",
+        examples=[[0.0, 5.0]],
     )
 
 
 class Cameras(Table):
     """Array of cameras, equal but for the keys in `each`."""
 
-    rows: int = Field(ge=8, le=20000)
-    columns: int = Field(ge=8, le=20000)
-    pixel_mm: float = Field(gt=0.0, le=10.0, description="pixel pitch")
-    focal_length_mm: Positive
-    f_number: Positive
+    rows: int = Field(ge=8, le=20000, description="height of the images, pixels")
+    columns: int = Field(ge=8, le=20000, description="width of the images, pixels")
+    pixel_mm: float = Field(gt=0.0, le=10.0, description="distance between neighbouring pixels")
+    focal_length_mm: Positive = Field(description="focal length of the lenses")
+    f_number: Positive = Field(description="focal length divided by the aperture's diameter")
     focus_mm: Positive | None = Field(
         None,
-        description="focus distance in air; by default each camera is focused on its aim point",
+        description="distance in air at which the lenses are focused; by default each camera is "
+        "focused on its aim point",
+        examples=[600.0],
     )
-    distortion: DistortionSpec = DistortionSpec()
+    distortion: DistortionSpec = Field(DistortionSpec(), description="distortion of the lenses")
     particle_sigma_px: Positive | None = Field(
         None,
         description="standard deviation of every particle's image; by default it follows from "
         "diffraction, size and defocus",
+        examples=[0.7],
     )
     airy_rings: bool | None = Field(
         None,
         description="whether images of particles have the rings of Airy's pattern; by default "
         "diffraction is the Gaussian nearest to it",
     )
-    center_mm: Vector = Field((0.0, 0.0, 0.0), description="centre of the array (not for lists)")
+    center_mm: Vector = Field(
+        (0.0, 0.0, 0.0), description="centre of the array; no effect on a list"
+    )
     x_axis: Direction = Field((1.0, 0.0, 0.0), description="direction of the array's columns")
     y_axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the array's rows")
     aim_mm: Vector | None = Field(
@@ -148,7 +177,7 @@ class Cameras(Table):
         None, description="cameras with another lens or sensor than the others"
     )
     layout: GridLayout | RingLayout | LineLayout | CrossLayout | ListLayout = Field(
-        discriminator="kind"
+        discriminator="kind", description="positions of the cameras; `kind` names the layout"
     )
 
     @property

@@ -19,8 +19,12 @@ from sabench.utils.validation import refuse
 class EntrySpec(Table):
     """Window through which the laser enters the tank, from air."""
 
-    point_mm: Vector = Field(description="a point on the window's outer face")
-    normal: Direction = Field(description="direction from the laser into the tank")
+    point_mm: Vector = Field(
+        description="a point on the window's outer face", examples=[[-100.0, 0.0, 0.0]]
+    )
+    normal: Direction = Field(
+        description="direction from the laser into the tank", examples=[[1.0, 0.0, 0.0]]
+    )
     air_index: Index = Field(1.0, description="refractive index on the laser's side")
     layers: tuple[LayerSpec, ...] = Field(
         (), max_length=MOST_LAYERS, description="solid layers, the laser's side first"
@@ -30,8 +34,8 @@ class EntrySpec(Table):
 class Illumination(Table):
     """Laser pulse of a frame, as a sheet or slab."""
 
-    wavelength_nm: Positive = Field(532.0, description="in vacuum")
-    pulse_energy_mj: Positive
+    wavelength_nm: Positive = Field(532.0, description="wavelength of the laser in vacuum")
+    pulse_energy_mj: Positive = Field(description="energy of a pulse")
     direction: Vector = Field(
         (1.0, 0.0, 0.0),
         description="direction of propagation: in the fluid or, with `entry`, in the air before it",
@@ -42,13 +46,17 @@ class Illumination(Table):
         description="width of the sheet at right angles to its direction and normal"
     )
     shift_mm: float | None = Field(
-        None, description="offset of the sheet's middle from the volume's centre, along the normal"
+        None,
+        description="offset of the sheet's middle from the volume's centre, along the normal",
+        examples=[2.0],
     )
-    profile: Literal["top-hat", "gaussian"] = "top-hat"
+    profile: Literal["top-hat", "gaussian"] = Field(
+        "top-hat", description="intensity over the thickness of the sheet"
+    )
     height_profile: Literal["top-hat", "gaussian"] | None = Field(
         None,
-        description="along the height, which is the width of the top-hat or the e^-2 width; by "
-        "default the sheet is even and goes on",
+        description="intensity over the height, which is the width of the top-hat or the e^-2 "
+        "width; by default the sheet is uniform and has no edge",
     )
     entry: EntrySpec | None = Field(
         None,
@@ -61,7 +69,9 @@ class Illumination(Table):
     polarisation: Vector | None = Field(
         None, description="direction of the electric field; by default the light is unpolarised"
     )
-    scattering: Literal["mie", "isotropic"] = "mie"
+    scattering: Literal["mie", "isotropic"] = Field(
+        "mie", description="light of a particle by direction: Mie's series, or uniform"
+    )
 
     @model_validator(mode="after")
     def _check_directions(self) -> Illumination:
@@ -93,7 +103,9 @@ class Timing(Table):
         (0.0,), min_length=1, description="times of a group's pulses, from its start"
     )
     energy: tuple[Positive, ...] | None = Field(
-        None, description="energy of each pulse of a group, divided by the illumination's"
+        None,
+        description="energy of each pulse of a group, divided by the illumination's",
+        examples=[[1.0, 0.9]],
     )
     energy_spread: float = Field(
         0.0, ge=0.0, lt=1.0, description="relative standard deviation of each pulse's energy"
@@ -110,12 +122,14 @@ class Timing(Table):
         min_length=1,
         description="delay of each camera's exposures of sensor.exposure_s; it records the part of "
         "a pulse that falls in them. By default cameras record whole pulses",
+        examples=[[0.0, 2e-6, -1e-6, 0.0]],
     )
     gap_s: float | None = Field(
         None,
         ge=0.0,
         description="time from the end of a group's first exposure to the start of its second "
         "(frame straddling); by default each exposure is centred on its pulse",
+        examples=[1e-6],
     )
 
     @model_validator(mode="after")
@@ -147,14 +161,14 @@ class Lamp(Table):
     Light from in front of the wall is assumed to cross it at steep angles.
     """
 
-    center_mm: Vector
-    power: Positive = 1.0
+    center_mm: Vector = Field(description="position of the lamp")
+    power: Positive = Field(1.0, description="radiant power relative to the other lamps")
 
 
 class Lighting(Table):
     """Lamps that light a calibration target, bubbles or bodies."""
 
-    lamps: tuple[Lamp, ...] = Field(min_length=1)
+    lamps: tuple[Lamp, ...] = Field(min_length=1, description="position and power of each lamp")
     exposure: Positive = Field(
         0.7,
         description="signal of a white surface at the volume's centre that faces the wall, as a "
@@ -165,8 +179,9 @@ class Lighting(Table):
         ge=0.0,
         le=1.0,
         description="fraction of the light that comes uniformly from all directions",
+        examples=[0.5],
     )
-    wavelength_nm: Positive = Field(550.0, description="for diffraction")
+    wavelength_nm: Positive = Field(550.0, description="wavelength in vacuum, for diffraction")
 
 
 class Backlight(Table):
@@ -175,7 +190,7 @@ class Backlight(Table):
     Its radiance is uniform in all directions.
     """
 
-    center_mm: Vector
+    center_mm: Vector = Field(description="centre of the diffuser")
     size_mm: tuple[Positive, Positive] = Field(
         description="edge lengths along x_axis and perpendicular to it"
     )
@@ -187,20 +202,24 @@ class Backlight(Table):
     exposure: Positive = Field(
         0.7, description="signal of the unobstructed diffuser, as a fraction of the full well"
     )
-    wavelength_nm: Positive = Field(550.0, description="for diffraction")
+    wavelength_nm: Positive = Field(550.0, description="wavelength in vacuum, for diffraction")
 
 
 class Material(Table):
     """Material of particles: complex refractive index m = index - i absorption."""
 
-    index: float = Field(1.59, ge=1.0, le=4.0)
-    absorption: float = Field(0.0, ge=0.0, le=5.0)
+    index: float = Field(
+        1.59, ge=1.0, le=4.0, description="real part of the refractive index; 1.59 is polystyrene"
+    )
+    absorption: float = Field(
+        0.0, ge=0.0, le=5.0, description="imaginary part of the refractive index"
+    )
 
 
 class Admixture(Material):
     """Material of a share of the particles."""
 
-    share: float = Field(gt=0.0, lt=1.0, description="of all particles")
+    share: float = Field(gt=0.0, lt=1.0, description="fraction of all particles", examples=[0.2])
 
 
 class Tracer(Material):

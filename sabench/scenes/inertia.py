@@ -12,11 +12,16 @@ from sabench.utils.fields import Positive, Table, Vector
 class Inertia(Table):
     """Densities of particles and fluid, its viscosity, and gravity."""
 
-    particle_density_kg_m3: Positive
-    fluid_density_kg_m3: Positive = Field(998.2, description="of water at 20 degrees Celsius")
+    particle_density_kg_m3: Positive = Field(
+        description="density of the particles", examples=[1050.0]
+    )
+    fluid_density_kg_m3: Positive = Field(
+        998.2, description="density of the fluid; by default of water at 20 C"
+    )
     viscosity_mm2_s: Positive = Field(1.0, description="kinematic viscosity of the fluid")
     gravity_m_s2: Vector = Field(
-        (0.0, 9.81, 0.0), description="in the world frame; by default downwards in the images"
+        (0.0, 9.81, 0.0),
+        description="acceleration by gravity, world frame; by default downwards in the images",
     )
 
     def response_s(self, diameter_mm: F64) -> F64:

@@ -22,13 +22,15 @@ def scene_schema() -> dict[str, Any]:
         whole["$defs"].update(
             {f"{name}.{key}": value for key, value in table.pop("$defs", {}).items()}
         )
-        table["properties"] = {"generator": {"const": name}, **table.get("properties", {})}
+        generator = {"const": name, "description": plugins.summary(plugin)}
+        table["properties"] = {"generator": generator, **table.get("properties", {})}
         table["required"] = ["generator", *table.get("required", [])]
         choices[plugin.makes].append(table)
-    solids = {
-        "oneOf": [{"type": "null"}, {"type": "array", "items": {"oneOf": choices.pop("solids")}}]
+    types: dict[str, Any] = {table: {"oneOf": choices[table]} for table in WORLDS}
+    types["solids"] = {
+        "oneOf": [{"type": "null"}, {"type": "array", "items": {"oneOf": choices["solids"]}}]
     }
-    whole["properties"] |= {table: {"oneOf": options} for table, options in choices.items()} | {
-        "solids": solids
-    }
+    for table, one in types.items():
+        shared = whole["properties"][table]
+        whole["properties"][table] = {"description": shared["description"], "default": None, **one}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole}

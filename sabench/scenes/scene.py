@@ -40,24 +40,34 @@ WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator`
 class Scene(Table):
     """Whole scene: the world, its light, the wall and the cameras."""
 
-    title: str
-    frames: int = Field(1, ge=1)
+    title: str = Field(
+        description="one line that says what the scene shows", examples=["A jet, 9 cameras"]
+    )
+    frames: int = Field(1, ge=1, description="number of frames", examples=[1, 10])
     interval_s: Positive = Field(1e-3, description="time between frames")
-    timing: Timing | None = Field(None, description="instead of frames at equal intervals")
-    volume: Volume
-    grid: GridSpec
-    wall: WallTable | None = None
+    timing: Timing | None = Field(
+        None, description="times of frames and pulses, instead of frames at equal intervals"
+    )
+    volume: Volume = Field(description="box that the generators fill")
+    grid: GridSpec = Field(description="voxels that solvers reconstruct")
+    wall: WallTable | None = Field(
+        None,
+        description="wall between the cameras and the fluid: a plane, a cylinder, or a list of "
+        "plane faces; by default everything is in air",
+    )
     occluders: tuple[OccluderSpec, ...] | None = Field(
         None, description="discs that hide a part of the volume from some cameras"
     )
-    cameras: Cameras
-    calibration: Calibration | None = None
-    illumination: Illumination | None = Field(
-        None, description="the laser; needed where there are particles"
+    cameras: Cameras = Field(description="array of cameras that records the volume")
+    calibration: Calibration | None = Field(
+        None, description="errors of the nominal cameras; by default solvers receive the true ones"
     )
-    tracer: Tracer = Tracer()
+    illumination: Illumination | None = Field(
+        None, description="laser; needed where there are particles"
+    )
+    tracer: Tracer = Field(Tracer(), description="optical material of the particles")
     particles: dict[str, Any] | None = Field(
-        None, description="`generator` names a generator; the other keys are its parameters"
+        None, description="tracer particles: `generator` and its parameters"
     )
     flow: dict[str, Any] | None = Field(
         None, description="flow that carries the particles: `generator` and its parameters"
@@ -69,6 +79,7 @@ class Scene(Table):
         None,
         description="spacing along x, y, z of a lattice over the volume; the data set stores the "
         "exact flow of every frame on it",
+        examples=[(1.0, 1.0, 1.0)],
     )
     targets: dict[str, Any] | None = Field(
         None,
@@ -81,21 +92,23 @@ class Scene(Table):
     solids: tuple[dict[str, Any], ...] | None = Field(
         None, description="bodies in the fluid: `generator` and its parameters for each"
     )
-    backlight: Backlight | None = Field(None, description="a diffuser behind the volume")
+    backlight: Backlight | None = Field(None, description="diffuser behind the volume")
     lighting: Lighting | None = Field(None, description="lamps; needed to render a target")
     detection: Detection | None = Field(
-        None, description="by default every point of a target is detected exactly"
+        None,
+        description="errors of detected points of a target; by default every point is detected "
+        "exactly",
     )
     background: Background | None = Field(
         None, description="static light on the sensors that does not come from the volume"
     )
-    sensor: Sensor = Sensor()
+    sensor: Sensor = Field(Sensor(), description="sensor that all cameras have")
     preprocessing: tuple[Step, ...] | None = Field(
         None,
         description="steps applied to the images before solvers receive them; "
         "stored images are raw",
     )
-    render: Render = Render()
+    render: Render = Field(Render(), description="accuracy of images by Mitsuba")
     vary: Vary | None = Field(
         None, description="keys whose values every sample of a stream draws anew"
     )

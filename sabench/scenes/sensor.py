@@ -15,15 +15,15 @@ from sabench.utils.validation import refuse
 class Sensor(Table):
     """Sensor that turns photons into grey values."""
 
-    exposure_s: Positive = 1e-3
-    quantum_efficiency: float = Field(0.6, gt=0.0, le=1.0)
-    dark_current_e_s: float = Field(0.0, ge=0.0)
-    read_noise_e: float = Field(0.0, ge=0.0)
-    full_well_e: Positive = 20000.0
+    exposure_s: Positive = Field(1e-3, description="exposure time, which collects dark current")
+    quantum_efficiency: float = Field(0.6, gt=0.0, le=1.0, description="electrons per photon")
+    dark_current_e_s: float = Field(0.0, ge=0.0, description="electrons per pixel without light")
+    read_noise_e: float = Field(0.0, ge=0.0, description="standard deviation of a pixel's readout")
+    full_well_e: Positive = Field(20000.0, description="electrons at which a pixel saturates")
     gain_dn_e: Positive = Field(0.2, description="grey values per electron")
     black_level_dn: float = Field(0.0, ge=0.0, description="grey value without light")
-    bit_depth: int = Field(12, ge=1, le=16)
-    shot_noise: bool = True
+    bit_depth: int = Field(12, ge=1, le=16, description="bits of the analogue-digital converter")
+    shot_noise: bool = Field(True, description="whether electrons are counted with Poisson noise")
     prnu: float | None = Field(
         None,
         ge=0.0,
@@ -44,6 +44,7 @@ class Sensor(Table):
         None,
         description="mean dark signal of hot pixels, distributed exponentially; by default half "
         "the full well",
+        examples=[5000.0],
     )
     dead_pixels: float | None = Field(
         None, ge=0.0, le=0.05, description="share of pixels without any signal"
@@ -56,13 +57,19 @@ class Sensor(Table):
         "square of the signal",
     )
     camera_exposure: tuple[Positive, ...] | None = Field(
-        None, description="exposure time of each camera, relative to exposure_s"
+        None,
+        description="exposure time of each camera, relative to exposure_s",
+        examples=[[1.0, 1.2, 0.9, 1.0]],
     )
     camera_gain: tuple[Positive, ...] | None = Field(
-        None, description="gain of each camera, relative to gain_dn_e"
+        None,
+        description="gain of each camera, relative to gain_dn_e",
+        examples=[[1.0, 1.05, 0.95, 1.0]],
     )
     camera_black_dn: tuple[Annotated[float, Field(ge=0.0)], ...] | None = Field(
-        None, description="grey value without light of each camera, in place of black_level_dn"
+        None,
+        description="grey value without light of each camera, in place of black_level_dn",
+        examples=[[64.0, 70.0, 60.0, 64.0]],
     )
 
     @property

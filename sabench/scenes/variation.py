@@ -20,12 +20,21 @@ _SHARED = ("title", "vary", "frames", "cameras.rows", "cameras.columns")
 class Draw(Table):
     """Values that a key of the scene may have: exactly one of three distributions."""
 
-    uniform: tuple[float, float] | None = Field(None, description="least and largest value")
+    uniform: tuple[float, float] | None = Field(
+        None,
+        description="smallest and largest value of a uniform distribution",
+        examples=[[10.0, 40.0]],
+    )
     log_uniform: tuple[Positive, Positive] | None = Field(
-        None, description="least and largest value; the logarithm is uniform"
+        None,
+        description="smallest and largest value; the logarithm is uniform",
+        examples=[[0.01, 0.1]],
     )
     choices: tuple[Any, ...] | None = Field(
-        None, min_length=1, description="values of equal probability, of any type"
+        None,
+        min_length=1,
+        description="values of equal probability, of any type",
+        examples=[["mie", "isotropic"]],
     )
 
     @model_validator(mode="after")
@@ -62,7 +71,7 @@ class Vary(Table):
         description='distributions by key, with dots between tables: "particles.per_pixel"',
     )
     impossible: Literal["refuse", "redraw"] = Field(
-        "refuse", description="what becomes of a sample whose scene or rig cannot be"
+        "refuse", description="handling of a sample whose scene or rig is impossible"
     )
 
 

@@ -26,12 +26,15 @@ class LayerSpec(Table):
 
     model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("index"))
 
-    name: str = "glass"
+    name: str = Field("glass", description="name of the layer, for messages and files")
     material: str | None = Field(
-        None, description="name of a material whose index at the light's wavelength is known"
+        None,
+        description="name of a material whose index at the light's wavelength is known, instead of "
+        "`index`",
+        examples=["BK7"],
     )
     index: Index = Field(description="refractive index; left out with `material`")
-    thickness_mm: Positive
+    thickness_mm: Positive = Field(description="thickness of the layer")
 
     @model_validator(mode="before")
     @classmethod
@@ -69,8 +72,10 @@ class WallSpec(_BeforeFluid):
     cameras look through several faces.
     """
 
-    shape: Literal["plane"] | None = Field(None, description="plane, or cylinder: another table")
-    name: str | None = Field(None, description="of a face of several, for messages")
+    shape: Literal["plane"] | None = Field(
+        None, description="`plane`; the other shape, `cylinder`, has other keys", examples=["plane"]
+    )
+    name: str | None = Field(None, description="name of the face, for messages", examples=["left"])
     point_mm: Vector = Field((0.0, 0.0, 0.0), description="a point on the outer face")
     normal: Direction = Field(
         (0.0, 0.0, 1.0), description="direction from the cameras into the tank"
@@ -80,9 +85,14 @@ class WallSpec(_BeforeFluid):
         (), max_length=MOST_LAYERS, description="solid layers, the cameras' side first"
     )
     fluid: str | None = Field(
-        None, description="name of a fluid whose index at the light's wavelength is known"
+        None,
+        description="name of a fluid whose index at the light's wavelength is known, instead of "
+        "`fluid_index`",
+        examples=["water"],
     )
-    temperature_c: float | None = Field(None, description="of water; 20 by default")
+    temperature_c: float | None = Field(
+        None, description="temperature of water; 20 by default", examples=[20.0]
+    )
     fluid_index: Index = Field(description="refractive index of the fluid; left out with `fluid`")
     depth_mm: Positive | None = Field(
         None, description="distance from the inner face to the back wall"
@@ -105,18 +115,23 @@ class CylinderSpec(_BeforeFluid):
     The cylinder has no ends.
     """
 
-    shape: Literal["cylinder"]
+    shape: Literal["cylinder"] = Field(description="`cylinder`, a round tank")
     axis_point_mm: Vector = Field((0.0, 0.0, 0.0), description="a point on the axis")
     axis: Direction = Field((0.0, 1.0, 0.0), description="direction of the axis")
     outer_radius_mm: Positive = Field(description="radius of the outer face")
     air_index: Index = Field(1.0, description="refractive index on the cameras' side")
     layers: tuple[LayerSpec, ...] = Field(
-        (), max_length=MOST_LAYERS, description="solid layers, from outside"
+        (), max_length=MOST_LAYERS, description="solid layers, the outermost first"
     )
     fluid: str | None = Field(
-        None, description="name of a fluid whose index at the light's wavelength is known"
+        None,
+        description="name of a fluid whose index at the light's wavelength is known, instead of "
+        "`fluid_index`",
+        examples=["water"],
     )
-    temperature_c: float | None = Field(None, description="of water; 20 by default")
+    temperature_c: float | None = Field(
+        None, description="temperature of water; 20 by default", examples=[20.0]
+    )
     fluid_index: Index = Field(description="refractive index of the fluid; left out with `fluid`")
 
     @property
@@ -171,6 +186,6 @@ def _without(key: str, table: dict[str, Any], material: str | None) -> dict[str,
 class OccluderSpec(Table):
     """Thin opaque black disc in front of the wall or, in plain air, of the volume."""
 
-    center_mm: Vector
+    center_mm: Vector = Field(description="centre of the disc")
     normal: Direction = Field((0.0, 0.0, 1.0), description="normal of the disc")
-    radius_mm: Positive
+    radius_mm: Positive = Field(description="radius of the disc")

@@ -43,11 +43,13 @@ class Crossflow(BaseModel):
     """The jet; the gas blows along +X, the nozzle points along -Y, which is up."""
 
     nozzle_mm: Vector = Field((0.0, 0.0, 0.0), description="middle of the nozzle's mouth")
-    diameter_mm: float = Field(3.0, gt=0.0, description="of the nozzle")
+    diameter_mm: float = Field(3.0, gt=0.0, description="diameter of the nozzle")
     momentum_ratio: float = Field(
         10.0, gt=0.0, le=200.0, description="momentum flux of the liquid over that of the gas"
     )
-    ligaments: int = Field(40, ge=0, le=400, description="that leave the column")
+    ligaments: int = Field(
+        40, ge=0, le=400, description="number of ligaments that leave the column"
+    )
 
     @property
     def break_mm(self) -> tuple[float, float]:

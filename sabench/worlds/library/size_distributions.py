@@ -23,10 +23,10 @@ class Spectrum(BaseModel):
         0.5, ge=0.0, le=2.0, description="standard deviation of the logarithm of the radius"
     )
     radius_range_mm: tuple[float, float] = Field(
-        (0.1, 4.0), description="radii beyond it are drawn again"
+        (0.1, 4.0), description="range of radii; those beyond it are drawn again"
     )
     aspect_range: tuple[float, float] = Field(
-        (1.0, 1.0), description="short over long axis, uniformly between these"
+        (1.0, 1.0), description="range of the short axis over the long one, uniform"
     )
     tilt_deg: float = Field(
         0.0,
