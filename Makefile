@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint types gate wheel installs release clean
+.PHONY: demo test lint types gate wheel docs installs release clean
 
 demo: $(VENV)/.installed
 	$(BIN)/sabench run demo
@@ -41,6 +41,11 @@ installs: $(VENV)/.installed
 release: $(VENV)/.installed-dev
 	$(BIN)/python benchmarks/release.py
 
+# The site: warnings are errors, links are checked, nothing is loaded from the network.
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -E -W --keep-going -q -c docs/site -d build/site-trees . build/site
+	$(BIN)/python docs/site/check.py build/site
+
 $(VENV)/bin/pip:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "sabench needs Python 3.11 or later: make PYTHON=/path/to/python3.11"; exit 2; }
 	@echo "setting up $(VENV): a minute or two"
@@ -54,6 +59,10 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 	$(BIN)/pip install --constraint constraints.txt --editable '.[dev]'
 	@# without its dependencies: its opencv-python would overwrite opencv-python-headless and need libraries of a desktop
 	$(BIN)/pip install --constraint constraints.txt --no-deps openlpt || echo "OpenLPT has no wheel for this machine: its tests are skipped"
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(BIN)/pip install --constraint constraints.txt --editable '.[docs]'
 	@touch $@
 
 clean:

@@ -128,7 +128,7 @@ class Bubbles:
 
     @property
     def to_ball(self) -> F64:
-        """Compute the matrices M (n, 3, 3); x is inside where |M (x - center)| < 1."""
+        """Compute matrices M (n, 3, 3); x is inside where `|M (x - center)| < 1`."""
         return np.asarray(self.turn / self.semi_axes_mm[:, :, None])
 
     def reach_mm(self, direction: npt.ArrayLike) -> F64:
