@@ -246,6 +246,8 @@ def _scalar(part: dict[str, Any]) -> str:
     }
     signs = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
     limits = [f"{sign} {part[key]:g}" for key, sign in signs.items() if key in part]
+    if "minimum" in part and "maximum" in part:
+        limits = [f"from {part['minimum']:g} to {part['maximum']:g}"]
     return " ".join([words.get(part.get("type", ""), "any value"), ", ".join(limits)]).strip()
 
 

@@ -31,6 +31,7 @@ myst_heading_anchors = 4  # the anchors of GitHub
 napoleon_use_ivar = True  # else attributes are described twice
 autodoc_typehints = "description"
 autodoc_member_order = "groupwise"
+toc_object_entries_show_parents = "hide"
 
 html_theme = "furo"
 html_static_path = ["static"]

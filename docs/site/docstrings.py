@@ -34,5 +34,13 @@ def rewritten(lines: list[str]) -> list[str]:
         if line and below and set(below.strip()) == {"-"}:
             section = line.strip()
         item = _ITEM.fullmatch(line) if section in _SECTIONS else None
-        found += [item[1], f"    {item[2]}"] if item else [line]
+        found += _entries(item[1].split(", "), item[2]) if item else [line]
     return found
+
+
+def _entries(names: list[str], meaning: str) -> list[str]:
+    """Return one entry for each of several names; the last one has the meaning."""
+    *others, last = names
+    return [line for name in others for line in (name, f"    See `{last}`.")] + [
+        last, f"    {meaning}"
+    ]  # fmt: skip

@@ -36,7 +36,7 @@ def test_a_page_stands_in_the_first_section_that_links_to_it() -> None:
 def test_meanings_move_below_the_names_of_parameters() -> None:
     lines = ["Do it.", "", "Parameters", "----------", "a, b : two of them.", "", "x : y"]
     assert script("docstrings")["rewritten"](lines) == [
-        *lines[:4], "a, b", "    two of them.", "", "x", "    y"
+        *lines[:4], "a", "    See `b`.", "b", "    two of them.", "", "x", "    y"
     ]  # fmt: skip
     assert script("docstrings")["rewritten"](["x : y"]) == ["x : y"]
 
