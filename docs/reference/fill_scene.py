@@ -266,8 +266,9 @@ def page() -> str:
     """Write the page."""
     found = sections()
     contents = [
-        f"| [{one.heading}](#{_anchor(one.heading)}) | {_cell(one.text.partition('. ')[0])} |"
+        f"| [{one.heading}](#{_anchor(one.heading)}) | {_cell(first.rstrip('.'))} |"
         for one in found
+        for first in [one.text.partition(". ")[0]]
     ]
     return "\n\n".join([_HEAD + "\n".join(contents), *map(_written, found)]) + "\n"
 
