@@ -15,7 +15,7 @@ from sabench.algorithms.particles.all_particles import (
 from sabench.algorithms.particles.image_model import ImageModel, Particles, paint_all
 from sabench.algorithms.particles.model_moves import add_camera_misses, measure_misfit
 from sabench.geometry.volume_polynomials import VolumePolynomials
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import (
     NOISE,
     SIGMA,
@@ -42,7 +42,7 @@ def case(maps: VolumePolynomials) -> tuple[ImageModel, Particles]:
     return model_of(maps, images), particles_of(points + 0.001, light)
 
 
-def outcome(maps: VolumePolynomials) -> list[F64]:
+def outcome(maps: VolumePolynomials) -> list[F64 | F32]:
     """What all passes give."""
     model, particles = case(maps)
     paint_particles(model, SIGMAS, particles, -1.0)
