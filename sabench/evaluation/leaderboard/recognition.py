@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from sabench import plugins
 from sabench.evaluation.record_schema import Record
@@ -10,10 +11,11 @@ from sabench.evaluation.records import read_records, same_data
 from sabench.utils.validation import printable
 
 
-def bundled_records() -> list[Record]:
-    """Read the records that sabench brings with it."""
+def bundled_records(leaderboard: Path) -> list[Record]:
+    """Read the records that sabench brings with it; none if they are the leaderboard's own."""
     folder = plugins.bundled_folder("leaderboard") / "records"
-    return read_records(folder) if folder.is_dir() else []
+    own = folder.resolve() == (leaderboard / "records").resolve()
+    return [] if own or not folder.is_dir() else read_records(folder)
 
 
 def recognise(record: Record, known: Sequence[Record]) -> str | None:

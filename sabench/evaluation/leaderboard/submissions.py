@@ -99,7 +99,7 @@ def submit(
     _refuse_known(labels, made, known)
     for label, record in zip(labels, made, strict=True):
         _check_record(label, record)
-    made = _recognised(labels, made, known)
+    made = _recognised(labels, made, [*known, *bundled_records(leaderboard)])
     for record in made:
         append(leaderboard / "records" / "submitted.jsonl", record)
     build_board(leaderboard)
@@ -122,10 +122,9 @@ def _with_card(record: Record, cards: dict[str, SolverCard]) -> Record:
 
 def _recognised(labels: list[str], made: list[Record], known: list[Record]) -> list[Record]:
     """Note in records, and say, whose estimates they repeat."""
-    earlier = [*known, *bundled_records()]
     noted: list[Record] = []
     for label, record in zip(labels, made, strict=True):
-        if twin := recognise(record, [*earlier, *noted]):
+        if twin := recognise(record, [*known, *noted]):
             text = f"{printable(label)}: its estimates are those of {twin}; the record says so"
             console.print(text, markup=False, highlight=False, soft_wrap=True)
         noted.append({**record, "same_estimates_as": twin})
