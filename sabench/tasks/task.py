@@ -193,7 +193,7 @@ class Task(ABC):
 
     def score_of(self, key: str) -> Score:
         """Look a score up by its key; a KeyError names one that the task does not have."""
-        return {score.key: score for score in self.all_scores}[key]
+        return {score.key: score for score in (*self.all_scores, *self.curve)}[key]
 
     def admits(self, figures: Mapping[str, object]) -> bool:
         """Check whether the first score ranks an estimate with these figures."""
