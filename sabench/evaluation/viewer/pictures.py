@@ -101,8 +101,10 @@ def has_images(data: Dataset) -> bool:
 
 
 def is_bright(data: Dataset) -> bool:
-    """Return whether the images are bright, with dark objects or marks."""
-    return "bubbles" in data.shows or data.shows_target
+    """Return whether images are bright, with dark objects, as before a backlight."""
+    levels = data.setup.sensor
+    middle = (levels.black_dn + levels.white_dn) / 2.0
+    return has_images(data) and float(np.median(data.raw_image(0, 0))) > middle
 
 
 def _grey_images(data: Dataset, frame: int) -> Iterator[U8]:
@@ -122,7 +124,7 @@ def _grey(values: F32, low: float, high: float, gamma: float) -> U8:
 
 def refocused_stack(data: Dataset, frame: int) -> Stack:
     """Refocus a frame on planes through the volume, at right angles to the view."""
-    case, backlit = data.observation(frame), "bubbles" in data.shows
+    case, backlit = data.observation(frame), is_bright(data)
     images = transmission(case) if backlit else case.normalised_images()
     axis, sign = _viewing_axis(case)
     if axis == 2 and find_edge_on(case.cameras, case.grid) is None:

@@ -219,6 +219,15 @@ def test_pictures_are_compressed_until_they_fit(moving: Dataset) -> None:
     assert sum(map(len, few[0])) == size
 
 
+def test_images_before_a_backlight_are_bright(
+    moving: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not pictures.is_bright(moving)
+    white = np.full((240, 320), 0.7 * moving.setup.sensor.white_dn)
+    monkeypatch.setattr(Dataset, "raw_image", lambda *_: white.astype(np.uint16))
+    assert pictures.is_bright(moving)
+
+
 def test_a_compressed_picture_is_the_image(moving: Dataset) -> None:
     grey = np.tile(np.arange(0, 240, dtype=np.uint8), (64, 1))
     text = pictures.compress(grey, 90)
