@@ -220,7 +220,7 @@ def test_schema_covers_every_key_of_a_scene() -> None:
     assert whole["additionalProperties"] is False
     for table, name in (("particles", "uniform"), ("targets", "boards")):
         known = [
-            choice["properties"]["generator"]
+            choice["properties"]["generator"]["const"]
             for choice in whole["properties"][table]["oneOf"]
             if "properties" in choice
         ]
