@@ -37,6 +37,7 @@ html_theme = "furo"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_copy_source = False
+html_show_search_summary = False  # a browser may not read other pages opened as files
 html_show_sphinx = False
 html_additional_pages = {"index": "redirect.html"}  # to README.html, the first page
 templates_path = ["templates"]
