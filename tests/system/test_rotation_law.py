@@ -45,8 +45,8 @@ def make(name: str, parameters: dict[str, Any] | None = None) -> Any:
 
 @pytest.fixture(scope="module")
 def case() -> Observation:
-    # with seeds 3, 5, 7 and 8, rounding takes one voxel across the threshold of MLOS
-    return make_small(6).observation
+    # with seeds 1, 2 and 6, rounding takes one voxel across the threshold of MLOS
+    return make_small(4).observation
 
 
 def rotate_field(field: Any, rotation: F64) -> Any:
