@@ -4,10 +4,10 @@
 
 - **generate**: SAMPLES (10,000) of `quick` into FOLDER by two processes: seconds, files, bytes, and
   the memory of the largest process; then seconds of `sabench verify`.
-- **resume**: a stream that goes on at 20 random places of FOLDER, in batches of 1 to 32, is
+- **resume**: a stream that goes on at 20 random places of FOLDER, in batches of 1 to 8, is
   compared bit by bit with what is stored there.
-- **epochs**: samples a second, and the most memory, of an epoch through each loader that is
-  installed; each in a process of its own, from a cache of the system that holds what it can.
+- **epochs**: samples a second, and a CPU second with imports, and the most memory, of an epoch
+  through each loader that is installed, each in a process of its own.
 - **kills**: SAMPLES (20) of small images in shards of two, 50 times: the process is killed by
   `kill -9` at a moment that is uniform over the time of an undisturbed run, another one goes on,
   and its hash is compared. `benchmarks/kills.py` kills workers and schedulers of several, too.
@@ -87,7 +87,7 @@ def resume(folder: Path, samples: int) -> dict[str, Any]:
     rng = np.random.default_rng(1)
     same = 0
     for start in progress_bar(rng.integers(0, len(stored), 20).tolist(), "go on"):
-        batch = int(rng.integers(1, 33))
+        batch = int(rng.integers(1, 9))
         again = next(sabench.stream("quick", seed=1, batch=batch, start=start, samples=len(stored)))
         for one in again.samples:
             other = stored[places[one.number]]
@@ -333,8 +333,15 @@ def epoch(folder: Path, name: str) -> dict[str, Any]:
     start = time.perf_counter()
     count = sum(EPOCHS[name](folder))
     took = time.perf_counter() - start
-    peak = max(peak_mb(resource.RUSAGE_SELF), peak_mb(resource.RUSAGE_CHILDREN))
-    return {"samples": count, "seconds": took, "samples_per_s": count / took, "peak_mb": peak}
+    used = [resource.getrusage(one) for one in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    cpu_s = sum(one.ru_utime + one.ru_stime for one in used)
+    return {
+        "samples": count,
+        "seconds": took,
+        "samples_per_s": count / took,
+        "samples_per_cpu_s": count / cpu_s,
+        "peak_mb": max(one.ru_maxrss for one in used) / 1024.0,
+    }
 
 
 STAGES = {

@@ -25,10 +25,10 @@ from sabench.dataset.frame_groups import FrameGroups
 from sabench.dataset.reader import Dataset
 from sabench.dataset.stored_shard import StoredShard
 from sabench.geometry.camera import Camera
-from sabench.utils.arrays import F32, U16
+from sabench.utils.arrays import F32, I64, U16
 from sabench.utils.errors import InputError
 
-_OPEN = 32  # shards whose files are open
+_OPEN = 128  # shards whose files are open, two each
 Store = StoredShard | FrameGroups
 
 
@@ -164,19 +164,31 @@ class SampleSet(Sequence[StoredSample]):
 
         Parameters
         ----------
-        shuffle : seed of their order, such as the number of the epoch; by default that on disk.
+        shuffle : seed of their order, such as the number of the epoch; by default that on disk. Of
+            very many shards, it is that of groups of shards, and of the samples in each group.
         start : batches to leave out: an epoch goes on as if they had been read.
         part : (k, n) for every n-th batch from the k-th on: n processes share an epoch.
         """
         if batch < 1:
             raise InputError(f"batch: expected 1 or more, got {batch}")
-        order = np.arange(len(self))
-        if shuffle is not None:
-            np.random.default_rng(shuffle).shuffle(order)
+        order = np.arange(len(self)) if shuffle is None else self._shuffled(shuffle)
         number, count = part
         firsts = range(0, len(order), batch)
         for first in itertools.islice(firsts, start + (number - start) % count, None, count):
             yield make_batch([self[place] for place in order[first : first + batch].tolist()])
+
+    def _shuffled(self, seed: int) -> I64:
+        """Shuffle shards, and then the samples of as many as may be open."""
+        rng = np.random.default_rng(seed)
+        shards = rng.permutation(len(self._stores)).tolist()
+        order = []
+        for first in range(0, len(shards), _OPEN):
+            group = [
+                np.arange(self._ends[n] - len(self._stores[n][1]), self._ends[n])
+                for n in shards[first : first + _OPEN]
+            ]
+            order.append(rng.permutation(np.concatenate(group)))
+        return np.concatenate(order)
 
     def _use(self, number: int) -> Store:
         """Give a store, and close the one that was not used for longest."""

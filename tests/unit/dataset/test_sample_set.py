@@ -51,6 +51,20 @@ def test_shuffled_batches_depend_on_the_seed_alone(samples: SampleSet) -> None:
     assert order(shuffle=1, start=2) == order(shuffle=1)[8:]
 
 
+def test_a_shuffled_epoch_opens_each_file_once(
+    samples: SampleSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sample_set, "_OPEN", 2)
+    fresh = sabench.open_samples(samples.root)
+    closed: list[str] = []
+    for _, store in fresh._stores:
+        name = getattr(store, "entry").name  # noqa: B009
+        monkeypatch.setattr(store, "close", lambda name=name: closed.append(name))
+    numbers = [int(n) for batch in fresh.batches(3, shuffle=5) for n in batch.numbers]
+    assert sorted(numbers) == list(range(COUNT))
+    assert len(closed) == len(set(closed)) == len(fresh._stores) - 2
+
+
 def test_parts_share_an_epoch(samples: SampleSet) -> None:
     parts = [
         [batch.numbers.tolist() for batch in samples.batches(2, start=1, part=(k, 3))]
