@@ -61,13 +61,18 @@ def plan_shards(samples: int, shares: Sequence[float], size: int) -> list[Shard]
 
     All shards of a split but its last are full.
     """
-    names = [split_of(number, shares) for number in range(samples)]
-    by_split: dict[str, list[int]] = {name: [] for name in split_names(len(shares))}
-    for number, name in enumerate(names):
-        by_split[name].append(number)
-    return [shard for name, numbers in by_split.items() for shard in _shards(name, numbers, size)]
+    check_shares(shares)
+    hashes = np.array([zlib.crc32(n.to_bytes(8, "little")) for n in range(samples)])
+    ends = np.array(list(itertools.accumulate(shares)))
+    splits = np.searchsorted(ends, hashes / 2.0**32 * sum(shares), side="right")
+    splits = np.minimum(splits, len(shares) - 1)  # as `split_of`, all at a time
+    return [
+        shard
+        for index, name in enumerate(split_names(len(shares)))
+        for shard in _shards(name, np.flatnonzero(splits == index), size)
+    ]
 
 
-def _shards(split: str, numbers: list[int], size: int) -> Iterator[Shard]:
+def _shards(split: str, numbers: I64, size: int) -> Iterator[Shard]:
     for index, first in enumerate(range(0, len(numbers), size)):
-        yield Shard(f"{split}-{index:05d}", split, np.array(numbers[first : first + size]))
+        yield Shard(f"{split}-{index:05d}", split, numbers[first : first + size])
