@@ -1,4 +1,4 @@
-"""Bubbles as instances in the COCO format: boxes and masks of what each camera sees.
+"""Bubbles in the COCO format: boxes and masks of what each camera sees.
 
 https://cocodataset.org/#format-data: one category, masks as uncompressed run lengths down the
 columns, boxes [left, top, width, height] in pixels.
@@ -63,7 +63,10 @@ def _png(light: F64) -> bytes:
 
 
 def _annotations(bubbles: Bubbles, sight: Sight) -> Iterator[dict[str, Any]]:
-    """Describe the bubbles that a camera sees; `bubble` is their id in all frames and cameras."""
+    """Describe the bubbles that a camera sees.
+
+    `bubble` is their id in all frames and cameras.
+    """
     for row, identity in enumerate(bubbles.id.tolist()):
         mask = sight.number == row
         if mask.any():

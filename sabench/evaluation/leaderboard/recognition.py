@@ -12,7 +12,7 @@ from sabench.utils.validation import printable
 
 
 def bundled_records(leaderboard: Path) -> list[Record]:
-    """Read the records that sabench brings with it; none if they are the leaderboard's own."""
+    """Read the records that sabench brings, unless they are the leaderboard's own."""
     folder = plugins.bundled_folder("leaderboard") / "records"
     own = folder.resolve() == (leaderboard / "records").resolve()
     return [] if own or not folder.is_dir() else read_records(folder)

@@ -14,7 +14,7 @@ _PARTS = 64  # that workers share
 
 
 def hugging_face_samples(samples: SampleSet, particles: int | None = None) -> Any:
-    """Make an `IterableDataset` of stored samples, which reads them when they are asked for.
+    """Make an `IterableDataset`, which reads samples when they are asked for.
 
     Parameters
     ----------
