@@ -132,6 +132,14 @@ def test_calibrate_prints_json_or_one_sentence(command: Command, tmp_path: Path,
 
 
 @pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", NAMES)
+def test_warmup_prints_json(command: Command, name: str) -> None:
+    done = command("warmup", name, "--json")
+    assert done.returncode in (0, 1), done.stderr
+    assert len(read_strictly(done.stdout)) == 1
+
+
+@pytest.mark.usefixtures("plugins")
 def test_list_prints_json(command: Command) -> None:
     done = command("list", "--json")
     assert set(NAMES) < {one["name"] for one in read_strictly(done.stdout)}
@@ -216,6 +224,7 @@ def test_every_command_with_json_is_tried_here() -> None:
         "run",
         "score",
         "submit",
+        "warmup",
         "view",
     }
     assert with_json == tried | {"reproduce"}

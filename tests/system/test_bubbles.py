@@ -274,8 +274,8 @@ def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
         small(render={"relative_error": 0.02}).to_toml(), encoding="utf-8"
     )
     text = (
-        'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\n[[solvers]]\n'
-        'name = "minimum_image"\n'
+        'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\nseeds = [2]\n'
+        '[[solvers]]\nname = "minimum_image"\n'
     )
     (tmp_path / "suite.toml").write_text(text, encoding="utf-8")
     (record,) = run_suite(tmp_path / "suite.toml", tmp_path / "work", tmp_path / "board")

@@ -86,11 +86,15 @@ def test_a_result_of_the_other_copy_is_accepted_and_records_meet(
     assert theirs.record["dataset"] != ours.record["dataset"]
     assert theirs.record["identity"] == ours.record["identity"] == here.identity
     assert theirs.record["run_hash"] == ours.record["run_hash"]
-    assert (theirs.of, ours.of) == (1, 2)
+    assert (theirs.of, ours.of) == (1, 1)  # one result, sent twice
     assert theirs.record["q"] == pytest.approx(ours.record["q"], abs=1e-3)
     (both,) = submit(there / "msa.h5", "Cleo", [here.root, there], board)
-    assert both.of == 3
+    assert both.of == 1
     assert both.record["dataset"] == ours.record["dataset"]  # the copy that was solved
+    other = tmp_path / "other.h5"
+    sabench.solve("msa", here.root, other, parameters={"k": 2.0})
+    (another,) = submit(other, "Dan", [there], board)
+    assert another.of == 2
 
 
 def test_two_results_of_copies_are_one_too_many(here: Dataset, there: Path, tmp_path: Path) -> None:
@@ -197,7 +201,8 @@ def test_data_sets_of_before_have_no_identity(here: Dataset, tmp_path: Path) -> 
         assert file.attrs["dataset"] == here.content_hash
     (standing,) = submit(tmp_path / "msa.h5", "Ann", [copy], tmp_path / "board")
     assert standing.record["identity"] is None
-    (standing,) = submit(tmp_path / "msa.h5", "Ben", [here.root], tmp_path / "board")
+    sabench.solve("msa", copy, tmp_path / "other.h5", parameters={"k": 2.0})
+    (standing,) = submit(tmp_path / "other.h5", "Ben", [here.root], tmp_path / "board")
     assert standing.of == 2  # these bytes are those of a data set that has one
 
 

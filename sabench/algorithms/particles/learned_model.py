@@ -63,7 +63,7 @@ def learn_widths(search: ParticleSearch) -> None:
     if len(lone) < _FEW:
         return
     model, particles, cameras = search.model(), search.particles(), len(search.images)
-    misfit = misfits(model, search.sigma, particles)
+    misfit = misfits(model, search.widest, particles)
     misfit = misfit[lone] / search.common_light()[lone] ** 2
     lone = lone[misfit <= np.median(misfit)]
     for _ in range(_WIDTH_STEPS):
@@ -87,7 +87,7 @@ def align_cameras(search: ParticleSearch) -> None:
     if len(search.position) < _FEW:
         return
     for _ in range(_ALIGNMENTS):
-        sums = camera_misses(search.model(), search.sigma, search.particles())
+        sums = camera_misses(search.model(), search.widest, search.particles())
         xx, xy, yy, x, y = sums.T
         matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
         shifts = np.zeros((len(matrix), 2))

@@ -174,6 +174,11 @@ class ParticleSearch:
         """Room for one thread to work in."""
         return make_room(self.sigma)
 
+    @property
+    def widest(self) -> F64:
+        """Widths (camera, 2), px, for windows that hold images of any width so far."""
+        return np.maximum(self.first_widths[:, :, 0], self.sigma)
+
     def reset_covariance(self, between: float = _BETWEEN, common: float = _COMMON) -> None:
         """Forget the covariance of light that was learned."""
         self.covariance = even_covariance(len(self.typical), between, common)
@@ -188,7 +193,7 @@ class ParticleSearch:
             brightness,
             light=light,
             covariance_mm2=claimed_covariances(
-                self.model(), self.sigma, self.particles(), self.noise
+                self.model(), self.widest, self.particles(), self.noise
             ),
             probability=1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN))),
         )
@@ -275,7 +280,7 @@ class ParticleSearch:
 
         Neighbours, if given, are changed, too. Rows of one portion come before those of the next.
         """
-        window, pixel = self.room.x.shape[1], pixel_mm(self.maps)
+        window, pixel = make_room(self.widest).x.shape[1], pixel_mm(self.maps)
         turns = disjoint_groups(self.maps, self.position, rows, window, pixel, portions, neighbours)
         in_time = itertools.takewhile(lambda _: not self.deadline.over, rounds * turns)
         side_by_side(work, in_time)
@@ -283,12 +288,12 @@ class ParticleSearch:
     def subtract_all(self) -> None:
         """Compute anew what all particles leave of the images."""
         self.framed_left[:] = self.framed
-        paint_particles(self.model(), self.sigma, self.particles(), -1.0)
+        paint_particles(self.model(), self.widest, self.particles(), -1.0)
 
     def keep(self, good: Bool) -> None:
         """Drop the other particles, and give their light back."""
         dropped = Particles(self.position[~good], self.light[~good], ~good[~good])
-        paint_particles(self.model(), self.sigma, dropped, 1.0)
+        paint_particles(self.model(), self.widest, dropped, 1.0)
         self.select(good)
 
     def select(self, good: Bool | I64) -> None:
@@ -364,7 +369,7 @@ class ParticleSearch:
     def split(self) -> None:
         """Replace particles that do not fit by two, where that is more probable."""
         count, model = len(self.position), self.model()
-        misfit = misfits(model, self.sigma, self.particles())
+        misfit = misfits(model, self.widest, self.particles())
         order = np.argsort(-misfit, kind="stable")[: int(_DOUBTFUL * count)]
         order = order[misfit[order] > _MISFIT]
         self.sure[order] = False
