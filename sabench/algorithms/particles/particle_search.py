@@ -177,7 +177,7 @@ class ParticleSearch:
     @property
     def widest(self) -> F64:
         """Widths (camera, 2), px, for windows that hold images of any width so far."""
-        return np.maximum(self.first_widths[:, :, 0], self.sigma)
+        return np.asarray(np.maximum(self.first_widths[:, :, 0], self.sigma))
 
     def reset_covariance(self, between: float = _BETWEEN, common: float = _COMMON) -> None:
         """Forget the covariance of light that was learned."""
