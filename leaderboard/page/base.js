@@ -1,4 +1,3 @@
-"use strict";
 // The page's script: its files are joined in the order of sabench/evaluation/leaderboard/page.py.
 // No text of a record becomes markup, a style or code: it is only ever a text node, an attribute of a fixed name, or a value in a plot's data.
 // Where the browser can, it holds everyone to that, the plotting library, too, which empties its element by way of markup.
@@ -7,19 +6,6 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const DASH = "–";
 const PROCESS = "†";  // next to the seconds of a program
 const PROCESS_TEXT = `${PROCESS} marks the seconds of a program: they are those of its whole process, with its start and the reading and writing of files, which the seconds of a plug-in leave out.`;
-const SVG = "http://www.w3.org/2000/svg";
-
-// An element with attributes (null, false and undefined are left out; functions listen to the event of that name) and children.
-function make(tag, attributes = {}, ...children) {
-  const element = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (typeof value === "function") element.addEventListener(name, value);
-    else if (value === true) element.setAttribute(name, "");
-    else if (value !== null && value !== false && value !== undefined) element.setAttribute(name, value);
-  }
-  element.append(...children.flat(2).filter(child => child !== null && child !== undefined && child !== false));
-  return element;
-}
 
 function textOf(place) {
   return data.texts[place];
@@ -39,7 +25,7 @@ function listed(texts, empty = DASH) {
   return texts.length ? texts.join(", ") : empty;
 }
 
-// Mean and half width of the 95 % confidence interval, as sabench/statistics.py has them: [mean] of one value, null of none.
+// Mean and half width of the 95 % confidence interval, as sabench/utils/confidence.py has them: [mean] of one value, null of none.
 function meanOf(values) {
   const count = values.length;
   if (!count) return null;

@@ -24,7 +24,7 @@ def export(
     dataset: DataSet,
     result: Annotated[
         Path | None,
-        typer.Argument(metavar="[RESULT]", help="A result file; by default none."),
+        typer.Argument(metavar="RESULT", help="A result file; by default none."),
     ] = None,
     output: Annotated[
         Path | None,

@@ -22,7 +22,7 @@ def plan(
     scene: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SCENE]",
+            metavar="SCENE",
             help="A scene file, or the name of a bundled scene; with --depth, the scene to change.",
             autocompletion=complete_scene,
         ),

@@ -22,7 +22,7 @@ def view(
     ],
     result: Annotated[
         Path | None,
-        typer.Argument(metavar="[RESULT]", help="A result file of the data set."),
+        typer.Argument(metavar="RESULT", help="A result file of the data set."),
     ] = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="FILE", help="The page to create.")

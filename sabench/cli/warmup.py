@@ -13,8 +13,8 @@ def warmup(
     solvers: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[SOLVER]...",
-            help="Names of solvers. [default: all]",
+            metavar="SOLVER",
+            help="Names of solvers; by default all.",
             show_default=False,
             autocompletion=complete_solver,
         ),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from sabench.dataset import schema
@@ -34,13 +36,13 @@ def check_plan(root: Path, contents: schema.ShardedContents) -> None:
             f"{path}: samples: expected as many as {stored} bytes can hold, got {contents.samples}"
         )
     expected = {one.name: one for one in plan_shards(*_plan(contents))}
-    names = [entry.name for entry in entries]
+    counts = Counter(entry.name for entry in entries)
     sides = schema.SIDES[: 1 if isinstance(contents, schema.SamplesObservationManifest) else 2]
-    for name in sorted({*names, *expected}):
-        if names.count(name) != 1 or name not in expected:
+    for name in sorted({*counts, *expected}):
+        if counts[name] != 1 or name not in expected:
             raise InputError(
                 f"{path}: shards: expected {name} {int(name in expected)} time(s), got "
-                f"{names.count(name)}"
+                f"{counts[name]}"
             )
     for entry in entries:
         _check_entry(path, entry, expected[entry.name], sides)
@@ -67,12 +69,12 @@ def shard_faults(root: Path, contents: schema.ShardedContents, attempt: Try) -> 
     size = sum(file.bytes for entry in contents.shards for file in entry.files.values())
     if list(attempt(lambda: read_isolated(_walk_all, root, files, size_bytes=size))):
         for name in files:  # one of them, in a process of its own
-            yield from attempt(lambda name=name: probe(inside(root, name)))  # type: ignore[misc]
+            yield from attempt(partial(probe, inside(root, name)))
         return
+    entries = {entry.name: entry for entry in contents.shards}
     for shard in progress_bar(plan_shards(*_plan(contents)), "verify shards"):
-        entry = next(one for one in contents.shards if one.name == shard.name)
-        stored = StoredShard(root, contents, entry)
-        yield from attempt(lambda stored=stored, shard=shard: stored.check(shard.numbers))  # type: ignore[misc]
+        stored = StoredShard(root, contents, entries[shard.name])
+        yield from attempt(partial(stored.check, shard.numbers))
         stored.close()
 
 

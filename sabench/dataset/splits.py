@@ -37,7 +37,9 @@ def split_names(count: int) -> list[str]:
 def check_shares(shares: Sequence[float]) -> None:
     """Refuse shares that no sample can be divided by."""
     if not shares or min(shares) < 0.0 or not 0.0 < sum(shares) < float("inf"):
-        raise InputError(f"split: expected shares that are not negative, got {list(shares)}")
+        raise InputError(
+            f"split: expected shares of 0 or more, not all of them 0, got {list(shares)}"
+        )
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from collections.abc import Sequence
+from pathlib import Path
 
 
 def escape_code(text: str) -> str:
@@ -22,3 +24,14 @@ def hash_code(text: str) -> str:
 def escape_json(text: str) -> str:
     """Escape JSON so that no markup can begin in it."""
     return text.replace("<", "\\u003c")
+
+
+def join_scripts(folder: Path, names: Sequence[str]) -> str:
+    """Join the scripts of a page in their order, after what all pages share.
+
+    They are one function, whose names are separate from those of a library on the page.
+    """
+    files = [Path(__file__).with_name("page_elements.js")]
+    files += [folder / f"{name}.js" for name in names]
+    parts = "\n".join(file.read_text(encoding="utf-8") for file in files)
+    return escape_code(f"(() => {{\n{parts}}})();")

@@ -12,11 +12,10 @@ from sabench.algorithms.particles.image_model import (
     ImageModel,
     Particles,
     Room,
-    add_leverage,
     make_room,
     paint_all,
-    tell_taken,
 )
+from sabench.algorithms.particles.leverage import add_leverage, tell_taken
 from sabench.algorithms.particles.model_moves import add_camera_misses, measure_misfit
 from sabench.utils.arrays import F64
 from sabench.utils.threads import for_each, share_rows

@@ -18,7 +18,7 @@ from sabench.evaluation.leaderboard.page_content import cases_of, content_of
 from sabench.evaluation.leaderboard.page_figures import albums_of
 from sabench.evaluation.leaderboard.page_standings import front_of
 from sabench.evaluation.record_schema import Record
-from sabench.utils.inline_code import escape_code, escape_json, hash_code
+from sabench.utils.inline_code import escape_code, escape_json, hash_code, join_scripts
 from sabench.utils.version import __version__
 
 _SCRIPTS = (
@@ -53,11 +53,7 @@ def _assemble(
 ) -> str:
     folder = plugins.bundled_folder("leaderboard")
     style = escape_code((folder / "page" / "page.css").read_text(encoding="utf-8"))
-    parts = "\n".join(
-        (folder / "page" / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS
-    )
-    # the function's names are separate from the library's
-    script = escape_code(f"(() => {{\n{parts}}})();")
+    script = join_scripts(folder / "page", _SCRIPTS)
     texts = {"style": style, "script": script, "library": library()}
     environment = Environment(
         loader=FileSystemLoader(folder),

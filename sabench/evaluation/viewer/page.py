@@ -14,7 +14,7 @@ from sabench.evaluation.viewer.contents import Contents
 from sabench.evaluation.viewer.page_content import content_of
 from sabench.evaluation.viewer.static_drawing import draw_surroundings
 from sabench.plotting.outlines import STYLE
-from sabench.utils.inline_code import escape_code, escape_json, hash_code
+from sabench.utils.inline_code import escape_code, escape_json, hash_code, join_scripts
 from sabench.utils.version import __version__
 
 _FOLDER = Path(__file__).with_name("page")
@@ -25,7 +25,7 @@ def render(contents: Contents) -> tuple[str, list[str]]:
     """Render contents as a self-contained page; say also what is left out."""
     values, arrays, notes = content_of(contents)
     style = escape_code(STYLE + (_FOLDER / "page.css").read_text(encoding="utf-8"))
-    texts = {"style": style, "script": _script(), "library": _library()}
+    texts = {"style": style, "script": join_scripts(_FOLDER, _SCRIPTS), "library": _library()}
     environment = Environment(
         loader=FileSystemLoader(_FOLDER),
         autoescape=True,
@@ -48,13 +48,6 @@ def render(contents: Contents) -> tuple[str, list[str]]:
         arrays=arrays,
     )
     return page, notes
-
-
-@cache
-def _script() -> str:
-    """Join the page's scripts; their names are separate from the library's."""
-    parts = [(_FOLDER / f"{name}.js").read_text(encoding="utf-8") for name in _SCRIPTS]
-    return escape_code("(() => {\n" + "\n".join(parts) + "})();")
 
 
 @cache

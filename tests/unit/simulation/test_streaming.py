@@ -184,7 +184,7 @@ def test_an_unknown_key_is_refused_with_the_first_sample() -> None:
         ({"batch": 0}, "batch: expected a number from 1 on, got 0"),
         ({"start": -1}, "start: expected a number from 0 on, got -1"),
         ({"split": ("dev", (80, 20))}, "expected one of train, validation, got 'dev'"),
-        ({"split": ("train", (-1, 2))}, "shares that are not negative"),
+        ({"split": ("train", (-1, 2))}, "shares of 0 or more"),
         ({"split": ("train", (0, 1))}, "expected a share of train above 0"),
         ({"split": "train"}, "expected a name and shares"),
         ({"start": 5, "samples": 4}, "samples: expected a number from 5 on, got 4"),

@@ -1,23 +1,9 @@
-"use strict";
 // The page's script: its files are joined in the order base, colours, raster, space, rig, objects, planes, images, main.
 // No text of a data set becomes markup, a style or code: it is only ever a text node or text on a canvas.
 const data = JSON.parse(document.getElementById("data").textContent);
-const SVG = "http://www.w3.org/2000/svg";
 const ARRAYS = { Uint8: Uint8Array, Int16: Int16Array, Uint16: Uint16Array, Int32: Int32Array, Uint32: Uint32Array, Float32: Float32Array };
 const UNKNOWN = -32768;  // a velocity that is not known
 const KINDS = data.kinds, ALONE = !("found" in data.labels);  // the truth without a result
-
-// An element with attributes (null, false and undefined are left out; functions listen to the event of that name) and children.
-function make(tag, attributes = {}, ...children) {
-  const element = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (typeof value === "function") element.addEventListener(name, value);
-    else if (value === true) element.setAttribute(name, "");
-    else if (value !== null && value !== false && value !== undefined) element.setAttribute(name, value);
-  }
-  element.append(...children.flat(2).filter(child => child !== null && child !== undefined && child !== false));
-  return element;
-}
 
 function bytesOf(text) {
   const raw = atob(text.trim()), bytes = new Uint8Array(raw.length);
