@@ -2,7 +2,9 @@
 
 Images may be brighter than black between particles, differently from place to place: scattered
 light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by
-clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 393, 1996).
+clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 393, 1996). Patches
+with sharp edges are brighter on top of it: a sliding minimum leaves them around dead pixels. They
+are found where hardly any pixel is dark.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import cv2
 import numba
 import numpy as np
 
-from sabench.algorithms.particles.image_statistics import measure_images
+from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
 from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, I64, Bool
 
@@ -23,6 +25,7 @@ _BLACK = 0.02  # share of a tile's values at or below black: there it is dark be
 _CLIP, _CLIPS = 3.0, 12  # standard deviations, and the most rounds
 _FEW = 20  # values that tell nothing
 _DENSE = 0.04  # scatter of the background over the image's bright pixels: above, it is particles
+_EVEN = 0.08  # mean less median over the scatter, after clipping: below, it is all background
 _BRIGHT = 99.0  # percentile that stands for bright particles' pixels
 _SPOT = 7  # px: a particle's image is narrower
 _SPOT_LIGHT = 0.5  # of bright pixels, in all of a square: no particle
@@ -33,6 +36,10 @@ _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of the light that is expected there
 _THIN = 0.75  # of the mean number of particles in a window: fewer do not tell
 _HALO = 6  # px around bright spots
+_PATCH = 12  # px: edge of a square that tells a patch
+_DIMMEST, _BELOW = 0.1, 1.2816  # share of its pixels, and how far dark noise has them below zero
+_RAISED = 4.0  # standard deviations: a patch is that much brighter than the background
+_MOSTLY_DARK = 0.5  # of an image's pixels: where fewer are dark, particles may look like patches
 
 
 class ClearImages(NamedTuple):
@@ -62,6 +69,7 @@ def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
         background = estimate_background(image, known & ~spots)
         if background is not None:
             image -= background
+            image -= find_patches(image, known & ~spots)
         for _ in range(_SEARCHES):
             light = float(measure_images(image[None], (known & ~spots)[None]).light[0])
             more = find_bright_spots(image, known & ~spots, light) & ~spots
@@ -80,11 +88,14 @@ def estimate_background(image: F32, known: Bool) -> F32 | None:
     """
     rows, columns = (max(size // _TILE, 1) for size in image.shape)
     tiles = _ends(image.shape[0], rows), _ends(image.shape[1], columns)
-    modes = np.full((rows * columns, 3), np.nan)
+    modes = np.full((rows * columns, 4), np.nan)
     _measure_modes(image, known, *tiles, modes)
-    levels, scatter, black = modes.T
+    levels, scatter, skew, black = modes.T
     bright = float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0
     clear = scatter < _DENSE * bright
+    told = np.isfinite(skew)
+    if told.any() and np.median(skew[told]) < _EVEN:  # few particles: bright pixels may be noise
+        clear = told
     if not clear.any() or np.nanmedian(black) > _BLACK:
         return None
     level = np.where(clear, levels, np.median(levels[clear])).reshape(rows, columns)
@@ -94,6 +105,46 @@ def estimate_background(image: F32, known: Bool) -> F32 | None:
     return np.asarray(np.maximum(smooth, np.float32(0.0)))
 
 
+def find_patches(image: F32, known: Bool) -> F32:
+    """Measure patches that are brighter than the background around them.
+
+    The result (row, column) is by how much: 0 elsewhere, and where particles leave few pixels dark.
+    """
+    noise = dark_noise(image[known])
+    dark = known & (image <= (_RAISED - _BELOW) * noise)
+    if dark.sum() < _MOSTLY_DARK * known.sum() or min(image.shape) < _PATCH:
+        return np.zeros_like(image)
+    size = (_PATCH, _PATCH)
+    sums = (
+        cv2.boxFilter(one.astype(np.float32), -1, size, anchor=(0, 0), normalize=False)
+        for one in (dark, known)
+    )
+    few, all_known = (one[: 1 - _PATCH, : 1 - _PATCH] for one in sums)
+    lit = (few < _DIMMEST * all_known) & (all_known > 0.5 * _PATCH**2)
+    total, count = np.zeros_like(image), np.zeros_like(image)
+    _add_patches(image, known, lit, total, count)
+    raised = total / np.maximum(count, np.float32(1.0)) + np.float32(_BELOW * noise)
+    return np.where((count > 0) & (raised > _RAISED * noise), raised, np.float32(0.0))
+
+
+@numba.njit(cache=True)
+def _add_patches(image: Any, known: Any, lit: Any, total: Any, count: Any) -> None:
+    """Add up, and count, the dimmest values of squares that begin at lit pixels."""
+    values = np.zeros(_PATCH * _PATCH)
+    for i, j in np.argwhere(lit):
+        number = 0
+        for row in range(i, i + _PATCH):
+            for column in range(j, j + _PATCH):
+                if known[row, column]:
+                    values[number] = image[row, column]
+                    number += 1
+        level = np.sort(values[:number])[int(_DIMMEST * number)]
+        for row in range(i, i + _PATCH):
+            for column in range(j, j + _PATCH):
+                total[row, column] += level
+                count[row, column] += 1.0
+
+
 def _ends(size: int, tiles: int) -> I64:
     """Return where tiles start along an axis, and its end (tiles + 1,)."""
     return np.arange(tiles + 1) * size // tiles
@@ -101,9 +152,9 @@ def _ends(size: int, tiles: int) -> I64:
 
 @numba.njit(cache=True, parallel=True)
 def _measure_modes(image: Any, known: Any, downs: Any, acrosses: Any, modes: Any) -> None:
-    """Fill in each tile's mode, scatter after clipping, and share of black (tile, 3).
+    """Fill in each tile's mode, scatter and skew after clipping, and share of black.
 
-    Tiles of few values keep what they have in the first two, those without any in all.
+    Tiles of few values keep what they have in the first three, those without any in all.
     """
     columns = len(acrosses) - 1
     for tile in numba.prange(len(modes)):
@@ -118,14 +169,17 @@ def _measure_modes(image: Any, known: Any, downs: Any, acrosses: Any, modes: Any
                     count += 1
         if count:
             values = np.sort(values[:count])
-            modes[tile, 2] = np.searchsorted(values, 0.0, side="right") / count
+            modes[tile, 3] = np.searchsorted(values, 0.0, side="right") / count
         if count > _FEW:
-            modes[tile, 0], modes[tile, 1] = _mode(values)
+            modes[tile, 0], modes[tile, 1], modes[tile, 2] = _mode(values)
 
 
 @numba.njit(cache=True)
-def _mode(values: Any) -> tuple[float, float]:
-    """Estimate the mode of sorted values, and the scatter after clipping."""
+def _mode(values: Any) -> tuple[float, float, float]:
+    """Estimate the mode of sorted values, and after clipping their scatter and skew.
+
+    The skew is the mean less the median, over the scatter.
+    """
     middle, scatter = np.median(values), values.std()
     for _ in range(_CLIPS):
         first = np.searchsorted(values, middle - _CLIP * scatter, side="left")
@@ -134,7 +188,8 @@ def _mode(values: Any) -> tuple[float, float]:
             break
         values = values[first:last]
         middle, scatter = np.median(values), values.std()
-    return 2.5 * middle - 1.5 * values.mean(), scatter
+    off = values.mean() - middle
+    return middle - 1.5 * off, scatter, off / scatter if scatter > 0.0 else 0.0
 
 
 def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:

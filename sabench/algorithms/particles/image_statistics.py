@@ -2,7 +2,8 @@
 
 No particle has to be found first, and overlaps do no harm: for particles at random, products of
 pixels some distance apart follow from one particle's image (Campbell's theorem: N. R. Campbell,
-The study of discontinuous phenomena, Proc. Camb. Phil. Soc. 15, 117-136, 1909).
+The study of discontinuous phenomena, Proc. Camb. Phil. Soc. 15, 117-136, 1909). Where few particles
+make an image hardly brighter than its background, or a glint outshines them all, peaks tell more.
 """
 
 from __future__ import annotations
@@ -10,16 +11,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from sabench.utils.arrays import F64, Bool
+from sabench.utils.arrays import F32, F64, Bool
 
 _PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
 _FAR = (6, 7)  # px: so far apart, pixels share no particle
 _LEAST_NOISE = 0.5  # grey values: of rounding
-_FEW = 50  # values below black that tell the noise
-_CLEAR = 6.0  # standard deviations by which neighbours' products exceed those of noise
+_FEW, _FEW_PEAKS = 50, 10  # values below black, and peaks, that tell
+_CLEAR = 6.0  # standard deviations by which neighbours' products, and peaks, exceed those of noise
+_PEAK, _AROUND = 5, 7  # px: squares of which a peak is the brightest pixel, and that hold its light
+_OVER_PEAKS = 3.0  # of the light around a middle peak: the most that is typical
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,7 @@ class ImageStatistics:
     ----------
     sigma : (camera, 2) standard deviations of particle images along columns and rows, px.
     light : (camera,) sum of the grey values of a typical particle's image; particles of different
-        light count by their light.
+        light count by their light. 0 where none shows.
     noise : (camera,) standard deviation of dark pixels, grey values.
     shown : (camera,) whether an image shows particles: it is not dark, even or all noise.
     number : particles in the images; the median over the cameras that show them.
@@ -68,7 +72,7 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
     )
 
 
-def dark_noise(values: F64) -> float:
+def dark_noise(values: F64 | F32) -> float:
     """Estimate the standard deviation of dark pixels from the values below black."""
     below = values[values < 0.0]
     return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, _LEAST_NOISE)
@@ -96,12 +100,29 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
         square = min(max(square, _LEAST_SIGMA**2 + _PIXEL), _MOST_SIGMA**2 + _PIXEL)
         squares.append(square)
         at_zero.append(max(one, 0.0) * math.exp(0.25 / square))
-    mean = max(float(light.sum() / max(count.sum(), 1.0)), 1e-12)
-    own = sum(at_zero) * 2.0 * math.pi * math.sqrt(squares[0] * squares[1]) / mean
+    mean = float(light.sum() / max(count.sum(), 1.0))
+    own = sum(at_zero) * 2.0 * math.pi * math.sqrt(squares[0] * squares[1])
+    own = own / mean if mean > 0.0 else math.inf
+    own = min(own, _OVER_PEAKS * _light_of_peaks(light, dark_noise(image[known])))
     widths = math.sqrt(squares[0] - _PIXEL), math.sqrt(squares[1] - _PIXEL)
     values = image[known]
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
-    return widths, max(own, 1e-6), sum(nearest) / 2.0 > _CLEAR * chance and own > 1e-6
+    clear = sum(nearest) / 2.0 > _CLEAR * chance and 1e-6 < own < math.inf
+    return widths, own if clear else 0.0, clear
+
+
+def _light_of_peaks(light: F64, noise: float) -> float:
+    """Measure the light around the middle one of an image's peaks.
+
+    It is infinite if they are few.
+    """
+    shown = light.astype(np.float32)
+    highest = cv2.dilate(shown, np.ones((_PEAK, _PEAK), np.uint8))
+    peaks = (shown == highest) & (shown > _CLEAR * noise)
+    if peaks.sum() < _FEW_PEAKS:
+        return math.inf
+    sums = cv2.boxFilter(shown, -1, (_AROUND, _AROUND), normalize=False)
+    return max(float(np.median(sums[peaks])), 0.0)
 
 
 def _product(light: F64, count: F64, rows: int, columns: int) -> float:

@@ -10,6 +10,7 @@ from sabench.algorithms.particles.background import (
     estimate_background,
     find_bright_spots,
     find_dark_areas,
+    find_patches,
 )
 from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64
@@ -38,7 +39,7 @@ def glint(row: int, column: int, sigma: float) -> F64:
     )
 
 
-@pytest.mark.parametrize("per_pixel", [0.005, 0.02, 0.05])
+@pytest.mark.parametrize("per_pixel", [0.0, 0.0003, 0.005, 0.02, 0.05])
 def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
     ramp = np.linspace(20.0, 60.0, COLUMNS, dtype=np.float32)[None, :] * np.ones((ROWS, 1))
     shown = (image(per_pixel, 1) + ramp).astype(np.float32)
@@ -67,6 +68,26 @@ def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> 
     assert covered[light > 0.02 * light.max()].all()
     assert covered.mean() < 0.02
     assert not flaws.points.any()
+
+
+@pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.02, 0.05])
+def test_patches_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> None:
+    shown, patches = image(per_pixel, 5), np.zeros((ROWS, COLUMNS))
+    patches[40:80, 60:100] = patches[150:190, 201:241] = 12.0
+    patches[70:110, 85:125] = 16.0  # over the first one's corner
+    found = find_patches((shown + patches).astype(np.float32), np.ones(shown.shape, dtype=bool))
+    inside = patches > 0.0
+    apart = (found - patches)[inside]
+    assert np.abs(np.median(apart)) < NOISE
+    assert np.mean(np.abs(apart) < 2.0 * NOISE) > 0.9
+    assert np.mean(found[~inside] > 0.0) < 0.02  # a pixel or two around them
+
+
+def test_dense_particles_are_no_patches() -> None:
+    for per_pixel in (0.1, 0.2):
+        shown = image(per_pixel, 6)
+        found = find_patches(shown, np.ones(shown.shape, dtype=bool))
+        assert np.mean(found > 0.0) < 0.01
 
 
 def test_spots_of_nothing_are_none() -> None:

@@ -63,5 +63,22 @@ def test_images_of_noise_or_of_nothing_have_finite_statistics() -> None:
         for known in (True, False):
             found = measure_images(images, np.full(images.shape, known))
             assert np.isfinite(found.sigma).all()
-            assert (found.light > 0.0).all()
+            assert not found.light.any()
+            assert not found.shown.any()
             assert np.isfinite(found.number)
+
+
+@pytest.mark.parametrize("per_pixel", [0.001, 0.005])
+def test_a_glint_among_few_particles_is_not_their_light(per_pixel: float) -> None:
+    shown = image(per_pixel, (0.7, 0.7), 8)
+    rows, columns = np.mgrid[: shown.shape[0], : shown.shape[1]]
+    shown += 4000.0 * np.exp(-((rows - 70) ** 2 + (columns - 90) ** 2) / (2.0 * 1.4**2))
+    found = measure_images(shown[None], np.ones((1, *shown.shape), dtype=bool))
+    assert 100.0 < found.light[0] < 700.0  # 50,000 in the glint
+
+
+def test_few_particles_before_a_background_taken_too_high_have_their_light() -> None:
+    shown = image(0.001, (0.7, 0.7), 9) - 0.5  # the mean is below zero
+    found = measure_images(shown[None], np.ones((1, *shown.shape), dtype=bool))
+    assert found.shown[0]
+    assert 100.0 < found.light[0] < 700.0
