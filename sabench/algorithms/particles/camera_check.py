@@ -6,9 +6,11 @@ particles of the others are. What the search leaves of its image tells.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 
 from sabench.algorithms.particles.light_prior import scatter_between
@@ -17,6 +19,7 @@ from sabench.utils.arrays import F32, F64, Bool
 
 _FEWEST = 3  # cameras that may be left
 _LEFT = 0.1  # of the squared light of an image: more that is left has a reason
+_CHANCE = 1.0  # over the square root of the particles' number: share that few leave by chance
 _SCATTER, _LITTLE = 0.7, 0.03  # of light between cameras; with less left, it is particles' own
 _CLEAR = 6.0  # standard deviations of noise: light
 _WORST = 2.0  # times the median camera's: what a camera leaves that contradicts the others
@@ -64,14 +67,16 @@ def without_wrong_cameras(
 def explains(search: ParticleSearch) -> bool:
     """Say whether the particles explain the images, with light as particles have it."""
     left = float(left_of_images(search).max())
-    return left < _LITTLE or (left < _LEFT and scatter_between(search.covariance) < _SCATTER)
+    most = _LEFT + _CHANCE / math.sqrt(max(len(search.position), 1))
+    return left < _LITTLE or (left < most and scatter_between(search.covariance) < _SCATTER)
 
 
 def left_of_images(search: ParticleSearch) -> F64:
     """Compute the share (camera,) of each image's squared light that is left.
 
-    Light that is not clear of noise does not count; without particles, noise is the scatter of all
-    pixels about their median, as a background may have passed for light.
+    Light that is not clear of noise does not count, nor that of a pixel alone, which may be hot;
+    without particles, noise is the scatter of all pixels about their median, as a background may
+    have passed for light.
     """
     if not len(search.position):
         seen = zip(search.images, search.known, strict=True)
@@ -81,7 +86,7 @@ def left_of_images(search: ParticleSearch) -> F64:
         zip(search.images, search.known, search.noise, strict=True)
     ):
         both = search.miss(camera), image
-        rest, whole = (_squares(one[known], _CLEAR * noise) for one in both)
+        rest, whole = (_squares(np.where(known, one, 0.0), _CLEAR * noise) for one in both)
         shares.append(rest / max(whole, rest, 1e-6))
     return np.array(shares)
 
@@ -93,8 +98,10 @@ def _stands_out(light: F32) -> float:
 
 
 def _squares(light: F32, floor: float) -> float:
-    """Add up the squares of light above a floor."""
-    return float(np.square(light[np.abs(light) > floor], dtype=np.float64).sum())
+    """Add up squares of light above a floor, where a neighbour is above it, too."""
+    above = np.abs(light) > floor
+    together = cv2.boxFilter(above.astype(np.float32), -1, (3, 3), normalize=False) > 1.5
+    return float(np.square(light[above & together], dtype=np.float64).sum())
 
 
 def _worst(search: ParticleSearch) -> int:
