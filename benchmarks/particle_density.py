@@ -20,7 +20,8 @@ scored where all cameras see. The particles of a volume are its local maxima. Ca
     own 0.05                four cameras, the same with light from a direction in which no two
                             cameras see the same angle
     hidden 0.05             nine cameras, equally bright; a disc hides half of the volume from one
-    realistic               the scene `realistic-particles`, nine cameras
+    realistic, realistic 0.005, 0.02    the scene `realistic-particles`, nine cameras, with 0.05
+                            and with fewer particles per pixel
     narrow                  four cameras with pixels twice as large and a wider aperture: images of
                             0.25 px, 0.05 particles per pixel on a quarter of the sensor, dark
                             elsewhere; Mie scattering as in front
@@ -125,6 +126,8 @@ CASES = {
     "own 0.05": Case(0.05, _OBLIQUE, _FOUR),
     "hidden 0.05": Case(0.05, EQUAL, more=_HIDDEN),
     "realistic": Case(0.05, scene="realistic-particles"),
+    "realistic 0.005": Case(0.005, scene="realistic-particles"),
+    "realistic 0.02": Case(0.02, scene="realistic-particles"),
     "narrow": Case(0.0125, {"pulse_energy_mj": 110.0}, _FOUR, cameras=_COARSE),
     "hard": Case(0.04, {"pulse_energy_mj": 75.0}, _FOUR, shift_px=0.3),
 }

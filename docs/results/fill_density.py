@@ -47,6 +47,8 @@ CASES = {  # the page's rows: its words, the number of cameras and the record's 
     ("single particles' Mie, 0.10 ppp", 4): "front 0.10",
     ("single particles' Mie, oblique light, 0.05 ppp", 4): "own 0.05",
     ("images of 0.25 px on a quarter of the sensor, 0.05 ppp", 4): "narrow",
+    ("the realistic scene, 0.005 ppp", 9): "realistic 0.005",
+    ("the realistic scene, 0.02 ppp", 9): "realistic 0.02",
     ("the realistic scene, 0.05 ppp", 9): "realistic",
     ("the standard suite's hard case, one frame", 4): "hard",
 }
