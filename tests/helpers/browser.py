@@ -6,6 +6,7 @@ It has as much of WebDriver as tests and benchmarks of the page need.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import json
 import re
 import shutil
@@ -28,6 +29,10 @@ _FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+
+
+AXE = Path(__file__).resolve().parents[1] / "data" / "axe-core-4.14.1.min.js.gz"
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
 
 
 class Browser:
@@ -54,6 +59,22 @@ class Browser:
     def devtools(self, command: str, **parameters: Any) -> Any:
         """One command of the developer tools' protocol."""
         return self.send("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
+
+    def prefer(self, mode: str | None) -> None:
+        """Say whether pages are to be light or dark; None leaves it to them."""
+        features = [{"name": "prefers-color-scheme", "value": mode}] if mode else []
+        self.devtools("Emulation.setEmulatedMedia", features=features)
+
+    def violations(self) -> list[str]:
+        """What axe-core (MPL-2.0) finds against WCAG 2.1 AA: contrast, names, roles and order."""
+        source = gzip.decompress(AXE.read_bytes()).decode()
+        self.devtools("Runtime.evaluate", expression=source)
+        found: list[str] = self.ask(
+            f"axe.run(document, {{runOnly: {RULES}}})"
+            ".then(result => result.violations.map(one => "
+            "`${one.impact} ${one.id}: ${one.nodes[0].html} (${one.nodes.length})`))"
+        )
+        return found
 
     def open(self, page: Path, fragment: str = "", width: int = 1200) -> None:
         """Open a page afresh, also if only the fragment is another one."""

@@ -88,6 +88,17 @@ def open_page(browser: Browser, page: Path, width: int = 1400) -> None:
     browser.wait("document.documentElement.dataset.ready")
 
 
+@pytest.mark.parametrize("mode", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1400])
+def test_axe_finds_nothing(browser: Browser, page: Path, width: int, mode: str) -> None:
+    browser.prefer(mode)
+    open_page(browser, page, width)
+    browser.ask("document.querySelectorAll('details').forEach(details => { details.open = true })")
+    found = browser.violations()
+    browser.prefer(None)
+    assert found == []
+
+
 def faults(browser: Browser) -> list[str]:
     return [one for one in browser.complaints() if not any(known in one for known in EXPECTED)]
 
