@@ -152,3 +152,18 @@ def test_a_thin_recording_with_a_background_has_no_ghosts(per_pixel: float) -> N
     counts = count(shot, find_in(shot.observation))
     assert counts.recall > 0.98
     assert counts.precision > 0.99
+
+
+def test_light_that_too_few_cameras_see_is_no_fault() -> None:
+    """Outer cameras of a row see more of a long volume than the inner ones: nobody is warned."""
+    places = [{"center_mm": [x, 0.0, -516.7]} for x in (-300.0, -90.0, 90.0, 300.0)]
+    shot = make_shot(
+        18,
+        cameras={"layout": {"kind": "list", "places": places}},
+        volume={"size_mm": [14.0, 6.0, 5.0]},
+        grid={"crop_mm": [4.5, 0.8, 0.3]},
+        particles={"per_pixel": 0.03},
+    )
+    counts = count(shot, find_in(shot.observation))
+    assert counts.recall > 0.98
+    assert counts.precision > 0.98

@@ -15,6 +15,7 @@ import numpy as np
 
 from sabench.algorithms.particles.light_prior import scatter_between
 from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.algorithms.particles.volume_shares import shared_views
 from sabench.utils.arrays import F32, F64, Bool
 
 _FEWEST = 3  # cameras that may be left
@@ -74,16 +75,26 @@ def explains(search: ParticleSearch) -> bool:
 def left_of_images(search: ParticleSearch) -> F64:
     """Compute the share (camera,) of each image's squared light that is left.
 
-    Light that is not clear of noise does not count, nor that of a pixel alone, which may be hot;
-    without particles, noise is the scatter of all pixels about their median, as a background may
-    have passed for light.
+    Light that is not clear of noise does not count, nor that of a pixel alone, which may be hot.
+    Where much is left, pixels count alone of whose part of the box enough cameras see all. Without
+    particles, noise is the scatter of all pixels about their median, as a background may have
+    passed for light.
     """
     if not len(search.position):
         seen = zip(search.images, search.known, strict=True)
         return np.array([_stands_out(image[known]) for image, known in seen])
+    shares = _left_where(search, search.known)
+    if shares.max() < _LITTLE:
+        return shares
+    shape = search.images.shape[1:]
+    return _left_where(search, search.known & shared_views(search.maps, shape, _FEWEST))
+
+
+def _left_where(search: ParticleSearch, counts: Bool) -> F64:
+    """Compute the share (camera,) of each image's squared light that is left in some pixels."""
     shares = []
     for camera, (image, known, noise) in enumerate(
-        zip(search.images, search.known, search.noise, strict=True)
+        zip(search.images, counts, search.noise, strict=True)
     ):
         both = search.miss(camera), image
         rest, whole = (_squares(np.where(known, one, 0.0), _CLEAR * noise) for one in both)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, I64, Bool
 
 _POINTS, _EACH = 400_000, 16  # points, and those in a block of pixels on average
+_LONELY = 0.05  # of a pixel's part of the box, which few cameras see
 # powers of the root of x^4 = x + 1: points that fill a cube evenly (M. Roberts, The unreasonable
 # effectiveness of quasirandom sequences, 2018)
 _STEP = 1.2207440846057596 ** -np.arange(1.0, 4.0)
@@ -21,16 +23,52 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
 
     They are counts of points that fill the box evenly, in blocks of pixels, interpolated.
     """
+    out = np.zeros((len(maps.coefficients), *shape))
+    for camera, share in enumerate(out):
+        block = _blocks(maps, camera, shape)
+        counts = np.bincount(block.of[block.shown], minlength=block.rows * block.columns)
+        blocks = counts.reshape(block.rows, block.columns) / (_POINTS * block.edge**2)
+        size = block.columns * block.edge, block.rows * block.edge
+        fine = cv2.resize(blocks, size, interpolation=cv2.INTER_LINEAR)
+        share[:] = fine[: shape[0], : shape[1]]
+    return out
+
+
+def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
+    """Mark pixels (camera, row, column) whose part of the box enough cameras see.
+
+    At least `fewest` of them, that one included, see nearly all of it. Pixels that do not show the
+    box are not marked.
+    """
+    blocks = [_blocks(maps, camera, shape) for camera in range(len(maps.coefficients))]
+    lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
+    out = np.zeros((len(blocks), *shape), dtype=np.bool_)
+    for block, marked in zip(blocks, out, strict=True):
+        size = block.rows * block.columns
+        all_points = np.bincount(block.of[block.shown], minlength=size)
+        few = np.bincount(block.of[block.shown & lonely], minlength=size)
+        shared = ((all_points > 0) & (few <= _LONELY * all_points)).astype(np.uint8)
+        fine = shared.reshape(block.rows, block.columns).repeat(block.edge, 0).repeat(block.edge, 1)
+        marked[:] = fine[: shape[0], : shape[1]] > 0
+    return out
+
+
+class _Blocks(NamedTuple):
+    """Blocks of `edge` pixels of a camera, and the one `of` each point that is shown (n,)."""
+
+    edge: int
+    rows: int
+    columns: int
+    of: I64
+    shown: Bool
+
+
+def _blocks(maps: VolumePolynomials, camera: int, shape: tuple[int, ...]) -> _Blocks:
+    """Find the blocks of a camera's pixels in which points are that fill the box evenly."""
     points = 2.0 * ((np.arange(_POINTS)[:, None] * _STEP) % 1.0) - 1.0
     edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / _POINTS))
     rows, columns = (math.ceil(size / edge) for size in shape)
-    out = np.zeros((len(maps.coefficients), *shape))
-    for camera, share in enumerate(out):
-        pixels = project_points(maps, camera, points)
-        column, row = np.floor((pixels + 0.5) / edge).astype(np.int64).T
-        shown = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
-        counts = np.bincount(row[shown] * columns + column[shown], minlength=rows * columns)
-        blocks = counts.reshape(rows, columns) / (_POINTS * edge**2)
-        fine = cv2.resize(blocks, (columns * edge, rows * edge), interpolation=cv2.INTER_LINEAR)
-        share[:] = fine[: shape[0], : shape[1]]
-    return out
+    pixels = project_points(maps, camera, points)
+    column, row = np.floor((pixels + 0.5) / edge).astype(np.int64).T
+    shown = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+    return _Blocks(edge, rows, columns, row * columns + column, shown)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.particles.volume_shares import volume_shares
+from sabench.algorithms.particles.volume_shares import shared_views, volume_shares
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from tests.unit.algorithms.particles.test_triangulation import COLUMNS, ROWS, maps
 
@@ -23,3 +23,20 @@ def test_shares_are_those_of_random_points(maps: VolumePolynomials) -> None:
         blocks = share.reshape(ROWS // _BLOCK, _BLOCK, COLUMNS // _BLOCK, _BLOCK).sum(axis=(1, 3))
         off = blocks * count - expected
         assert np.abs(off).max() < 6.0 * np.sqrt(expected.max())
+
+
+def test_shared_views_are_what_enough_cameras_see_all_of(maps: VolumePolynomials) -> None:
+    shape = (ROWS // 2, COLUMNS)  # half of the images: some points have left some cameras
+    count = len(maps.coefficients)
+    points = np.random.default_rng(4).uniform(-1.0, 1.0, (200_000, 3))
+    pixels = np.stack([project_points(maps, camera, points) for camera in range(count)])
+    inside = ((pixels >= 0.0) & (pixels <= np.array(shape[::-1]) - 1.0)).all(axis=2)
+    for fewest in (1, count):
+        marked = shared_views(maps, shape, fewest)
+        enough = inside.sum(axis=0) >= fewest
+        for camera in range(count):
+            column, row = np.rint(pixels[camera, inside[camera]]).astype(int).T
+            here = marked[camera, row, column]
+            assert np.mean(enough[inside[camera]][here]) > 0.97
+            assert 0.0 < here.mean() <= 1.0
+        assert fewest > 1 or here.mean() > 0.999
