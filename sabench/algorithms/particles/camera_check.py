@@ -91,7 +91,7 @@ def left_of_images(search: ParticleSearch) -> F64:
 
 
 def _left_where(search: ParticleSearch, counts: Bool) -> F64:
-    """Compute the share (camera,) of each image's squared light that is left in some pixels."""
+    """Compute what is left of squared light (camera,) in the pixels that count."""
     shares = []
     for camera, (image, known, noise) in enumerate(
         zip(search.images, counts, search.noise, strict=True)

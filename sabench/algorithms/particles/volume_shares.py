@@ -37,8 +37,8 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
 def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
     """Mark pixels (camera, row, column) whose part of the box enough cameras see.
 
-    At least `fewest` of them, that one included, see nearly all of it. Pixels that do not show the
-    box are not marked.
+    At least `fewest` of them, that one included, see nearly all of it. Pixels that show nothing of
+    the box are marked, too.
     """
     blocks = [_blocks(maps, camera, shape) for camera in range(len(maps.coefficients))]
     lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
@@ -47,14 +47,14 @@ def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -
         size = block.rows * block.columns
         all_points = np.bincount(block.of[block.shown], minlength=size)
         few = np.bincount(block.of[block.shown & lonely], minlength=size)
-        shared = ((all_points > 0) & (few <= _LONELY * all_points)).astype(np.uint8)
+        shared = few <= _LONELY * all_points
         fine = shared.reshape(block.rows, block.columns).repeat(block.edge, 0).repeat(block.edge, 1)
-        marked[:] = fine[: shape[0], : shape[1]] > 0
+        marked[:] = fine[: shape[0], : shape[1]]
     return out
 
 
 class _Blocks(NamedTuple):
-    """Blocks of `edge` pixels of a camera, and the one `of` each point that is shown (n,)."""
+    """Blocks of `edge` pixels of a camera, and the one `of` each point shown (n,)."""
 
     edge: int
     rows: int
@@ -64,7 +64,7 @@ class _Blocks(NamedTuple):
 
 
 def _blocks(maps: VolumePolynomials, camera: int, shape: tuple[int, ...]) -> _Blocks:
-    """Find the blocks of a camera's pixels in which points are that fill the box evenly."""
+    """Find the blocks of a camera's pixels that hold points which fill the box."""
     points = 2.0 * ((np.arange(_POINTS)[:, None] * _STEP) % 1.0) - 1.0
     edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / _POINTS))
     rows, columns = (math.ceil(size / edge) for size in shape)
