@@ -23,3 +23,10 @@ def test_tables_on_correlated_ghosts_are_those_of_the_record() -> None:
         text = page.read_text(encoding="utf-8")
         assert "<!-- ghost bias: " in text
         assert script["filled"](text) == text, "run python docs/results/fill_ghost_bias.py"
+
+
+def test_tables_of_the_standard_suite_are_those_of_the_bundled_records() -> None:
+    script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_standard.py"))
+    text = script["PAGE"].read_text(encoding="utf-8")
+    assert text.count("<!-- standard: ") == 6
+    assert script["filled"](text) == text, "run python docs/results/fill_standard.py"

@@ -167,3 +167,17 @@ def test_light_that_too_few_cameras_see_is_no_fault() -> None:
     counts = count(shot, find_in(shot.observation))
     assert counts.recall > 0.98
     assert counts.precision > 0.98
+
+
+def test_faint_particles_before_nine_cameras_are_found() -> None:
+    """Their brightest pixels are three to seven standard deviations of noise."""
+    shot = make_shot(
+        19,
+        cameras={"layout": {"kind": "grid", "columns": 3, "rows": 3, "spacing_mm": [204.0, 204.0]}},
+        particles={"per_pixel": 0.02},
+        illumination={"scattering": "mie", "pulse_energy_mj": 22.0},
+    )
+    counts = count(shot, find_in(shot.observation))
+    assert counts.truths > 60
+    assert counts.recall > 0.95
+    assert counts.precision > 0.98

@@ -60,7 +60,9 @@ from sabench.utils.threads import for_each
 _PORTIONS = 8  # of many rows whose order counts: the first are fitted before the next
 _BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
-_FLOOR = 2.0  # standard deviations of noise: the least floor of candidates
+# standard deviations of noise: the least floor of candidates; of faint particles, which would all
+# be below it, just above the noise, or this share of a typical particle's light
+_FLOOR, _LEAST_FLOOR, _FAINT = 2.0, 1.1, 0.2
 _MANY, _FIRST = 16.0, 1.5  # of the estimated number: first candidates, times cameras, and least
 _MORE = 0.5  # of the particles so far: candidates beside them
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
@@ -326,7 +328,8 @@ class ParticleSearch:
         logs = np.where(self.covered | enough, np.nan, logs).astype(np.float32)
         cameras = len(logs)
         spread = (math.sqrt(2.0 * math.log(cameras)) + 0.5) * scatter_between(self.covariance)
-        least = max(floor, _FLOOR * float(dark.max()))
+        noise = float(dark.max())
+        least = max(floor, min(_FLOOR * noise, max(_LEAST_FLOOR * noise, _FAINT)))
         found = find_candidates(self.maps, logs, math.log(least), spread)
         first = len(self.position)
         share = max(_MANY / cameras, _FIRST)  # the more cameras, the fewer meet by chance
