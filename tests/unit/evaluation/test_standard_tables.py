@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from benchmarks.standard_tables import collect, read_tables, table
 
 ROOT = Path(__file__).resolve().parents[3]
-RECORDS = [
+RECORDS: list[dict[str, Any]] = [
     {"case": "tracking-easy", "solver": "own", "label": None, "f1": 0.99},
     {"case": "tracking-easy", "solver": "optv", "label": "second", "f1": None},
     {"case": "tracking-hard", "solver": "own", "label": None, "f1": 0.7},

@@ -29,13 +29,14 @@ def test_shared_views_are_what_enough_cameras_see_all_of(maps: VolumePolynomials
     shape = (ROWS // 2, COLUMNS)  # half of the images: some points have left some cameras
     count = len(maps.coefficients)
     points = np.random.default_rng(4).uniform(-1.0, 1.0, (200_000, 3))
-    pixels = np.stack([project_points(maps, camera, points) for camera in range(count)])
-    inside = ((pixels >= 0.0) & (pixels <= np.array(shape[::-1]) - 1.0)).all(axis=2)
+    pixels = [project_points(maps, camera, points) for camera in range(count)]
+    last = np.array(shape[::-1]) - 1.0
+    inside = [np.all((one >= 0.0) & (one <= last), axis=1) for one in pixels]
     for fewest in (1, count):
         marked = shared_views(maps, shape, fewest)
-        enough = inside.sum(axis=0) >= fewest
+        enough = np.sum(inside, axis=0) >= fewest
         for camera in range(count):
-            column, row = np.rint(pixels[camera, inside[camera]]).astype(int).T
+            column, row = np.rint(pixels[camera][inside[camera]]).astype(int).T
             here = marked[camera, row, column]
             assert np.mean(enough[inside[camera]][here]) > 0.97
             assert 0.0 < here.mean() <= 1.0
