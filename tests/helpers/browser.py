@@ -66,7 +66,7 @@ class Browser:
         self.devtools("Emulation.setEmulatedMedia", features=features)
 
     def violations(self) -> list[str]:
-        """What axe-core (MPL-2.0) finds against WCAG 2.1 AA: contrast, names, roles and order."""
+        """List what axe-core (MPL-2.0) finds against WCAG 2.1 AA, such as contrast and roles."""
         source = gzip.decompress(AXE.read_bytes()).decode()
         self.devtools("Runtime.evaluate", expression=source)
         found: list[str] = self.ask(

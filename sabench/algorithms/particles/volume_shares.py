@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -24,8 +25,7 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
     They are counts of points that fill the box evenly, in blocks of pixels, interpolated.
     """
     out = np.zeros((len(maps.coefficients), *shape))
-    for camera, share in enumerate(out):
-        block = _blocks(maps, camera, shape)
+    for block, share in zip(_blocks(maps, shape), out, strict=True):
         counts = np.bincount(block.of[block.shown], minlength=block.rows * block.columns)
         blocks = counts.reshape(block.rows, block.columns) / (_POINTS * block.edge**2)
         size = block.columns * block.edge, block.rows * block.edge
@@ -40,7 +40,7 @@ def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -
     At least `fewest` of them, that one included, see nearly all of it. Pixels that show nothing of
     the box are marked, too.
     """
-    blocks = [_blocks(maps, camera, shape) for camera in range(len(maps.coefficients))]
+    blocks = list(_blocks(maps, shape))
     lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
     out = np.zeros((len(blocks), *shape), dtype=np.bool_)
     for block, marked in zip(blocks, out, strict=True):
@@ -63,12 +63,13 @@ class _Blocks(NamedTuple):
     shown: Bool
 
 
-def _blocks(maps: VolumePolynomials, camera: int, shape: tuple[int, ...]) -> _Blocks:
-    """Find the blocks of a camera's pixels that hold points which fill the box."""
+def _blocks(maps: VolumePolynomials, shape: tuple[int, ...]) -> Iterator[_Blocks]:
+    """Find the blocks of each camera's pixels that hold points which fill the box."""
     points = 2.0 * ((np.arange(_POINTS)[:, None] * _STEP) % 1.0) - 1.0
     edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / _POINTS))
     rows, columns = (math.ceil(size / edge) for size in shape)
-    pixels = project_points(maps, camera, points)
-    column, row = np.floor((pixels + 0.5) / edge).astype(np.int64).T
-    shown = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
-    return _Blocks(edge, rows, columns, row * columns + column, shown)
+    for camera in range(len(maps.coefficients)):
+        pixels = project_points(maps, camera, points)
+        column, row = np.floor((pixels + 0.5) / edge).astype(np.int64).T
+        shown = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+        yield _Blocks(edge, rows, columns, row * columns + column, shown)
