@@ -20,6 +20,7 @@ from sabench.images.gaussians import fill_shares, fill_slopes
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
 from sabench.utils.threads import share_rows
+from sabench.utils.vector_units import add_product
 
 _REACH = 4.0  # standard deviations from the centre of an image to its window's edge
 _OVERLAP = 2.0  # standard deviations of both: distance of images that overlap
@@ -99,15 +100,13 @@ def _add_information(
     half = half.astype(np.int64)
     size = 2 * int(half.max(initial=0)) + 1
     first = np.zeros((count, 2), dtype=np.int64)
-    grey, slope = np.zeros((count, 2, size)), np.zeros((count, 2, size))
-    _fill_profiles(pixel, camera.sigma_px, half, first, grey, slope)
-    chain = np.zeros((count, 3, _UNKNOWNS))
-    chain[:, :2, 1:], chain[:, 2, 0] = camera.slope, 1.0
+    grey, change = np.zeros((count, 2, size)), np.zeros((count, 2, size))
+    _fill_profiles(pixel, camera.sigma_px, half, first, grey, change)
     weight = 1.0 / camera.variance
 
     def add(part: slice) -> None:
         rows = np.arange(part.start, part.stop)
-        shapes = first, half, grey, slope
+        shapes = first, half, grey, change
         _add_pairs(
             rows,
             starts,
@@ -116,7 +115,7 @@ def _add_information(
             camera.sigma_px,
             camera.light,
             shapes,
-            chain,
+            camera.slope,
             weight,
             own,
             both,
@@ -149,18 +148,19 @@ def _add_pairs(
     sigma: Any,
     light: Any,
     shapes: Any,
-    chain: Any,
+    slope: Any,
     weight: Any,
     own: Any,
     both: Any,
 ) -> None:  # pragma: no cover
     """Add the information of some particles' images, and of pairs with later ones."""
-    inner = np.zeros((3, 3))
+    inner, block = np.zeros((3, 3)), np.zeros((_UNKNOWNS, _UNKNOWNS))
     for i in rows:
         if np.isnan(pixel[i, 0]):
             continue
         _overlap(i, i, light, shapes, weight, inner)
-        own[i] += chain[i].T @ inner @ chain[i]
+        _chain(inner, slope[i], slope[i], block)
+        own[i] += block
         for place in range(starts[i], starts[i + 1]):
             j = near[place]
             if j < i or np.isnan(pixel[j, 0]):
@@ -168,10 +168,26 @@ def _add_pairs(
             x, y = pixel[i, 0] - pixel[j, 0], pixel[i, 1] - pixel[j, 1]
             if math.hypot(x, y) < _OVERLAP * (sigma[i] + sigma[j]):
                 _overlap(i, j, light, shapes, weight, inner)
-                block = chain[i].T @ inner @ chain[j]
+                _chain(inner, slope[i], slope[j], block)
                 both[place] += block
                 mirror = starts[j] + np.searchsorted(near[starts[j] : starts[j + 1]], i)
                 both[mirror] += block.T
+
+
+@numba.njit(cache=True)
+def _chain(inner: Any, one: Any, other: Any, block: Any) -> None:  # pragma: no cover
+    """Fill in unknowns' block (4, 4) from derivatives by column, row and light.
+
+    Slopes (2, 3) are those of the centres by the positions.
+    """
+    block[0, 0] = inner[2, 2]
+    for p in range(3):
+        block[0, 1 + p] = inner[2, 0] * other[0, p] + inner[2, 1] * other[1, p]
+        block[1 + p, 0] = one[0, p] * inner[0, 2] + one[1, p] * inner[1, 2]
+        column = one[0, p] * inner[0, 0] + one[1, p] * inner[1, 0]
+        row = one[0, p] * inner[0, 1] + one[1, p] * inner[1, 1]
+        for q in range(3):
+            block[1 + p, 1 + q] = column * other[0, q] + row * other[1, q]
 
 
 @numba.njit(cache=True)
@@ -312,13 +328,9 @@ def _rest(
 @numba.njit(cache=True)
 def _times_blocks(blocks: Any, vectors: Any, out: Any) -> None:  # pragma: no cover
     """Fill in products of each one's block with its vectors."""
+    out[:] = 0.0
     for n in range(len(blocks)):
-        for a in range(_UNKNOWNS):
-            for r in range(_UNKNOWNS):
-                total = 0.0
-                for b in range(_UNKNOWNS):
-                    total += blocks[n, a, b] * vectors[n, b, r]
-                out[n, a, r] = total
+        add_product(out, n, blocks, n, vectors, n)
 
 
 @numba.njit(cache=True)
@@ -328,12 +340,7 @@ def _add_links(
     """Add products of blocks of pairs with the others' vectors."""
     for n in range(len(out)):
         for link in range(links[n], links[n + 1]):
-            place, other = places[link], ends[link]
-            for a in range(_UNKNOWNS):
-                for b in range(_UNKNOWNS):
-                    factor = both[place, a, b]
-                    for r in range(_UNKNOWNS):
-                        out[n, a, r] += factor * vectors[other, b, r]
+            add_product(out, n, both, places[link], vectors, ends[link])
 
 
 @numba.njit(cache=True)

@@ -3,9 +3,9 @@
 All cameras' windows of a particle are placed first, and then looked at, so that kernels pass few
 arrays to each other: a call that hands on the whole model and room costs more than a window's sums.
 
-Sums over windows are written for vector units: images have margins that windows outside lie in,
-rows of a window are a whole number of lanes, and what must not count is multiplied by zero. Sums
-may be taken in any order.
+Sums over windows are taken on vector units (`window_sums`): images have margins that windows
+outside lie in, rows of a window are a whole number of lanes, and what must not count is multiplied
+by zero.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from sabench.algorithms.particles.window_sums import LANES, match_window, sum_window
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussians import fill_profile
 from sabench.utils.arrays import F32, F64
 
 _REACH, _ROUNDED_PX = 3.1, 0.1  # of a particle's image in widths; that much less is enough
-_LANES = 8  # pixels of a row of a window that are summed up at once
 MARGIN = 24  # pixels around images: the widest window
 UNSEEN = 1e-12  # weight of an image that a camera does not see
 WEIGHT, PULL, XX, XY, YY, X, Y, GIVEN = range(8)  # of `sum_up`
@@ -139,7 +139,7 @@ def make_room(sigma: F64) -> Room:
     """Make the arrays that kernels work in, for images of a width (camera, 2)."""
     cameras, half = len(sigma), math.ceil(_REACH * float(sigma.max()) - _ROUNDED_PX)
     window = 2 * half + 1
-    lanes = _LANES * math.ceil(window / _LANES)
+    lanes = LANES * math.ceil(window / LANES)
     x, y, by_x, by_y = (np.zeros((cameras, lanes), dtype=np.float32) for _ in range(4))
     return Room(
         window=window,
@@ -197,79 +197,14 @@ def counting(weight: Any, left: Any) -> Any:
 def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) -> None:
     """Add light with a window's profiles to an image."""
     top, start = np.uintp(corner[1]), np.uintp(corner[0])
-    for block in range(len(x) // _LANES):
-        first = np.uintp(block * _LANES)
+    for block in range(len(x) // LANES):
+        first = np.uintp(block * LANES)
         for k in range(size):
             i = np.uintp(k)
             share = np.float32(amount * y[i])
-            for lane in range(_LANES):
+            for lane in range(LANES):
                 j = first + np.uintp(lane)
                 image[top + i, start + j] += share * x[j]
-
-
-@numba.njit(cache=True, fastmath=_ANY_ORDER)
-def _match(image: Any, weights: Any, x: Any, y: Any, size: int, corner: Any, light: float) -> Any:
-    """Sum up weights times a window's image times an image, and times its own square.
-
-    Saturated pixels that have enough with this light count in the third sum.
-    """
-    top, start = np.uintp(corner[1]), np.uintp(corner[0])
-    signal = weight = given = _NONE
-    for block in range(len(x) // _LANES):
-        first = np.uintp(block * _LANES)
-        for k in range(size):
-            i, along, square, spared = np.uintp(k), _NONE, _NONE, _NONE
-            share = np.float32(light * y[i])
-            for lane in range(_LANES):
-                j = first + np.uintp(lane)
-                value, each, own = image[top + i, start + j], weights[top + i, start + j], x[j]
-                counts = counting(each, value - share * own)
-                along, square = along + counts * own * value, square + counts * own * own
-                shown = max(value, _NONE)
-                spared += (abs(each) - counts) * shown * shown
-            signal, weight = signal + y[i] * along, weight + y[i] * y[i] * square
-            given += np.float32(0.5) * spared
-    return signal, weight, given
-
-
-@numba.njit(cache=True, fastmath=_ANY_ORDER)
-def _sum_window(
-    image: Any,
-    weights: Any,
-    x: Any,
-    y: Any,
-    by_x: Any,
-    by_y: Any,
-    size: int,
-    corner: Any,
-    light: float,
-    sums: Any,
-) -> None:
-    """Fill in the sums (SUMS,) of a window, first along its rows."""
-    top, start = np.uintp(corner[1]), np.uintp(corner[0])
-    weight = pull = xx = xy = yy = along_x = along_y = given = _NONE
-    for block in range(len(x) // _LANES):
-        first = np.uintp(block * _LANES)
-        for k in range(size):
-            i = np.uintp(k)
-            own = both = slopes = off = off_x = spared = _NONE
-            share = np.float32(light * y[i])
-            for lane in range(_LANES):
-                j = first + np.uintp(lane)
-                value, each = image[top + i, start + j], weights[top + i, start + j]
-                counts, a, b = counting(each, value), x[j], by_x[j]
-                here, there = counts * a, counts * b
-                own, both, slopes = own + here * a, both + here * b, slopes + there * b
-                off, off_x = off + here * value, off_x + there * value
-                shown = max(value + share * a, _NONE)
-                spared += (abs(each) - counts) * shown * shown
-            p, q = y[i], by_y[i]
-            weight, pull = weight + p * p * own, pull + p * off
-            xx, xy, yy = xx + p * p * slopes, xy + p * q * both, yy + q * q * own
-            along_x, along_y = along_x + p * off_x, along_y + q * off
-            given += np.float32(0.5) * spared
-    sums[WEIGHT], sums[PULL], sums[XX], sums[XY], sums[YY] = weight, pull, xx, xy, yy
-    sums[X], sums[Y], sums[GIVEN] = along_x, along_y, given
 
 
 @numba.njit(cache=True)
@@ -316,13 +251,15 @@ def match_here(model: Any, room: Any, light: Any) -> None:
     """Sum up as `look` does, where `place` was last."""
     room.given[0] = 0.0
     for c in range(len(room.signal)):
-        signal, weight, given = _match(
-            model.left[c],
-            model.weight[c],
-            room.x[c],
-            room.y[c],
+        signal, weight, given = match_window(
+            model.left,
+            model.weight,
+            room.x,
+            room.y,
+            c,
+            room.corner[c, 1],
+            room.corner[c, 0],
             room.window,
-            room.corner[c],
             light[c],
         )
         seen = weight > UNSEEN
@@ -342,19 +279,21 @@ def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
     place(model, room, position)
     room.given[0] = 0.0
     for c in range(len(room.sums)):
-        sums = room.sums[c]
-        _sum_window(
-            model.left[c],
-            model.weight[c],
-            room.x[c],
-            room.y[c],
-            room.by_x[c],
-            room.by_y[c],
+        sums = sum_window(
+            model.left,
+            model.weight,
+            room.x,
+            room.by_x,
+            room.y,
+            room.by_y,
+            c,
+            room.corner[c, 1],
+            room.corner[c, 0],
             room.window,
-            room.corner[c],
             light[c],
-            sums,
         )
+        for k in range(SUMS):
+            room.sums[c, k] = sums[k]
         seen = sums[WEIGHT] > UNSEEN
         room.weight[c] = sums[WEIGHT] if seen else 0.0
         room.signal[c] = sums[PULL] + light[c] * sums[WEIGHT] if seen else 0.0

@@ -1,0 +1,167 @@
+"""Sums over a window of an image, eight pixels at a time.
+
+A compiler that is left alone unrolls the short rows of a window, and puts none of them on vector
+units. The arrays are those of `image_model.ImageModel` and `image_model.Room`, all cameras'. A
+window is that of camera c, from a row and a column on, with so many rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from sabench.utils.vector_units import Vectors
+
+LANES = 8  # pixels of a row of a window that are summed up at once
+
+
+class _Row(NamedTuple):
+    """Vectors of a window's row, with profiles across and down it."""
+
+    left: Any
+    weight: Any
+    light: Any
+    across: Sequence[Any]
+    down: Sequence[Any]
+
+
+@intrinsic
+def match_window(
+    context: Any,
+    left: Any,
+    weight: Any,
+    x: Any,
+    y: Any,
+    c: Any,
+    row: Any,
+    column: Any,
+    rows: Any,
+    light: Any,
+) -> tuple[Any, Any]:
+    """Sum up weights times a window's image times an image, and times its own square.
+
+    Saturated pixels that have enough with this light count in the third sum.
+    """
+
+    def terms(do: Vectors, row: _Row) -> list[Any]:
+        own = do.times(row.across[0], row.down[0])
+        counts = _counting(do, row.weight, do.minus(row.left, do.times(row.light, own)))
+        each = do.times(counts, own)
+        spared = _spared(do, row.weight, counts, row.left)
+        return [do.times(each, row.left), do.times(each, own), spared]
+
+    return _sums(terms, 3, left, weight, [x], [y])
+
+
+@intrinsic
+def sum_window(
+    context: Any,
+    left: Any,
+    weight: Any,
+    x: Any,
+    by_x: Any,
+    y: Any,
+    by_y: Any,
+    c: Any,
+    row: Any,
+    column: Any,
+    rows: Any,
+    light: Any,
+) -> tuple[Any, Any]:
+    """Sum up what `image_model.sum_up` fills in of a camera, in its order."""
+
+    def terms(do: Vectors, row: _Row) -> list[Any]:
+        (x, by_x), (y, by_y), left = row.across, row.down, row.left
+        own, along_x, along_y = do.times(x, y), do.times(by_x, y), do.times(x, by_y)
+        counts = _counting(do, row.weight, left)
+        share, slope_x, slope_y = (do.times(counts, one) for one in (own, along_x, along_y))
+        products = (
+            (share, own),
+            (share, left),
+            (slope_x, along_x),
+            (slope_x, along_y),
+            (slope_y, along_y),
+            (slope_x, left),
+            (slope_y, left),
+        )
+        shown = do.plus(left, do.times(row.light, own))
+        return [*(do.times(*pair) for pair in products), _spared(do, row.weight, counts, shown)]
+
+    return _sums(terms, 8, left, weight, [x, by_x], [y, by_y])
+
+
+def _counting(do: Vectors, weight: Any, left: Any) -> Any:
+    """Return the weights of pixels as `image_model.counting` does."""
+    asked = do.above_zero(left)
+    return do.builder.select(asked, do.magnitude(weight), do.positive(weight))
+
+
+def _spared(do: Vectors, weight: Any, counts: Any, light: Any) -> Any:
+    """Return what light saves in saturated pixels that have enough."""
+    shown = do.positive(light)
+    unasked = do.times(do.constant(0.5), do.minus(do.magnitude(weight), counts))
+    return do.times(unasked, do.times(shown, shown))
+
+
+def _sums(
+    terms: Callable[[Vectors, _Row], list[Any]],
+    count: int,
+    left: Any,
+    weight: Any,
+    across: Sequence[Any],
+    down: Sequence[Any],
+) -> tuple[Any, Any]:
+    """Return the signature and the code of sums of terms over a window."""
+    arrays = left, weight, *across, *down
+    signature = types.UniTuple(types.float32, count)(
+        *arrays, types.intp, types.intp, types.intp, types.intp, types.float32
+    )
+
+    def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        do = Vectors(builder, ir.FloatType(), LANES)
+        camera, top, start, rows, light = values[len(arrays) :]
+        kinds = signature.args[: len(arrays)]
+        structs = [
+            context.make_array(kind)(context, builder, value)
+            for kind, value in zip(kinds, values, strict=False)
+        ]
+        number = {value: context.get_constant(types.intp, value) for value in (0, 1, LANES)}
+        element = context.get_constant(types.intp, do.bytes)
+
+        def at(array: int, *place: Any) -> Any:
+            each = kinds[array], structs[array], [camera, *place]
+            return cgutils.get_item_pointer(context, builder, *each)
+
+        def after(pointer: Any, step: Any, stride: Any) -> Any:
+            return builder.gep(pointer, [builder.mul(step, stride)])
+
+        width = builder.extract_value(structs[2].shape, 1)
+        strides = [
+            builder.sdiv(builder.extract_value(struct.strides, 1), element)
+            for struct in structs[:2]
+        ]
+        totals = [cgutils.alloca_once_value(builder, do.zero) for _ in range(count)]
+        everywhere, profiles = do.splat(light), 2 + len(across)
+        with cgutils.for_range(builder, builder.sdiv(width, number[LANES])) as block:
+            first = builder.mul(block.index, number[LANES])
+            corners = [at(k, top, builder.add(start, first)) for k in range(2)]
+            along = [do.load(at(k, first)) for k in range(2, profiles)]
+            ends = [at(k, number[0]) for k in range(profiles, len(arrays))]
+            with cgutils.for_range(builder, rows) as step:
+                left, weight = (
+                    do.load(after(corner, step.index, stride))
+                    for corner, stride in zip(corners, strides, strict=True)
+                )
+                shares = [do.splat(builder.load(after(end, step.index, number[1]))) for end in ends]
+                row = _Row(left, weight, everywhere, along, shares)
+                for total, term in zip(totals, terms(do, row), strict=True):
+                    builder.store(do.plus(builder.load(total), term), total)
+        sums = [do.total(builder.load(total)) for total in totals]
+        return context.make_tuple(builder, signature.return_type, sums)
+
+    return signature, code
