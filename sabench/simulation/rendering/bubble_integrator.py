@@ -61,14 +61,15 @@ _FIRST = 4
 
 
 def radiance(
-    stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seed: int
+    stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seeds: I64
 ) -> F32:
     """Trace the mean radiance (n,) in front of the lens of some pixels.
 
     Pixels are numbered row by row. Each gets `samples` rays that share one random shift of a
     lattice.
 
-    Means of the same pixel under other seeds are independent, and their scatter tells the error.
+    Means of the same pixel under other seeds (n,) are independent, and their scatter tells the
+    error.
     """
     device = _Device(stage, camera, origin)
     count = max(1, WAVEFRONT // samples)
@@ -77,7 +78,8 @@ def radiance(
         chosen = mi.UInt32(pixels[first : first + count].astype(np.uint32))
         lane = dr.arange(mi.UInt32, dr.width(chosen) * samples)
         pixel = dr.gather(mi.UInt32, chosen, lane // samples)
-        draw = _Draw(pixel, lane % samples, dr.opaque(mi.UInt32, seed))
+        numbers = mi.UInt32(seeds[first : first + count].astype(np.uint32))
+        draw = _Draw(pixel, lane % samples, dr.gather(mi.UInt32, numbers, lane // samples))
         rays = _rays(
             camera, origin, pixel, draw, stage.cloud is not None
         )  # balls of glow are as wide as the lens blurs them

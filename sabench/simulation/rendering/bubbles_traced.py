@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,9 +18,14 @@ from sabench.simulation.rendering.bubble_stage_builder import Lights, Stager, Ta
 from sabench.simulation.rendering.particle_images import ParticleImages, diffract
 from sabench.utils.arrays import F64, I64
 
-_RAYS = 16  # of a pixel in one pass
+_RAYS = 4  # of a pixel in one pass
 _PASSES = 4  # at least: their scatter is the error
-_MOST = 1 << 16  # rays per pixel at most: a guard
+# passes at least of pixels, and of those around them, with more than the error asked for
+_ROUGH = 16
+# factor of a pixel's passes, at most, from what they tell so far; trials of which get more passes
+_GROWTH, _TRIALS = 2, 4
+_MOST = 1 << 14  # passes of a pixel at most: a guard
+_AT_ONCE = 1 << 22  # passes of all pixels whose radiances are held
 _SEEDS = 1 << 22
 # of the diffuser: below this the error of a pixel is taken relative to it, not to the pixel
 _DARK = 0.02
@@ -63,27 +67,19 @@ def render(
         they are.
     exposure_s : for how long the bubbles move.
     """
-    from scipy.ndimage import maximum_filter  # takes long to load
-
     scale = camera.etendue()
     stage_of = Stager(camera, tank, bubbles, bodies, lights, occluders, images, particles_mm)
     floor = _DARK * stage_of.brightest
     moments = _moments(camera, bubbles, exposure_s)
     delays = exposure_s * ((np.arange(moments) + 0.5) / moments - 0.5)
     tally = _Tally((camera.rows, camera.columns))
-    chosen, number = np.arange(tally.count.size), 0
-    while True:
-        tally.add(chosen, _pass(stage_of, camera, chosen, delays, seed + number))
-        number += 1
-        if number < _PASSES:
-            continue
+    more = np.full(tally.count.size, _PASSES)
+    while more.any():
+        for some in _portions(more):
+            each = some, tally.count[some], more[some]
+            tally.add(some, more[some], _passes(stage_of, camera, *each, delays, seed))
         off = tally.errors(floor)
-        rough = maximum_filter(
-            (off > error).reshape(scale.shape), 3
-        ).ravel()  # a pixel's error is that of its neighbours, too
-        chosen = np.flatnonzero(rough & (tally.count * _RAYS < _MOST))
-        if off.mean() <= error or not chosen.size:
-            break
+        more = tally.wanted(off, error) - tally.count
     photons = tally.mean.reshape(scale.shape) * scale
     wavelength = next(
         (light.wavelength_nm for light in (lights.backlight, lights.lighting) if light is not None),
@@ -93,19 +89,30 @@ def render(
     return Exposed(blurred, float(off.mean()))
 
 
-def _pass(stage_of: Stager, camera: Camera, chosen: I64, delays: F64, seed: int) -> F64:
-    """Render pixels' radiance (n,) by some rays each, spread over the exposure."""
+def _portions(more: I64) -> list[I64]:
+    """Divide pixels that get more passes: memory does not grow with the image."""
+    chosen = np.flatnonzero(more)
+    ends = np.cumsum(more[chosen])
+    return np.split(chosen, np.searchsorted(ends, np.arange(_AT_ONCE, ends[-1], _AT_ONCE)))
+
+
+def _passes(
+    stage_of: Stager, camera: Camera, some: I64, before: I64, more: I64, delays: F64, seed: int
+) -> F64:
+    """Render so many more passes of some pixels (n,), one pixel after the other.
+
+    A pass is some rays each, spread over the exposure. Its random numbers are the same whenever it
+    is rendered.
+    """
     from sabench.simulation.rendering import bubble_integrator  # needs the variant
 
-    rays, total = -(-_RAYS // len(delays)), np.zeros(len(chosen))
-    for number, delay in enumerate(delays.tolist()):
+    pixels, first = np.repeat(some, more), np.cumsum(more) - more - before
+    number = np.arange(len(pixels)) - np.repeat(first, more)
+    rays, total = -(-_RAYS // len(delays)), np.zeros(len(pixels))
+    for moment, delay in enumerate(delays.tolist()):
+        seeds = ((seed + number) * len(delays) + moment) % _SEEDS
         total += bubble_integrator.radiance(
-            stage_of(delay),
-            camera,
-            stage_of.origin,
-            chosen,
-            rays,
-            (seed * len(delays) + number) % _SEEDS,
+            stage_of(delay), camera, stage_of.origin, pixels, rays, seeds
         )
     return np.asarray(total / len(delays))
 
@@ -123,18 +130,28 @@ def _moments(camera: Camera, bubbles: Bubbles, exposure_s: float) -> int:
 
 
 class _Tally:
-    """Mean and scatter of every pixel's passes, updated by Welford's method."""
+    """Number, mean and scatter of every pixel's passes."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         size = shape[0] * shape[1]
         self._shape = shape
-        self.count, self.mean, self._squares = np.zeros(size), np.zeros(size), np.zeros(size)
+        self.count = np.zeros(size, dtype=np.int64)
+        self.mean, self._squares = np.zeros(size), np.zeros(size)
 
-    def add(self, where: Any, values: F64) -> None:
-        self.count[where] += 1.0
-        off = values - self.mean[where]
-        self.mean[where] += off / self.count[where]
-        self._squares[where] += off * (values - self.mean[where])
+    def add(self, where: I64, more: I64, values: F64) -> None:
+        """Add passes of some pixels, so many `more` of each, one pixel's after the other.
+
+        Source: T. F. Chan, G. H. Golub and R. J. LeVeque, Updating formulae and a pairwise
+        algorithm for computing sample variances, COMPSTAT 1982.
+        """
+        starts = np.cumsum(more) - more
+        mean = np.add.reduceat(values, starts) / more
+        squares = np.add.reduceat((values - np.repeat(mean, more)) ** 2, starts)
+        count, total = self.count[where], self.count[where] + more
+        off = mean - self.mean[where]
+        self._squares[where] += squares + off**2 * count * more / total
+        self.mean[where] += off * more / total
+        self.count[where] = total
 
     def errors(self, floor: float) -> F64:
         """Compute standard errors over values, or over `floor` in darker pixels.
@@ -142,11 +159,30 @@ class _Tally:
         A few rays that have found a pixel dark may have missed what its neighbours show: variances
         start from the mean over nine pixels, which counts as `_PASSES` passes.
         """
-        from scipy.ndimage import uniform_filter
+        from scipy.ndimage import uniform_filter  # takes long to load
 
-        variance = self._squares / (self.count * np.maximum(self.count - 1.0, 1.0))
+        variance = self._squares / np.maximum(self.count - 1, 1)
         around = uniform_filter(variance.reshape(self._shape), 3).ravel()
         mixed = (self.count * variance + _PASSES * around) / (self.count + _PASSES)
-        return np.asarray(
-            np.sqrt(np.maximum(mixed, 0.0)) / np.maximum(self.mean, max(floor, 1e-300))
-        )
+        error = np.sqrt(np.maximum(mixed, 0.0) / self.count)
+        return np.asarray(error / np.maximum(self.mean, max(floor, 1e-300)))
+
+    def wanted(self, off: F64, error: float) -> I64:
+        """Tell how many passes (n,) bring the mean of the errors `off` to `error`.
+
+        The fewest rays do so if a pixel's passes go with the power 2/3 of a pass's error.
+        """
+        from scipy.ndimage import maximum_filter
+
+        if off.mean() <= error:
+            return self.count
+        one = off * np.sqrt(self.count)
+        share, more = one ** (2.0 / 3.0), np.ones(len(off), dtype=np.bool_)
+        for _ in range(_TRIALS):
+            rest = error - off[~more].sum() / len(off)
+            factor = (share[more].sum() / len(off) / max(rest, 0.1 * error)) ** 2
+            more = factor * share > self.count
+        rough = maximum_filter((off > error).reshape(self._shape), 3).ravel()
+        wanted = np.maximum(np.ceil(factor * share), np.where(rough, _ROUGH, 0))
+        wanted = np.minimum(wanted, np.minimum(_GROWTH * self.count, _MOST))
+        return np.asarray(np.maximum(wanted.astype(np.int64), self.count))

@@ -117,4 +117,11 @@ def leave(device: Any, ray: Any) -> tuple[Any, Any, Any]:
         back & (out_behind > 0.0), out_behind * _panel_radiance(device, position, direction), 0.0
     )
     near = dr.squared_norm(here) < (50.0 * device.radius) * (50.0 * device.radius)
-    return seen, dr.select(near, 1.0 - passed, 0.0), here
+    return seen, dr.select(near & ~_is_lost(device, ray, here, passed), 1.0 - passed, 0.0), here
+
+
+def _is_lost(device: Any, ray: Any, here: Any, passed: Any) -> Any:
+    """Say whether total reflections lead light away from all that may turn it."""
+    aside = here - dr.dot(here, device.normal) * device.normal
+    away = dr.dot(aside, ray.d - dr.dot(ray.d, device.normal) * device.normal) > 0.0
+    return away & (passed == 0.0) & (dr.squared_norm(aside) > device.radius * device.radius)

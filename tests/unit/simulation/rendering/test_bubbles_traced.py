@@ -21,7 +21,7 @@ from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes.illumination import Backlight, Lamp, Lighting
 from sabench.simulation.rendering.bubble_stage_builder import Lights, Tank
-from sabench.simulation.rendering.bubbles_traced import Exposed, render
+from sabench.simulation.rendering.bubbles_traced import Exposed, _Tally, render
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.utils import backend
 from sabench.utils.arrays import F64
@@ -420,7 +420,7 @@ def test_a_bubble_out_of_focus_is_blurred_by_the_aperture_s_disc() -> None:
     what, lens = bubbles([[0.0, 0.0, 95.0]], [[0.6] * 3]), camera(32, 32)
     spread, offset = [], np.arange(32) - 15.5
     for f_number in (64.0, 1.4):
-        image = shot(replace(lens, f_number=f_number), what, error=0.003).photons
+        image = shot(replace(lens, f_number=f_number), what, error=3e-4).photons
         dark = np.mean(image[:4]) - image
         assert abs(np.sum(dark.sum(axis=0) * offset) / dark.sum()) < 0.3
         spread.append(np.sum(dark.sum(axis=0) * offset**2) / dark.sum())
@@ -488,3 +488,40 @@ def test_surfaces_are_met_to_single_precision_from_far_away() -> None:
         outwards /= np.linalg.norm(outwards, axis=1)[:, None]
         np.testing.assert_allclose(np.array(at).T, expected, atol=1e-5)
         np.testing.assert_allclose(np.array(normal).T, outwards, atol=1e-5)
+
+
+def test_rays_that_are_given_up_between_the_walls_would_have_found_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Total reflection from wall to wall ends in darkness: the same image with these rays."""
+    from sabench.simulation.rendering import tank_walls
+
+    grid = [[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)]
+    what = bubbles(grid, [[1.5] * 3] * len(grid))
+    fast = shot(camera(), what)
+    asked: list[Any] = []
+
+    def never(_device: Any, _ray: Any, _here: Any, passed: Any) -> Any:
+        asked.append(passed)
+        return passed < 0.0
+
+    monkeypatch.setattr(tank_walls, "_is_lost", never)
+    slow = shot(camera(), what)
+    assert asked
+    np.testing.assert_allclose(slow.photons, fast.photons, rtol=1e-5, atol=1e-6 * FULL)
+
+
+def test_pixels_with_larger_errors_get_more_rays() -> None:
+    """The mean error is reached with most rays where bubbles are."""
+    random, tally = np.random.default_rng(1), _Tally((20, 20))
+    scatter = np.where(np.arange(400) < 40, 0.5, 0.01)
+    more = np.full(400, 4)
+    while more.any():
+        chosen = np.flatnonzero(more)
+        values = 1.0 + np.repeat(scatter[chosen], more[chosen]) * random.normal(size=more.sum())
+        tally.add(chosen, more[chosen], values)
+        off = tally.errors(0.1)
+        more = tally.wanted(off, 0.01) - tally.count
+    assert 0.008 < off.mean() <= 0.01
+    assert tally.count[:20].mean() > 10.0 * tally.count[200:].mean()
+    assert np.abs(tally.mean - 1.0).mean() < 0.01
