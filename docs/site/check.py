@@ -1,6 +1,7 @@
 """Check the built site: every link leads somewhere, and nothing is loaded from the network.
 
-Run python docs/site/check.py build/site.
+Run python docs/site/check.py build/site. Where there is a Chromium, axe-core looks at every page,
+too, wide and light, or narrow and dark in turn.
 """
 
 from __future__ import annotations
@@ -13,6 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
+sys.path.append(str(Path(__file__).resolve().parents[2]))
+from tests.helpers.browser import chromium
+
+_GRAVE = ("critical", "serious")
 _LOADING = {"script", "img", "link", "source", "iframe", "video", "audio"}  # tags that load files
 
 
@@ -75,9 +80,24 @@ def _fault(path: Path, reference: Reference, pages: dict[Path, _Page]) -> str:
     return ""
 
 
+def hurdles(site: Path) -> Iterator[str]:
+    """Yield what keeps keyboards and screen readers out of pages: axe-core's findings."""
+    with chromium() as browser:
+        if browser is None:
+            print(f"{site}: expected chromium and chromedriver to ask axe-core; there are none")
+            return
+        for number, path in enumerate(sorted(site.resolve().rglob("*.html"))):
+            width, mode = ((1400, "light"), (390, "dark"))[number % 2]
+            browser.prefer(mode)
+            browser.open(path, width=width)
+            for one in browser.violations():
+                if one.startswith(_GRAVE):
+                    yield f"{path.relative_to(site.resolve())} ({width} px, {mode}): {one}"
+
+
 def main(site: str) -> int:
     """Print all faults; returns the exit code."""
-    found = list(faults(Path(site)))
+    found = [*faults(Path(site)), *hurdles(Path(site))]
     print("\n".join(found) or f"{site}: all links lead somewhere, nothing is from the network")
     return 1 if found else 0
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(Path(__file__).parent), str(ROOT)]
 
+import access  # noqa: E402
 import docstrings  # noqa: E402
 import navigation  # noqa: E402
 
@@ -44,7 +45,8 @@ templates_path = ["templates"]
 
 
 def setup(app: Sphinx) -> None:
-    """Build the navigation from docs/index.md, and read docstrings of the house's style."""
+    """Build the navigation from docs/index.md, read docstrings, and complete pages."""
     app.connect("source-read", navigation.add_toctrees)
     app.connect("autodoc-process-docstring", docstrings.describe_names, priority=100)
     app.connect("autodoc-skip-member", docstrings.skip_aliases)
+    app.connect("build-finished", access.complete_all)

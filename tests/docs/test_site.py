@@ -74,3 +74,13 @@ def test_a_bad_reference_is_found(site: Path, tag: str, fault: str) -> None:
 def test_a_font_from_the_network_is_found(site: Path) -> None:
     (site / "a.css").write_text("@font-face { src: url('https://a.org/font.woff2') }")
     assert len(list(script("check")["faults"](site))) == 1
+
+
+def test_what_scrolls_takes_the_focus_and_headings_have_a_level() -> None:
+    page = '<p class="caption" role="heading"><pre>x</pre><p><img src="a.png"></p><p>b</p>'
+    done = script("access")["complete"](page)
+    assert done == (
+        '<p class="caption" role="heading" aria-level="2"><pre tabindex="0">x</pre>'
+        '<p tabindex="0"><img src="a.png"></p><p>b</p>'
+    )
+    assert script("access")["complete"](done) == done
