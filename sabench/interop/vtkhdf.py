@@ -12,10 +12,13 @@ import numpy.typing as npt
 from sabench import tasks
 from sabench.api import Detections, FoundParticles, Reconstruction, Velocity
 from sabench.api.estimates import Estimate
-from sabench.api.truth import Bubbles, Solid
+from sabench.api.truth import Bubbles, Particles, Solid
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.frusta import border_pixels, light_paths
+from sabench.geometry.grid import Grid
 from sabench.geometry.vector_calculus import divergence, gradient, vorticity
 from sabench.metrics.bubble_detection import AnyBubbles, match
 from sabench.metrics.particle_detection import challenge_pairs
@@ -37,11 +40,12 @@ Data = dict[str, npt.NDArray[Any]]
 def write(root: Path, data: Dataset, found: Result | None) -> None:
     """Write a data set's truth, or a result of it, into a folder that is there.
 
-    There is one file for each frame and kind.
+    There is one file for each frame and kind, and one of the rig.
 
     A data set gives what it shows: `particles` with `volume` (the synthesised field) and, where
     there is a flow, `flow`; `bubbles`; `bodies`. A result gives `volume` and, if it has some,
-    `particles`, or `particles` alone with the ids of the true ones that they are, or `velocity`
+    `particles`, or `particles` alone with the ids of the true ones that they are, and `missed`
+    (true ones of the scored box that were not found), or `velocity`
     with the exact field and the error of every vector, or `bubbles` with the errors of those that
     are matched to true ones. Without the truth a result gives its own arrays alone. Lengths are mm,
     velocities mm/s.
@@ -51,6 +55,7 @@ def write(root: Path, data: Dataset, found: Result | None) -> None:
     InputError
         A result of another kind.
     """
+    write_rig(root / "rig.vtkhdf", data.setup.cameras, data.setup.grid)
     if found is None:
         _export_truth(root, data)
     else:
@@ -136,19 +141,24 @@ def _write_detections(root: Path, data: Dataset, frame: int, found: Detections) 
 
 def _write_particles(root: Path, data: Dataset, frame: int, found: FoundParticles) -> None:
     given = {"intensity": found.intensity, "track": found.trajectory}
-    about = {name: one for name, one in given.items() if one is not None}
+    about: Data = {name: one for name, one in given.items() if one is not None}
     if data.has_truth:
-        about |= _identities(found, data, frame)
+        true = data.particles(frame)
+        identity = _identities(found, true, data.setup.grid)
+        about |= {"matched": (identity >= 0).astype(np.uint8), "true_id": identity}
+        grid = data.setup.grid
+        missed = ~np.isin(true.id, identity) & grid.in_scored(grid.to_voxels(true.position_mm))
+        path = root / f"missed_{frame:04d}.vtkhdf"
+        write_points(path, true.position_mm[missed], {"id": true.id[missed]})
     write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
 
 
-def _identities(found: FoundParticles, data: Dataset, frame: int) -> Data:
-    """Match found particles to true ones as the scores do; -1 marks the others."""
-    grid, true = data.setup.grid, data.particles(frame)
+def _identities(found: FoundParticles, true: Particles, grid: Grid) -> I64:
+    """Match found particles to true ones as the scores do: their ids (n,), or -1."""
     i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(true.position_mm))
     identity = np.full(len(found.position_mm), -1)
     identity[i] = true.id[j]
-    return {"matched": (identity >= 0).astype(np.uint8), "true_id": identity}
+    return identity
 
 
 _WRITERS: dict[type[Estimate], Callable[[Path, Dataset, int, Any], None]] = {
@@ -274,6 +284,28 @@ def write_surfaces(path: Path, solids: Sequence[Solid]) -> None:
         faces,
         {"CellData/body": body},
     )
+
+
+def write_rig(path: Path, cameras: Sequence[CameraModel], grid: Grid) -> None:
+    """Write light paths around each camera's view, and the volume's edges, as lines.
+
+    `camera` is the number of each line's camera, -1 for the volume.
+    """
+    low, high = grid.box_mm
+    corners = np.stack(np.meshgrid(*zip(low, high, strict=True), indexing="ij"), axis=-1)
+    corners = corners.reshape(-1, 3)
+    lines = [corners[[a, b]] for a in range(8) for b in range(a) if (a ^ b) in (1, 2, 4)]
+    owner = [-1] * len(lines)
+    for number, camera in enumerate(cameras):
+        paths = light_paths(camera, border_pixels(camera), low, high)
+        along = np.stack([paths[:, :-1], paths[:, 1:]], axis=2).reshape(-1, 2, 3)
+        around = np.stack([paths, np.roll(paths, -1, axis=0)], axis=2)[:, 1:].reshape(-1, 2, 3)
+        seen = [one for one in (*along, *around) if np.isfinite(one).all()]
+        lines += seen
+        owner += [number] * len(seen)
+    ends = np.arange(2 * len(lines)).reshape(-1, 2)
+    points = np.concatenate(lines)
+    _write_cells(path, points, "Lines", ends, {"CellData/camera": np.array(owner)})
 
 
 def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) -> None:

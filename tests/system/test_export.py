@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.api import Detections, Velocity
+from sabench.api import Detections, FoundParticles, Velocity
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.geometry.vector_calculus import vorticity
+from sabench.interop import vtkhdf
+from sabench.interop.vtkhdf import write_rig
 from sabench.metrics.synthesised_field import true_field
 from sabench.plugins import load
 from sabench.scenes import Scene
@@ -59,6 +61,7 @@ def test_truth_is_what_vtk_reads(moving: Dataset, tmp_path: Path, command: Comma
         for kind in ("flow", "particles", "volume")
         for frame in range(2)
     ]
+    names = sorted([*names, "rig.vtkhdf"])
     assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == names
     particles, grid = moving.particles(1), moving.setup.grid
     cloud, about = opened(tmp_path / "vtk/particles_0001.vtkhdf")
@@ -107,6 +110,41 @@ def test_results_are_what_vtk_reads(moving: Dataset, tmp_path: Path) -> None:
     np.testing.assert_allclose(values["exact_mm_s"] + values["error_mm_s"], values["velocity_mm_s"])
     np.testing.assert_array_equal(values["valid"].reshape(5, 5, 5) > 0, field.valid)
     assert open_result(tmp_path / "piv.h5", moving).task == "velocimetry"
+
+
+def test_the_rig_is_lines_from_each_camera_through_the_volume(
+    moving: Dataset, tmp_path: Path
+) -> None:
+    write_rig(tmp_path / "rig.vtkhdf", moving.setup.cameras, moving.setup.grid)
+    lines, about = opened(tmp_path / "rig.vtkhdf")
+    camera = about["camera"]
+    assert lines.GetNumberOfLines() == len(camera)
+    assert set(camera) == {-1, *range(len(moving.setup.cameras))}
+    points = np.array([lines.GetPoint(number) for number in range(lines.GetNumberOfPoints())])
+    edges = points.reshape(-1, 2, 3)
+    low, high = moving.setup.grid.box_mm
+    volume = edges[camera == -1]
+    lengths = np.linalg.norm(volume[:, 1] - volume[:, 0], axis=1)
+    np.testing.assert_allclose(np.sort(lengths), np.sort(np.repeat(high - low, 4)), rtol=1e-5)
+    for number, one in enumerate(moving.setup.cameras):
+        away = np.linalg.norm(edges[camera == number] - one.center_mm, axis=2)
+        assert away.min() < 1e-3
+        seen, _ = one.project(edges[camera == number][:, 1])
+        inner = (np.abs(seen - [one.columns / 2, one.rows / 2]) < [one.columns, one.rows]).all(
+            axis=1
+        )
+        assert inner.mean() > 0.5
+
+
+def test_missed_particles_are_those_that_no_found_one_is(moving: Dataset, tmp_path: Path) -> None:
+    true = moving.particles(0)
+    found = FoundParticles(true.position_mm[10:])
+    vtkhdf._write_particles(tmp_path, moving, 0, found)
+    cloud, about = opened(tmp_path / "missed_0000.vtkhdf")
+    grid = moving.setup.grid
+    scored = grid.in_scored(grid.to_voxels(true.position_mm[:10]))
+    assert set(about["id"]) == set(true.id[:10][scored]) if scored.any() else not cloud.GetPoints()
+    assert opened(tmp_path / "particles_0000.vtkhdf")[1]["matched"].all()
 
 
 def test_a_planar_result_lies_in_its_plane_in_vtk(moving: Dataset, tmp_path: Path) -> None:
@@ -217,6 +255,7 @@ def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) 
     assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == [
         "bodies_0000.vtkhdf",
         "bubbles_0000.vtkhdf",
+        "rig.vtkhdf",
     ]
     cloud, about = opened(tmp_path / "vtk/bubbles_0000.vtkhdf")
     true = bubbly.bubbles(0)
@@ -288,8 +327,8 @@ def test_particles_among_bubbles_have_files_of_their_own(tmp_path: Path) -> None
         generate(tiny(illumination=LASER, particles=tracers), tmp_path / "data", seed=1),
         tmp_path / "vtk",
     )
-    names = ["bubbles_0000.vtkhdf", "particles_0000.vtkhdf", "volume_0000.vtkhdf"]
-    assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == names
+    kinds = ("bubbles_0000", "particles_0000", "rig", "volume_0000")
+    assert sorted(path.stem for path in (tmp_path / "vtk").iterdir()) == list(kinds)
 
 
 def test_what_cannot_be_exported_is_named(

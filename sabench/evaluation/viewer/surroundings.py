@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sabench.evaluation.viewer.frusta import SIDE, border_pixels, light_paths
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.cylinder_wall import CylinderWall
+from sabench.geometry.frusta import SIDE, border_pixels, light_paths
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rotations import frame_of_normal

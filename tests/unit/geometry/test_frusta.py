@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.evaluation.viewer.frusta import SIDE, border_pixels, light_paths
 from sabench.geometry.camera import Camera
+from sabench.geometry.frusta import SIDE, border_pixels, light_paths
 from sabench.geometry.refraction import Wall
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64
