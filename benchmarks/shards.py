@@ -179,12 +179,13 @@ def merge_s(job: ShardJob, root: Path) -> float:
     folder = ShardFolder(root)
     (root / "entries").mkdir(parents=True)
     folder.data.mkdir()
+    key = job.job.key
     for shard in job.shards:
         files = {
             shard_file(side, shard.name): FileEntry(bytes=1, sha256="0" * 64)
             for side in ("observation", "truth")
         }
-        note = ShardOrigin(seed=1, key=job.job.key, entry=describe(shard, files))
+        note = ShardOrigin(seed=1, key=key, entry=describe(shard, files))
         (root / "entries" / f"{shard.name}.json").write_text(note.model_dump_json())
     start = time.perf_counter()
     merge_shards(job, folder)

@@ -169,8 +169,8 @@ def _make(job: ShardJob, root: Path, jobs: int, scheduler: str | None) -> None:
 
 def merge_shards(job: ShardJob, folder: ShardFolder) -> None:
     """Write the manifest from what was noted of each shard, without its pixels."""
-    own = job.job
-    entries = [folder.note(shard, own.seed, own.key) for shard in job.shards]
+    own, key = job.job, job.job.key  # the key takes milliseconds, and there may be 10,000 shards
+    entries = [folder.note(shard, own.seed, key) for shard in job.shards]
     shards = tuple(entry for entry in entries if entry is not None)
     if len(shards) < len(entries):
         raise UnfinishedError(f"{folder.root}: expected a note of each shard; run it again")
@@ -189,7 +189,7 @@ def merge_shards(job: ShardJob, folder: ShardFolder) -> None:
         "scene_hash": own.scene.hash,
         "seed": own.seed,
         "renderer": own.renderer,
-        "key": own.key,
+        "key": key,
         "versions": list_versions(),
         "shards": [entry.model_dump() for entry in shards],
     }

@@ -102,16 +102,16 @@ class ShardMaker:
     """Maker of the shards of one job in a folder."""
 
     def __init__(self, job: ShardJob, root: Path) -> None:
-        self._job, self._folder = job, ShardFolder(root)
+        self._job, self._folder, self._key = job, ShardFolder(root), job.job.key
         self._shards, self._shape = job.shards, job.shape
         self._maker = SampleMaker(job.job.scene, job.job.seed, job.job.renderer)
 
     def __call__(self, task: Task) -> None:
         """Make the shard of a task, unless it is there and intact."""
         shard, own = self._shards[task.frame], self._job.job
-        if self._folder.read(shard, own.seed, own.key) is None:
+        if self._folder.read(shard, own.seed, self._key) is None:
             samples = (self._record(int(number)) for number in shard.numbers)
-            self._folder.write(shard, samples, self._shape, self._job.kept, (own.seed, own.key))
+            self._folder.write(shard, samples, self._shape, self._job.kept, (own.seed, self._key))
 
     def _record(self, number: int) -> SampleRecord:
         one = self._maker.make(number)
