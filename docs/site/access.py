@@ -1,4 +1,4 @@
-"""What pages lack for keyboards and screen readers, put in after they are built.
+"""Completion of built pages for keyboards and screen readers.
 
 Parts that scroll sideways take the focus, so that arrow keys move them; headings of the navigation
 have a level, and its parts have names.

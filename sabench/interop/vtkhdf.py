@@ -143,10 +143,9 @@ def _write_particles(root: Path, data: Dataset, frame: int, found: FoundParticle
     given = {"intensity": found.intensity, "track": found.trajectory}
     about: Data = {name: one for name, one in given.items() if one is not None}
     if data.has_truth:
-        true = data.particles(frame)
-        identity = _identities(found, true, data.setup.grid)
+        true, grid = data.particles(frame), data.setup.grid
+        identity = _identities(found, true, grid)
         about |= {"matched": (identity >= 0).astype(np.uint8), "true_id": identity}
-        grid = data.setup.grid
         missed = ~np.isin(true.id, identity) & grid.in_scored(grid.to_voxels(true.position_mm))
         path = root / f"missed_{frame:04d}.vtkhdf"
         write_points(path, true.position_mm[missed], {"id": true.id[missed]})

@@ -1,7 +1,7 @@
 """Kernels' operations on vectors of a fixed length.
 
 Compilers unroll loops of a few steps, and then have no loop left to put on vector units. What is
-written as operations on vectors takes a tenth of the time, and is taken in the same order on every
+written as operations on vectors takes a quarter to a half of the time, in the same order on every
 machine, whatever the width of its vector units.
 """
 

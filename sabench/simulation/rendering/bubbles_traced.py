@@ -180,7 +180,7 @@ class _Tally:
         share, more = one ** (2.0 / 3.0), np.ones(len(off), dtype=np.bool_)
         for _ in range(_TRIALS):
             rest = error - off[~more].sum() / len(off)
-            factor = (share[more].sum() / len(off) / max(rest, 0.1 * error)) ** 2
+            factor = (share[more].sum() / len(off) / max(rest, 1e-6 * error)) ** 2
             more = factor * share > self.count
         rough = maximum_filter((off > error).reshape(self._shape), 3).ravel()
         wanted = np.maximum(np.ceil(factor * share), np.where(rough, _ROUGH, 0))

@@ -121,7 +121,13 @@ def leave(device: Any, ray: Any) -> tuple[Any, Any, Any]:
 
 
 def _is_lost(device: Any, ray: Any, here: Any, passed: Any) -> Any:
-    """Say whether total reflections lead light away from all that may turn it."""
+    """Say whether total reflections lead light away from all that may turn it.
+
+    Both walls reflect an angle totally, or none does: beyond each is air. Without a wall behind,
+    light passes there.
+    """
+    if device.rear is None:
+        return mi.Bool(False)
     aside = here - dr.dot(here, device.normal) * device.normal
     away = dr.dot(aside, ray.d - dr.dot(ray.d, device.normal) * device.normal) > 0.0
     return away & (passed == 0.0) & (dr.squared_norm(aside) > device.radius * device.radius)

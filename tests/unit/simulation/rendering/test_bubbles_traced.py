@@ -525,3 +525,18 @@ def test_pixels_with_larger_errors_get_more_rays() -> None:
     assert 0.008 < off.mean() <= 0.01
     assert tally.count[:20].mean() > 10.0 * tally.count[200:].mean()
     assert np.abs(tally.mean - 1.0).mean() < 0.01
+
+
+def test_light_from_behind_is_followed_where_no_wall_is_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What the front wall reflects totally may still see the diffuser."""
+    from sabench.simulation.rendering import tank_walls
+
+    grid = [[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)]
+    what, light = bubbles(grid, [[1.5] * 3] * len(grid)), diffuser(half=400.0)
+    open_tank = Tank(replace(WALL, depth_mm=None))
+    fast = shot(camera(), what, light, tank=open_tank)
+    monkeypatch.setattr(tank_walls, "_is_lost", lambda *given: given[3] < 0.0)
+    slow = shot(camera(), what, light, tank=open_tank)
+    np.testing.assert_allclose(slow.photons, fast.photons, rtol=1e-5, atol=1e-6 * FULL)
