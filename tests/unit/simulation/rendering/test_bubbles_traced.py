@@ -21,7 +21,7 @@ from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes.illumination import Backlight, Lamp, Lighting
 from sabench.simulation.rendering.bubble_stage_builder import Lights, Tank
-from sabench.simulation.rendering.bubbles_traced import Exposed, _Tally, render
+from sabench.simulation.rendering.bubbles_traced import Exposed, render
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.utils import backend
 from sabench.utils.arrays import F64
@@ -509,22 +509,6 @@ def test_rays_that_are_given_up_between_the_walls_would_have_found_nothing(
     slow = shot(camera(), what)
     assert asked
     np.testing.assert_allclose(slow.photons, fast.photons, rtol=1e-5, atol=1e-6 * FULL)
-
-
-def test_pixels_with_larger_errors_get_more_rays() -> None:
-    """The mean error is reached with most rays where bubbles are."""
-    random, tally = np.random.default_rng(1), _Tally((20, 20))
-    scatter = np.where(np.arange(400) < 40, 0.5, 0.01)
-    more = np.full(400, 4)
-    while more.any():
-        chosen = np.flatnonzero(more)
-        values = 1.0 + np.repeat(scatter[chosen], more[chosen]) * random.normal(size=more.sum())
-        tally.add(chosen, more[chosen], values)
-        off = tally.errors(0.1)
-        more = tally.wanted(off, 0.01) - tally.count
-    assert 0.008 < off.mean() <= 0.01
-    assert tally.count[:20].mean() > 10.0 * tally.count[200:].mean()
-    assert np.abs(tally.mean - 1.0).mean() < 0.01
 
 
 def test_light_from_behind_is_followed_where_no_wall_is_there(
