@@ -72,14 +72,15 @@ class Uniform(Generator):
         count = self._count(domain)
         rng = stream(seed, "particles")
         size, velocity = np.asarray(domain.size_mm), np.asarray(self.parameters.velocity_mm_s)
-        travelled = rng.random((count, 3)) * size + velocity * time_s
+        place, identity = rng.random((count, 3)) * size, np.arange(count, dtype=np.int64)
         diameter = self._diameters(rng, count)
-        turns = np.floor(travelled / size)
-        position = domain.low_mm + np.clip(travelled - turns * size, 0.0, size)
-        x, y, z = np.abs(turns.T).astype(np.int64)
-        # a particle that re-enters is a new one, with a new id
-        identity = np.arange(count, dtype=np.int64) + count * (x + y + z)
-        return Particles(identity, position, diameter, np.tile(velocity, (count, 1)))
+        if velocity.any():
+            place += velocity * time_s
+            turns = np.floor(place / size)
+            place = np.clip(place - turns * size, 0.0, size)
+            # a particle that re-enters is a new one, with a new id
+            identity += count * np.abs(turns).astype(np.int64).sum(axis=1)
+        return Particles(identity, domain.low_mm + place, diameter, np.tile(velocity, (count, 1)))
 
     def _diameters(self, rng: np.random.Generator, count: int) -> F64:
         chosen: UniformParameters = self.parameters

@@ -16,7 +16,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.images.gaussians import fill_shares, fill_slopes
+from sabench.images.gaussian_units import whole_lanes
+from sabench.images.gaussians import fill_profile
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
 from sabench.utils.threads import share_rows
@@ -98,7 +99,7 @@ def _add_information(
     count = len(pixel)
     half = np.where(np.isfinite(pixel[:, 0]), np.ceil(_REACH * camera.sigma_px + 0.5), 0)
     half = half.astype(np.int64)
-    size = 2 * int(half.max(initial=0)) + 1
+    size = whole_lanes(2 * int(half.max(initial=0)) + 1)
     first = np.zeros((count, 2), dtype=np.int64)
     grey, change = np.zeros((count, 2, size)), np.zeros((count, 2, size))
     _fill_profiles(pixel, camera.sigma_px, half, first, grey, change)
@@ -134,9 +135,8 @@ def _fill_profiles(
             continue
         for axis in range(2):
             first[i, axis] = int(np.rint(pixel[i, axis])) - half[i]
-            width = 2 * half[i] + 1
-            fill_shares(pixel[i, axis], sigma[i], first[i, axis], grey[i, axis, :width])
-            fill_slopes(pixel[i, axis], sigma[i], first[i, axis], slope[i, axis, :width])
+            profile = grey[i, axis], slope[i, axis]
+            fill_profile(pixel[i, axis], sigma[i], first[i, axis], 2 * half[i] + 1, *profile)
 
 
 @numba.njit(cache=True, nogil=True)

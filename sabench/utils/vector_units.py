@@ -48,13 +48,57 @@ class Vectors:
         """Store numbers one after the other."""
         self.builder.store(value, self._place(pointer)).align = self.bytes
 
+    def store_as(self, value: Any, pointer: Any, kind: Any) -> None:
+        """Store doubles one after the other as numbers of another kind."""
+        if isinstance(kind, ir.FloatType):
+            value = self.builder.fptrunc(value, ir.VectorType(kind, self.length))
+        place = self.builder.bitcast(pointer, value.type.as_pointer())
+        self.builder.store(value, place).align = 4
+
     def positive(self, values: Any) -> Any:
         """Return values, or 0 where they are less."""
-        return self.builder.select(self.above_zero(values), values, self.zero)
+        return self.where(self.above_zero(values), values)
+
+    def where(self, marked: Any, values: Any) -> Any:
+        """Return values, or 0 where they are not marked."""
+        return self.builder.select(marked, values, self.zero)
 
     def magnitude(self, values: Any) -> Any:
         """Return absolute values."""
         return self.builder.select(self.above_zero(values), values, self.minus(self.zero, values))
+
+    def fused(self, left: Any, right: Any, third: Any) -> Any:
+        """Return left times right, plus the third, rounded once."""
+        kind = ir.FunctionType(self.type, [self.type] * 3)
+        name = f"llvm.fma.v{self.length}f{8 * self.bytes}"
+        fma = cgutils.get_or_insert_function(self.builder.module, kind, name)
+        return self.builder.call(fma, [left, right, third])
+
+    def polynomial(self, coefficients: Sequence[float], values: Any) -> Any:
+        """Return polynomials of values, with coefficients from the constant one on."""
+        total = self.constant(coefficients[-1])
+        for coefficient in coefficients[-2::-1]:
+            total = self.fused(total, values, self.constant(coefficient))
+        return total
+
+    def clip(self, values: Any, least: float, most: float) -> Any:
+        """Return values, not below one number and not above another."""
+        low, high = self.constant(least), self.constant(most)
+        values = self.builder.select(self.builder.fcmp_ordered(">", values, low), values, low)
+        return self.builder.select(self.builder.fcmp_ordered("<", values, high), values, high)
+
+    def numbers(self) -> Any:
+        """Return 0, 1, 2, ..."""
+        return ir.Constant(self.type, [float(n) for n in range(self.length)])
+
+    def lane(self, values: Any, number: int) -> Any:
+        """Return one value of a vector."""
+        return self.builder.extract_element(values, ir.Constant(_INT, number))
+
+    def moved(self, values: Any, end: Any) -> Any:
+        """Return values of the next lanes; the last lane gets another value."""
+        mask = self._mask([*range(1, self.length), self.length])
+        return self.builder.shuffle_vector(values, self.splat(end), mask)
 
     def above_zero(self, values: Any) -> Any:
         """Mark values above 0."""
@@ -70,7 +114,7 @@ class Vectors:
                 for first in (0, width)
             )
             vector = self.plus(low, high)
-        return self.builder.extract_element(vector, ir.Constant(_INT, 0))
+        return self.lane(vector, 0)
 
     def _place(self, pointer: Any) -> Any:
         return self.builder.bitcast(pointer, self.type.as_pointer())

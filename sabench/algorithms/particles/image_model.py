@@ -18,6 +18,7 @@ import numpy as np
 
 from sabench.algorithms.particles.window_sums import LANES, match_window, sum_window
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
+from sabench.images.gaussian_units import whole_lanes
 from sabench.images.gaussians import fill_profile
 from sabench.utils.arrays import F32, F64
 
@@ -139,7 +140,7 @@ def make_room(sigma: F64) -> Room:
     """Make the arrays that kernels work in, for images of a width (camera, 2)."""
     cameras, half = len(sigma), math.ceil(_REACH * float(sigma.max()) - _ROUNDED_PX)
     window = 2 * half + 1
-    lanes = LANES * math.ceil(window / LANES)
+    lanes = whole_lanes(window)
     x, y, by_x, by_y = (np.zeros((cameras, lanes), dtype=np.float32) for _ in range(4))
     return Room(
         window=window,
@@ -168,8 +169,7 @@ def make_room(sigma: F64) -> Room:
 @numba.njit(cache=True)
 def place(model: Any, room: Any, position: Any) -> None:
     """Place a particle's windows in all cameras, with its images' profiles."""
-    size, lanes = np.uintp(room.window), room.x.shape[1]
-    half = room.window // 2
+    half, lanes = room.window // 2, room.x.shape[1]
     for c in range(len(room.here)):
         project_point(model.maps, c, position, room.here[c], room.slope[c])
         for k in range(2):
@@ -181,7 +181,7 @@ def place(model: Any, room: Any, position: Any) -> None:
             last = model.left.shape[2 - k] - lanes
             room.corner[c, k] = min(max(first + MARGIN, 0), last)
             shares, slopes = (room.x, room.by_x) if k == 0 else (room.y, room.by_y)
-            fill_profile(room.here[c, k], width, first, shares[c, :size], slopes[c, :size])
+            fill_profile(room.here[c, k], width, first, room.window, shares[c], slopes[c])
 
 
 # The indices of the windows' sums are unsigned: a signed one is compared with zero each time.

@@ -15,8 +15,10 @@ import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
+from sabench.images.gaussian_units import whole_lanes
 from sabench.images.gaussians import fill_shares
 from sabench.simulation.rendering.particle_images import ParticleImages
+from sabench.simulation.rendering.window_units import add_products
 from sabench.utils.arrays import F64
 
 # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
@@ -26,7 +28,6 @@ _EXACT = 1e-9  # of a particle's light in any pixel: terms below are left out
 _LARGEST_TERM = 0.25  # bounds the product of both factors of a term
 _LONGEST = 0.999  # correlation beyond which an ellipse is taken for one that narrow
 _BAND = 64  # rows of a band, at least: threads fill bands that do not touch
-_LANES = 4  # pixels of a row that are added at once
 _ANY_ORDER = {"contract", "nsz"}
 
 
@@ -38,14 +39,12 @@ def render(camera: Camera, images: ParticleImages) -> F64:
     exact to 2e-8 of each particle's light, and the same for any number of threads.
     """
     given = images.pixel, images.photons, images.spread_px2
-    lit, half, widest = _find_lit(*given, camera.rows, camera.columns)
-    margin, edge = 2 * widest + 1 + _LANES, max(_BAND, 2 * widest + 1)
-    framed = np.zeros((camera.rows + 2 * margin, camera.columns + 2 * margin))
-    bands = -(-len(framed) // edge)
-    starts, *windows = _sort_windows(*given, lit, half, margin, edge, bands)
-    _add_windows(framed, starts, *windows)
-    image = np.empty((camera.rows, camera.columns))
-    _crop(framed, margin, image)
+    image = np.zeros((camera.rows, camera.columns))
+    lit, corner, size, tallest = _find_lit(*given, *image.shape)
+    edge = max(_BAND, tallest)
+    starts, *windows = _sort_windows(*given, lit, corner, size, edge, -(-camera.rows // edge))
+    _add_windows(image, starts, *windows)
+    _clear(image)
     return image
 
 
@@ -53,23 +52,25 @@ def render(camera: Camera, images: ParticleImages) -> F64:
 def _find_lit(pixel: Any, photons: Any, spread: Any, rows: int, columns: int) -> Any:
     """Find particles that illuminate an image.
 
-    Returns their numbers (m,), half the widths and heights (m, 2) of their windows, and the largest
-    of these.
+    Returns their numbers (m,), the first column and row, and the width and height (m, 2) of their
+    windows, and the largest height.
     """
-    lit, halves = np.empty(len(pixel), np.int64), np.empty((len(pixel), 2), np.int64)
-    count, widest, size = 0, 0, (columns, rows)
+    lit, corners = np.empty(len(pixel), np.int64), np.empty((len(pixel), 2), np.int64)
+    sizes, count, tallest, edges = np.empty_like(corners), 0, 0, (columns, rows)
     for i in range(len(pixel)):
         reached = photons[i] > 0.0
         for axis in range(2):
-            half = np.ceil(_REACH * math.sqrt(spread[i, axis]) + 0.5)
-            near = abs(pixel[i, axis] - (size[axis] - 1) / 2.0)
-            reached = reached and near < half + size[axis] / 2.0
-            halves[count, axis] = np.int64(half) if reached else 0
+            reach, center = _REACH * math.sqrt(spread[i, axis]), pixel[i, axis]
+            reached = reached and center + reach >= -0.5 and center - reach < edges[axis] - 0.5
+            if reached:
+                first = math.floor(center - reach + 0.5)
+                corners[count, axis] = first
+                sizes[count, axis] = math.floor(center + reach + 0.5) - first + 1
         if reached:
-            widest = max(widest, halves[count, 0], halves[count, 1])
+            tallest = max(tallest, sizes[count, 1])
             lit[count] = i
             count += 1
-    return lit[:count], halves[:count], widest
+    return lit[:count], corners[:count], sizes[:count], tallest
 
 
 @numba.njit(cache=True)
@@ -78,117 +79,106 @@ def _sort_windows(
     photons: Any,
     spread: Any,
     lit: Any,
-    halves: Any,
-    margin: int,
+    corners: Any,
+    sizes: Any,
     edge: int,
     bands: int,
 ) -> Any:
-    """Sort particles by the band of rows that they lie in.
+    """Sort particles by the band of rows that their windows begin in.
 
-    Returns where each band's start, and their pixels in the frame, photons, widths, correlations
-    and half windows.
+    Returns where each band's start, and their pixels, photons, widths, correlations, and their
+    windows' corners and sizes.
     """
     band = np.empty(len(lit), np.int64)
     starts, place = np.zeros(bands + 1, np.int64), np.zeros(bands, np.int64)
     for n in range(len(lit)):
-        band[n] = np.int64(np.rint(pixel[lit[n], 1] + margin)) // edge
+        band[n] = max(corners[n, 1], 0) // edge
         starts[band[n] + 1] += 1
     for b in range(bands):
         place[b] = starts[b]
         starts[b + 1] += starts[b]
     where, sigma = np.empty((len(lit), 2)), np.empty((len(lit), 2))
-    light, tilt, half = np.empty(len(lit)), np.empty(len(lit)), np.empty_like(halves)
+    light, tilt = np.empty(len(lit)), np.empty(len(lit))
+    corner, size = np.empty_like(corners), np.empty_like(sizes)
     for n in range(len(lit)):
         i, to = lit[n], place[band[n]]
         place[band[n]] += 1
         for axis in range(2):
-            where[to, axis] = pixel[i, axis] + margin
+            where[to, axis] = pixel[i, axis]
             sigma[to, axis] = max(math.sqrt(spread[i, axis]), _SHARPEST)
-            half[to, axis] = halves[n, axis]
+            corner[to, axis] = corners[n, axis]
+            size[to, axis] = sizes[n, axis]
         light[to] = photons[i]
         slant = spread[i, 2] / (sigma[to, 0] * sigma[to, 1])
         tilt[to] = min(max(slant, -_LONGEST), _LONGEST)
-    return starts, where, light, sigma, tilt, half
+    return starts, where, light, sigma, tilt, corner, size
 
 
 @numba.njit(cache=True, parallel=True)
-def _crop(framed: Any, margin: int, image: Any) -> None:
-    """Fill in an image without its frame.
+def _clear(image: Any) -> None:
+    """Replace numbers below zero.
 
-    Series and table may end a little below zero, which no number of photons is.
+    Series and polynomials may end a little below zero, which no number of photons is.
     """
     for row in numba.prange(len(image)):
         for column in range(image.shape[1]):
-            image[row, column] = max(framed[margin + row, margin + column], 0.0)
+            image[row, column] = max(image[row, column], 0.0)
 
 
 @numba.njit(cache=True, parallel=True)
 def _add_windows(
-    image: Any, starts: Any, pixel: Any, photons: Any, sigma: Any, tilt: Any, half: Any
+    image: Any,
+    starts: Any,
+    pixel: Any,
+    photons: Any,
+    sigma: Any,
+    tilt: Any,
+    corner: Any,
+    size: Any,
 ) -> None:
-    """Add the windows of 2 half + 1 pixels: even bands first, then odd."""
+    """Add particles' windows: even bands first, then odd."""
     bands = len(starts) - 1
+    shapes = pixel, photons, sigma, tilt, corner, size
     for odd in range(2):
         for turn in numba.prange((bands + 1 - odd) // 2):
             band = 2 * turn + odd
-            _add_band(image, starts[band], starts[band + 1], pixel, photons, sigma, tilt, half)
+            _add_band(image, starts[band], starts[band + 1], shapes)
 
 
 @numba.njit(cache=True, fastmath=_ANY_ORDER)
-def _add_band(
-    image: Any, first: int, last: int, pixel: Any, photons: Any, sigma: Any, tilt: Any, half: Any
-) -> None:
-    """Add the windows of some particles to an image with margins."""
+def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
+    """Add the windows of some particles to an image."""
     if first == last:
         return
-    most = 2 * half[first:last].max() + 2 + _LANES
+    pixel, photons, sigma, tilt, corner, size = shapes
+    most = whole_lanes(size[first:last].max())
     all_terms = _count_terms(np.abs(tilt[first:last]).max())
     across, down = np.zeros((all_terms, most)), np.zeros((all_terms, most))
-    edges = np.zeros((3, most))
+    edges, part = np.zeros((3, most)), np.zeros((most, most))
+    rows, columns = image.shape
     for i in range(first, last):
-        left = int(np.rint(pixel[i, 0])) - half[i, 0]
-        top = int(np.rint(pixel[i, 1])) - half[i, 1]
-        width, height = 2 * half[i, 0] + 1, 2 * half[i, 1] + 1
-        fill_shares(pixel[i, 0], sigma[i, 0], left, across[0, :width])
-        fill_shares(pixel[i, 1], sigma[i, 1], top, down[0, :height])
-        terms = _count_terms(tilt[i])
+        left, top, width, height = corner[i, 0], corner[i, 1], size[i, 0], size[i, 1]
+        lanes, terms = whole_lanes(width), _count_terms(tilt[i])
+        fill_shares(pixel[i, 0], sigma[i, 0], left, width, across[0, :lanes])
+        fill_shares(pixel[i, 1], sigma[i, 1], top, height, down[0, : whole_lanes(height)])
         if terms > 1:
+            across[1:terms, width:lanes] = 0.0
             _fill_terms(pixel[i, 0], sigma[i, 0], left, width, terms, edges, across)
             _fill_terms(pixel[i, 1], sigma[i, 1], top, height, terms, edges, down)
         light = photons[i]
         for n in range(terms):
-            across[n, width : width + _LANES] = 0.0
             weight = light if n == 0 else light / n
             for j in range(height):
                 down[n, j] *= weight
             light *= tilt[i]
-        _add_products(image, top, left, down, across, terms, height, width)
-
-
-@numba.njit(cache=True, fastmath=_ANY_ORDER)
-def _add_products(
-    image: Any, top: int, left: int, down: Any, across: Any, terms: int, height: int, width: int
-) -> None:
-    """Add a sum of outer products.
-
-    Columns are zero up to a whole number of lanes.
-    """
-    start = np.uintp(left)
-    for j in range(height):
-        row = np.uintp(top + j)
-        for block in range((width + _LANES - 1) // _LANES):
-            k = np.uintp(block * _LANES)
-            a = b = c = d = 0.0
-            for n in range(terms):
-                share = down[n, j]
-                a += share * across[n, k]
-                b += share * across[n, k + np.uintp(1)]
-                c += share * across[n, k + np.uintp(2)]
-                d += share * across[n, k + np.uintp(3)]
-            image[row, start + k] += a
-            image[row, start + k + np.uintp(1)] += b
-            image[row, start + k + np.uintp(2)] += c
-            image[row, start + k + np.uintp(3)] += d
+        if left >= 0 and top >= 0 and left + lanes <= columns and top + height <= rows:
+            add_products(image, top, left, down, across, terms, height, lanes)
+        else:
+            part[:height, :lanes] = 0.0
+            add_products(part, 0, 0, down, across, terms, height, lanes)
+            for j in range(max(-top, 0), min(height, rows - top)):
+                for k in range(max(-left, 0), min(width, columns - left)):
+                    image[top + j, left + k] += part[j, k]
 
 
 # The n-th term is r^n / n times the difference of h between both edges of a column, times that of a

@@ -1,0 +1,52 @@
+"""Profiles of Gaussians in kernels, next to scipy's error function."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from sabench.images.gaussian_units import LANES, whole_lanes
+from sabench.images.gaussians import fill_profile, fill_shares, gaussian_shares
+from sabench.utils.arrays import F64
+
+
+def expected_shares(center: float, sigma: float, first: int, pixels: int) -> F64:
+    edges = first - 0.5 - center + np.arange(pixels + 1)
+    shares: F64 = 0.5 * np.diff(erf(edges / (sigma * np.sqrt(2.0))))
+    return shares
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+@pytest.mark.parametrize("pixels", [1, 7, 8, 9, 23])
+def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: type) -> None:
+    """At any place in and outside the window, from needles to spots wider than it."""
+    random, rounding = np.random.default_rng(1), 4e-8 if kind is np.float32 else 0.0
+    shares, slopes = (np.full(whole_lanes(pixels), 7.0, kind) for _ in range(2))
+    alone = shares.copy()
+    for sigma in [1e-9, 0.1, *random.uniform(0.2, 6.0, 200)]:
+        center, first = random.uniform(-20.0, 20.0), int(random.integers(-20, 20))
+        fill_shares(center, sigma, first, pixels, alone)
+        fill_profile(center, sigma, first, pixels, shares, slopes)
+        expected = expected_shares(center, sigma, first, pixels)
+        np.testing.assert_allclose(shares[:pixels], expected, rtol=0.0, atol=1e-8 + rounding)
+        np.testing.assert_array_equal(shares, alone)
+        assert not shares[pixels:].any()
+        assert not slopes[pixels:].any()
+        edges = (first - 0.5 - center + np.arange(pixels + 1)) / sigma
+        density = np.exp(-0.5 * edges**2) / np.sqrt(2.0 * np.pi)
+        reached = np.testing.assert_allclose
+        reached(slopes[:pixels] * sigma, -np.diff(density), rtol=0.0, atol=4e-8 + 2 * rounding)
+
+
+def test_shares_in_numpy_are_those_of_kernels() -> None:
+    """Both compute the same integrals."""
+    shares = np.zeros(whole_lanes(11))
+    fill_shares(0.3, 0.8, -5, 11, shares)
+    edges = np.arange(-5, 7)[None] - 0.5 - 0.3
+    np.testing.assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
+
+
+def test_profiles_have_room_for_one_more_edge_than_pixels() -> None:
+    """The edges of seven pixels fill eight lanes."""
+    assert [whole_lanes(pixels) for pixels in (7, 8, 15)] == [LANES, 2 * LANES, 2 * LANES]
