@@ -18,61 +18,53 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.occluders import Disc
 from sabench.geometry.sensor_tilt import UPRIGHT, focus_slope, sensor_axes
-from sabench.utils.arrays import F32, F64
+from sabench.utils.arrays import F32, F64, I64
 
 WAVEFRONT = 1 << 22  # rays traced simultaneously: bounds memory, not results
 
 
-def render_rows(camera: Camera, samples: int, trace: Callable[[int, int], Any]) -> F32:
-    """Render mean radiance (rows, columns), a band of rows at a time.
+def mean_of_rays(pixels: I64, samples: int, trace: Callable[[Any, Any], Any]) -> F32:
+    """Compute the mean radiance (n,) of the rays of pixels, some at a time.
 
     Rays of one pixel are neighbours and are added up in their order, so that the image does not
     depend on how threads are scheduled (a film, to which threads add as they finish, would).
 
     Parameters
     ----------
-    trace : radiance of the rays of some rows, pixel by pixel; arguments: the first row, and how
-        many.
+    pixels : (n,) numbered row by row.
+    trace : radiance of rays; arguments: each ray's pixel, and its number in it.
     """
-    rows = max(1, WAVEFRONT // (camera.columns * samples))
-    bands = []
-    for first in range(0, camera.rows, rows):
-        count = min(rows, camera.rows - first)
-        band = dr.block_sum(trace(first, count), samples) * (1.0 / samples)
-        bands.append(np.array(band, dtype=np.float32).reshape(count, camera.columns))
-    return np.concatenate(bands)
+    count = max(1, WAVEFRONT // samples)
+    parts = [np.zeros(0, dtype=np.float32)]
+    for first in range(0, len(pixels), count):
+        some = pixels[first : first + count].astype(np.uint32)
+        lane = dr.arange(mi.UInt32, len(some) * samples)
+        pixel = dr.gather(mi.UInt32, mi.UInt32(some), lane // samples)
+        mean = dr.block_sum(trace(pixel, lane % samples), samples) * (1.0 / samples)
+        parts.append(np.array(mean, dtype=np.float32))
+    return np.concatenate(parts)
 
 
-def pixels_of_rows(camera: Camera, count: int, samples: int) -> tuple[Any, Any, Any]:
-    """List rows, columns and ray numbers of all rays of `count` rows."""
-    index = dr.arange(mi.UInt32, count * camera.columns * samples)
-    pixel = index // samples
-    return pixel // camera.columns, pixel % camera.columns, index % samples
-
-
-def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any, first: int = 0) -> Any:
+def pinhole_rays(camera: Camera, origin: F64, column: Any, row: Any) -> Any:
     """Make rays from the pinhole.
 
     Parameters
     ----------
     origin : world point that is the scene's (0, 0, 0).
     column, row : pixel coordinates; (0, 0) is the centre of a pixel.
-    first : row of the image at which `row` starts counting.
     """
-    x, y = undistort(camera.distortion, *_distorted(camera, column, row, first))
+    x, y = undistort(camera.distortion, *_distorted(camera, column, row))
     right, below, forward = (opaque(axis) for axis in camera.rotation)
     start = mi.Point3f(opaque(np.asarray(camera.center_mm) - origin))
     return mi.Ray3f(start, dr.normalize(x * right + y * below + forward))
 
 
-def lens_rays(
-    camera: Camera, origin: F64, column: Any, row: Any, lens_mm: tuple[Any, Any], first: int = 0
-) -> Any:
+def lens_rays(camera: Camera, origin: F64, column: Any, row: Any, lens_mm: tuple[Any, Any]) -> Any:
     """Make rays from points of the aperture to the plane in focus.
 
     Other parameters as `pinhole_rays`.
     """
-    u, v = _distorted(camera, column, row, first)
+    u, v = _distorted(camera, column, row)
     x, y = undistort(camera.distortion, u, v)
     a, b = lens_mm
     right, below, forward = (opaque(axis) for axis in camera.rotation)
@@ -93,7 +85,7 @@ def _inverse_focus(camera: Camera, u: Any, v: Any) -> Any:
     return dr.opaque(mi.Float, 1.0 / camera.focus_mm) - first * u - second * v
 
 
-def _distorted(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, Any]:
+def _distorted(camera: Camera, column: Any, row: Any) -> tuple[Any, Any]:
     """Return distorted image coordinates on the plane of an upright sensor.
 
     A copy of `sensor_tilt.from_sensor` for arrays of Dr.Jit; tied to it by
@@ -101,7 +93,7 @@ def _distorted(camera: Camera, column: Any, row: Any, first: int) -> tuple[Any, 
     """
     center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
     u = (column - dr.opaque(mi.Float, center[0])) * scale
-    v = (row + dr.opaque(mi.Float, first - center[1])) * scale
+    v = (row - dr.opaque(mi.Float, center[1])) * scale
     if camera.tilt_deg == UPRIGHT:
         return u, v
     right, down, _ = (opaque(axis) for axis in sensor_axes(camera.tilt_deg))

@@ -1,4 +1,4 @@
-"""Integrator of glowing balls behind dielectric planes, in Mitsuba's scene.
+"""Integrator of glowing particles behind dielectric interfaces of Mitsuba's scene.
 
 Import this module only after sabench.utils.backend.mitsuba(): its types are those of the variant
 that is set then. (@dr.syntax sees module globals only, so the functions cannot live inside another
@@ -18,14 +18,12 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
 from sabench.simulation.rendering.camera_rays import (
     mark_unobstructed,
+    mean_of_rays,
     pinhole_rays,
-    pixels_of_rows,
-    render_rows,
 )
-from sabench.utils.arrays import F32, F64
+from sabench.utils.arrays import F32, F64, I64
 
-_MAX_HITS = 4096
-_NONE = 0xFFFFFFFF
+_ROUNDING = 2e-6  # of distances: rays go on so far behind what they met
 
 
 @dataclass(frozen=True)
@@ -49,104 +47,109 @@ class Cloud:
 
 
 def render(
-    scene: Any,
+    walls: Any,
     camera: Camera,
     origin: F64,
     cloud: Cloud,
     interfaces: int,
+    near: tuple[I64, I64, I64],
     side: int,
     occluders: tuple[Disc, ...],
 ) -> F32:
-    """Render radiance (rows, columns) in front of the lens.
+    """Render radiance (n,) of pixels in front of the lens.
 
     The side x side rays of a pixel form a regular grid.
 
     Parameters
     ----------
+    walls : scene of the dielectric interfaces.
     origin : world point that is the scene's (0, 0, 0).
-    interfaces : dielectric planes that a ray crosses before it may meet a ball.
-    occluders : discs in front of all interfaces (or balls); a ray that meets one carries nothing.
+    interfaces : those that a ray crosses before it may meet a particle.
+    near : pixels (n,) numbered row by row; where the particles of every pixel start, in a list of
+        their numbers; and that list.
+    occluders : discs in front of all interfaces (or particles); a ray that meets one carries
+        nothing.
     """
-    tables = _Tables(cloud, interfaces)
+    pixels, *lists = near
+    device = _Device(cloud, interfaces, camera, origin, *lists)
 
-    def trace(first: int, count: int) -> Any:
-        rays = _rays(camera, origin, first, count, side)
-        return _trace(scene, rays, tables, mark_unobstructed(rays, occluders, origin))
+    def trace(pixel: Any, sub: Any) -> Any:
+        rays = _rays(camera, origin, pixel, sub, side)
+        weight = dr.select(mark_unobstructed(rays, occluders, origin), mi.Float(1.0), 0.0)
+        if interfaces:
+            rays, weight = _enter(walls, rays, weight, device)
+        return weight * _collect(rays, pixel, device)
 
-    return render_rows(camera, side * side, trace)
+    return mean_of_rays(pixels, side * side, trace)
 
 
-class _Tables:
-    """Device copy of a cloud."""
+class _Device:
+    """Device copy of a cloud, and of the particles near each pixel."""
 
-    def __init__(self, cloud: Cloud, interfaces: int) -> None:
+    def __init__(
+        self, cloud: Cloud, interfaces: int, camera: Camera, origin: F64, starts: I64, near: I64
+    ) -> None:
         self.centers, self.a, self.b = (
             mi.Point3f(np.ascontiguousarray(v.T, dtype=np.float32))
             for v in (cloud.centers, cloud.a, cloud.b)
         )
         self.radiance = mi.Float(cloud.radiance.astype(np.float32))
+        self.starts, self.near = (mi.UInt32(one.astype(np.uint32)) for one in (starts, near))
         self.interfaces = dr.opaque(mi.UInt32, interfaces)
-        self.radius = dr.opaque(
-            mi.Float, float((np.linalg.norm(cloud.centers, axis=1) + cloud.radii).max())
-        )
-        self.advance = dr.opaque(mi.Float, 0.01 * float(np.median(cloud.radii)))
+        distance = float(np.linalg.norm(np.asarray(camera.center_mm) - origin))
+        self.off_wall = dr.opaque(mi.Float, _ROUNDING * distance)
 
 
-def _rays(camera: Camera, origin: F64, first: int, count: int, side: int) -> Any:
-    """Make rays of `count` rows from row `first` on, pixel by pixel."""
-    row, column, sub = pixels_of_rows(camera, count, side * side)
+def _rays(camera: Camera, origin: F64, pixel: Any, sub: Any, side: int) -> Any:
+    """Make the rays of numbers in pixels."""
+    row, column = pixel // camera.columns, pixel % camera.columns
     across = mi.Float(column) + (mi.Float(sub % side) + 0.5) / side - 0.5
     down = mi.Float(row) + (mi.Float(sub // side) + 0.5) / side - 0.5
-    return pinhole_rays(camera, origin, across, down, first)
+    return pinhole_rays(camera, origin, across, down)
 
 
 @dr.syntax
-def _trace(scene: Any, ray: Any, cloud: Any, free: Any) -> Any:
-    """Trace the radiance along `free` rays.
+def _enter(walls: Any, ray: Any, weight: Any, device: Any) -> Any:
+    """Follow rays through the interfaces, which transmit by Mitsuba's rules.
 
-    Interfaces transmit by Mitsuba's rules; every ball that is entered in the fluid adds its glow.
-
-    Mitsuba intersects balls in single precision, whose error grows with the square of the distance
-    from the ray's origin: a ray is therefore moved up to the cloud (a sphere around the scene's
-    origin) before it looks for balls, and a ball that it meets twice running, by rounding, counts
-    once. A second ball that begins within `advance` of the first is lost: one in thousands.
+    Returns the rays behind them and their weights: 0 for those that do not come through.
     """
     ray = mi.Ray3f(ray)
-    result, weight = mi.Float(0.0), mi.Float(1.0)
-    hits, crossed, last = mi.UInt32(0), mi.UInt32(0), mi.UInt32(_NONE)
-    active = mi.Bool(free)
+    weight = mi.Float(weight)
+    crossed = mi.UInt32(0)
     context = mi.BSDFContext()
     context.type_mask = mi.BSDFFlags.DeltaTransmission
-    while active:
-        ahead = -dr.dot(ray.o, ray.d) - cloud.radius
-        ray.o = dr.select(
-            (crossed == cloud.interfaces) & (ahead > 0.0), dr.fma(ray.d, ahead, ray.o), ray.o
-        )
-        si = scene.ray_intersect(ray, mi.RayFlags.All, active)
-        active &= si.is_valid()
-        bsdf = si.bsdf()
-        ball = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Diffuse)
-        entered = ball & (si.prim_index != last) & (crossed == cloud.interfaces)
-        position = dr.fma(ray.d, si.t, ray.o)
-        offset = position - dr.gather(mi.Point3f, cloud.centers, si.prim_index, entered)
-        offset -= (
-            dr.dot(ray.d, offset) * ray.d
-        )  # a ball is met in front of its centre, where rays of one pinhole lie closer together
-        first = dr.dot(dr.gather(mi.Point3f, cloud.a, si.prim_index, entered), offset)
-        second = dr.dot(dr.gather(mi.Point3f, cloud.b, si.prim_index, entered), offset)
+    flags = mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame
+    while (crossed < device.interfaces) & (weight > 0.0):
+        si = walls.ray_intersect(ray, flags, coherent=True)
+        met = si.is_valid()
+        sampled, value = si.bsdf().sample(context, si, mi.Float(0.5), mi.Point2f(0.5), met)
+        weight = dr.select(met, weight * value.x, 0.0)
+        ray.o = dr.select(met, dr.fma(ray.d, si.t, ray.o), ray.o)
+        ray.d = dr.select(met, si.to_world(sampled.wo), ray.d)
+        ray.o = dr.fma(ray.d, device.off_wall, ray.o)
+        crossed += 1
+    return ray, weight
+
+
+@dr.syntax
+def _collect(ray: Any, pixel: Any, device: Any) -> Any:
+    """Add up the radiance of the glow that rays in the fluid meet.
+
+    It is that at a ray's nearest point to each particle. Numbers are small in single precision, as
+    a ray is first moved to its nearest point to the scene's origin.
+    """
+    result = mi.Float(0.0)
+    start = dr.fma(ray.d, -dr.dot(ray.o, ray.d), ray.o)
+    place = dr.gather(mi.UInt32, device.starts, pixel)
+    end = dr.gather(mi.UInt32, device.starts, pixel + 1)
+    while place < end:
+        particle = dr.gather(mi.UInt32, device.near, place)
+        offset = start - dr.gather(mi.Point3f, device.centers, particle)
+        offset -= dr.dot(ray.d, offset) * ray.d
+        first = dr.dot(dr.gather(mi.Point3f, device.a, particle), offset)
+        second = dr.dot(dr.gather(mi.Point3f, device.b, particle), offset)
         glow = dr.exp(-0.5 * (first * first + second * second))
-        result += dr.select(
-            entered,
-            weight * glow * dr.gather(mi.Float, cloud.radiance, si.prim_index, entered),
-            0.0,
-        )
-        last = dr.select(ball, si.prim_index, last)
-        wall = active & ~ball
-        sampled, value = bsdf.sample(context, si, mi.Float(0.5), mi.Point2f(0.5), wall)
-        weight = dr.select(wall, weight * value.x, weight)
-        crossed += dr.select(wall, mi.UInt32(1), mi.UInt32(0))
-        ray.d = dr.select(wall, si.to_world(sampled.wo), ray.d)
-        ray.o = dr.fma(ray.d, cloud.advance, position)
-        hits += 1
-        active &= (hits < _MAX_HITS) & (weight > 0.0)
+        result += glow * dr.gather(mi.Float, device.radiance, particle)
+        place += 1
     return result

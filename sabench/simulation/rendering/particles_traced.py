@@ -1,11 +1,12 @@
 """Mitsuba renderer of tracers behind real dielectric interfaces.
 
-Each particle is one primitive of an `ellipsoids` shape: a ball around a Gaussian glow whose width
-is the one that the camera's diffraction, defocus and the particle's disc give it. Every ray is
-followed through the dielectric planes (the transmitted direction, its Fresnel weight and the n^2
-law of radiance are Mitsuba's own) and collects the glow of all balls on its way. Pixels take a
-regular grid of rays, so the pictures have no Monte Carlo noise: for Gaussians the midpoint rule is
-nearly exact.
+Each particle is a Gaussian glow whose width is the one that the camera's diffraction, defocus and
+the particle's disc give it. Every ray is followed through the dielectric planes (the transmitted
+direction, its Fresnel weight and the n^2 law of radiance are Mitsuba's own) and collects the glow
+of the particles on its way. Where in the image a particle may be seen at all is taken from its
+projection, with room for a pixel; where it is seen in there, the rays decide. Pixels take a regular
+grid of rays, so the pictures have no Monte Carlo noise: for Gaussians the midpoint rule is nearly
+exact.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
@@ -21,10 +23,12 @@ from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import AnyWall, Wall
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils import backend
-from sabench.utils.arrays import F64, Bool
+from sabench.utils.arrays import F64, I64, Bool
 
-# standard deviations from a particle's centre to its ball's surface; 3e-4 of the light lies outside
-_REACH = 4.0
+_BALL = 4.0  # standard deviations from a particle's centre to its ball's surface
+_REACH = 4.5  # to the end of its light; 2e-5 of it lies outside
+_ROOM, _ROOM_PX = 1.02, 1.0  # around it: half a pixel, and what lens and wall change
+_AT_ONCE = 1 << 24  # particles in pixels that are held
 
 
 def render(
@@ -59,18 +63,69 @@ def render(
         positions_mm[bright] - origin,
         *glow_of(images, images.shape_mm(camera, positions_mm), bright),
     )
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            **interfaces(mi, origin, camera),
-            "cloud": balls(mi, cloud.centers, cloud.radii),
-        }
+    walls = interfaces(mi, origin, camera)
+    scene = mi.load_dict({"type": "scene", **walls})
+    low, high = _boxes(camera, images.pixel[bright], images.spread_px2[bright])
+    image = np.zeros(camera.rows * camera.columns)
+    for some in _portions(low, high):
+        starts, near = _list_boxes(low, high, some, image.size, camera.columns)
+        lit = np.flatnonzero(np.diff(starts))
+        given = camera, origin, cloud, len(walls), (lit, starts, near)
+        image[lit] += particle_integrator.render(scene, *given, math.isqrt(samples), occluders)
+    return image.reshape(camera.rows, camera.columns)
+
+
+def _boxes(camera: Camera, pixel: F64, spread_px2: F64) -> tuple[I64, I64]:
+    """Find the pixels that may show a particle: first and last columns and rows (n, 2).
+
+    A last one below the first stands for none.
+    """
+    reach = _ROOM * _REACH * np.sqrt(spread_px2[:, :2]) + _ROOM_PX
+    size = np.array([camera.columns, camera.rows])
+    low, high = np.ceil(pixel - reach), np.floor(pixel + reach)
+    return np.clip(low, 0, size).astype(np.int64), np.clip(high, -1, size - 1).astype(np.int64)
+
+
+def _portions(low: I64, high: I64) -> list[I64]:
+    """Divide particles: memory does not grow with what they light up."""
+    ends = np.cumsum(np.maximum(high - low + 1, 0).prod(axis=1))
+    return np.split(
+        np.arange(len(low)), np.searchsorted(ends, np.arange(_AT_ONCE, ends[-1], _AT_ONCE))
     )
-    planes = len(camera.wall.layers) + 1 if camera.wall else 0
-    radiance = particle_integrator.render(
-        scene, camera, origin, cloud, planes, math.isqrt(samples), occluders
-    )
-    return radiance.astype(np.float64)
+
+
+def _list_boxes(low: I64, high: I64, some: I64, pixels: int, columns: int) -> tuple[I64, I64]:
+    """List the boxes that each pixel lies in.
+
+    Returns where each pixel's start, row by row, and the boxes' numbers.
+    """
+    starts = np.zeros(pixels + 1, dtype=np.int64)
+    _count_boxes(low, high, some, columns, starts)
+    near = np.empty(starts[-1], dtype=np.int64)
+    _fill_boxes(low, high, some, columns, starts.copy(), near)
+    return starts, near
+
+
+@numba.njit(cache=True)
+def _count_boxes(low: Any, high: Any, some: Any, columns: int, starts: Any) -> None:
+    """Fill in where each pixel's boxes start."""
+    for n in some:
+        for row in range(low[n, 1], high[n, 1] + 1):
+            for column in range(low[n, 0], high[n, 0] + 1):
+                starts[row * columns + column + 1] += 1
+    for place in range(len(starts) - 1):
+        starts[place + 1] += starts[place]
+
+
+@numba.njit(cache=True)
+def _fill_boxes(low: Any, high: Any, some: Any, columns: int, place: Any, near: Any) -> None:
+    """Fill in the numbers of boxes; places are where each pixel's start, and move on."""
+    for n in some:
+        for row in range(low[n, 1], high[n, 1] + 1):
+            for column in range(low[n, 0], high[n, 0] + 1):
+                pixel = row * columns + column
+                near[place[pixel]] = n
+                place[pixel] += 1
 
 
 def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F64, F64, F64]:
@@ -85,7 +140,7 @@ def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F
     unit = normal / area[:, None]
     a = np.cross(t, unit) / area[:, None]
     b = np.cross(unit, s) / area[:, None]
-    radii = _REACH * np.linalg.norm(
+    radii = _BALL * np.linalg.norm(
         shape_mm[bright], axis=(1, 2)
     )  # Frobenius norm: at least the largest half axis
     return radii, a, b, images.intensity[bright] / (2.0 * np.pi * area)
@@ -94,13 +149,13 @@ def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F
 def balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
     """Describe balls that hold the glow, whatever its axes."""
     quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (len(centers), 1))
-    data = np.hstack([centers, np.repeat(radii[:, None] / _REACH, 3, axis=1), quaternion]).astype(
+    data = np.hstack([centers, np.repeat(radii[:, None] / _BALL, 3, axis=1), quaternion]).astype(
         np.float32
     )
     return {
         "type": "ellipsoids",
         "data": mi.TensorXf(data),
-        "extent": _REACH,
+        "extent": _BALL,
         "bsdf": {"type": "diffuse"},
     }
 

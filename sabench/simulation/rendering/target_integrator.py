@@ -15,9 +15,8 @@ import numpy as np
 from sabench.geometry.camera import Camera
 from sabench.simulation.rendering.camera_rays import (
     lens_rays,
+    mean_of_rays,
     opaque,
-    pixels_of_rows,
-    render_rows,
 )
 from sabench.simulation.rendering.lamps import Lamps
 from sabench.utils.arrays import F32, F64, Bool
@@ -73,10 +72,11 @@ def render(
     """
     target = _Target(paint, lamps, interfaces)
 
-    def trace(first: int, count: int) -> Any:
-        return _trace(scene, _rays(camera, origin, first, count, samples), target)
+    def trace(pixel: Any, ray: Any) -> Any:
+        return _trace(scene, _rays(camera, origin, pixel, ray, samples), target)
 
-    return render_rows(camera, samples, trace)
+    size = camera.rows, camera.columns
+    return mean_of_rays(np.arange(size[0] * size[1]), samples, trace).reshape(size)
 
 
 class _Target:
@@ -95,14 +95,14 @@ class _Target:
         self.ambient = dr.opaque(mi.Float, lamps.ambient)
 
 
-def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> Any:
-    """Make rays of `count` rows from row `first` on, from all over the aperture.
+def _rays(camera: Camera, origin: F64, pixel: Any, sub: Any, samples: int) -> Any:
+    """Make rays of numbers in pixels, from all over the aperture.
 
     A pixel is sampled on a lattice of which no two points share a column or a row, shifted from
     pixel to pixel, as the aperture's points are rotated. With one pattern for all, an edge that
     runs along the pixels would move by whole steps of it, and corners with it.
     """
-    row, column, sub = pixels_of_rows(camera, count, samples)
+    row, column = pixel // camera.columns, pixel % camera.columns
     shift_across, shift_down, rotation = (
         _fraction(c0 * mi.Float(column) + c1 * mi.Float(row)) for c0, c1 in _STEPS
     )
@@ -115,7 +115,7 @@ def _rays(camera: Camera, origin: F64, first: int, count: int, samples: int) -> 
     sine, cosine = dr.sincos(2.0 * np.pi * rotation)
     a, b = (dr.gather(mi.Float, mi.Float(part.astype(np.float32)), sub) for part in disc.T)
     lens = cosine * a - sine * b, sine * a + cosine * b
-    return lens_rays(camera, origin, across, down, lens, first)
+    return lens_rays(camera, origin, across, down, lens)
 
 
 def _spiral(count: int) -> F64:

@@ -43,7 +43,7 @@ def test_shares_in_numpy_are_those_of_kernels() -> None:
     """Both compute the same integrals."""
     shares = np.zeros(whole_lanes(11))
     fill_shares(0.3, 0.8, -5, 11, shares)
-    edges = np.arange(-5, 7)[None] - 0.5 - 0.3
+    edges = np.arange(-5.0, 7.0)[None] - 0.5 - 0.3
     np.testing.assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
 
 

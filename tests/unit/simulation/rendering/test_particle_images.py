@@ -23,7 +23,7 @@ from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.focusing import focus
-from sabench.simulation.rendering import particles_splatted
+from sabench.simulation.rendering import particles_splatted, particles_traced
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.simulation.rendering.particle_images import (
     ParticleImages,
@@ -462,6 +462,34 @@ def test_rays_and_formulas_make_the_same_picture(variant: str, number: int) -> N
     )
     assert len(positions) >= 70
     assert_same_picture(scene, camera, positions, pixels)
+
+
+def crowd(camera: Camera) -> tuple[F64, ParticleImages]:
+    """Make images of 600 particles in a layer of a micrometre, eight of them in each pixel."""
+    rng = np.random.default_rng(6)
+    rays = camera.back_project(rng.uniform([20.0, 15.0], [29.0, 23.0], (600, 2)))
+    z = rng.uniform(30.0, 30.001, 600)
+    along = (z - rays.origins_mm[:, 2]) / rays.directions[:, 2]
+    positions = rays.origins_mm + rays.directions * along[:, None]
+    return positions, image_particles(make_scene(), camera, cloud(positions), None)
+
+
+def test_no_particle_hides_another() -> None:
+    camera = build_rig(make_scene()).cameras[1]
+    positions, images = crowd(camera)
+    traced = render(camera, images, positions, 49) * camera.etendue()
+    formula = particles_splatted.render(camera, images)
+    assert traced.sum() == pytest.approx(formula.sum(), rel=1e-4)
+    np.testing.assert_allclose(traced, formula, rtol=0.0, atol=0.003 * formula.max())
+
+
+def test_portions_of_a_cloud_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory is bounded by rendering some particles at a time."""
+    camera = build_rig(make_scene()).cameras[1]
+    positions, images = crowd(camera)
+    whole = render(camera, images, positions, 4)
+    monkeypatch.setattr(particles_traced, "_AT_ONCE", 5000)
+    np.testing.assert_allclose(render(camera, images, positions, 4), whole, rtol=1e-5)
 
 
 def test_rays_carry_the_light_of_near_and_large_particles() -> None:
