@@ -1,4 +1,4 @@
-"""Integrator of glowing particles behind dielectric interfaces of Mitsuba's scene.
+"""Integrator of glowing particles behind dielectric interfaces, with Mitsuba.
 
 Import this module only after sabench.utils.backend.mitsuba(): its types are those of the variant
 that is set then. (@dr.syntax sees module globals only, so the functions cannot live inside another

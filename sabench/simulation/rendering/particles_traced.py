@@ -76,7 +76,7 @@ def render(
 
 
 def _boxes(camera: Camera, pixel: F64, spread_px2: F64) -> tuple[I64, I64]:
-    """Find the pixels that may show a particle: first and last columns and rows (n, 2).
+    """Find the pixels that may show particles: first, last columns and rows (n, 2).
 
     A last one below the first stands for none.
     """
