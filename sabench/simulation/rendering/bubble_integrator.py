@@ -61,12 +61,12 @@ _FIRST = 4
 
 
 def radiance(
-    stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seeds: I64
+    stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seeds: I64, starts: I64
 ) -> F32:
     """Trace the mean radiance (n,) in front of the lens of some pixels.
 
     Pixels are numbered row by row. Each gets `samples` rays that share one random shift of a
-    lattice.
+    lattice, from the points `starts` (n,) of it on.
 
     Means of the same pixel under other seeds (n,) are independent, and their scatter tells the
     error.
@@ -78,8 +78,13 @@ def radiance(
         chosen = mi.UInt32(pixels[first : first + count].astype(np.uint32))
         lane = dr.arange(mi.UInt32, dr.width(chosen) * samples)
         pixel = dr.gather(mi.UInt32, chosen, lane // samples)
-        numbers = mi.UInt32(seeds[first : first + count].astype(np.uint32))
-        draw = _Draw(pixel, lane % samples, dr.gather(mi.UInt32, numbers, lane // samples))
+        seed, start = (
+            dr.gather(
+                mi.UInt32, mi.UInt32(one[first : first + count].astype(np.uint32)), lane // samples
+            )
+            for one in (seeds, starts)
+        )
+        draw = _Draw(pixel, start + lane % samples, seed)
         rays = _rays(
             camera, origin, pixel, draw, stage.cloud is not None
         )  # balls of glow are as wide as the lens blurs them

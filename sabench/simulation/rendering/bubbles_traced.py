@@ -16,7 +16,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
 from sabench.simulation.rendering.bubble_stage_builder import Lights, Stager, Tank
 from sabench.simulation.rendering.particle_images import ParticleImages, diffract
-from sabench.simulation.rendering.pass_tally import FIRST_PASSES, PassTally
+from sabench.simulation.rendering.pass_tally import STREAMS, PassTally
 from sabench.utils.arrays import F64, I64
 
 _RAYS = 4  # of a pixel in one pass
@@ -68,7 +68,7 @@ def render(
     moments = _moments(camera, bubbles, exposure_s)
     delays = exposure_s * ((np.arange(moments) + 0.5) / moments - 0.5)
     tally = PassTally((camera.rows, camera.columns))
-    more = np.full(tally.count.size, FIRST_PASSES)
+    more = np.full(tally.count.size, STREAMS)
     while more.any():
         for some in _portions(more):
             each = some, tally.count[some], more[some]
@@ -96,18 +96,19 @@ def _passes(
 ) -> F64:
     """Render so many more passes of some pixels (n,), one pixel after the other.
 
-    A pass is some rays each, spread over the exposure. Its random numbers are the same whenever it
-    is rendered.
+    A pass is some rays each, spread over the exposure. The passes of a pixel take turns to go on
+    with `STREAMS` lattices, whose points are the same whenever they are rendered.
     """
     from sabench.simulation.rendering import bubble_integrator  # needs the variant
 
     pixels, first = np.repeat(some, more), np.cumsum(more) - more - before
     number = np.arange(len(pixels)) - np.repeat(first, more)
     rays, total = -(-_RAYS // len(delays)), np.zeros(len(pixels))
+    turn, stream = np.divmod(number, STREAMS)
     for moment, delay in enumerate(delays.tolist()):
-        seeds = ((seed + number) * len(delays) + moment) % _SEEDS
+        seeds = ((seed + stream) * len(delays) + moment) % _SEEDS
         total += bubble_integrator.radiance(
-            stage_of(delay), camera, stage_of.origin, pixels, rays, seeds
+            stage_of(delay), camera, stage_of.origin, pixels, rays, seeds, turn * rays
         )
     return np.asarray(total / len(delays))
 

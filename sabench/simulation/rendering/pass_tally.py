@@ -6,7 +6,11 @@ import numpy as np
 
 from sabench.utils.arrays import F64, I64
 
-FIRST_PASSES = 4  # of each pixel, at least: their scatter is the error
+# lattices of a pixel, whose passes take turns: the scatter of their means is the error
+STREAMS = 4
+# weight of the neighbours' errors next to `STREAMS` - 1 of a pixel's own: two images of bubbles
+# then differ by a little less than their errors tell
+_AROUND = 0.7
 # passes at least of pixels, and of those around them, with more than the error asked for
 _ROUGH = 16
 # factor of a pixel's passes, at most, from what they tell so far; trials of which get more passes
@@ -19,7 +23,7 @@ class PassTally:
 
     Attributes
     ----------
-    count, mean : (n,) of the pixels, row by row.
+    count : (n,) of the pixels, row by row: a multiple of `STREAMS`.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -27,34 +31,33 @@ class PassTally:
         size = shape[0] * shape[1]
         self._shape = shape
         self.count = np.zeros(size, dtype=np.int64)
-        self.mean, self._squares = np.zeros(size), np.zeros(size)
+        self._sums = np.zeros((size, STREAMS))
 
     def add(self, where: I64, more: I64, values: F64) -> None:
-        """Add passes of some pixels, so many `more` of each, one pixel's after the other.
+        """Add passes of some pixels, so many `more` of each, one pixel's after the other."""
+        turns = more // STREAMS
+        by_turn = values.reshape(-1, STREAMS)
+        self._sums[where] += np.add.reduceat(by_turn, np.cumsum(turns) - turns)
+        self.count[where] += more
 
-        Source: T. F. Chan, G. H. Golub and R. J. LeVeque, Updating formulae and a pairwise
-        algorithm for computing sample variances, COMPSTAT 1982.
-        """
-        starts = np.cumsum(more) - more
-        mean = np.add.reduceat(values, starts) / more
-        squares = np.add.reduceat((values - np.repeat(mean, more)) ** 2, starts)
-        count, total = self.count[where], self.count[where] + more
-        off = mean - self.mean[where]
-        self._squares[where] += squares + off**2 * count * more / total
-        self.mean[where] += off * more / total
-        self.count[where] = total
+    @property
+    def mean(self) -> F64:
+        """Means (n,) of the pixels."""
+        return np.asarray(self._sums.sum(axis=1) / self.count)
 
     def errors(self, floor: float) -> F64:
         """Compute standard errors over values, or over `floor` in darker pixels.
 
-        A few rays that have found a pixel dark may have missed what its neighbours show: variances
-        start from the mean over nine pixels, which counts as `FIRST_PASSES` passes.
+        A few streams that have found a pixel dark may have missed what its neighbours show: the
+        variance of a pass is mixed with the mean over nine pixels.
         """
         from scipy.ndimage import uniform_filter  # takes long to load
 
-        variance = self._squares / np.maximum(self.count - 1, 1)
+        means = self._sums / (self.count / STREAMS)[:, None]
+        variance = means.var(axis=1, ddof=1) * self.count / STREAMS
         around = uniform_filter(variance.reshape(self._shape), 3).ravel()
-        mixed = (self.count * variance + FIRST_PASSES * around) / (self.count + FIRST_PASSES)
+        own = STREAMS - 1
+        mixed = (own * variance + _AROUND * around) / (own + _AROUND)
         error = np.sqrt(np.maximum(mixed, 0.0) / self.count)
         return np.asarray(error / np.maximum(self.mean, max(floor, 1e-300)))
 
@@ -76,4 +79,5 @@ class PassTally:
         rough = maximum_filter((off > error).reshape(self._shape), 3).ravel()
         wanted = np.maximum(np.ceil(factor * share), np.where(rough, _ROUGH, 0))
         wanted = np.minimum(wanted, np.minimum(_GROWTH * self.count, _MOST))
-        return np.asarray(np.maximum(wanted.astype(np.int64), self.count))
+        wanted = STREAMS * np.ceil(wanted / STREAMS).astype(np.int64)
+        return np.asarray(np.maximum(wanted, self.count))
