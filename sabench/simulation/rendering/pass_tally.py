@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numba
 import numpy as np
 
 from sabench.utils.arrays import F64, I64
@@ -43,7 +46,7 @@ class PassTally:
     @property
     def mean(self) -> F64:
         """Means (n,) of the pixels."""
-        return np.asarray(self._sums.sum(axis=1) / self.count)
+        return np.asarray(np.einsum("ij->i", self._sums) / self.count)
 
     def errors(self, floor: float) -> F64:
         """Compute standard errors over values, or over `floor` in darker pixels.
@@ -53,8 +56,8 @@ class PassTally:
         """
         from scipy.ndimage import uniform_filter  # takes long to load
 
-        means = self._sums / (self.count / STREAMS)[:, None]
-        variance = means.var(axis=1, ddof=1) * self.count / STREAMS
+        variance = np.empty(len(self.count))
+        _fill_variances(self._sums, self.count, variance)
         around = uniform_filter(variance.reshape(self._shape), 3).ravel()
         own = STREAMS - 1
         mixed = (own * variance + _AROUND * around) / (own + _AROUND)
@@ -81,3 +84,16 @@ class PassTally:
         wanted = np.minimum(wanted, np.minimum(_GROWTH * self.count, _MOST))
         wanted = STREAMS * np.ceil(wanted / STREAMS).astype(np.int64)
         return np.asarray(np.maximum(wanted, self.count))
+
+
+@numba.njit(cache=True)
+def _fill_variances(sums: Any, count: Any, variance: Any) -> None:
+    """Fill in the variances (n,) of passes, from the sums (n, stream) of streams."""
+    streams = sums.shape[1]
+    for n in range(len(sums)):
+        mean, squares = 0.0, 0.0
+        for k in range(streams):
+            mean += sums[n, k] / streams
+        for k in range(streams):
+            squares += (sums[n, k] - mean) ** 2
+        variance[n] = squares / (streams - 1) * streams / count[n]
