@@ -86,7 +86,7 @@ def bubbles(scene: Scene) -> dict[str, float]:
     stage, pixels = stager(0.0), np.arange(camera.rows * camera.columns)
     several = np.repeat(pixels, _PASSES)
     seeds = np.tile(np.arange(_PASSES), len(pixels))
-    given = stage, camera, stager.origin, several, _RAYS, seeds
+    given = stage, camera, stager.origin, several, _RAYS, seeds, np.zeros_like(seeds)
     bubble_integrator.radiance(*given)
     own = min(_cpu(lambda: bubble_integrator.radiance(*given)) for _ in range(_REPEATS))
     shapes = particles_traced.interfaces(mi, stager.origin, camera)
