@@ -13,7 +13,7 @@
   and its hash is compared. `benchmarks/kills.py` kills workers and schedulers of several, too.
 - **growth**: a plan of 1,000,000 samples in shards of 100 for 1 to 1,000 simulated workers, with
   measured times of shards, of a task's exchange and of what one process does before and after.
-- **dask**: shards a second by 1, 2 and 4 processes of a Dask cluster on this machine.
+- **dask**: shards a second by 1, 2, 4 and 8 processes of a Dask cluster on this machine.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ def dask(folder: Path, samples: int) -> dict[str, Any]:
     from distributed import LocalCluster
 
     rates = {}
-    for workers in (1, 2, 4):
+    for workers in (1, 2, 4, 8):
         with LocalCluster(
             n_workers=workers, threads_per_worker=1, dashboard_address=None
         ) as cluster:
@@ -238,7 +238,7 @@ def dask(folder: Path, samples: int) -> dict[str, Any]:
                 )
                 took = time.perf_counter() - start
         rates[workers] = samples / took
-    alone = {count: count * measure_independent(count) for count in (1, 2, 4)}
+    alone = {count: count * measure_independent(count) for count in (1, 2, 4, 8)}
     return {
         "samples": samples,
         "samples_per_s": rates,
