@@ -61,7 +61,7 @@ def _images(frame: FrameContent) -> list[float]:
 
 
 def _path_to_balls(scene: Scene, rig: Rig) -> float:
-    """Measure `path` with the first camera, interfaces and balls of one pixel's width."""
+    """Measure `path` with the first camera, interfaces, and balls of two voxels' radius."""
     mi, camera = backend.mitsuba(), rig.cameras[0]
     frame = Frames(scene, rig, 1, "mitsuba").at(0)
     assert frame.tracers is not None

@@ -18,9 +18,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.polynomial import chebyshev
 
-from sabench.utils.vector_units import Vectors
+from sabench.utils.vector_units import LANES, Vectors
 
-LANES = 8  # pixels of a profile that are filled in at once
 _END = 4.2  # of the error function's argument: half of it is within 2e-9 of 1/2 there
 _TERMS, _DENSITY_TERMS = 18, 20  # of P and Q, which are exact to 3e-9
 

@@ -15,6 +15,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+LANES = 8  # pixels of a row, in kernels that take several at once
 _INT = ir.IntType(32)
 
 

@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from sabench.algorithms.particles.window_sums import LANES, match_window, sum_window
+from sabench.algorithms.particles.window_sums import match_window, sum_window
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussian_units import whole_lanes
 from sabench.images.gaussians import fill_profile
 from sabench.utils.arrays import F32, F64
+from sabench.utils.vector_units import LANES
 
 _REACH, _ROUNDED_PX = 3.1, 0.1  # of a particle's image in widths; that much less is enough
 MARGIN = 24  # pixels around images: the widest window

@@ -15,9 +15,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from sabench.utils.vector_units import Vectors
-
-LANES = 8  # pixels of a row of a window that are summed up at once
+from sabench.utils.vector_units import LANES, Vectors
 
 
 class _Row(NamedTuple):

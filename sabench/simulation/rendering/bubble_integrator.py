@@ -19,7 +19,12 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.simulation.rendering.bubble_stage import Stage
-from sabench.simulation.rendering.camera_rays import WAVEFRONT, lens_rays, mark_unobstructed, opaque
+from sabench.simulation.rendering.camera_rays import (
+    lens_rays,
+    mark_unobstructed,
+    mean_of_rays,
+    opaque,
+)
 from sabench.simulation.rendering.lamps import Lamps
 from sabench.simulation.rendering.particle_integrator import Cloud
 from sabench.simulation.rendering.tank_walls import enter, layers_of, leave, panel_of
@@ -72,30 +77,14 @@ def radiance(
     error.
     """
     device = _Device(stage, camera, origin)
-    count = max(1, WAVEFRONT // samples)
-    parts = []
-    for first in range(0, len(pixels), count):
-        chosen = mi.UInt32(pixels[first : first + count].astype(np.uint32))
-        lane = dr.arange(mi.UInt32, dr.width(chosen) * samples)
-        pixel = dr.gather(mi.UInt32, chosen, lane // samples)
-        seed, start = (
-            dr.gather(
-                mi.UInt32, mi.UInt32(one[first : first + count].astype(np.uint32)), lane // samples
-            )
-            for one in (seeds, starts)
-        )
-        draw = _Draw(pixel, start + lane % samples, seed)
-        rays = _rays(
-            camera, origin, pixel, draw, stage.cloud is not None
-        )  # balls of glow are as wide as the lens blurs them
-        free = mark_unobstructed(rays, stage.occluders, origin)
-        parts.append(
-            np.array(
-                dr.block_sum(_trace(device, rays, draw, free), samples) * (1.0 / samples),
-                dtype=np.float32,
-            )
-        )
-    return np.concatenate(parts)
+
+    def trace(ray: Any, pixel: Any, seed: Any, start: Any) -> Any:
+        draw = _Draw(pixel, start + ray, seed)
+        # balls of glow are as wide as the lens blurs them
+        rays = _rays(camera, origin, pixel, draw, stage.cloud is not None)
+        return _trace(device, rays, draw, mark_unobstructed(rays, stage.occluders, origin))
+
+    return mean_of_rays((pixels, seeds, starts), samples, trace)
 
 
 @dataclass

@@ -17,7 +17,7 @@ from sabench.geometry.occluders import Disc
 from sabench.simulation.rendering.bubble_stage_builder import Lights, Stager, Tank
 from sabench.simulation.rendering.particle_images import ParticleImages, diffract
 from sabench.simulation.rendering.pass_tally import STREAMS, PassTally
-from sabench.utils.arrays import F64, I64
+from sabench.utils.arrays import F64, I64, in_portions
 
 _RAYS = 4  # of a pixel in one pass
 _AT_ONCE = 1 << 22  # passes of all pixels whose radiances are held
@@ -70,7 +70,9 @@ def render(
     tally = PassTally((camera.rows, camera.columns))
     more = np.full(tally.count.size, STREAMS)
     while more.any():
-        for some in _portions(more):
+        chosen = np.flatnonzero(more)
+        for part in in_portions(more[chosen], _AT_ONCE):  # memory does not grow with the image
+            some = chosen[part]
             each = some, tally.count[some], more[some]
             tally.add(some, more[some], _passes(stage_of, camera, *each, delays, seed))
         off = tally.errors(floor)
@@ -82,13 +84,6 @@ def render(
     )
     blurred = photons if wavelength is None else diffract(camera, photons, wavelength)
     return Exposed(blurred, float(off.mean()))
-
-
-def _portions(more: I64) -> list[I64]:
-    """Divide pixels that get more passes: memory does not grow with the image."""
-    chosen = np.flatnonzero(more)
-    ends = np.cumsum(more[chosen])
-    return np.split(chosen, np.searchsorted(ends, np.arange(_AT_ONCE, ends[-1], _AT_ONCE)))
 
 
 def _passes(

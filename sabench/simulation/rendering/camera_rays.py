@@ -23,7 +23,7 @@ from sabench.utils.arrays import F32, F64, I64
 WAVEFRONT = 1 << 22  # rays traced simultaneously: bounds memory, not results
 
 
-def mean_of_rays(pixels: I64, samples: int, trace: Callable[[Any, Any], Any]) -> F32:
+def mean_of_rays(numbers: tuple[I64, ...], samples: int, trace: Callable[..., Any]) -> F32:
     """Compute the mean radiance (n,) of the rays of pixels, some at a time.
 
     Rays of one pixel are neighbours and are added up in their order, so that the image does not
@@ -31,16 +31,16 @@ def mean_of_rays(pixels: I64, samples: int, trace: Callable[[Any, Any], Any]) ->
 
     Parameters
     ----------
-    pixels : (n,) numbered row by row.
-    trace : radiance of rays; arguments: each ray's pixel, and its number in it.
+    numbers : (n,) each; the pixels, numbered row by row, and whatever else they have.
+    trace : radiance of rays; arguments: each ray's number in its pixel, and its pixel's numbers.
     """
     count = max(1, WAVEFRONT // samples)
     parts = [np.zeros(0, dtype=np.float32)]
-    for first in range(0, len(pixels), count):
-        some = pixels[first : first + count].astype(np.uint32)
-        lane = dr.arange(mi.UInt32, len(some) * samples)
-        pixel = dr.gather(mi.UInt32, mi.UInt32(some), lane // samples)
-        mean = dr.block_sum(trace(pixel, lane % samples), samples) * (1.0 / samples)
+    for first in range(0, len(numbers[0]), count):
+        some = [mi.UInt32(one[first : first + count].astype(np.uint32)) for one in numbers]
+        lane = dr.arange(mi.UInt32, dr.width(some[0]) * samples)
+        own = [dr.gather(mi.UInt32, one, lane // samples) for one in some]
+        mean = dr.block_sum(trace(lane % samples, *own), samples) * (1.0 / samples)
         parts.append(np.array(mean, dtype=np.float32))
     return np.concatenate(parts)
 

@@ -73,14 +73,14 @@ def render(
     pixels, *lists = near
     device = _Device(cloud, interfaces, camera, origin, *lists)
 
-    def trace(pixel: Any, sub: Any) -> Any:
+    def trace(sub: Any, pixel: Any) -> Any:
         rays = _rays(camera, origin, pixel, sub, side)
         weight = dr.select(mark_unobstructed(rays, occluders, origin), mi.Float(1.0), 0.0)
         if interfaces:
             rays, weight = _enter(walls, rays, weight, device)
         return weight * _collect(rays, pixel, device)
 
-    return mean_of_rays(pixels, side * side, trace)
+    return mean_of_rays((pixels,), side * side, trace)
 
 
 class _Device:

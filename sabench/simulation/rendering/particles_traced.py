@@ -23,7 +23,7 @@ from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import AnyWall, Wall
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils import backend
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, I64, Bool, in_portions
 
 _BALL = 4.0  # standard deviations from a particle's centre to its ball's surface
 _REACH = 4.5  # to the end of its light; 2e-5 of it lies outside
@@ -67,7 +67,8 @@ def render(
     scene = mi.load_dict({"type": "scene", **walls})
     low, high = _boxes(camera, images.pixel[bright], images.spread_px2[bright])
     image = np.zeros(camera.rows * camera.columns)
-    for some in _portions(low, high):
+    areas = np.maximum(high - low + 1, 0).prod(axis=1)
+    for some in in_portions(areas, _AT_ONCE):  # memory does not grow with what particles light up
         starts, near = _list_boxes(low, high, some, image.size, camera.columns)
         lit = np.flatnonzero(np.diff(starts))
         given = camera, origin, cloud, len(walls), (lit, starts, near)
@@ -84,14 +85,6 @@ def _boxes(camera: Camera, pixel: F64, spread_px2: F64) -> tuple[I64, I64]:
     size = np.array([camera.columns, camera.rows])
     low, high = np.ceil(pixel - reach), np.floor(pixel + reach)
     return np.clip(low, 0, size).astype(np.int64), np.clip(high, -1, size - 1).astype(np.int64)
-
-
-def _portions(low: I64, high: I64) -> list[I64]:
-    """Divide particles: memory does not grow with what they light up."""
-    ends = np.cumsum(np.maximum(high - low + 1, 0).prod(axis=1))
-    return np.split(
-        np.arange(len(low)), np.searchsorted(ends, np.arange(_AT_ONCE, ends[-1], _AT_ONCE))
-    )
 
 
 def _list_boxes(low: I64, high: I64, some: I64, pixels: int, columns: int) -> tuple[I64, I64]:

@@ -72,11 +72,11 @@ def render(
     """
     target = _Target(paint, lamps, interfaces)
 
-    def trace(pixel: Any, ray: Any) -> Any:
+    def trace(ray: Any, pixel: Any) -> Any:
         return _trace(scene, _rays(camera, origin, pixel, ray, samples), target)
 
     size = camera.rows, camera.columns
-    return mean_of_rays(np.arange(size[0] * size[1]), samples, trace).reshape(size)
+    return mean_of_rays((np.arange(size[0] * size[1]),), samples, trace).reshape(size)
 
 
 class _Target:

@@ -9,8 +9,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from sabench.images.gaussian_units import LANES
-from sabench.utils.vector_units import Vectors
+from sabench.utils.vector_units import LANES, Vectors
 
 
 @intrinsic

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from sabench.images.gaussian_units import LANES, whole_lanes
+from sabench.images.gaussian_units import whole_lanes
 from sabench.images.gaussians import fill_profile, fill_shares, gaussian_shares
 from sabench.utils.arrays import F64
+from sabench.utils.vector_units import LANES
 
 
 def expected_shares(center: float, sigma: float, first: int, pixels: int) -> F64:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles.image_model import GIVEN, PULL, WEIGHT, XX, XY, YY, X, Y
-from sabench.algorithms.particles.window_sums import LANES, match_window, sum_window
+from sabench.algorithms.particles.window_sums import match_window, sum_window
+from sabench.utils.vector_units import LANES
 
 CAMERA, TOP, START, LIGHT = 1, 5, 9, np.float32(3.0)
 

@@ -514,7 +514,7 @@ def test_rays_that_are_given_up_between_the_walls_would_have_found_nothing(
 def test_light_from_behind_is_followed_where_no_wall_is_there(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """What the front wall reflects totally may still see the diffuser."""
+    """Light that the front wall reflects totally may still come from the diffuser."""
     from sabench.simulation.rendering import tank_walls
 
     grid = [[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)]
