@@ -24,7 +24,7 @@ from sabench.tasks.reconstruction import TASK
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from tests.conftest import pinholes
-from tests.unit.simulation.rendering.test_particle_images import make_scene
+from tests.helpers.particle_scenes import make_scene
 
 
 @pytest.fixture(scope="module")

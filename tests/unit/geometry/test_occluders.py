@@ -25,7 +25,7 @@ from sabench.simulation.rendering.particle_images import image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
-from tests.unit.simulation.rendering.test_particle_images import (
+from tests.helpers.particle_scenes import (
     VARIANTS,
     cloud,
     isolated,

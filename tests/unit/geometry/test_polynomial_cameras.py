@@ -22,7 +22,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from tests.conftest import pinholes
 from tests.helpers.calibration_cases import calibration_scene
-from tests.unit.simulation.rendering.test_particle_images import make_scene
+from tests.helpers.particle_scenes import make_scene
 
 Z_PLANES = np.linspace(15.0, 55.0, 6)
 

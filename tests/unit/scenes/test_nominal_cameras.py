@@ -24,7 +24,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, sha256
 from tests.conftest import pinholes
-from tests.unit.simulation.rendering.test_particle_images import make_scene
+from tests.helpers.particle_scenes import make_scene
 
 LENS = {"distortion": {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0.0}}
 

@@ -15,7 +15,7 @@ from sabench.metrics.reconstruction_error import SCORES, score_frame
 from sabench.metrics.synthesised_field import brightness, true_field
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64
-from tests.unit.simulation.rendering.test_particle_images import make_scene
+from tests.helpers.particle_scenes import make_scene
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from sabench.algorithms.bubbles.hypotheses import _sample
 from sabench.algorithms.bubbles.transmission import transmission
 from sabench.api import Observation
 from sabench.simulation.in_memory import simulate
-from tests.unit.simulation.rendering.test_particle_images import make_scene
+from tests.helpers.particle_scenes import make_scene
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from sabench.geometry.volume_polynomials import (
 from sabench.images.peaks import Peaks, sort_peaks
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64, Bool
-from tests.unit.simulation.rendering.test_particle_images import make_scene
+from tests.helpers.particle_scenes import make_scene
 
 WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
 LOW, HIGH = np.array([-7.0, -5.0, 30.0]), np.array([7.0, 5.0, 42.0])

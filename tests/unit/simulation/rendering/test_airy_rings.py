@@ -16,7 +16,7 @@ from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.airy_rings import render_with_rings
 from sabench.simulation.rendering.particle_images import diffraction_px
 from sabench.utils.arrays import F64
-from tests.unit.simulation.rendering.test_particle_images import SMALL, make_scene, spots
+from tests.helpers.particle_scenes import SMALL, make_scene, spots
 
 LARGE = replace(SMALL, rows=120, columns=140, principal_point_px=(69.5, 59.5), f_number=16.0)
 

@@ -16,7 +16,7 @@ from sabench.simulation.frames import Frames
 from sabench.simulation.rendering.light_routes import Route, reflections
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.utils.arrays import F64
-from tests.unit.simulation.rendering.test_particle_images import cloud, make_scene
+from tests.helpers.particle_scenes import cloud, make_scene
 
 REAR = (Layer("glass", 1.52, 4.0), Layer("acrylic", 1.49, 6.0))
 FRONT = [

@@ -13,7 +13,7 @@ from sabench.simulation.rendering.particle_light import Scatterers, intensity, s
 from sabench.utils.arrays import F64
 from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
 from sabench.worlds.materials import material_numbers
-from tests.unit.simulation.rendering.test_particle_images import cloud, make_scene
+from tests.helpers.particle_scenes import cloud, make_scene
 
 
 def lit(scene: Scene, particles: Particles, towards: F64) -> F64:

@@ -15,7 +15,7 @@ from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import diffraction_px, image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64
-from tests.unit.simulation.rendering.test_particle_images import (
+from tests.helpers.particle_scenes import (
     TILT,
     assert_same_picture,
     cloud,
