@@ -35,17 +35,17 @@ class LinearFlow(Flow):
     def velocity(self, points_mm: F64, time_s: float) -> F64:
         """Compute u + G (x - c)."""
         chosen: LinearParameters = self.parameters
-        return np.asarray(
-            np.asarray(chosen.velocity_mm_s)
-            + (points_mm - np.asarray(chosen.center_mm)) @ np.asarray(chosen.gradient_1_s).T
-        )
+        rate = np.asarray(chosen.gradient_1_s)
+        shift = np.asarray(chosen.velocity_mm_s) - rate @ np.asarray(chosen.center_mm)
+        return np.asarray(points_mm @ np.ascontiguousarray(rate.T) + shift)
 
     def carry(self, points_mm: F64, start_s: float, end_s: float) -> F64:
         """Compute c + exp(G t) (x - c) + (t + G t^2 / 2 + ...) u."""
         chosen: LinearParameters = self.parameters
         center = np.asarray(chosen.center_mm)
         motion = _motion(chosen.gradient_1_s, chosen.velocity_mm_s, end_s - start_s)
-        return np.asarray(center + (points_mm - center) @ motion[:3, :3].T + motion[:3, 3])
+        turn, shift = motion[:3, :3], center - motion[:3, :3] @ center + motion[:3, 3]
+        return np.asarray(points_mm @ np.ascontiguousarray(turn.T) + shift)
 
     def gradient(self, points_mm: F64, time_s: float) -> F64:
         """Return the constant gradient G."""

@@ -42,7 +42,7 @@ class Particles:
                     f"Particles.{name}: expected finite values of shape {expected}, got shape "
                     f"{value.shape}"
                 )
-        rising = (np.diff(self.id) > 0).all()  # usual, and quicker to see
+        rising = (self.id[1:] > self.id[:-1]).all()  # usual, and quicker to see
         if not rising and (np.diff(np.sort(self.id)) == 0).any():
             raise ValueError("Particles.id: expected unique numbers, got duplicates")
         if count and not (self.diameter_mm > 0.0).all():

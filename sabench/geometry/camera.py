@@ -163,10 +163,9 @@ class Camera:
 
         They may have any length.
         """
-        local = leaving @ np.asarray(self.rotation).T
-        valid = valid & (local[:, 2] > 1e-9)
-        ideal = local[:, :2] / np.where(valid, local[:, 2], 1.0)[:, None]
-        return self._on_sensor(ideal, valid)
+        local = (leaving @ np.ascontiguousarray(np.transpose(self.rotation))).T
+        valid = valid & (local[2] > 1e-9)
+        return self._on_sensor((local[:2] / np.where(valid, local[2], 1.0)).T, valid)
 
     def _on_sensor(self, image: F64, valid: Bool) -> tuple[F64, Bool]:
         """Distort ideal image coordinates (n, 2) and take them to pixels (n, 2)."""
@@ -176,7 +175,7 @@ class Camera:
         if self.tilt_deg != UPRIGHT:
             image, behind = onto_sensor(self.tilt_deg, image)
             valid = valid & behind
-        pixels = image * self.focal_px + np.asarray(self.principal_point_px)
+        pixels = np.ascontiguousarray(image * self.focal_px + np.asarray(self.principal_point_px))
         pixels[~valid] = np.nan
         return pixels, valid
 

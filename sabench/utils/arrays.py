@@ -47,6 +47,17 @@ def all_in_row(flags: Bool) -> Bool:
     return np.asarray(flags[:, 0] & flags[:, 1] & flags[:, 2])
 
 
+def in_box(points: F64, low: npt.ArrayLike, high: npt.ArrayLike) -> Bool:
+    """Mark points (n, 3) in a box, its faces included.
+
+    It goes by coordinates: numpy's loops over three are ten times as slow.
+    """
+    inside = np.ones(len(points), dtype=np.bool_)
+    for values, least, most in zip(points.T, np.asarray(low), np.asarray(high), strict=True):
+        inside &= (values >= least) & (values <= most)
+    return inside
+
+
 def in_portions(sizes: I64, most: int) -> list[I64]:
     """Divide places (n,) of things into runs, each of about `most` in size."""
     ends = np.cumsum(sizes)

@@ -16,7 +16,7 @@ from sabench.geometry.frames import Domain
 from sabench.scenes import Scene
 from sabench.scenes.build import domain_of
 from sabench.scenes.illumination import Illumination
-from sabench.utils.arrays import F64, Bool, all_in_row, triple
+from sabench.utils.arrays import F64, Bool, in_box, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds.bubbles_and_bodies import Phases, bodies_of
@@ -215,7 +215,7 @@ class Motion:
 
 def _inside(domain: Domain, points_mm: F64) -> Bool:
     low = domain.low_mm
-    return all_in_row((points_mm >= low) & (points_mm <= low + np.asarray(domain.size_mm)))
+    return in_box(points_mm, low, low + np.asarray(domain.size_mm))
 
 
 def lattice(

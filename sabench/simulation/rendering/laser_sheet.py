@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.geometry.refraction import Layer, Wall, trace_into_fluid, transmittance
+from sabench.geometry.rotations import cross
 from sabench.scenes.illumination import EntrySpec, Illumination
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
@@ -27,8 +28,9 @@ def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
     that of a top-hat that goes on.
     """
     normal, along = _unit(light.sheet_normal), _unit(light.direction)
-    across = (positions_mm - center_mm) @ normal - (light.shift_mm or 0.0)
-    height = (positions_mm - center_mm) @ np.cross(normal, along)
+    offset = positions_mm - center_mm
+    across = offset @ normal - (light.shift_mm or 0.0)
+    height = offset @ cross(normal, along)
     photons = light.pulse_energy_mj / photon_energy_mj(light.wavelength_nm)
     return np.asarray(
         photons
@@ -75,8 +77,8 @@ def enter_fluid(light: Illumination, center_mm: F64, fluid_index: float) -> Illu
         )
     inside = rays.directions[0]
     line, plane = _cut(inward, normal, along), inward
-    level = np.cross(plane, line)  # in the window, across the sheet's cut
-    turned = np.cross(inside, line)
+    level = cross(plane, line)  # in the window, across the sheet's cut
+    turned = cross(inside, line)
     turned *= np.sign(turned @ normal) / np.linalg.norm(turned)
     passed = float(transmittance(wall, start, along[None])[0])
     update = {
@@ -84,7 +86,7 @@ def enter_fluid(light: Illumination, center_mm: F64, fluid_index: float) -> Illu
         "sheet_normal": triple(turned),
         "thickness_mm": light.thickness_mm * abs(float((turned @ level) / (normal @ level))),
         "height_mm": light.height_mm
-        * abs(float((np.cross(turned, inside) @ line) / (np.cross(normal, along) @ line))),
+        * abs(float((cross(turned, inside) @ line) / (cross(normal, along) @ line))),
         "shift_mm": float((rays.origins_mm[0] - center_mm) @ turned),
         "pulse_energy_mj": light.pulse_energy_mj * passed,
         "polarisation": _turn(light.polarisation, inward, along, inside),
@@ -101,10 +103,10 @@ def _window(entry: EntrySpec, fluid_index: float) -> Wall:
 
 def _cut(inward: F64, normal: F64, along: F64) -> F64:
     """Return the unit vector along the line in which a sheet cuts the window."""
-    line = np.cross(inward, normal)
+    line = cross(inward, normal)
     length = float(np.linalg.norm(line))
     if length < 1e-9:  # the sheet's plane is the window's: light never enters
-        line, length = np.cross(normal, along), 1.0
+        line, length = cross(normal, along), 1.0
     return np.asarray(line / length)
 
 
@@ -117,12 +119,12 @@ def _turn(
     """
     if field is None:
         return None
-    axis = np.cross(along, inward)
+    axis = cross(along, inward)
     if np.linalg.norm(axis) < 1e-12:
         return field
     axis /= np.linalg.norm(axis)
-    part = float(np.asarray(field) @ np.cross(axis, along))
-    return triple(float(np.asarray(field) @ axis) * axis + part * np.cross(axis, inside))
+    part = float(np.asarray(field) @ cross(axis, along))
+    return triple(float(np.asarray(field) @ axis) * axis + part * cross(axis, inside))
 
 
 def _unit(vector: tuple[float, float, float]) -> F64:

@@ -22,7 +22,7 @@ import numpy as np
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.geometry.sensor_tilt import UPRIGHT, onto_sensor
-from sabench.utils.arrays import F64, I64, Bool, all_in_row
+from sabench.utils.arrays import F64, I64, Bool, in_box
 
 _CHUNK, _BLOCK = 8192, 256  # points at a time: of exact paths, and of polynomials
 _DEGREES = (4, 6, 8, 11)  # of polynomials over a box, tried in this order
@@ -85,7 +85,7 @@ def find_paths(camera: Camera, points_mm: F64, box: Box | None = None) -> LightP
     if box is None or smooth is None:
         return _find_exactly(camera, points_mm)
     low, high = np.asarray(box)
-    inside = all_in_row((points_mm >= low) & (points_mm <= high))
+    inside = in_box(points_mm, low, high)
     pixel, valid = camera.project(points_mm)
     table = np.empty((len(smooth.coefficients), len(points_mm)))
     _evaluate(points_mm, low, high, smooth.terms, smooth.coefficients, table)
@@ -143,9 +143,9 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
     blur = slice(_ENDS["blur_px2"] - SMOOTH["blur_px2"], _ENDS["blur_px2"])
     scale[blur] = max(float(scale[blur].max()), _LEAST_BLUR_PX2)
     for degree in _DEGREES:
-        smooth = _fit(camera, low, high, degree)
-        if smooth is None:
+        if (every := _fit(camera, low, high, degree)) is None:
             return None
+        smooth = _without_small(every, scale)
         found = np.empty_like(truth.T)
         _evaluate(places, -np.ones(3), np.ones(3), smooth.terms, smooth.coefficients, found)
         if (np.abs(found.T - truth).max(axis=0) <= _EXACT * scale).all():
@@ -168,6 +168,18 @@ def _fit(camera: Camera, low: F64, high: F64, degree: int) -> _Smooth | None:
     every = itertools.product(range(count), repeat=3)
     terms = np.array([term for term in every if sum(term) <= degree])
     return _Smooth(terms, np.ascontiguousarray(weights[tuple(terms.T)].T))
+
+
+def _without_small(smooth: _Smooth, scale: F64) -> _Smooth:
+    """Leave out terms that together are at most half of what counts as none.
+
+    In a volume that is thin along an axis, most of that axis's are.
+    """
+    sizes = np.abs(smooth.coefficients) / scale[:, None]
+    rising = np.argsort(sizes.max(axis=0))
+    together = np.cumsum(sizes[:, rising], axis=1).max(axis=0)
+    kept = np.sort(rising[together > _EXACT / 2.0])
+    return _Smooth(smooth.terms[kept], np.ascontiguousarray(smooth.coefficients[:, kept]))
 
 
 def _table(paths: LightPaths) -> F64:

@@ -90,19 +90,17 @@ def fill_normals(key: Any, row: Any, blocks: Any, numbers: Any) -> None:
 
 
 @numba.njit(cache=True)
-def fill_poisson(key: Any, row: Any, blocks: Any, means: Any) -> None:
-    """Replace the means (column,) of a row by Poisson numbers.
+def fill_poisson(key: Any, row: Any, blocks: Any, means: Any, numbers: Any) -> None:
+    """Fill in Poisson numbers (column,) of a row for its means (column,).
 
-    They are at most 1e15. Works as `fill_normals` does.
+    Means are at most 1e15. Works as `fill_normals` does.
     """
-    numbers = np.empty_like(means)
     for column in range(len(means)):
         numbers[column] = _try_poisson(blocks, column, means[column])
     for column in range(len(means)):
         if np.isnan(numbers[column]):
             words = _words(blocks, column)
             numbers[column] = _poisson(key, np.uint64(column), row, words, means[column])
-    means[:] = numbers
 
 
 @numba.njit(cache=True, inline="always")

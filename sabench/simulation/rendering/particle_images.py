@@ -118,8 +118,10 @@ def _spread_px2(scene: Scene, camera: Camera, diameter_mm: F64, seen: LightPaths
     diffraction = diffraction_px(camera, scene.light.wavelength_nm)
     disc = seen.magnification * diameter_mm / 4.0
     if camera.tilt_deg == UPRIGHT:
-        round_part = diffraction**2 + disc**2
-        return np.asarray(seen.blur_px2 + round_part[:, None] * [1.0, 1.0, 0.0])
+        spread: F64 = np.array(seen.blur_px2, order="C")
+        spread[:, 0] += diffraction**2 + disc**2
+        spread[:, 1] += diffraction**2 + disc**2
+        return spread
     shape = _cone_on_sensor(camera, seen.pixel)
     area = np.sqrt(shape[:, 0] * shape[:, 1] - shape[:, 2] ** 2)  # in the magnification already
     return np.asarray(seen.blur_px2 + (diffraction**2 + disc**2 / area)[:, None] * shape)

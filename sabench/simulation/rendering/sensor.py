@@ -15,6 +15,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.philox import draw_key, fill_blocks
 
 _HOT = 0.5  # of the full well: mean signal of hot pixels
+_ROWS = 16  # of a part of an image
 _MOST_E = 1e15  # electrons: more than any well holds, and few enough to be counted exactly
 
 
@@ -111,24 +112,32 @@ def _chain(sensor: Sensor) -> _Chain:
 @numba.njit(cache=True, parallel=True)
 def _expose(photons: Any, pixels: Any, key: Any, chain: Any, grey: Any) -> Any:
     """Fill in grey values; return how many pixels have no possible mean."""
-    wrong = 0
-    for row in numba.prange(len(photons)):
-        wrong += _expose_row(photons, pixels, key, chain, np.uint64(row), grey)
+    wrong, rows = 0, len(photons)
+    for part in numba.prange((rows + _ROWS - 1) // _ROWS):
+        first = part * _ROWS
+        wrong += _expose_rows(photons, pixels, key, chain, first, min(first + _ROWS, rows), grey)
     return wrong
 
 
 @numba.njit(cache=True)
-def _expose_row(photons: Any, pixels: Any, key: Any, chain: Any, row: Any, grey: Any) -> Any:
-    columns, first = photons.shape[1], np.uint64(0)
-    signal, noise, blocks = np.empty(columns), np.zeros(columns), np.empty((4, columns), np.uint32)
-    wrong = _fill_means(photons, pixels, chain, row, signal)
-    if chain.shot_noise and wrong == 0:
-        fill_blocks(key, first, row, first, SHOT, blocks)
-        fill_poisson(key, row, blocks, signal)
-    if chain.read_noise_e > 0.0:
-        fill_blocks(key, first, row, first, READ, blocks)
-        fill_normals(key, row, blocks, noise)
-    _fill_grey(signal, noise, pixels, chain, row, grey)
+def _expose_rows(
+    photons: Any, pixels: Any, key: Any, chain: Any, first: int, last: int, grey: Any
+) -> Any:
+    columns, wrong, start = photons.shape[1], 0, np.uint64(0)
+    means, signal, noise = np.empty(columns), np.empty(columns), np.zeros(columns)
+    blocks = np.empty((4, columns), np.uint32)
+    for row in range(first, last):
+        counter = np.uint64(row)
+        wrong += _fill_means(photons, pixels, chain, row, means)
+        if chain.shot_noise and wrong == 0:
+            fill_blocks(key, start, counter, start, SHOT, blocks)
+            fill_poisson(key, counter, blocks, means, signal)
+        else:
+            signal[:] = means
+        if chain.read_noise_e > 0.0:
+            fill_blocks(key, start, counter, start, READ, blocks)
+            fill_normals(key, counter, blocks, noise)
+        _fill_grey(signal, noise, pixels, chain, row, grey)
     return wrong
 
 
@@ -151,7 +160,8 @@ def _fill_means(photons: Any, pixels: Any, chain: Any, row: Any, means: Any) -> 
 def _fill_grey(signal: Any, noise: Any, pixels: Any, chain: Any, row: Any, grey: Any) -> None:
     for column in range(len(signal)):
         value = min(signal[column], chain.full_well_e)
-        value *= 1.0 - chain.nonlinearity * (value / chain.full_well_e) ** 2
+        if chain.nonlinearity > 0.0:
+            value *= 1.0 - chain.nonlinearity * (value / chain.full_well_e) ** 2
         if pixels is not None:
             value += pixels[2][row, column]
         value += chain.read_noise_e * noise[column]
