@@ -275,7 +275,7 @@ class Dataset:
             )
 
     def render_error(self, frame: int, camera: CameraModel) -> float:
-        """Read the mean relative standard error of an image of bubbles and bodies."""
+        """Read the mean relative standard error of pixels that show bubbles and bodies."""
         with open_hdf5(self._truth()) as file:
             return float(
                 read_array(

@@ -151,8 +151,8 @@ class Render(Table):
         None,
         ge=1e-4,
         le=0.2,
-        description="relative standard error of pixels of bubbles and solids, mean over an image; "
-        "by default 0.01",
+        description="relative standard error of the pixels that show bubbles and solids, mean over "
+        "them; by default 0.02",
     )
 
     samples_per_pixel: int = Field(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.api.truth import Bubbles, Sight
+from sabench.api.truth import NOTHING, Bubbles, Sight
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes import Scene
@@ -26,9 +26,9 @@ from sabench.simulation.rendering.light_routes import Route, direct, reflections
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import full_well_photons
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, Bool
 
-_ERROR = 0.01  # of images of bubbles and bodies, unless the scene says otherwise
+_ERROR = 0.02  # of pixels that show bubbles and bodies, unless the scene says otherwise
 _GLOW_ERROR = 1.0  # of tracers among bubbles: few rays, as their images are smooth
 
 
@@ -41,7 +41,8 @@ class CameraView:
     photons : (rows, columns) mean number that each pixel receives in one exposure.
     particles : images of the tracers; None without any.
     sight : what each pixel sees of bubbles and bodies; None without any.
-    error : mean relative standard error of `photons`; None for a renderer without random rays.
+    error : mean relative standard error of `photons` where there are bubbles or bodies; None for a
+        renderer without random rays.
     """
 
     camera: Camera
@@ -153,7 +154,8 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
     """Render bubbles and bodies, with or without tracers among them."""
     scene, camera = frame.scene, frame.rig.cameras[number]
     tank, seed = tank_of(scene), frame.path_seed(number)
-    lights = lights_of(scene)
+    lights, sight = lights_of(scene), see(camera, bubbles, frame.solids)
+    counted = _around(sight)
     shown = bubbles_traced.render(
         camera,
         tank,
@@ -162,10 +164,10 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
         lights,
         scene.render.relative_error or _ERROR,
         seed,
+        counted=counted,
         occluders=frame.rig.occluders,
         exposure_s=scene.sensor.exposure_s,
     )
-    sight = see(camera, bubbles, frame.solids)
     if frame.tracers is None:
         return CameraView(camera, shown.photons, sight=sight, error=shown.error)
     images = _image_tracers(frame, frame.tracers, camera, sight)
@@ -177,12 +179,20 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
         replace(lights, backlight=None, lighting=None),
         _GLOW_ERROR,
         seed + (1 << 20),
+        counted=counted,
         occluders=frame.rig.occluders,
         images=images,
         particles_mm=frame.tracers.particles.position_mm,
     )
     photons = shown.photons + glow.photons
     return CameraView(camera, photons, particles=images, sight=sight, error=shown.error)
+
+
+def _around(sight: Sight) -> Bool:
+    """Mark the pixels (rows, columns) that show bubbles or bodies, and those next to them."""
+    from scipy.ndimage import maximum_filter  # takes long to load
+
+    return np.asarray(maximum_filter(sight.number != NOTHING, 3))
 
 
 def tank_of(scene: Scene) -> Tank:

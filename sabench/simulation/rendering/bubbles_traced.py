@@ -17,7 +17,7 @@ from sabench.geometry.occluders import Disc
 from sabench.simulation.rendering.bubble_stage_builder import Lights, Stager, Tank
 from sabench.simulation.rendering.particle_images import ParticleImages, diffract
 from sabench.simulation.rendering.pass_tally import STREAMS, PassTally
-from sabench.utils.arrays import F64, I64, in_portions
+from sabench.utils.arrays import F64, I64, Bool, in_portions
 
 _RAYS = 4  # of a pixel in one pass
 _AT_ONCE = 1 << 22  # passes of all pixels whose radiances are held
@@ -30,7 +30,7 @@ _DARK = 0.02
 class Exposed:
     """Rendered image: photons (rows, columns), and their error.
 
-    `error` is the mean over the pixels of standard error over value.
+    `error` is the mean over the pixels that count of standard error over value.
     """
 
     photons: F64
@@ -46,6 +46,7 @@ def render(
     error: float,
     seed: int,
     *,
+    counted: Bool | None = None,
     occluders: tuple[Disc, ...] = (),
     images: ParticleImages | None = None,
     particles_mm: F64 | None = None,
@@ -58,6 +59,8 @@ def render(
 
     Parameters
     ----------
+    counted : (rows, columns) the pixels of that mean, such as those that show bubbles; by default
+        all.
     images, particles_mm : glowing particles among them, as `image_particles` gives them, and where
         they are.
     exposure_s : for how long the bubbles move.
@@ -67,7 +70,8 @@ def render(
     floor = _DARK * stage_of.brightest
     moments = _moments(camera, bubbles, exposure_s)
     delays = exposure_s * ((np.arange(moments) + 0.5) / moments - 0.5)
-    tally = PassTally((camera.rows, camera.columns))
+    everywhere = np.ones((camera.rows, camera.columns), dtype=np.bool_)
+    tally = PassTally(everywhere if counted is None else counted)
     more = np.full(tally.count.size, STREAMS)
     while more.any():
         chosen = np.flatnonzero(more)
@@ -83,7 +87,7 @@ def render(
         None,
     )
     blurred = photons if wavelength is None else diffract(camera, photons, wavelength)
-    return Exposed(blurred, float(off.mean()))
+    return Exposed(blurred, tally.mean_error(off))
 
 
 def _passes(

@@ -7,7 +7,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from sabench.utils.arrays import F64, I64
+from sabench.utils.arrays import F64, I64, Bool
 
 # lattices of a pixel, whose passes take turns: the scatter of their means is the error
 STREAMS = 4
@@ -24,15 +24,20 @@ _MOST = 1 << 14  # passes of a pixel at most: a guard
 class PassTally:
     """Number, mean and scatter of every pixel's passes.
 
+    Parameters
+    ----------
+    counted : (rows, columns) the pixels whose mean error is to be reached: those that show
+        something. With an even background among them, errors elsewhere could be of any size.
+
     Attributes
     ----------
     count : (n,) of the pixels, row by row: a multiple of `STREAMS`.
     """
 
-    def __init__(self, shape: tuple[int, int]) -> None:
-        """Start without passes, for an image of some rows and columns."""
-        size = shape[0] * shape[1]
-        self._shape = shape
+    def __init__(self, counted: Bool) -> None:
+        """Start without passes."""
+        size = counted.size
+        self._shape, self._counted = counted.shape, counted.ravel()
         self.count = np.zeros(size, dtype=np.int64)
         self._sums = np.zeros((size, STREAMS))
 
@@ -64,23 +69,29 @@ class PassTally:
         error = np.sqrt(np.maximum(mixed, 0.0) / self.count)
         return np.asarray(error / np.maximum(self.mean, max(floor, 1e-300)))
 
+    def mean_error(self, off: F64) -> float:
+        """Compute the mean of errors `off` (n,) over the pixels that count; 0 without any."""
+        return float(off[self._counted].mean()) if self._counted.any() else 0.0
+
     def wanted(self, off: F64, error: float) -> I64:
         """Tell how many passes (n,) bring the mean of the errors `off` to `error`.
 
-        The fewest rays do so if a pixel's passes go with the power 2/3 of a pass's error.
+        The fewest rays do so if a pixel's passes go with the power 2/3 of a pass's error. Pixels
+        that do not count get as many as others of their error, until that is `error`.
         """
         from scipy.ndimage import maximum_filter
 
-        if off.mean() <= error:
+        if self.mean_error(off) <= error:
             return self.count
-        one = off * np.sqrt(self.count)
-        share, more = one ** (2.0 / 3.0), np.ones(len(off), dtype=np.bool_)
+        one, counted = off * np.sqrt(self.count), self._counted
+        share, more = one ** (2.0 / 3.0), counted
         for _ in range(_TRIALS):
-            rest = error - off[~more].sum() / len(off)
-            factor = (share[more].sum() / len(off) / max(rest, 1e-6 * error)) ** 2
-            more = factor * share > self.count
+            rest = error * counted.sum() - off[counted & ~more].sum()
+            factor = (share[more].sum() / max(rest, 1e-6 * error)) ** 2
+            more = counted & (factor * share > self.count)
         rough = maximum_filter((off > error).reshape(self._shape), 3).ravel()
-        wanted = np.maximum(np.ceil(factor * share), np.where(rough, _ROUGH, 0))
+        wanted = np.where(counted, factor * share, np.minimum(factor * share, (one / error) ** 2))
+        wanted = np.maximum(np.ceil(wanted), np.where(rough, _ROUGH, 0))
         wanted = np.minimum(wanted, np.minimum(_GROWTH * self.count, _MOST))
         wanted = STREAMS * np.ceil(wanted / STREAMS).astype(np.int64)
         return np.asarray(np.maximum(wanted, self.count))
