@@ -189,7 +189,7 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
 
 
 def _around(sight: Sight) -> Bool:
-    """Mark the pixels (rows, columns) that show bubbles or bodies, and those next to them."""
+    """Mark pixels (rows, columns) that show bubbles or bodies, or are next to them."""
     from scipy.ndimage import maximum_filter  # takes long to load
 
     return np.asarray(maximum_filter(sight.number != NOTHING, 3))

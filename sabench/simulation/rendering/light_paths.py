@@ -146,7 +146,7 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
         if (every := _fit(camera, low, high, degree)) is None:
             return None
         smooth = _without_small(every, scale)
-        found = np.empty_like(truth.T)
+        found = np.empty((truth.shape[1], len(truth)))
         _evaluate(places, -np.ones(3), np.ones(3), smooth.terms, smooth.coefficients, found)
         if (np.abs(found.T - truth).max(axis=0) <= _EXACT * scale).all():
             return smooth
@@ -193,27 +193,32 @@ def _columns(table: F64) -> list[F64]:
     return [part.T if len(part) > 1 else part[0] for part in parts]
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "nsz"})
+@numba.njit(cache=True, parallel=True)
 def _evaluate(points: Any, low: Any, high: Any, terms: Any, coefficients: Any, out: Any) -> None:
     """Fill in polynomials (quantity, n), in Chebyshev's basis, at points (n, 3)."""
-    degree, count = terms.max(), len(terms)
     for block in numba.prange((len(points) + _BLOCK - 1) // _BLOCK):
-        first = block * _BLOCK
-        size = min(_BLOCK, len(points) - first)
-        powers, basis = np.ones((3, degree + 1, _BLOCK)), np.empty((count, _BLOCK))
-        for a in range(3):
-            scale = 2.0 / (high[a] - low[a])
-            for n in range(size):
-                powers[a, 1, n] = (points[first + n, a] - low[a]) * scale - 1.0
-            for k in range(2, degree + 1):
-                for n in range(_BLOCK):
-                    twice = 2.0 * powers[a, 1, n]
-                    powers[a, k, n] = twice * powers[a, k - 1, n] - powers[a, k - 2, n]
-        for t in range(count):
-            x, y, z = powers[0, terms[t, 0]], powers[1, terms[t, 1]], powers[2, terms[t, 2]]
+        _evaluate_block(points, block * _BLOCK, low, high, terms, coefficients, out)
+
+
+@numba.njit(cache=True, fastmath={"contract", "nsz"})
+def _evaluate_block(
+    points: Any, first: int, low: Any, high: Any, terms: Any, coefficients: Any, out: Any
+) -> None:
+    degree, count, size = terms.max(), len(terms), min(_BLOCK, len(points) - first)
+    powers, basis = np.ones((3, degree + 1, _BLOCK)), np.empty((count, _BLOCK))
+    for a in range(3):
+        scale = 2.0 / (high[a] - low[a])
+        for n in range(size):
+            powers[a, 1, n] = (points[first + n, a] - low[a]) * scale - 1.0
+        for k in range(2, degree + 1):
             for n in range(_BLOCK):
-                basis[t, n] = x[n] * y[n] * z[n]
-        out[:, first : first + size] = np.dot(coefficients, basis)[:, :size]
+                twice = 2.0 * powers[a, 1, n]
+                powers[a, k, n] = twice * powers[a, k - 1, n] - powers[a, k - 2, n]
+    for t in range(count):
+        x, y, z = powers[0, terms[t, 0]], powers[1, terms[t, 1]], powers[2, terms[t, 2]]
+        for n in range(_BLOCK):
+            basis[t, n] = x[n] * y[n] * z[n]
+    out[:, first : first + size] = np.dot(coefficients, basis)[:, :size]
 
 
 def _apply_in_chunks(

@@ -70,7 +70,7 @@ class PassTally:
         return np.asarray(error / np.maximum(self.mean, max(floor, 1e-300)))
 
     def mean_error(self, off: F64) -> float:
-        """Compute the mean of errors `off` (n,) over the pixels that count; 0 without any."""
+        """Compute the mean of errors `off` (n,) over pixels that count; 0 without any."""
         return float(off[self._counted].mean()) if self._counted.any() else 0.0
 
     def wanted(self, off: F64, error: float) -> I64:

@@ -10,7 +10,6 @@ import pytest
 from sabench.simulation.rendering.pass_tally import STREAMS, PassTally
 from sabench.utils.arrays import F64
 
-
 _ALL = np.ones((2, 2), dtype=np.bool_)
 
 
