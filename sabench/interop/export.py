@@ -23,6 +23,7 @@ from sabench.interop import coco, openlpt, openptv, vtkhdf
 from sabench.interop.cameras import check_writable, openptv_project, read_cameras, write_into
 from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.interop.image_statistics import measure_statistics
+from sabench.interop.paraview_state import write_state
 from sabench.interop.tracks import TrackFormat, write_tracks
 from sabench.interop.tracks.openptv_files import FIRST
 from sabench.interop.tracks.track_table import Recording, of_estimates
@@ -52,7 +53,8 @@ def export(
 
     Parameters
     ----------
-    to : vtk: one file for each frame and kind (see `vtkhdf`), of the truth or of the result.
+    to : vtk: one file for each frame and kind (see `vtkhdf`), of the truth or of the result, and a
+        state that shows them in ParaView.
         netcdf, mat, csv: one table of particles, true or found. openptv, myptv, openlpt,
         lpt-challenge: cameras and images; with a result, cameras and particles. coco: images, and
         boxes and masks of true bubbles.
@@ -79,6 +81,7 @@ def export(
         root.mkdir()
         if to == "vtk":
             vtkhdf.write(root, data, found)
+            write_state(root, Path(out).absolute())
         elif to == "coco":
             _refuse_result(found)
             coco.write(root, data)

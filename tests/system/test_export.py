@@ -61,7 +61,7 @@ def test_truth_is_what_vtk_reads(moving: Dataset, tmp_path: Path, command: Comma
         for kind in ("flow", "particles", "volume")
         for frame in range(2)
     ]
-    names = sorted([*names, "rig.vtkhdf"])
+    names = sorted([*names, "rig.vtkhdf", "state.py"])
     assert sorted(path.name for path in (tmp_path / "vtk").iterdir()) == names
     particles, grid = moving.particles(1), moving.setup.grid
     cloud, about = opened(tmp_path / "vtk/particles_0001.vtkhdf")
@@ -256,6 +256,7 @@ def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) 
         "bodies_0000.vtkhdf",
         "bubbles_0000.vtkhdf",
         "rig.vtkhdf",
+        "state.py",
     ]
     cloud, about = opened(tmp_path / "vtk/bubbles_0000.vtkhdf")
     true = bubbly.bubbles(0)
@@ -328,7 +329,7 @@ def test_particles_among_bubbles_have_files_of_their_own(tmp_path: Path) -> None
         tmp_path / "vtk",
     )
     kinds = ("bubbles_0000", "particles_0000", "rig", "volume_0000")
-    assert sorted(path.stem for path in (tmp_path / "vtk").iterdir()) == list(kinds)
+    assert sorted(path.stem for path in (tmp_path / "vtk").glob("*.vtkhdf")) == list(kinds)
 
 
 def test_what_cannot_be_exported_is_named(

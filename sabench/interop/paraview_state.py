@@ -1,0 +1,25 @@
+"""State file for ParaView: shows all that an export wrote.
+
+It is a state in Python, which ParaView loads as it does its own (File, Load State), and which
+can be read and changed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from jinja2 import Template
+
+NAME = "state.py"
+_TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
+
+
+def write_state(root: Path, home: Path) -> None:
+    """Write a state into an export's folder, whose files it finds when it is loaded.
+
+    Parameters
+    ----------
+    home : where the folder will lie, for a ParaView that does not tell where the state is.
+    """
+    template = Template(_TEMPLATE.read_text(encoding="utf-8"), keep_trailing_newline=True)
+    (root / NAME).write_text(template.render(folder=repr(str(home))), encoding="utf-8")
