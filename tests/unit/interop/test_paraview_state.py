@@ -21,7 +21,7 @@ def _value(tree: ast.Module, name: str) -> ast.expr:
 
 def test_a_state_is_python_and_knows_where_its_files_are(tmp_path: Path) -> None:
     """Quotes in the folder's name do no harm."""
-    home = Path("/some where's \"data\"")
+    home = Path('/some where\'s "data"')
     write_state(tmp_path, home)
     tree = ast.parse((tmp_path / NAME).read_text(encoding="utf-8"))
     folder = _value(tree, "FOLDER")
