@@ -48,8 +48,8 @@ BUGS = (
     Bug(
         "a camera's rotation transposed",
         "sabench/geometry/camera.py",
-        "local = leaving @ np.asarray(self.rotation).T\n",
-        "local = leaving @ np.asarray(self.rotation)\n",
+        "local = (leaving @ np.ascontiguousarray(np.transpose(self.rotation))).T\n",
+        "local = (leaving @ np.asarray(self.rotation)).T\n",
         case="particles",
     ),
     Bug(

@@ -57,6 +57,20 @@ def camera_of(name: str) -> tuple[Camera, Box]:
     return build_rig(scene, name).cameras[0], volume_of(scene)
 
 
+def test_a_thin_volume_needs_fewer_terms() -> None:
+    """Those along its depth are left out, in particular its highest powers."""
+    camera, (low, high) = camera_of("quick")
+    middle = (low[2] + high[2]) / 2.0
+    thick = light_paths._interpolate(camera, (low, high))
+    thin = (*low[:2], middle - 0.1), (*high[:2], middle + 0.1)
+    flat = light_paths._interpolate(camera, thin)
+    assert thick is not None
+    assert flat is not None
+    assert len(flat.terms) < 0.7 * len(thick.terms)
+    assert flat.terms[:, 2].max() < thick.terms[:, 2].max()
+    assert flat.coefficients.shape[1] == len(flat.terms)
+
+
 def test_points_outside_the_box_have_exact_paths() -> None:
     camera, (low, high) = camera_of("quick")
     points = points_in((low, high), 200)
