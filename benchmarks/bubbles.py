@@ -34,6 +34,7 @@ def scene_of(count: int) -> Scene:
     values: dict[str, Any] = load_scene("plunging-jet-21").to_dict()
     values["title"] = f"{count} bubbles"
     values["volume"] = {"center_mm": [0.0, 125.0, 150.0], "size_mm": [200.0, 200.0, 100.0]}
+    del values["render"]["relative_error"]
     values["bubbles"] = {
         "generator": "bubble_field",
         "count": count,

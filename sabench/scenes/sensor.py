@@ -152,7 +152,7 @@ class Render(Table):
         ge=1e-4,
         le=0.2,
         description="relative standard error of the pixels that show bubbles and solids, mean over "
-        "them; by default 0.02",
+        "them; by default 0.04",
     )
 
     samples_per_pixel: int = Field(

@@ -28,7 +28,7 @@ from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import full_well_photons
 from sabench.utils.arrays import F64, Bool
 
-_ERROR = 0.02  # of pixels that show bubbles and bodies, unless the scene says otherwise
+_ERROR = 0.04  # of pixels that show bubbles and bodies, unless the scene says otherwise
 _GLOW_ERROR = 1.0  # of tracers among bubbles: few rays, as their images are smooth
 
 
