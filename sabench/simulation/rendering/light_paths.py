@@ -204,7 +204,7 @@ def _evaluate(points: Any, low: Any, high: Any, terms: Any, coefficients: Any, o
 def _evaluate_block(
     points: Any, first: int, low: Any, high: Any, terms: Any, coefficients: Any, out: Any
 ) -> None:
-    degree, count, size = terms.max(), len(terms), min(_BLOCK, len(points) - first)
+    degree, count, size = max(terms.max(), 1), len(terms), min(_BLOCK, len(points) - first)
     powers, basis = np.ones((3, degree + 1, _BLOCK)), np.empty((count, _BLOCK))
     for a in range(3):
         scale = 2.0 / (high[a] - low[a])

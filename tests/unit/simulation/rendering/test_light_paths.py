@@ -58,7 +58,7 @@ def camera_of(name: str) -> tuple[Camera, Box]:
 
 
 def test_a_thin_volume_needs_fewer_terms() -> None:
-    """Those along its depth are left out, in particular its highest powers."""
+    """Terms of high powers of its depth are left out."""
     camera, (low, high) = camera_of("quick")
     middle = (low[2] + high[2]) / 2.0
     thick = light_paths._interpolate(camera, (low, high))
@@ -69,6 +69,19 @@ def test_a_thin_volume_needs_fewer_terms() -> None:
     assert len(flat.terms) < 0.7 * len(thick.terms)
     assert flat.terms[:, 2].max() < thick.terms[:, 2].max()
     assert flat.coefficients.shape[1] == len(flat.terms)
+
+
+def test_a_tiny_volume_needs_one_term() -> None:
+    """All that is left is the value in its middle, and points get it."""
+    camera, (low, high) = camera_of("quick")
+    middle = (np.asarray(low) + np.asarray(high)) / 2.0
+    tiny = triple(middle - 1e-7), triple(middle + 1e-7)
+    smooth = light_paths._interpolate(camera, tiny)
+    assert smooth is not None
+    assert smooth.terms.tolist() == [[0, 0, 0]]
+    found, exact = (find_paths(camera, np.tile(middle, (300, 1)), box) for box in (tiny, None))
+    np.testing.assert_allclose(found.arriving, exact.arriving, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(found.solid_angle, exact.solid_angle, rtol=1e-7)
 
 
 def test_points_outside_the_box_have_exact_paths() -> None:
