@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from sabench.algorithms.bubbles import (
+    Limits,
     Profile,
     find_hypotheses,
     join_hypotheses,
@@ -26,7 +27,9 @@ from sabench.api import BubbleSolver, Camera, Detections, Observation, Parameter
 class RimFitParameters(Parameters):
     """Range of bubbles to search for, and known properties of the light."""
 
-    radius_mm: tuple[float, float] = Field((0.2, 4.5), description="radii that are looked for")
+    radius_mm: tuple[float, float] = Field(
+        (0.2, 4.5), description="radii, by volume, that are looked for"
+    )
     index: float = Field(1.0, ge=1.0, le=4.0, description="refractive index in the bubbles")
     diffuser_deg: float | None = Field(
         None,
@@ -94,6 +97,12 @@ class RimFit(BubbleSolver):
         angle = None if chosen.diffuser_deg is None else float(np.deg2rad(chosen.diffuser_deg))
         profile = partial(Profile.tabulate, chosen.index / fluid, blur_px=chosen.blur_px)
         found = search_bubbles(
-            images, cameras, profile, angle, start, chosen.least_gain, chosen.sweeps
+            images,
+            cameras,
+            profile,
+            angle,
+            start,
+            Limits(*chosen.radius_mm, chosen.least_gain),
+            chosen.sweeps,
         )
         return Detections(found.center_mm @ axes, found.semi_axes_mm, found.turn @ axes)

@@ -26,7 +26,7 @@ from sabench.algorithms.bubbles.phases import (
     image_diameter_px,
     separate_phases,
 )
-from sabench.algorithms.bubbles.search import search_bubbles
+from sabench.algorithms.bubbles.search import Limits, search_bubbles
 from sabench.algorithms.bubbles.transmission import transmission
 from sabench.geometry.turned_cameras import turn_camera, turn_grid, viewing_axes
 
@@ -35,6 +35,7 @@ __all__ = [
     "STEP",
     "WINDOW",
     "FeaturePeaks",
+    "Limits",
     "Profile",
     "SeparatedPhases",
     "attenuate",

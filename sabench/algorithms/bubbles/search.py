@@ -6,6 +6,7 @@ The best are fitted first, and the others are fitted to the darkness that is lef
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,13 +47,28 @@ _VOTED, _SMALLER, _SIMPLER = (
 )  # votes of what may replace others; their radius over its; misfit that each of them is worth
 
 
+class Limits(NamedTuple):
+    """Conditions that a fit must meet to count as a bubble.
+
+    Attributes
+    ----------
+    smallest_mm, largest_mm : radius of a ball of the same volume.
+    least_gain : part of its shadow that must be dark and not explained by others, median over the
+        views.
+    """
+
+    smallest_mm: float
+    largest_mm: float
+    least_gain: float
+
+
 def search_bubbles(
     images: F32,
     cameras: Sequence[Camera],
     profile_of: Callable[[float], Profile],
     half_angle: float | None,
     start: Hypotheses,
-    least_gain: float,
+    limits: Limits,
     sweeps: int,
 ) -> Detections:
     """Find bubbles that explain the dark parts of images (camera, row, column).
@@ -62,16 +78,15 @@ def search_bubbles(
     profile_of : profile of a bubble in front of a diffuser of a half angle (rad).
     half_angle : of the diffuser seen from the bubbles; None: the one that fits the largest bubbles
         best.
-    least_gain : part of a bubble's shadow that must be dark and not explained by others, median
-        over the views.
+    limits : what is a bubble. A fit that becomes smaller is the rest of another bubble's shadow.
     sweeps : number of times that all bubbles are fitted again, each with the others in place.
     """
     if half_angle is None:
         half_angle = _lit_from(images, cameras, profile_of, start)
     model = Model(images, np.zeros_like(images), cameras, profile_of(half_angle))
-    kept = _unite(model, _accept(model, start, least_gain), start, least_gain)
+    kept = _unite(model, _accept(model, start, limits), start, limits)
     for _ in range(sweeps):
-        kept = _refine(model, kept, least_gain)
+        kept = _refine(model, kept, limits)
     return _detections(kept)
 
 
@@ -99,26 +114,26 @@ def _lit_from(
     )
 
 
-def _accept(model: Model, start: Hypotheses, least_gain: float) -> list[F64]:
+def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
     """Fit and judge hypotheses in the order of their gains."""
     order = np.argsort(-start.vote * start.radius_mm, kind="stable")
     kept: list[F64] = []
     for least in (
-        max(_SURE, least_gain),
-        least_gain,
+        max(_SURE, limits.least_gain),
+        limits.least_gain,
     ):  # what is sure goes first: a large bubble before the small ones that its rim could be
         for n in progress_bar(order.tolist(), "fit bubbles"):
             first = _start(start, n)
             if _median_gain(model, first) < _WORTH * least:
                 continue
             fitted = fit(model, first, _FIRST)
-            if _median_gain(model, fitted) >= least:
+            if _is_bubble(model, fitted, limits._replace(least_gain=least)):
                 darken(model, fitted, 1.0)
                 kept.append(fitted)
     return kept
 
 
-def _unite(model: Model, kept: list[F64], start: Hypotheses, least_gain: float) -> list[F64]:
+def _unite(model: Model, kept: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
     """Replace small bubbles along one rim by one bubble.
 
     A replacement must explain the images as well as they do.
@@ -137,7 +152,7 @@ def _unite(model: Model, kept: list[F64], start: Hypotheses, least_gain: float) 
         for one in parts:
             darken(model, kept[one], -1.0)
         whole = fit(model, first, _FIRST)
-        good = _median_gain(model, whole) >= least_gain and set(_parts(kept, whole)) >= set(parts)
+        good = _is_bubble(model, whole, limits) and set(_parts(kept, whole)) >= set(parts)
         if good:
             darken(model, whole, 1.0)
             good = unexplained(model, ellipses_of(model, first)) < before * (
@@ -174,6 +189,15 @@ def _start(start: Hypotheses, n: int) -> F64:
     return start_of(start.center_mm[n], float(start.radius_mm[n]), float(start.aspect[n]))
 
 
+def _is_bubble(model: Model, fitted: F64, limits: Limits) -> bool:
+    """Tell whether a fit has a bubble's size, by volume, and explains enough."""
+    radius = float(np.exp((2.0 * fitted[3] + fitted[4]) / 3.0))
+    return (
+        limits.smallest_mm <= radius <= limits.largest_mm
+        and _median_gain(model, fitted) >= limits.least_gain
+    )
+
+
 def _median_gain(model: Model, parameters: F64) -> float:
     """Compute the median gain over the views that see a bubble.
 
@@ -184,13 +208,13 @@ def _median_gain(model: Model, parameters: F64) -> float:
     return float(np.median(seen)) if len(seen) >= 2 else -1.0
 
 
-def _refine(model: Model, kept: list[F64], least_gain: float) -> list[F64]:
+def _refine(model: Model, kept: list[F64], limits: Limits) -> list[F64]:
     """Fit all bubbles again and drop those that the others explain by now."""
     out = []
     for parameters in progress_bar(kept, "refine bubbles"):
         darken(model, parameters, -1.0)
         better = fit(model, parameters, _MORE)
-        if _median_gain(model, better) >= least_gain:
+        if _is_bubble(model, better, limits):
             darken(model, better, 1.0)
             out.append(better)
     return out

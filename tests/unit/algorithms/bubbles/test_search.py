@@ -7,11 +7,13 @@ import pytest
 
 from sabench.algorithms.bubbles.feature_potential import find_outlines
 from sabench.algorithms.bubbles.hypotheses import Hypotheses
-from sabench.algorithms.bubbles.search import search_bubbles
+from sabench.algorithms.bubbles.search import Limits, search_bubbles
 from sabench.algorithms.bubbles.spheroids import start_of
 from sabench.utils.arrays import F32
 from tests.unit.algorithms.bubbles.test_rim_fit import PROFILE, SHAPE, model_of
 from tests.unit.algorithms.particles.test_triangulation import CAMERAS
+
+LIMITS = Limits(0.2, 4.5, 0.5)
 
 
 def disc(column: float, row: float, radius: float) -> F32:
@@ -35,7 +37,7 @@ def test_an_outline_is_where_the_disc_is(column: float, row: float, radius: floa
 def test_nothing_is_found_in_the_light() -> None:
     nothing = Hypotheses(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
     images = np.ones(SHAPE, np.float32)
-    found = search_bubbles(images, CAMERAS, lambda half_angle: PROFILE, None, nothing, 0.5, 1)
+    found = search_bubbles(images, CAMERAS, lambda half_angle: PROFILE, None, nothing, LIMITS, 1)
     assert found.center_mm.shape == (0, 3)
 
 
@@ -44,7 +46,18 @@ def test_two_bubbles_are_found_and_a_third_is_not_invented() -> None:
     images = model_of(start_of(true[0], 0.8), start_of(true[1], 0.6)).images
     guess = np.vstack([true + np.array([0.05, -0.05, 0.1]), [[-3.0, 2.5, 34.0]]])
     start = Hypotheses(guess, np.array([0.75, 0.65, 0.7]), np.array([0.9, 0.8, 0.7]), np.ones(3))
-    found = search_bubbles(images, CAMERAS, lambda half_angle: PROFILE, 0.4, start, 0.5, 1)
+    found = search_bubbles(images, CAMERAS, lambda half_angle: PROFILE, 0.4, start, LIMITS, 1)
     order = np.argsort(-found.radius_mm)
     np.testing.assert_allclose(found.center_mm[order], true, atol=0.03)
     np.testing.assert_allclose(found.radius_mm[order], [0.8, 0.6], rtol=0.02)
+
+
+def test_what_is_left_of_a_shadow_is_no_bubble() -> None:
+    true = np.array([0.5, -0.4, 36.0])
+    images = model_of(start_of(true, 0.3)).images
+    start = Hypotheses(true[None] + 0.02, np.array([0.32]), np.array([0.9]), np.ones(1))
+    counts = [
+        len(search_bubbles(images, CAMERAS, lambda angle: PROFILE, 0.4, start, limits, 1).center_mm)
+        for limits in (LIMITS, Limits(0.35, 4.5, 0.5), Limits(0.1, 0.25, 0.5))
+    ]
+    assert counts == [1, 0, 0]
