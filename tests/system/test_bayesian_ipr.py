@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,8 +21,10 @@ from sabench.scenes import find, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64
 
+CROSS = {"layout": {"kind": "cross", "arm": 1, "spacing_mm": 204.0}}
 
-def make_shot(seed: int, **changes: dict[str, Any]) -> Shot:
+
+def make_shot(seed: int, solids: Sequence[dict[str, Any]] = (), **changes: dict[str, Any]) -> Shot:
     """A frame of a smaller standard scene with four cameras."""
     values = tomllib.loads(find("standard-particles", "scenes").read_text(encoding="utf-8"))
     values["volume"]["size_mm"] = [7.0, 6.0, 5.0]
@@ -31,6 +34,7 @@ def make_shot(seed: int, **changes: dict[str, Any]) -> Shot:
     values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 6.5}
     for table, update in changes.items():
         values[table] = values.get(table, {}) | update
+    values["solids"] = list(solids)
     return simulate(parse_scene(values, "test"), seed=seed)
 
 
@@ -109,6 +113,36 @@ def test_a_camera_that_is_half_hidden_costs_nothing() -> None:
     counts = count(shot, find_in(replace(shot.observation, images=images)))
     assert counts.recall > count(free, find_in(free.observation)).recall - 0.01
     assert counts.precision > 0.99
+
+
+def test_particles_behind_a_body_are_found_by_the_cameras_that_see_them() -> None:
+    """A cylinder stands amid the particles; their light is 0 where it hides them."""
+    post: dict[str, Any] = {
+        "generator": "cylinder",
+        "radius_mm": 0.8,
+        "length_mm": 3.0,
+        "place_mm": [0.0] * 3,
+    }
+    post["material"] = {"reflectance": 0.05}
+    lamps = {"lamps": [{"center_mm": [0.0, -300.0, -600.0]}], "exposure": 0.005}
+    shot = make_shot(
+        18, solids=[post], particles={"per_pixel": 0.04}, cameras=CROSS, lighting=lamps
+    )
+    seen = np.stack([view.visible & (view.photons > 0.0) for view in shot.views], axis=1)
+    case = shot.observation
+    found = reconstruct_most_probable(case, fit_cameras(case), BayesianIprSettings())
+    off = np.linalg.norm(shot.particles.position_mm[:, None] - found.position_mm[None], axis=2)
+    inner = (np.abs(shot.particles.position_mm[:, :2]) < [3.0, 2.5]).all(axis=1)  # in all images
+    partly = inner & (seen.sum(axis=1) >= 3) & ~seen.all(axis=1)
+    hit = off.min(axis=1) < 0.05
+    assert partly.sum() > 20
+    assert hit[partly].mean() > 0.8
+    assert hit[seen.all(axis=1)].mean() > 0.99
+    assert (off.min(axis=0) < 0.05).mean() > 0.98
+    assert found.light is not None
+    right = (found.light[off.argmin(axis=1)] > 0.0) == seen
+    assert right[partly & hit].all(axis=1).mean() > 0.8
+    assert right[inner & hit & seen.all(axis=1)].all(axis=1).mean() > 0.99
 
 
 def test_a_bright_background_and_reflections_cost_little() -> None:

@@ -16,7 +16,11 @@ from sabench.algorithms.particles.image_model import (
     paint_all,
 )
 from sabench.algorithms.particles.leverage import add_leverage, tell_taken
-from sabench.algorithms.particles.model_moves import add_camera_misses, measure_misfit
+from sabench.algorithms.particles.model_moves import (
+    add_camera_misses,
+    measure_earnings,
+    measure_misfit,
+)
 from sabench.utils.arrays import F64
 from sabench.utils.threads import for_each, share_rows
 
@@ -42,6 +46,17 @@ def misfits(model: ImageModel, sigma: F64, particles: Particles) -> F64:
 
     def measure(rows: slice) -> None:
         measure_misfit(model, make_room(sigma), _some(particles, rows), out[rows])
+
+    share_rows(measure, len(out))
+    return out
+
+
+def earnings(model: ImageModel, sigma: F64, particles: Particles) -> F64:
+    """Measure how much cost particles' light saves in each camera (n, camera)."""
+    out = np.zeros(particles.light.shape)
+
+    def measure(rows: slice) -> None:
+        measure_earnings(model, make_room(sigma), _some(particles, rows), out[rows])
 
     share_rows(measure, len(out))
     return out

@@ -10,7 +10,7 @@ like one are split. Widths, light, noise and shifts of the cameras come from the
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,8 @@ from sabench.algorithms.particles.learned_model import (
     learn_widths,
     weigh_pixels,
 )
-from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
+from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
+from sabench.algorithms.particles.partly_hidden import find_partly_hidden
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
 from sabench.algorithms.particles.time_budget import Deadline
 from sabench.algorithms.particles.volume_shares import volume_shares
@@ -79,7 +80,10 @@ def reconstruct_most_probable(
     """Reconstruct the particles that make the images most probable."""
     axes = rig_axes(maps)
     search = search_frame(case, turn_maps(maps, axes), settings)
-    found = search.found() if search else no_particles(len(case.cameras))
+    if search is None:
+        return no_particles(len(case.cameras))
+    parts = find_partly_hidden(search) if search.unexplained() > _UNEXPLAINED else []
+    found = reduce(joined, (one.found() for one in (search, *parts)))
     return turn_to_world(found, axes)
 
 

@@ -18,7 +18,9 @@ import numpy as np
 
 from sabench.algorithms.particles.image_model import (
     MARGIN,
+    PULL,
     UNSEEN,
+    WEIGHT,
     XX,
     counting,
     look,
@@ -215,6 +217,19 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
                     squares += each * left[i, j] ** 2
                     count += each > 0.0
         misfit[n] = (squares - count) / math.sqrt(2.0 * count) if count else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def measure_earnings(model: Any, room: Any, particles: Any, earned: Any) -> None:
+    """Fill in (n, camera) how much cost a particle's light saves in each camera.
+
+    It is negative where a camera does not show the particle.
+    """
+    for n in range(len(earned)):
+        sum_up(model, room, particles.position[n], particles.light[n])
+        for c in range(len(model.typical)):
+            light = particles.light[n, c]
+            earned[n, c] = light * (room.sums[c, PULL] + 0.5 * light * room.sums[c, WEIGHT])
 
 
 @numba.njit(cache=True, nogil=True)
