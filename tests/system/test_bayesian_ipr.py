@@ -145,6 +145,21 @@ def test_particles_behind_a_body_are_found_by_the_cameras_that_see_them() -> Non
     assert right[inner & hit & seen.all(axis=1)].all(axis=1).mean() > 0.99
 
 
+@pytest.mark.parametrize("exposure", [0.005, 0.02])
+def test_a_lit_body_is_not_made_of_particles(exposure: float) -> None:
+    """It is 5 to 18 standard deviations of the noise brighter than black."""
+    post = {"generator": "cylinder", "radius_mm": 0.8, "length_mm": 3.0, "place_mm": [0.0] * 3}
+    lamps = {"lamps": [{"center_mm": [0.0, -300.0, -600.0]}], "exposure": exposure}
+    shot = make_shot(
+        18, solids=[post], particles={"per_pixel": 0.02}, cameras=CROSS, lighting=lamps
+    )
+    found, true = find_in(shot.observation), shot.particles.position_mm
+    off = np.linalg.norm(true[:, None] - found[None], axis=2)
+    free = np.all([view.visible for view in shot.views], axis=0)
+    assert (off.min(axis=0) < 0.05).mean() > 0.98
+    assert (off.min(axis=1) < 0.05)[free].mean() > 0.9
+
+
 def test_a_bright_background_and_reflections_cost_little() -> None:
     shot = make_shot(17, particles={"per_pixel": 0.04})
     images = shot.observation.images.astype(np.float64)

@@ -3,8 +3,8 @@
 Images may be brighter than black between particles, differently from place to place: scattered
 light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by
 clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 393, 1996). Patches
-with sharp edges are brighter on top of it: a sliding minimum leaves them around dead pixels. They
-are found where hardly any pixel is dark.
+with sharp edges are brighter on top of it: a sliding minimum leaves them around dead pixels, and
+bodies are lit. They are found where hardly any pixel is dark.
 """
 
 from __future__ import annotations
@@ -39,6 +39,9 @@ _HALO = 6  # px around bright spots
 _PATCH = 12  # px: edge of a square that tells a patch
 _DIMMEST, _BELOW = 0.1, 1.2816  # share of its pixels, and how far dark noise has them below zero
 _RAISED = 4.0  # standard deviations: a patch is that much brighter than the background
+_BORDER, _WIDE = 2, 11  # px: around patches, and the diameter of a disc that is wider than particles
+_LOW = 0.5  # standard deviations: how far an opening of the smoothed noise is below its mean
+_UNEVEN = 2.0  # standard deviations: what is that much above a patch's level is its own shading
 _MOSTLY_DARK = 0.5  # of an image's pixels: where fewer are dark, particles may look like patches
 
 
@@ -69,7 +72,7 @@ def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
         background = estimate_background(image, known & ~spots)
         if background is not None:
             image -= background
-            image -= find_patches(image, known & ~spots)
+        image -= find_patches(image, known & ~spots)
         for _ in range(_SEARCHES):
             light = float(measure_images(image[None], (known & ~spots)[None]).light[0])
             more = find_bright_spots(image, known & ~spots, light) & ~spots
@@ -124,7 +127,23 @@ def find_patches(image: F32, known: Bool) -> F32:
     total, count = np.zeros_like(image), np.zeros_like(image)
     _add_patches(image, known, lit, total, count)
     raised = total / np.maximum(count, np.float32(1.0)) + np.float32(_BELOW * noise)
-    return np.where((count > 0) & (raised > _RAISED * noise), raised, np.float32(0.0))
+    patches = (count > 0) & (raised > _RAISED * noise)
+    if not patches.any():
+        return np.zeros_like(image)
+    square = np.ones((2 * _BORDER + 1, 2 * _BORDER + 1), np.uint8)
+    around = cv2.dilate(patches.astype(np.uint8), square) > 0
+    even = np.where(patches, raised, np.float32(0.0))
+    wide = _wide_light(image, noise)
+    uneven = around & (wide > even + np.float32(_UNEVEN * noise))
+    return np.where(uneven, wide, even)
+
+
+def _wide_light(image: F32, noise: float) -> F32:
+    """Measure light that is wider than particles' images, as of a body that lamps shine on."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_WIDE, _WIDE))
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
+    opened = cv2.morphologyEx(smooth, cv2.MORPH_OPEN, disc)
+    return np.asarray(opened + np.float32(_LOW * noise))
 
 
 @numba.njit(cache=True)
