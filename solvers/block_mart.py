@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 from sabench.algorithms.tomography import SparseParameters, TomographyProblem, block_mart, iterate
-from sabench.api import Observation, Reconstruction, Solver
+from sabench.api import IterativeSolver, Observation, Reconstruction
 
 
-class BlockMart(Solver):
+class BlockMart(IterativeSolver):
     """Block MART: multiplicative updates, one camera after the other.
 
     Where all cameras see light, voxels are multiplied by the ratio of recorded to projected light.
@@ -19,7 +21,7 @@ class BlockMart(Solver):
     )
     Parameters = SparseParameters
 
-    def solve(self, case: Observation) -> Reconstruction:
+    def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
         """Iterate I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij).
 
         The product is over the pixels i of one camera; only voxels that MLOS leaves are updated.
@@ -27,11 +29,11 @@ class BlockMart(Solver):
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)
-        iterate(
+        for _ in iterate(
             lambda: block_mart(state, problem.measured, chosen.relaxation),
             problem.measured,
             chosen.iterations,
             chosen.tolerance,
             self.name,
-        )
-        return Reconstruction(problem.volume(state, chosen.floor))
+        ):
+            yield lambda: Reconstruction(problem.volume(state, chosen.floor))

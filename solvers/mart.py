@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 
 from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, mart
-from sabench.api import Observation, Reconstruction, Solver
+from sabench.api import IterativeSolver, Observation, Reconstruction
 
 
-class Mart(Solver):
+class Mart(IterativeSolver):
     """MART from a uniform guess: multiplicative updates, pixel by pixel.
 
     Every pixel in turn scales the voxels on its line of sight to the light that it recorded.
@@ -22,7 +24,7 @@ class Mart(Solver):
     )
     Parameters = SparseParameters
 
-    def solve(self, case: Observation) -> Reconstruction:
+    def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
         """Iterate I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij), pixel i by pixel.
 
         Voxels that a camera sees black are zero from the start.
@@ -31,11 +33,11 @@ class Mart(Solver):
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)
         np.sign(state.values, out=state.values)
-        iterate(
+        for _ in iterate(
             lambda: mart(state, problem.measured, chosen.relaxation),
             problem.measured,
             chosen.iterations,
             chosen.tolerance,
             self.name,
-        )
-        return Reconstruction(problem.volume(state, chosen.floor))
+        ):
+            yield lambda: Reconstruction(problem.volume(state, chosen.floor))

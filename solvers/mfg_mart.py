@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, mart
-from sabench.api import Observation, Reconstruction, Solver
+from sabench.api import IterativeSolver, Observation, Reconstruction
 
 
-class MfgMart(Solver):
+class MfgMart(IterativeSolver):
     """MFG-MART: the product of back-projected pixels, then MART on what remains."""
 
     name = "mfg_mart"
@@ -16,7 +18,7 @@ class MfgMart(Solver):
     )
     Parameters = SparseParameters
 
-    def solve(self, case: Observation) -> Reconstruction:
+    def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
         """Start from I_j = (prod_c P_c)^(1/N), then iterate pixel by pixel.
 
         I_j <- I_j (P_i / sum_k W_ik I_k)^(mu W_ij).
@@ -24,11 +26,11 @@ class MfgMart(Solver):
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mfg(chosen.threshold)
-        iterate(
+        for _ in iterate(
             lambda: mart(state, problem.measured, chosen.relaxation),
             problem.measured,
             chosen.iterations,
             chosen.tolerance,
             self.name,
-        )
-        return Reconstruction(problem.volume(state, chosen.floor))
+        ):
+            yield lambda: Reconstruction(problem.volume(state, chosen.floor))

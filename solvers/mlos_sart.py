@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 from pydantic import Field
 
 from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, sart
-from sabench.api import Observation, Reconstruction, Solver
+from sabench.api import IterativeSolver, Observation, Reconstruction
 
 
 class MlosSartParameters(SparseParameters):
@@ -17,7 +19,7 @@ class MlosSartParameters(SparseParameters):
     )
 
 
-class MlosSart(Solver):
+class MlosSart(IterativeSolver):
     """MLOS-SART: simultaneous additive updates where all cameras see light.
 
     The mean over cameras of the light that is missing along the lines of sight is added.
@@ -31,7 +33,7 @@ class MlosSart(Solver):
     )
     Parameters = MlosSartParameters
 
-    def solve(self, case: Observation) -> Reconstruction:
+    def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
         """Iterate on the voxels that MLOS leaves.
 
         I_j <- max(0, I_j + mu sum_i W_ij (P_i - sum_k W_ik I_k) / L_i / N_j).
@@ -40,11 +42,11 @@ class MlosSart(Solver):
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)
         lengths = state.lines.forward(np.ones_like(state.values))
-        iterate(
+        for _ in iterate(
             lambda: sart(state, problem.measured, lengths, chosen.relaxation),
             problem.measured,
             chosen.iterations,
             chosen.tolerance,
             self.name,
-        )
-        return Reconstruction(problem.volume(state, chosen.floor))
+        ):
+            yield lambda: Reconstruction(problem.volume(state, chosen.floor))

@@ -5,10 +5,12 @@ MART: multiplicative algebraic reconstruction technique.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 from pydantic import Field
 
 from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, smart
-from sabench.api import Observation, Reconstruction, Solver
+from sabench.api import IterativeSolver, Observation, Reconstruction
 
 
 class MlosSmartParameters(SparseParameters):
@@ -19,7 +21,7 @@ class MlosSmartParameters(SparseParameters):
     )
 
 
-class MlosSmart(Solver):
+class MlosSmart(IterativeSolver):
     """MLOS-SMART: simultaneous multiplicative updates where all cameras see light.
 
     Voxels are multiplied by the geometric mean over cameras of the ratios of recorded to projected
@@ -34,7 +36,7 @@ class MlosSmart(Solver):
     )
     Parameters = MlosSmartParameters
 
-    def solve(self, case: Observation) -> Reconstruction:
+    def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
         """Iterate on the voxels that MLOS leaves.
 
         I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij / N_j).
@@ -42,11 +44,11 @@ class MlosSmart(Solver):
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.mlos(chosen.threshold)
-        iterate(
+        for _ in iterate(
             lambda: smart(state, problem.measured, chosen.relaxation),
             problem.measured,
             chosen.iterations,
             chosen.tolerance,
             self.name,
-        )
-        return Reconstruction(problem.volume(state, chosen.floor))
+        ):
+            yield lambda: Reconstruction(problem.volume(state, chosen.floor))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 from pydantic import Field
 
 from sabench.algorithms.tomography import TomographyParameters, TomographyProblem, iterate, smart
-from sabench.api import Observation, Reconstruction, Solver
+from sabench.api import IterativeSolver, Observation, Reconstruction
 
 
 class SmartParameters(TomographyParameters):
@@ -16,7 +18,7 @@ class SmartParameters(TomographyParameters):
     )
 
 
-class Smart(Solver):
+class Smart(IterativeSolver):
     """SMART on all voxels from a uniform guess, without a first guess by MLOS.
 
     It is the plain and slow reference for mlos_smart.
@@ -29,16 +31,16 @@ class Smart(Solver):
     )
     Parameters = SmartParameters
 
-    def solve(self, case: Observation) -> Reconstruction:
+    def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
         """Iterate I_j <- I_j prod_i (P_i / sum_k W_ik I_k)^(mu W_ij / N_j) on all voxels."""
         chosen = self.parameters
         problem = TomographyProblem.from_case(case, chosen)
         state = problem.uniform()
-        iterate(
+        for _ in iterate(
             lambda: smart(state, problem.measured, chosen.relaxation),
             problem.measured,
             chosen.iterations,
             chosen.tolerance,
             self.name,
-        )
-        return Reconstruction(problem.volume(state, chosen.floor))
+        ):
+            yield lambda: Reconstruction(problem.volume(state, chosen.floor))

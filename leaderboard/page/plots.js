@@ -151,11 +151,28 @@ function timePlot(rows, column, own) {
   const x = { field: "time", type: "quantitative", scale: { type: "log" }, title: TIMES[state.x] ?? "seconds", axis: { labelOverlap: true, gridOpacity: 0.5 } };
   const y = { field: "value", type: "quantitative", scale: { zero: false }, title: column.heading };
   const label = `${column.heading} against time of ${known.length} results of the case ${own.name}; the table says the same in numbers`;
-  const drawing = plot({ height: 380, layer: points(points_, x, y, "y") }, label);
-  return make("figure", {}, drawing, legend(values(known, solverOf)), plotDownloads(drawing, `${column.heading} against time ${own.name}`, () => plottedRows(points_, column, "time", "seconds or kernels")),
+  const steps = column.key === data.tasks[state.task].columns[0].key ? stepsOf(known, column, inKernels) : [];
+  const drawing = plot({ height: 380, layer: [...lines(steps, x, y), ...points(points_, x, y, "y")] }, label);
+  return make("figure", {}, drawing, legend(values(known, solverOf)), plotDownloads(drawing, `${column.heading} against time ${own.name}`, () => plottedRows([...points_, ...steps], column, "time", "seconds or kernels")),
     make("figcaption", { class: "quiet" }, `${meant(column)} Bars are 95 % confidence intervals over the seeds; time is of the solver alone, on the machine that a point's tip names; `
       + "in reference kernels it is over the time that a fixed piece of work took on the same machine in the same run."
+      + (steps.length ? " Lines lead through the score after iterations 1, 2, 3, 5, 8, ... of the first frame of one seed." : "")
       + (known.some(row => row.wholeProcess) ? ` ${PROCESS_TEXT}` : "")));
+}
+
+// The score after iterations of solvers that tell it.
+function stepsOf(rows, column, inKernels) {
+  return rows.filter(row => row.iterations).flatMap(row => row.iterations.filter(one => one[1] > 0).map(([number, seconds, score]) => ({
+    ...plotted(row, [score], column, `, ${shown([seconds], 2)} s, after ${number} iteration${number === 1 ? "" : "s"}`), row: row.id, number, time: seconds / (inKernels ? row.reference : 1) })));
+}
+
+function lines(steps, x, y) {
+  if (!steps.length) return [];
+  const { color } = LOOKS, encoding = { x, y, color };
+  return [
+    { data: { values: steps }, mark: { type: "line", strokeWidth: 1.2, opacity: 0.8 }, encoding: { ...encoding, detail: { field: "row", type: "nominal" }, order: { field: "number", type: "quantitative" } } },
+    { data: { values: steps }, mark: { type: "point", filled: true, size: 25, opacity: 1 }, encoding: { ...encoding, ...TOLD } },
+  ];
 }
 
 // Scores by difficulty, and what each axis costs against the standard case of the same suite.

@@ -10,7 +10,8 @@ values that a scene or `-p name=value` may set.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from typing import ClassVar, Literal
 
 from pydantic import Field
@@ -47,6 +48,22 @@ class Solver(PlugIn):
     def solve(self, case: Observation) -> Reconstruction:
         """Reconstruct one frame."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
+
+
+class IterativeSolver(Solver):
+    """Base of a reconstruction algorithm that improves one estimate again and again.
+
+    It hands control back after each iteration, so that one run tells accuracy over time.
+    """
+
+    def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
+        """Reconstruct one frame; yield what makes the estimate after each iteration."""
+        raise NotImplementedError(f"solver {type(self).__name__} must implement iterations()")
+
+    def solve(self, case: Observation) -> Reconstruction:
+        """Return the estimate after the last iteration."""
+        (last,) = deque(self.iterations(case), maxlen=1)
+        return last()
 
 
 class SequenceSolver(PlugIn):

@@ -9,6 +9,7 @@ from typing import Any
 import h5py
 
 from sabench.dataset.hdf5 import open_hdf5
+from sabench.dataset.results import ITERATIONS
 
 _LEFT_OUT = "track"  # sabench numbers trajectories where a file does not
 
@@ -16,13 +17,18 @@ _LEFT_OUT = "track"  # sabench numbers trajectories where a file does not
 def estimate_hash(path: Path) -> str:
     """Hash the names, shapes and values of all arrays of a result that sabench wrote.
 
-    The solver's name, its parameters and costs, the numbers of trajectories and the compression do
-    not count.
+    The solver's name, its parameters and costs, estimates after iterations, the numbers of
+    trajectories and the compression do not count.
     """
     found: dict[str, Any] = {}
 
     def collect(name: str, node: Any) -> None:
-        if isinstance(node, h5py.Dataset) and name.rpartition("/")[2] != _LEFT_OUT:
+        on_the_way = name.startswith(f"{ITERATIONS}/")
+        if (
+            isinstance(node, h5py.Dataset)
+            and name.rpartition("/")[2] != _LEFT_OUT
+            and not on_the_way
+        ):
             found[name] = node
 
     content = hashlib.sha256()

@@ -51,6 +51,7 @@ _ATTRIBUTES = (
     "isolated",
     "whole_process",
 )
+ITERATIONS = "iterations"  # group of estimates on the way
 _STORED_KINDS = {"f": "f", "i": "iu", "u": "u", "b": "u"}  # kinds in a file, by the array's own
 _CHUNK = 256  # voxels along a side of the pieces in which volumes are compressed
 AnEstimate = TypeVar("AnEstimate", bound=Estimate)
@@ -90,7 +91,23 @@ class Result:
             An array that is missing, has another shape or type, or holds values that are not
             finite or that the estimate refuses.
         """
-        group = group_of(kind, frame)
+        return self._read(kind, group_of(kind, frame))
+
+    def iterations(self, kind: type[AnEstimate]) -> Iterator[tuple[int, float, AnEstimate]]:
+        """Read numbers, seconds and estimates of the iterations that it stores.
+
+        Raises as `read` does.
+        """
+        with open_hdf5(self.path) as file:
+            names = names_in(file, ITERATIONS)
+            numbers = sorted(int(name) for name in names if name.isascii() and name.isdigit())
+        for number in numbers:
+            group = f"{ITERATIONS}/{number}"
+            with open_hdf5(self.path) as file:
+                (seconds,) = read_array(file, f"{group}/seconds", (1,), "f")
+            yield number, float(seconds), self._read(kind, group)
+
+    def _read(self, kind: type[AnEstimate], group: str) -> AnEstimate:
         sizes = dict(zip("zyx", self.grid.shape, strict=True))
         with open_hdf5(self.path) as file:
             names = names_in(file, group)
@@ -130,15 +147,29 @@ def _read(file: Any, group: str, declared: Array, sizes: dict[str, int]) -> npt.
 
 
 class ResultWriter:
-    """Writer of one result's estimates; made by `result_writer`."""
+    """Writer of one result's estimates; made by `result_writer`.
+
+    `keeps_iterations` asks for estimates on the way, of solvers that have them.
+    """
+
+    keeps_iterations = False
 
     def __init__(self, file: Any, check: Callable[[], None]) -> None:
         self._file, self._check = file, check
 
     def add(self, estimate: Estimate, frame: int = 0) -> None:
         """Store an estimate, by the arrays that its class declares."""
+        self._add(estimate, group_of(type(estimate), frame))
+
+    def add_iteration(self, estimate: Estimate, number: int, seconds: float) -> None:
+        """Store the first frame's estimate after an iteration, and its seconds."""
+        self._add(estimate, f"{ITERATIONS}/{number}")
         with delay_interrupts():
-            group = self._file.require_group(group_of(type(estimate), frame))
+            self._file[ITERATIONS][str(number)].create_dataset("seconds", data=[seconds])
+
+    def _add(self, estimate: Estimate, name: str) -> None:
+        with delay_interrupts():
+            group = self._file.require_group(name)
             for declared, value in estimate.arrays():
                 stored = value.astype(np.uint8) if value.dtype == np.bool_ else value
                 group.create_dataset(declared.label, data=stored, **_packing(declared, value))

@@ -40,7 +40,8 @@ LONGEST_LINE = 100_000  # bytes of a record
 _LONGEST_NAME, _LONGEST_TEXT, _LONGEST_FAULT = 200, 10_000, 300  # characters
 _DEEPEST = 20  # tables and lists within each other
 _LARGEST = 1e15  # no meaningful score is beyond it
-_LONGEST_REFERENCE_S = 1e6
+_LONGEST_S = 1e6
+_MOST_ITERATIONS = 100
 _ROUNDING = 1e-6  # by which a score may be beyond its range
 _SIGNED = ("bias", "_mean_")  # parts of the keys of errors that may be negative
 _YEARS = (2000, 2100)
@@ -76,6 +77,18 @@ _Text = Annotated[str, Field(max_length=_LONGEST_TEXT)]
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+
+def _check_iteration(values: list[float]) -> list[float]:
+    number, seconds, score = values
+    if not (number >= 1 and 0.0 <= seconds <= _LONGEST_S and -1.0 <= score <= 1.0):
+        raise ValueError(f"expected an iteration, seconds and a score up to 1, got {values}")
+    return values
+
+
+Iteration = Annotated[
+    list[float], Field(min_length=3, max_length=3), AfterValidator(_check_iteration)
+]
 
 
 class Submission(_Part):
@@ -163,8 +176,13 @@ class Head(_Part):
     reference_s: float | None = Field(
         None,
         ge=0,
-        le=_LONGEST_REFERENCE_S,
+        le=_LONGEST_S,
         description="seconds of the reference kernel, timed in the same run",
+    )
+    iterations: list[Iteration] | None = Field(
+        None,
+        max_length=_MOST_ITERATIONS,
+        description="number, seconds so far and first score after iterations of the first frame",
     )
     isolated: bool | None = Field(
         None, description="whether the solver ran confined to the observation side"

@@ -29,7 +29,7 @@ from sabench.evaluation.suites import Case, RecordedCase, SceneCase, SolverEntry
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
-from sabench.tasks.solve_and_score import check_result_task, score
+from sabench.tasks.solve_and_score import check_result_task, score, score_iterations
 from sabench.tasks.visible_files import hide_from_solvers
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.files import complete_or_nothing, digest
@@ -234,11 +234,14 @@ def _rank(
         name = f"{head['solver']}-{head['run_hash'][:8]}"
         out = work / "results" / f"{case.file_name}-{name}.h5"
         try:
-            record["reference_s"] = solve_timed(solver_entry, dataset, out)
+            record["reference_s"] = solve_timed(
+                solver_entry, dataset, out, iterations=dataset.has_truth
+            )
             judged = (
                 judge(case, out) if isinstance(case, RecordedCase) else Judged(score(dataset, out))
             )
             record |= _checked(judged.scores, head) | {"estimate_hash": estimate_hash(out)}
+            record["iterations"] = score_iterations(dataset, out) if dataset.has_truth else None
             if folder:
                 _picture_result(folder / name, record["task"], dataset, out, judged.residuals)
         except InputError as error:

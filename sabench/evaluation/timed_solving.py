@@ -30,6 +30,7 @@ def solve_timed(
     out: Path,
     *,
     threads: int | None = None,
+    iterations: bool = False,
     clock: Callable[[], float] = time.perf_counter,
 ) -> float:
     """Solve, and time the reference kernel before and after.
@@ -37,6 +38,7 @@ def solve_timed(
     Parameters
     ----------
     threads : of compiled kernels and of linear algebra; None: as many as there are cores.
+    iterations : store the first frame's estimates on the way, too.
     clock : of the reference kernel, a function of the module `time`.
 
     Returns
@@ -52,6 +54,7 @@ def solve_timed(
             parameters=solver_entry.parameters,
             limits=solver_entry.limits,
             threads=threads,
+            iterations=iterations,
             overwrite=True,
         )
         return (before + _reference_s(threads, clock)) / 2.0

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.api import Observation, Reconstruction, SequenceSolver
+from sabench.api import IterativeSolver, Observation, Reconstruction, SequenceSolver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
@@ -16,11 +16,12 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.visibility import any_in_view
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.particle_detection import MATCHING_DISTANCES
+from sabench.metrics.quality_factor import quality
 from sabench.metrics.reconstruction_error import peak_f1_over_distance, score_frame
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting import pictures
 from sabench.tasks.sequence_call import answers_of_frames, image_sequence
-from sabench.tasks.solver_call import SolverClock
+from sabench.tasks.solver_call import SolverClock, call_iterations
 from sabench.tasks.task import (
     Captions,
     Figures,
@@ -103,6 +104,8 @@ class ReconstructionTask(FrameByFrame):
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Reconstruct every frame, or every sequence; return the seconds of each frame."""
+        if isinstance(algorithm, IterativeSolver) and writer.keeps_iterations:
+            return self._run_iterations(algorithm, name, data, writer)
         if not isinstance(algorithm, SequenceSolver):
             return super().run(algorithm, name, data, writer)
         seconds = list[float]()
@@ -112,6 +115,28 @@ class ReconstructionTask(FrameByFrame):
             for frame, one in zip(frames, found, strict=True):
                 writer.add(one, frame)
             seconds += [clock.seconds / len(frames)] * len(frames)
+            memory.trim()
+        return seconds
+
+    def _run_iterations(
+        self, algorithm: IterativeSolver, name: str, data: Dataset, writer: ResultWriter
+    ) -> list[float]:
+        """Reconstruct every frame, and write the first one's estimates on the way, too."""
+
+        def store(number: int, seconds: float, estimate: Reconstruction) -> None:
+            check_estimate(estimate, name, data, 0)
+            writer.add_iteration(estimate, number, seconds)
+
+        case = data.observation(0)
+        self.check_case(case, f"{data.root}: frame 0")
+        found, took = call_iterations(algorithm, name, case, store)
+        check_estimate(found, name, data, 0)
+        writer.add(found, 0)
+        seconds = [took]
+        for frame in self.frames(data)[1:]:
+            found, took = self.call(algorithm, name, data, frame)
+            seconds.append(took)
+            writer.add(found, frame)
             memory.trim()
         return seconds
 
@@ -166,6 +191,15 @@ class ReconstructionTask(FrameByFrame):
         """Average the scores of the frames that have them."""
         frames = progress_bar(self.frames(data), "score")
         return mean_of_each([self._score_frame(data, source, frame) for frame in frames])
+
+    def score_iterations(self, data: Dataset, result: Result) -> list[list[float]]:
+        """Compute [iteration, seconds, Q] of the first frame's estimates on the way."""
+        grid = data.setup.grid
+        true = true_field(grid, data.particles(0), data.views(0))[grid.scored]
+        return [
+            [number, seconds, quality(estimate.volume[grid.scored], true)]
+            for number, seconds, estimate in result.iterations(Reconstruction)
+        ]
 
     def _score_frame(self, data: Dataset, source: Source, frame: int) -> Figures:
         estimate, particles = self.read(data, source, frame), data.particles(frame)

@@ -9,6 +9,7 @@ import functools
 import os
 import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -52,6 +53,7 @@ def solve(
     parameters: dict[str, Any] | None = None,
     limits: Limits | None = None,
     threads: int | None = None,
+    iterations: bool = False,
     overwrite: bool = False,
 ) -> Result:
     """Run a solver on every frame of a data set and write its result file.
@@ -66,6 +68,7 @@ def solve(
     parameters : of the solver; the others keep their defaults.
     limits : of a program's time, memory and output.
     threads : of a plug-in's kernels and linear algebra; None: as many as there are cores.
+    iterations : store the first frame's estimates on the way, too, of plug-ins that have them.
     overwrite : replace an existing result.
 
     Raises
@@ -84,7 +87,8 @@ def solve(
             f"solver {solver}: expected limits for programs only, not for a plug-in, which runs "
             "within sabench"
         )
-    _solve_plug_in(solver, data, Path(out), parameters or {}, threads, overwrite=overwrite)
+    run = functools.partial(solve_at_desk, threads=threads, iterations=iterations)
+    _solve_plug_in(solver, data, Path(out), parameters or {}, run, overwrite=overwrite)
     return open_result(out, data)
 
 
@@ -93,17 +97,17 @@ def _solve_plug_in(
     data: Dataset,
     place: Path,
     parameters: dict[str, Any],
-    threads: int | None,
+    run: Callable[..., None],
     *,
     overwrite: bool,
 ) -> None:
-    """Run a plug-in in a process that holds the observation side only."""
+    """Run a plug-in, by `solve_at_desk`, in a process without the truth."""
     refuse_existing(place, overwrite=overwrite)
     bundled = plugins.is_bundled("solvers", solver)  # raises where there is none
     task = "" if bundled else describe_solver(solver, parameters)[0]
     with open_desk(data) as desk, desk.naming(data.root, place):
         call_isolated(
-            functools.partial(solve_at_desk, threads=threads, isolated=desk.confined),
+            functools.partial(run, isolated=desk.confined),
             solver,
             parameters,
             desk.observation,
@@ -166,6 +170,7 @@ def solve_at_desk(
     *,
     threads: int | None,
     isolated: bool,
+    iterations: bool = False,
 ) -> None:
     """Run a plug-in on an observation side, in a process of its own."""
     data = open_dataset(observation)
@@ -183,6 +188,7 @@ def solve_at_desk(
         backend.limit_libraries(threads),
         result_writer(out, data, solver, algorithm.task, resolved) as writer,
     ):
+        writer.keeps_iterations = iterations
         if isolated:
             writer.set_isolated()
         before, start, spent = compile_s(), time.perf_counter(), _cpu_s()
@@ -238,6 +244,15 @@ def score(
         **judged.score(data, opened or word or "empty"),
         **costs_of(opened),
     }
+
+
+def score_iterations(dataset: Dataset, result: Path) -> list[list[float]] | None:
+    """Compute [iteration, seconds, first score] of a result's estimates on the way.
+
+    None for a result without any.
+    """
+    opened = open_result(result, dataset)
+    return tasks.of(opened.task).score_iterations(dataset, opened) or None
 
 
 def costs_of(result: Result | None) -> dict[str, Any]:

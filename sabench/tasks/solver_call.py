@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from sabench.api import IterativeSolver, Observation, Reconstruction
 from sabench.utils.compile_clock import compile_s, timed_imports
 from sabench.utils.errors import DeclinedError, InputError
 
@@ -34,6 +35,52 @@ class SolverClock:
             raise InputError(failed) from error
         took = time.perf_counter() - start - (compile_s() - compiled_s)
         self.seconds += max(took, 0.0)
+
+
+def call_iterations(
+    algorithm: IterativeSolver,
+    name: str,
+    case: Observation,
+    store: Callable[[int, float, Reconstruction], None],
+) -> tuple[Reconstruction, float]:
+    """Call an iterative solver, and store its estimates after some iterations.
+
+    These are the iterations 1, 2, 3, 5, 8, ... The clock stands still while an estimate is made and
+    stored.
+
+    Parameters
+    ----------
+    store : takes the number of the iteration, the seconds so far and the estimate.
+
+    Returns and raises as `call_solver` does.
+    """
+    clock, number, kept, following = SolverClock(), 0, 1, 2
+    with clock.running(name):
+        reason = algorithm.skip(case)
+        steps = iter(()) if reason else algorithm.iterations(case)
+    if reason:
+        raise DeclinedError(f"solver {name} declines this case: {reason}")
+    make: Callable[[], Reconstruction] | None = None
+    while True:
+        with clock.running(name):
+            latest = next(steps, None)
+        if latest is None:
+            break
+        number, make = number + 1, latest
+        if number == kept:
+            store(number, clock.seconds, _made(make, name, SolverClock()))
+            kept, following = following, kept + following
+    if make is None:
+        raise InputError(f"solver {name}: expected an iteration at least, got none")
+    return _made(make, name, clock), clock.seconds
+
+
+def _made(make: Callable[[], Reconstruction], name: str, clock: SolverClock) -> Reconstruction:
+    with clock.running(name):
+        found = make()
+    if not isinstance(found, Reconstruction):
+        raise InputError(f"solver {name}: expected Reconstruction, got {type(found).__name__}")
+    return found
 
 
 def call_solver(

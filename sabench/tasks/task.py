@@ -253,6 +253,8 @@ class Task(ABC):
         for frame in self.frames(data):
             writer.add(self.read(data, result, frame), frame)
             memory.trim()
+        for number, seconds, estimate in result.iterations(self.estimate):
+            writer.add_iteration(estimate, number, seconds)
 
     def read(self, data: Dataset, source: Source, frame: int) -> Any:
         """Read a frame's estimate of a result, or make the best or worst possible one."""
@@ -278,6 +280,10 @@ class Task(ABC):
     @abstractmethod
     def score(self, data: Dataset, source: Source) -> Figures:
         """Score a result, or the best ("truth") or worst ("empty") possible estimates."""
+
+    def score_iterations(self, data: Dataset, result: Result) -> list[list[float]]:
+        """Compute [iteration, seconds, first score] of estimates on the way."""
+        return []
 
     def alike(self, data: Dataset, one: Any, other: Any) -> bool:
         """Compare estimates of one case with its cameras in opposite orders.

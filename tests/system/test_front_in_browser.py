@@ -38,6 +38,7 @@ CATCH = (
     "HTMLAnchorElement.prototype.click = function () { saved.push(this.download); }; "
     "return true; })()"
 )
+STEPS = [[1, 2.0, 0.6], [2, 3.0, 0.7], [3, 4.0, 0.75]]  # iterations, their seconds and scores
 VIEWS = ("", "#view=table", "#view=time", "#view=why", "#view=case&case=standard-standard-splat")
 
 
@@ -66,6 +67,7 @@ def trial() -> list[Record]:
             dataset=f"{level}-{seed}",
             seconds=10.0 * (1.0 + change),
             pictures=level if seed == 1 else None,
+            iterations=STEPS if solver == "good" else None,
             **head,
         )
         for level, base in levels.items()
@@ -140,6 +142,16 @@ def test_curves_are_drawn_with_bands(browser: Browser, page: Path) -> None:
         "Score over one property of the scene",
         "Score over the matching tolerance, standard",
     ]
+
+
+def test_accuracy_against_time_has_a_line_through_iterations(browser: Browser, page: Path) -> None:
+    browser.open(page, "#view=time&case=standard-standard-splat")
+    browser.wait(DRAWN)
+    count = "document.querySelectorAll('.plot .mark-line path').length"
+    assert browser.ask(count) == 1
+    label = "document.querySelector('[aria-label*=\"after 2 iterations\"]').ariaLabel"
+    assert browser.ask(label) == "good: Q 0.700, 3.00 s, after 2 iterations"
+    assert browser.complaints() == []
 
 
 def test_links_of_earlier_pages_open_the_table(browser: Browser, page: Path) -> None:

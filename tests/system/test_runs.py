@@ -7,16 +7,21 @@ hidden.
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from sabench.dataset.estimate_hash import estimate_hash
 from sabench.evaluation import runner
 from sabench.evaluation.hidden_split import read_secret
+from sabench.evaluation.runner import dataset_of
+from sabench.evaluation.selection import Only
 from sabench.evaluation.suite_loading import load_suite
-from sabench.tasks.solve_and_score import score
+from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError, UncheckedError
 from tests.conftest import Command
 
@@ -39,6 +44,24 @@ def lines(folder: Path) -> list[dict[str, Any]]:
         json.loads(line)
         for line in (folder / "leaderboard/records/local.jsonl").read_text().splitlines()
     ]
+
+
+def test_one_run_of_an_iterative_solver_tells_accuracy_over_seconds(tmp_path: Path) -> None:
+    solvers = 'solvers = [{ name = "asa" }, { name = "mlos_smart" }]'
+    (tmp_path / "s.toml").write_text(re.sub("solvers = .*", solvers, SUITE))
+    asa, smart = runner.run_suite(
+        tmp_path / "s.toml", tmp_path / "w", tmp_path / "b", only=Only(seeds=(1,))
+    )
+    assert asa["iterations"] is None
+    numbers, seconds, quality = np.transpose(smart["iterations"])
+    assert numbers.tolist() == [1, 2, 3, 5, 8]
+    assert np.all(np.diff(seconds) > 0.0)
+    assert seconds[-1] < smart["seconds"]
+    assert np.all(np.diff(quality) > 0.0)
+    assert quality[-1] < smart["q"] < quality[-1] + 0.05
+    made = dataset_of(load_suite(tmp_path / "s.toml", None)[1][0], tmp_path / "w", fresh=False)
+    solve("mlos_smart", made, tmp_path / "plain.h5")
+    assert smart["estimate_hash"] == estimate_hash(tmp_path / "plain.h5")
 
 
 def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command(

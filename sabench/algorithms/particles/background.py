@@ -39,7 +39,7 @@ _HALO = 6  # px around bright spots
 _PATCH = 12  # px: edge of a square that tells a patch
 _DIMMEST, _BELOW = 0.1, 1.2816  # share of its pixels, and how far dark noise has them below zero
 _RAISED = 4.0  # standard deviations: a patch is that much brighter than the background
-_BORDER, _WIDE = 2, 11  # px: around patches, and the diameter of a disc that is wider than particles
+_BORDER, _WIDE = 2, 11  # px: around patches, and the diameter of a disc wider than particles
 _LOW = 0.5  # standard deviations: how far an opening of the smoothed noise is below its mean
 _UNEVEN = 2.0  # standard deviations: what is that much above a patch's level is its own shading
 _MOSTLY_DARK = 0.5  # of an image's pixels: where fewer are dark, particles may look like patches
@@ -139,7 +139,7 @@ def find_patches(image: F32, known: Bool) -> F32:
 
 
 def _wide_light(image: F32, noise: float) -> F32:
-    """Measure light that is wider than particles' images, as of a body that lamps shine on."""
+    """Measure light that is wider than particles' images, as of lit bodies."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_WIDE, _WIDE))
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
     opened = cv2.morphologyEx(smooth, cv2.MORPH_OPEN, disc)

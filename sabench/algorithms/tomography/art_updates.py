@@ -6,7 +6,7 @@ the correction.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -187,15 +187,16 @@ def iterate(
     iterations: int,
     tolerance: float,
     doing: str,
-) -> list[float]:
-    """Repeat a step and return the relative residual ||P - W I|| / ||P|| of each.
+) -> Iterator[float]:
+    """Repeat a step, and yield the relative residual ||P - W I|| / ||P|| after each.
 
-    One residual per iteration. Stops before `iterations` when the residual has changed by less than
-    a fraction `tolerance` of its last value.
+    Ends before `iterations` when the residual has changed by less than a fraction `tolerance` of
+    its last value.
     """
-    scale, residuals = float(np.vdot(measured.light, measured.light)), [float("inf")]
+    scale, before = float(np.vdot(measured.light, measured.light)), float("inf")
     for _ in progress_bar(range(iterations), doing):
-        residuals.append(float(np.sqrt(step() / scale)))
-        if abs(residuals[-2] - residuals[-1]) < tolerance * residuals[-2]:
+        residual = float(np.sqrt(step() / scale))
+        yield residual
+        if abs(before - residual) < tolerance * before:
             break
-    return residuals[1:]
+        before = residual

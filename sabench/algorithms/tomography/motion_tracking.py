@@ -41,13 +41,14 @@ class Exposure:
     def correct(self, parameters: SparseParameters, iterations: int, doing: str) -> None:
         """Correct the voxels by `block_mart`, in place."""
         measured = self.problem.measured
-        iterate(
+        for _ in iterate(
             lambda: block_mart(self.state, measured, parameters.relaxation),
             measured,
             iterations,
             parameters.tolerance,
             doing,
-        )
+        ):
+            pass  # every iteration changes the voxels in place
 
     def volume(self, floor: float) -> F32:
         """Return the volume (z, y, x) on the grid that was asked for."""

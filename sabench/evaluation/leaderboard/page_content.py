@@ -184,6 +184,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "versions": pool(text_of(row["versions"])),
         "submission": row.get("submission"),
         **_provenance(row),
+        **_iterations(runs),
         "commands": [pool(text) for text in commands(runs)],
         "seeds": [run["seed"] for run in runs],
         "datasets": [pool(run.get("identity") or run["dataset"]) for run in runs],
@@ -211,6 +212,12 @@ def _provenance(row: Record) -> dict[str, Any]:
     """Return the card of a submission, and the entry whose estimates it repeats."""
     known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
     return {key: one for key, one in known.items() if one}
+
+
+def _iterations(runs: Sequence[Record]) -> dict[str, Any]:
+    """Return seconds and first score after iterations of the first run that has them."""
+    found = next((run["iterations"] for run in runs if run.get("iterations")), None)
+    return {"iterations": [[short(value) for value in one] for one in found]} if found else {}
 
 
 def _curve(row: Record) -> list[list[float] | None] | None:

@@ -194,7 +194,7 @@ def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     state = make_state(every=9)
     light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(DARKEST))
     measured = RecordedLight(light, np.zeros(light.shape, dtype=np.bool_))
-    residuals = iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name)
+    residuals = list(iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name))
     assert len(residuals) == 40
     assert (np.diff(residuals[:10]) < 0.0).all()
     assert residuals[-1] < 0.1 * residuals[0]
@@ -210,7 +210,7 @@ def test_iteration_stops_when_little_changes() -> None:
         np.full((1, 2, 2), 2.0, dtype=np.float32), np.zeros((1, 2, 2), dtype=np.bool_)
     )
     squares = iter([16.0, 4.0, 3.24, 3.0, 1.0])
-    found = iterate(lambda: next(squares), measured, 5, 0.15, "test")
+    found = list(iterate(lambda: next(squares), measured, 5, 0.15, "test"))
     np.testing.assert_allclose(found, [1.0, 0.5, 0.45])
 
 
