@@ -38,6 +38,9 @@ function gallery(rows, own) {
   const out = [];
   if (album.images) out.push(make("h3", {}, "Camera images"), make("div", { class: "cameras" },
     figure(album.images, `Camera images: ${own.name}`, make("span", { class: "quiet" }, cameras))));
+  const left = rows.filter(row => album[`left${row.place}`]);
+  if (left.length) out.push(make("h3", {}, "Residual images"), make("p", { class: "quiet" }, "The middle camera's first image, and what the particles of each solver leave of it."),
+    make("div", { class: "row wide" }, left.map(row => figure(album[`left${row.place}`], `Residual image: ${titleOf(row, rows)}`, make("b", {}, titleOf(row, rows))))));
   const shots = figuresOf(rows, own);
   if (shots.length === 1) out.push(make("h3", {}, title), make("p", { class: "quiet" }, text), make("div", { class: wide ? "row wide" : "row" },
     shots.map(([, name, own_]) => figure(own_, `${title}: ${name}`, make("b", {}, name)))));

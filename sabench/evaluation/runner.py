@@ -29,6 +29,7 @@ from sabench.evaluation.suites import Case, RecordedCase, SceneCase, SolverEntry
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate
 from sabench.simulation.renderer_choice import Renderer
+from sabench.tasks.quality import middle_residuals
 from sabench.tasks.solve_and_score import check_result_task, score, score_iterations
 from sabench.tasks.visible_files import hide_from_solvers
 from sabench.utils.errors import DeclinedError, InputError
@@ -281,6 +282,9 @@ def _picture_result(
     errors = task.error_picture(dataset, result) if dataset.has_truth else residuals
     if errors is not None:
         _draw(stem.with_name(f"{stem.name}.error.png"), errors)
+    left = middle_residuals(dataset, result) if dataset.has_truth else None
+    if left is not None:
+        _draw(stem.with_name(f"{stem.name}.left.png"), left)
 
 
 def _describe(case: Case, solver_entry: SolverEntry, suite: str) -> Record:

@@ -223,6 +223,20 @@ def residual_picture(data: Dataset, left: F64) -> bytes:
     return pictures.montage(both, seen.black_dn, seen.white_dn)
 
 
+def middle_residuals(data: Dataset, result: Result) -> bytes | None:
+    """Draw the middle camera's first image and what particles leave of it as a PNG.
+
+    None for results of other tasks than particles.
+    """
+    if result.task != "particles":
+        return None
+    seen, left = data.observation(0), _Particles(data, result, 1).left()
+    middle = len(left) // 2
+    grey = np.clip(np.rint(left[middle] + seen.black_dn), 0.0, 65535.0).astype(np.uint16)
+    both = np.stack([seen.images[middle], grey])
+    return pictures.montage(both, seen.black_dn, seen.white_dn)
+
+
 def _judge(judge: Any, *, solve_again: bool) -> Quality:
     cameras = judge.data.setup.cameras
     figures: dict[str, Figures] = {

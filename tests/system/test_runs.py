@@ -6,6 +6,7 @@ hidden.
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shlex
@@ -62,6 +63,16 @@ def test_one_run_of_an_iterative_solver_tells_accuracy_over_seconds(tmp_path: Pa
     made = dataset_of(load_suite(tmp_path / "s.toml", None)[1][0], tmp_path / "w", fresh=False)
     solve("mlos_smart", made, tmp_path / "plain.h5")
     assert smart["estimate_hash"] == estimate_hash(tmp_path / "plain.h5")
+
+
+def test_the_page_has_residual_images_of_particles_and_of_nothing_else(tmp_path: Path) -> None:
+    solvers = 'solvers = [{ name = "asa" }, { name = "ray_triangulation" }]'
+    (tmp_path / "s.toml").write_text(re.sub("solvers = .*", solvers, SUITE))
+    runner.run_suite(tmp_path / "s.toml", tmp_path / "w", tmp_path / "b", only=Only(seeds=(1,)))
+    (picture,) = (tmp_path / "b" / "pictures").glob("*/*.left.png")
+    assert picture.name.startswith("ray_triangulation-")
+    page = (tmp_path / "b" / "index.html").read_text(encoding="utf-8")
+    assert base64.b64encode(picture.read_bytes()).decode() in page
 
 
 def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command(

@@ -59,6 +59,7 @@ def _pictures(
             wanted += [
                 (rank, f"row{number}", f"{stem}.png"),
                 (rank, f"error{number}", f"{stem}.error.png"),
+                (rank, f"left{number}", f"{stem}.left.png"),
             ]
         for order, name, file in wanted:
             path = _there(pictures, f"{run['pictures']}/{file}")
