@@ -48,7 +48,8 @@ class Stack:
     Attributes
     ----------
     before, after : minimum images of every `STACK` planes.
-    potential : E (plane, window row, window column).
+    potential, cut : E (plane, window row, window column), of all windows, and 0 in those of small
+        spread, as the solvers have it.
     voxels : (n, 4) column, row, plane and radius of the true bubbles in voxels.
     """
 
@@ -57,6 +58,7 @@ class Stack:
     before: list[F32]
     after: list[F32]
     potential: F32
+    cut: F32
     voxels: F64
 
     @classmethod
@@ -70,7 +72,8 @@ class Stack:
         after = [dark for dark, _ in minimum_images(volume)]
         place = (bubbles.center_mm - np.asarray(grid.low_mm)) / np.asarray(grid.voxel_mm)
         voxels = np.column_stack([place, bubbles.radius_mm / grid.voxel_mm[0]])
-        return cls(case, original, before, after, potential, voxels)
+        cut = feature_potential(original, WINDOW)
+        return cls(case, original, before, after, potential, cut, voxels)
 
     def kinds(self) -> dict[str, I64]:
         """Sort the bubbles by size; their rows."""
@@ -89,12 +92,12 @@ class Stack:
         """Return the plane through a bubble's centre."""
         return int(np.clip(np.rint(self.voxels[bubble, 2]), 0, len(self.volume) - 1))
 
-    def over_depth(self, bubble: int) -> F64:
+    def over_depth(self, bubble: int, potential: F32) -> F64:
         """Return E (plane,) of that window on a bubble's outline in which it is largest."""
         rows, columns = self.rim(bubble)
-        _, down, across = self.potential.shape
+        _, down, across = potential.shape
         i, j = np.minimum(rows // WINDOW, down - 1), np.minimum(columns // WINDOW, across - 1)
-        every = self.potential[:, i, j]
+        every = potential[:, i, j]
         return every[:, int(every[self.plane(bubble)].argmax())].astype(np.float64)
 
 
@@ -152,16 +155,19 @@ def _peaks(stack: Stack) -> dict[str, float]:
     """Measure E and its rank over depth near the planes of bubbles, and E elsewhere."""
     out: dict[str, float] = {}
     for kind, which in stack.kinds().items():
-        near, ranks, hits = [], [], []
+        near, ranks, hits, left = [], [], [], []
         for bubble in which:
-            over, plane = stack.over_depth(bubble), stack.plane(bubble)
+            over, plane = stack.over_depth(bubble, stack.potential), stack.plane(bubble)
             part = slice(max(plane - _NEAR, 0), plane + _NEAR + 1)
             near.append(float(over[part].max()))
             ranks.append(float(np.mean(over <= near[-1])))
             hits.append(abs(int(over.argmax()) - plane) <= _NEAR)
+            cut = stack.over_depth(bubble, stack.cut)
+            left.append(bool(cut.any()) and abs(int(cut.argmax()) - plane) <= _NEAR)
         out[f"E, {kind} bubbles"] = _median(near)
         out[f"distribution of E, {kind} bubbles"] = _median(ranks)
-        out[f"share with the largest E within {_NEAR} planes, {kind} bubbles"] = _mean(hits)
+        share = f"share with the largest E within {_NEAR} planes, {kind} bubbles"
+        out[share], out[f"{share}, the solvers' least spread"] = _mean(hits), _mean(left)
     out["E, background"] = _median(list(stack.potential[stack.potential > 0.0]))
     return out
 
@@ -229,7 +235,7 @@ def _gradient(dark: F32, x: int, y: int, radius: float) -> float:
 
 def _typical(stack: Stack, which: I64) -> int:
     """Select the bubble whose E at its plane is the median."""
-    levels = [stack.over_depth(int(one))[stack.plane(int(one))] for one in which]
+    levels = [stack.over_depth(int(one), stack.potential)[stack.plane(int(one))] for one in which]
     return int(which[np.argsort(levels)[len(levels) // 2]])
 
 
@@ -252,13 +258,13 @@ def _depth_figure(stack: Stack, shown: dict[str, int]) -> Figure:
     over = []
     for kind, bubble in shown.items():
         name = f"{kind} bubble at {z[stack.plane(bubble)]:.1f} mm"
-        over.append(Curve(name, list(z), list(stack.over_depth(bubble))))
+        over.append(Curve(name, list(z), list(stack.over_depth(bubble, stack.potential))))
     rank = list(np.arange(1, len(z) + 1) / len(z))
     shares, marks = [], []
     for kind, bubble in shown.items():
-        values = np.sort(stack.over_depth(bubble))
+        values = np.sort(stack.over_depth(bubble, stack.potential))
         shares.append(Curve(f"window of the {kind} one", list(values), rank))
-        there = stack.over_depth(bubble)[[stack.plane(bubble)]]
+        there = stack.over_depth(bubble, stack.potential)[[stack.plane(bubble)]]
         marks.append(
             Cloud(f"{kind} bubble", there, np.searchsorted(values, there, "right") / len(z))
         )
