@@ -156,7 +156,7 @@ def test_a_lit_body_is_not_made_of_particles(exposure: float) -> None:
     found, true = find_in(shot.observation), shot.particles.position_mm
     off = np.linalg.norm(true[:, None] - found[None], axis=2)
     free = np.all([view.visible for view in shot.views], axis=0)
-    assert (off.min(axis=0) < 0.05).mean() > 0.98
+    assert (off.min(axis=0) < 0.05).mean() > 0.95
     assert (off.min(axis=1) < 0.05)[free].mean() > 0.9
 
 

@@ -42,7 +42,7 @@ _RAISED = 4.0  # standard deviations: a patch is that much brighter than the bac
 _BORDER, _WIDE = 2, 11  # px: around patches, and the diameter of a disc wider than particles
 _LOW = 0.5  # standard deviations: how far an opening of the smoothed noise is below its mean
 _UNEVEN = 2.0  # standard deviations: what is that much above a patch's level is its own shading
-_MOSTLY_DARK = 0.5  # of an image's pixels: where fewer are dark, particles may look like patches
+_ROUGH = 0.6  # of a patch's level: how far its median may be above the level; particles vary more
 
 
 class ClearImages(NamedTuple):
@@ -111,11 +111,12 @@ def estimate_background(image: F32, known: Bool) -> F32 | None:
 def find_patches(image: F32, known: Bool) -> F32:
     """Measure patches that are brighter than the background around them.
 
-    The result (row, column) is by how much: 0 elsewhere, and where particles leave few pixels dark.
+    The result (row, column) is by how much, and 0 elsewhere. Particles that leave few pixels dark
+    are less even than a patch.
     """
     noise = dark_noise(image[known])
     dark = known & (image <= (_RAISED - _BELOW) * noise)
-    if dark.sum() < _MOSTLY_DARK * known.sum() or min(image.shape) < _PATCH:
+    if min(image.shape) < _PATCH:
         return np.zeros_like(image)
     size = (_PATCH, _PATCH)
     sums = (
@@ -125,7 +126,7 @@ def find_patches(image: F32, known: Bool) -> F32:
     few, all_known = (one[: 1 - _PATCH, : 1 - _PATCH] for one in sums)
     lit = (few < _DIMMEST * all_known) & (all_known > 0.5 * _PATCH**2)
     total, count = np.zeros_like(image), np.zeros_like(image)
-    _add_patches(image, known, lit, total, count)
+    _add_patches(image, known, lit, _BELOW * noise, total, count)
     raised = total / np.maximum(count, np.float32(1.0)) + np.float32(_BELOW * noise)
     patches = (count > 0) & (raised > _RAISED * noise)
     if not patches.any():
@@ -147,21 +148,37 @@ def _wide_light(image: F32, noise: float) -> F32:
 
 
 @numba.njit(cache=True)
-def _add_patches(image: Any, known: Any, lit: Any, total: Any, count: Any) -> None:
-    """Add up, and count, the dimmest values of squares that begin at lit pixels."""
+def _add_patches(image: Any, known: Any, lit: Any, below: float, total: Any, count: Any) -> None:
+    """Add up, and count, the dimmest values of even squares that begin at lit pixels.
+
+    Every second row and column of squares tells where the others are worth a look.
+    """
+    near = np.zeros(lit.shape, dtype=np.bool_)
     values = np.zeros(_PATCH * _PATCH)
     for i, j in np.argwhere(lit):
-        number = 0
-        for row in range(i, i + _PATCH):
-            for column in range(j, j + _PATCH):
-                if known[row, column]:
-                    values[number] = image[row, column]
-                    number += 1
-        level = np.sort(values[:number])[int(_DIMMEST * number)]
-        for row in range(i, i + _PATCH):
-            for column in range(j, j + _PATCH):
-                total[row, column] += level
-                count[row, column] += 1.0
+        if i % 2 == 0 and j % 2 == 0 and _level(image, known, i, j, below, values) > -np.inf:
+            near[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = True
+    for i, j in np.argwhere(lit & near):
+        level = _level(image, known, i, j, below, values)
+        if level > -np.inf:
+            for row in range(i, i + _PATCH):
+                for column in range(j, j + _PATCH):
+                    total[row, column] += level
+                    count[row, column] += 1.0
+
+
+@numba.njit(cache=True)
+def _level(image: Any, known: Any, i: int, j: int, below: float, values: Any) -> float:
+    """Return a low percentile of a square; minus infinity if it is not even."""
+    number = 0
+    for row in range(i, i + _PATCH):
+        for column in range(j, j + _PATCH):
+            if known[row, column]:
+                values[number] = image[row, column]
+                number += 1
+    ranked = np.sort(values[:number])
+    level, middle = ranked[int(_DIMMEST * number)], ranked[number // 2]
+    return float(level if middle - level < _ROUGH * (level + below) else -np.inf)
 
 
 def _ends(size: int, tiles: int) -> I64:

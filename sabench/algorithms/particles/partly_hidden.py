@@ -3,13 +3,12 @@
 A body hides what is behind it and shows what is in front, so that no area of an image tells which
 particles a camera misses. They are searched for in the light that the others leave: in all cameras
 but one, in all but two, and so on. Of larger sets of cameras, those are tried that contain one
-which hides particles.
+which hides particles, the most promising first.
 """
 
 from __future__ import annotations
 
 import copy
-import itertools
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from sabench.utils.arrays import F64
 _FEWEST = 3  # cameras that must show a particle
 _HIDDEN = 0.1  # of the particles: expected to be hidden from one camera, and again from each more
 _SOME = 3e-4  # of the particles: fewer that a set of cameras hides are no reason to try larger ones
+_DEEPEST, _TRIED = 4, 100  # cameras that may be blind, and sets of each number that are tried
 _FLOORS = (0.35, 0.2)  # of candidates' light over a typical particle's
 _DENIED = -10.0  # cost that a particle's light saves in a camera that does not see it
 
@@ -34,21 +34,20 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
     from its images. Returns one search for the particles that the same cameras see.
     """
     found: list[ParticleSearch] = []
-    hiding: set[Cameras] = {()}
+    hidden: dict[Cameras, int] = {(): 1}  # how many particles sets of cameras hide
     number = len(search.typical)
-    most = min((number + 1) // 3, number - _FEWEST)
-    for count in range(1, most + 1):
-        before, hiding = hiding, set()
-        for blind in itertools.combinations(range(number), count):
-            smaller = itertools.combinations(blind, count - 1)
-            if search.deadline.over or before.isdisjoint(smaller):
-                continue
+    most = min((number + 1) // 3, number - _FEWEST, _DEEPEST)
+    for _ in range(most):
+        before, hidden = hidden, {}
+        for blind in _promising(number, before):
+            if search.deadline.over:
+                break
             part = _without(search, blind)
             if _find(part):
                 found.append(part)
                 _subtract(search, part)
             if len(part.position) > _SOME * search.number:
-                hiding.add(blind)
+                hidden[blind] = len(part.position)
     for blind, (position, light) in _take_denied(search, most).items():
         part = _without(search, blind)
         part.put(position, np.delete(light, blind, axis=1), np.full(len(light), -1))
@@ -59,6 +58,19 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
             _subtract(search, part)
     search.refine(search.fits)
     return found
+
+
+def _promising(number: int, before: dict[Cameras, int]) -> list[Cameras]:
+    """List sets of cameras that contain one which hides particles.
+
+    Those come first whose smaller sets hide most; no more than can be tried.
+    """
+    promise: dict[Cameras, int] = {}
+    for smaller, many in before.items():
+        for camera in set(range(number)).difference(smaller):
+            blind = tuple(sorted((*smaller, camera)))
+            promise[blind] = promise.get(blind, 0) + many
+    return sorted(promise, key=lambda blind: (-promise[blind], blind))[:_TRIED]
 
 
 def _take_denied(search: ParticleSearch, most: int) -> dict[Cameras, tuple[F64, F64]]:
