@@ -90,6 +90,14 @@ def test_dense_particles_are_no_patches() -> None:
         assert np.mean(found > 0.0) < 0.01
 
 
+def test_dense_particles_beside_the_dark_are_no_patches() -> None:
+    """As of a volume that fills a part of the image."""
+    shown = image(0.12, 8)
+    shown[:, : COLUMNS // 2] = image(0.0, 9)[:, : COLUMNS // 2]
+    found = find_patches(shown, np.ones(shown.shape, dtype=bool))
+    assert np.mean(found > 0.0) < 0.005
+
+
 def test_spots_of_nothing_are_none() -> None:
     none = np.zeros((ROWS, COLUMNS), dtype=np.float32)
     assert not find_bright_spots(none, np.ones(none.shape, dtype=np.bool_)).any()
