@@ -26,6 +26,7 @@ from sabench.api.observations import (
     VolumePair,
 )
 from sabench.api.parameters import Parameters, PlugIn
+from sabench.utils.errors import InputError
 
 TaskName = Literal[
     "reconstruction", "particles", "calibration", "velocimetry", "bubbles", "see_through"
@@ -62,8 +63,10 @@ class IterativeSolver(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """Return the estimate after the last iteration."""
-        (last,) = deque(self.iterations(case), maxlen=1)
-        return last()
+        made = deque(self.iterations(case), maxlen=1)
+        if not made:
+            raise InputError("expected an iteration at least, got none")
+        return made[0]()
 
 
 class SequenceSolver(PlugIn):

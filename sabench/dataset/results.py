@@ -52,6 +52,7 @@ _ATTRIBUTES = (
     "whole_process",
 )
 ITERATIONS = "iterations"  # group of estimates on the way
+MOST_ITERATIONS = 100  # of which a file may have estimates
 _STORED_KINDS = {"f": "f", "i": "iu", "u": "u", "b": "u"}  # kinds in a file, by the array's own
 _CHUNK = 256  # voxels along a side of the pieces in which volumes are compressed
 AnEstimate = TypeVar("AnEstimate", bound=Estimate)
@@ -101,11 +102,16 @@ class Result:
         with open_hdf5(self.path) as file:
             names = names_in(file, ITERATIONS)
             numbers = sorted(int(name) for name in names if name.isascii() and name.isdigit())
+        if len(numbers) > MOST_ITERATIONS:
+            raise InputError(
+                f"{self.path}: {ITERATIONS}: expected at most {MOST_ITERATIONS}, got {len(numbers)}"
+            )
         for number in numbers:
             group = f"{ITERATIONS}/{number}"
             with open_hdf5(self.path) as file:
                 (seconds,) = read_array(file, f"{group}/seconds", (1,), "f")
-            yield number, float(seconds), self._read(kind, group)
+            took = _cost(float(seconds), f"{self.path}: {group}/seconds")
+            yield number, took or 0.0, self._read(kind, group)
 
     def _read(self, kind: type[AnEstimate], group: str) -> AnEstimate:
         sizes = dict(zip("zyx", self.grid.shape, strict=True))

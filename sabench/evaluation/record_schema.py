@@ -25,6 +25,7 @@ from pydantic import (
 
 from sabench import tasks
 from sabench.api.solvers import TaskName
+from sabench.dataset.results import MOST_ITERATIONS
 from sabench.evaluation.solver_card import SolverCard
 from sabench.tasks.quality_figures import FIGURES
 from sabench.tasks.task import Score
@@ -41,7 +42,6 @@ _LONGEST_NAME, _LONGEST_TEXT, _LONGEST_FAULT = 200, 10_000, 300  # characters
 _DEEPEST = 20  # tables and lists within each other
 _LARGEST = 1e15  # no meaningful score is beyond it
 _LONGEST_S = 1e6
-_MOST_ITERATIONS = 100
 _ROUNDING = 1e-6  # by which a score may be beyond its range
 _SIGNED = ("bias", "_mean_")  # parts of the keys of errors that may be negative
 _YEARS = (2000, 2100)
@@ -181,7 +181,7 @@ class Head(_Part):
     )
     iterations: list[Iteration] | None = Field(
         None,
-        max_length=_MOST_ITERATIONS,
+        max_length=MOST_ITERATIONS,
         description="number, seconds so far and first score after iterations of the first frame",
     )
     isolated: bool | None = Field(

@@ -132,13 +132,7 @@ class ReconstructionTask(FrameByFrame):
         found, took = call_iterations(algorithm, name, case, store)
         check_estimate(found, name, data, 0)
         writer.add(found, 0)
-        seconds = [took]
-        for frame in self.frames(data)[1:]:
-            found, took = self.call(algorithm, name, data, frame)
-            seconds.append(took)
-            writer.add(found, frame)
-            memory.trim()
-        return seconds
+        return [took, *self.run_frames(algorithm, name, data, writer, self.frames(data)[1:])]
 
     def call_sequence(
         self,

@@ -316,8 +316,14 @@ class FrameByFrame(Task):
 
     def run(self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter) -> list[float]:
         """Call the solver on every frame; return the seconds of each."""
+        return self.run_frames(algorithm, name, data, writer, self.frames(data))
+
+    def run_frames(
+        self, algorithm: Any, name: str, data: Dataset, writer: ResultWriter, frames: Sequence[int]
+    ) -> list[float]:
+        """Call the solver on some frames; return the seconds of each."""
         seconds = []
-        for frame in self.frames(data):
+        for frame in frames:
             found, took = self.call(algorithm, name, data, frame)
             seconds.append(took)
             writer.add(found, frame)

@@ -13,6 +13,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.runner import dataset_of
 from sabench.evaluation.selection import Only
 from sabench.evaluation.suite_loading import load_suite
-from sabench.tasks.solve_and_score import score, solve
+from sabench.tasks.solve_and_score import score, score_iterations, solve
 from sabench.utils.errors import InputError, UncheckedError
 from tests.conftest import Command
 
@@ -63,6 +64,11 @@ def test_one_run_of_an_iterative_solver_tells_accuracy_over_seconds(tmp_path: Pa
     made = dataset_of(load_suite(tmp_path / "s.toml", None)[1][0], tmp_path / "w", fresh=False)
     solve("mlos_smart", made, tmp_path / "plain.h5")
     assert smart["estimate_hash"] == estimate_hash(tmp_path / "plain.h5")
+    solve("mlos_smart", made, tmp_path / "steps.h5", iterations=True)
+    with h5py.File(tmp_path / "steps.h5", "r+") as file:
+        file["iterations/2/seconds"][0] = -1.0
+    with pytest.raises(InputError, match=r"iterations/2/seconds: expected one number that is not"):
+        score_iterations(made, tmp_path / "steps.h5")
 
 
 def test_the_page_has_residual_images_of_particles_and_of_nothing_else(tmp_path: Path) -> None:

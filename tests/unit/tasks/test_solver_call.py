@@ -69,5 +69,7 @@ def test_solvers_without_an_iteration_and_those_that_decline_are_said(case: Obse
 
     with pytest.raises(InputError, match="expected an iteration at least, got none"):
         call_iterations(counting(0), "counting", case, store)
+    with pytest.raises(InputError, match="expected an iteration at least, got none"):
+        counting(0).solve(case)
     with pytest.raises(DeclinedError, match="declines this case: it takes none"):
         call_iterations(Declining(Declining.Parameters()), "declining", case, store)
