@@ -27,8 +27,8 @@ BUGS = (
     Bug(
         "light half a pixel to the right of where it belongs",
         "sabench/simulation/rendering/particles_splatted.py",
-        "fill_shares(pixel[i, 0], sigma[i, 0], left, width, across[0, :lanes])",
-        "fill_shares(pixel[i, 0] + 0.5, sigma[i, 0], left, width, across[0, :lanes])",
+        "fill_shares(pixel[i, 0], sigma[i, 0], left, width, across[0])",
+        "fill_shares(pixel[i, 0] + 0.5, sigma[i, 0], left, width, across[0])",
         case="particles",
     ),
     Bug(

@@ -80,7 +80,7 @@ class Uniform(Generator):
             place = np.clip(place - turns * size, 0.0, size)
             # a particle that re-enters is a new one, with a new id
             identity += count * np.abs(turns).astype(np.int64).sum(axis=1)
-        return Particles(identity, domain.low_mm + place, diameter, np.tile(velocity, (count, 1)))
+        return Particles(identity, domain.low_mm + place, diameter, np.full((count, 3), velocity))
 
     def _diameters(self, rng: np.random.Generator, count: int) -> F64:
         chosen: UniformParameters = self.parameters

@@ -52,6 +52,7 @@ class Entry:
     file: Path
 
 
+@functools.cache
 def bundled_folder(kind: str) -> Path:
     """Find a bundled folder: generators, solvers, scenes, templates or leaderboard."""
     beside = _PACKAGE.parent / kind

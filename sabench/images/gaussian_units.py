@@ -40,15 +40,15 @@ _DENSITY = _polynomial(lambda t: math.exp(-t * t), _DENSITY_TERMS)
 @numba.njit(cache=True)
 def whole_lanes(pixels: int) -> int:
     """Return the length of a profile of so many pixels, or of a few more."""
-    return LANES * (pixels // LANES + 1)
+    return LANES * -(-pixels // LANES)
 
 
 @intrinsic
 def fill_edges(context: Any, shares: Any, start: Any, step: Any, pixels: Any) -> tuple[Any, Any]:
     """Fill in differences of half the error function between edges.
 
-    `shares` (lane,) are as many as `whole_lanes` says, of floats or doubles, and 0 after so many
-    pixels; edge n is at start + n step.
+    `shares` (lane,) are at least as many as `whole_lanes` says, of floats or doubles. Of those, the
+    ones after so many pixels become 0; edge n is at start + n step.
     """
     return _differences([shares])
 
@@ -66,27 +66,34 @@ def _differences(arrays: Sequence[Any]) -> tuple[Any, Any]:
     signature = types.void(*arrays, types.float64, types.float64, types.intp)
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        do, (start, step, pixels) = Vectors(builder, ir.DoubleType(), LANES), values[len(arrays) :]
+        do, one = (Vectors(builder, ir.DoubleType(), length) for length in (LANES, 1))
+        start, step, pixels = values[len(arrays) :]
         kinds = signature.args[: len(arrays)]
         structs = [
             context.make_array(kind)(context, builder, value)
             for kind, value in zip(kinds, values, strict=False)
         ]
-        lanes, one = (context.get_constant(types.intp, value) for value in (LANES, 1))
-        blocks = builder.sdiv(builder.extract_value(structs[0].shape, 0), lanes)
-        ends = [cgutils.alloca_once(builder, ir.DoubleType()) for _ in arrays]
-        numbers, width = do.numbers(), do.splat(builder.sitofp(pixels, ir.DoubleType()))
-        with cgutils.for_range(builder, blocks) as loop:  # the last block first
-            block = builder.sub(builder.sub(blocks, one), loop.index)
-            first = builder.mul(block, lanes)
-            away = do.plus(do.splat(builder.sitofp(first, ir.DoubleType())), numbers)
-            edges = do.fused(away, do.splat(step), do.splat(start))
-            is_last = builder.icmp_signed("==", loop.index, context.get_constant(types.intp, 0))
-            found, inside = _at_edges(do, edges, step), do.above_zero(do.minus(width, away))
+        lanes = context.get_constant(types.intp, LANES)
+        more = builder.add(pixels, context.get_constant(types.intp, LANES - 1))
+        size = builder.mul(builder.sdiv(more, lanes), lanes)
+
+        def edges(do: Vectors, first: Any) -> tuple[Any, Any]:
+            away = do.plus(do.splat(builder.sitofp(first, ir.DoubleType())), do.numbers())
+            return away, do.fused(away, do.splat(step), do.splat(start))
+
+        last = _at_edges(one, edges(one, size)[1], step)
+        ends = [cgutils.alloca_once_value(builder, one.lane(value, 0)) for value in last]
+        width = do.splat(builder.sitofp(pixels, ir.DoubleType()))
+        with cgutils.for_range(builder, builder.sdiv(size, lanes)) as loop:  # the last block first
+            behind = builder.mul(
+                builder.add(loop.index, context.get_constant(types.intp, 1)), lanes
+            )
+            first = builder.sub(size, behind)
+            away, places = edges(do, first)
+            found, inside = _at_edges(do, places, step), do.above_zero(do.minus(width, away))
             for kind, struct, end, here in zip(kinds, structs, ends, found, strict=False):
-                after = builder.select(is_last, do.lane(here, LANES - 1), builder.load(end))
+                change = do.where(inside, do.minus(do.moved(here, builder.load(end)), here))
                 builder.store(do.lane(here, 0), end)
-                change = do.where(inside, do.minus(do.moved(here, after), here))
                 place = cgutils.get_item_pointer(context, builder, kind, struct, [first])
                 do.store_as(change, place, context.get_value_type(kind.dtype))
         return context.get_dummy_value()

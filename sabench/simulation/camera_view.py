@@ -104,8 +104,9 @@ def _parts(
 ) -> Iterator[F64]:
     """Yield the photons of each moment of the pulse on each route."""
     for positions in tracers.positions_mm:
-        moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
-        middle = positions is tracers.particles.position_mm
+        middle, moment = positions is tracers.particles.position_mm, tracers
+        if not middle:
+            moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
         for route in _routes(frame.scene, camera):
             images = (
                 known

@@ -29,6 +29,7 @@ from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import observation_of
 from sabench.simulation.recording.job import Job
 from sabench.simulation.renderer_choice import Renderer, choose_renderer
+from sabench.utils import memory
 from sabench.utils.arrays import U16
 from sabench.utils.backend import limit_kernels
 from sabench.utils.errors import InputError
@@ -167,6 +168,7 @@ class SampleMaker:
     def __init__(self, scene: Scene, seed: int, renderer: str) -> None:
         if scene.tracers is None or scene.bubbles is not None or scene.solids:
             raise InputError(f"{scene.title}: expected a scene with particles alone")
+        memory.keep_freed()
         self.scene, self.seed, self.renderer = scene, seed, renderer
         self.rig = build_rig(scene, scene.title)
         if scene.vary is not None and scene.vary.impossible == "refuse":

@@ -13,4 +13,4 @@ def stream(seed: int, purpose: str, *indices: int) -> np.random.Generator:
     the indices as its spawn key).
     """
     key = (zlib.crc32(purpose.encode()), *indices)
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))

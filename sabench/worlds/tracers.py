@@ -183,7 +183,9 @@ class Motion:
         if (inertia := self.scene.inertia) is not None:
             title, size = self.scene.title, made.diameter_mm
             check_inertia(flow, inertia, made.position_mm, size, self.scene.time_s(0), title)
-        return self._give_velocity(flow, made, self.scene.time_s(0))
+        position, size = made.position_mm, made.diameter_mm
+        own = velocity_of(flow, self.scene.inertia, position, size, self.scene.time_s(0))
+        return replace(made, velocity_mm_s=own)
 
     def _next(self, flow: Flow, domain: Domain, before: Particles, frame: int) -> Particles:
         """Advect particles by one frame, dropping and replacing those that leave.
@@ -194,23 +196,19 @@ class Motion:
         """
         start, end = self.scene.time_s(frame - 1), self.scene.time_s(frame)
         there = self._carry(flow, before, start, end)
-        stay = _inside(domain, there)
+        stay = np.flatnonzero(_inside(domain, there))
         seed = int(stream(self.seed, "entering", frame).integers(1 << 62))
         fresh = self._made(domain, seed, 0, 0.0)
-        enter = ~_inside(domain, self._carry(flow, fresh, end, start))
-        both = Particles(
+        enter = np.flatnonzero(~_inside(domain, self._carry(flow, fresh, end, start)))
+        # `take` is four times as fast as rows chosen by a mask
+        position = np.concatenate([there.take(stay, 0), fresh.position_mm.take(enter, 0)])
+        diameter = np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]])
+        return Particles(
             np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]]),
-            np.concatenate([there[stay], fresh.position_mm[enter]]),
-            np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]]),
-            np.zeros((int(stay.sum() + enter.sum()), 3)),
+            position,
+            diameter,
+            velocity_of(flow, self.scene.inertia, position, diameter, end),
         )
-        return self._give_velocity(flow, both, end)
-
-    def _give_velocity(self, flow: Flow, particles: Particles, time_s: float) -> Particles:
-        """Give particles their own velocity in the flow that carries them."""
-        position, size = particles.position_mm, particles.diameter_mm
-        own = velocity_of(flow, self.scene.inertia, position, size, time_s)
-        return replace(particles, velocity_mm_s=own)
 
 
 def _inside(domain: Domain, points_mm: F64) -> Bool:

@@ -154,13 +154,13 @@ def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
     most = whole_lanes(size[first:last].max())
     all_terms = _count_terms(np.abs(tilt[first:last]).max())
     across, down = np.zeros((all_terms, most)), np.zeros((all_terms, most))
-    edges, part = np.zeros((3, most)), np.zeros((most, most))
+    edges, part = np.zeros((3, most + 1)), np.zeros((most, most))
     rows, columns = image.shape
     for i in range(first, last):
         left, top, width, height = corner[i, 0], corner[i, 1], size[i, 0], size[i, 1]
         lanes, terms = whole_lanes(width), _count_terms(tilt[i])
-        fill_shares(pixel[i, 0], sigma[i, 0], left, width, across[0, :lanes])
-        fill_shares(pixel[i, 1], sigma[i, 1], top, height, down[0, : whole_lanes(height)])
+        fill_shares(pixel[i, 0], sigma[i, 0], left, width, across[0])
+        fill_shares(pixel[i, 1], sigma[i, 1], top, height, down[0])
         if terms > 1:
             across[1:terms, width:lanes] = 0.0
             _fill_terms(pixel[i, 0], sigma[i, 0], left, width, terms, edges, across)

@@ -48,6 +48,6 @@ def test_shares_in_numpy_are_those_of_kernels() -> None:
     np.testing.assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
 
 
-def test_profiles_have_room_for_one_more_edge_than_pixels() -> None:
-    """The edges of seven pixels fill eight lanes."""
-    assert [whole_lanes(pixels) for pixels in (7, 8, 15)] == [LANES, 2 * LANES, 2 * LANES]
+def test_profiles_fill_whole_lanes() -> None:
+    """Eight pixels fill eight lanes, though they have nine edges."""
+    assert [whole_lanes(pixels) for pixels in (1, 8, 9)] == [LANES, LANES, 2 * LANES]
