@@ -289,18 +289,14 @@ def _rest(
     4, 4) as a preconditioner. Its error is of the second order in that of the solutions.
     """
     shape, k = (len(shared), _UNKNOWNS, _UNKNOWNS), _UNKNOWNS
-    right, x, left = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    better, step, pull = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    for n in range(len(shared)):
-        right[n] = shared[n].T
-    left[:] = right
+    right, x = np.ascontiguousarray(shared.transpose(0, 2, 1)), np.zeros(shape)
+    left, better, pull = right.copy(), np.zeros(shape), np.zeros(shape)
     _times_blocks(inverse, left, better)
-    step[:] = better
-    size, after, bend, known = _product(left, better), np.zeros(k), np.zeros(k), np.diag(own).copy()
+    step, size, known = better.copy(), _product(left, better), np.diag(own).copy()
     for _ in range(_STEPS):
         _times_blocks(alone, step, pull)
         _add_links(links, places, ends, both, step, pull)
-        bend[:] = _product(step, pull)
+        bend = _product(step, pull)
         share, exact = np.zeros(k), True
         for a in range(k):
             share[a] = size[a] / bend[a] if bend[a] > 0.0 else 0.0
@@ -311,11 +307,10 @@ def _rest(
         if exact:
             break
         _times_blocks(inverse, left, better)
-        after[:] = _product(left, better)
+        after = _product(left, better)
         for a in range(k):
             share[a] = after[a] / size[a] if size[a] > 0.0 else 0.0
-        step[:] = better + share * step
-        size[:] = after
+        step, size = better + share * step, after
     rest = own.copy()
     for n in range(len(shared)):
         for c in range(k):

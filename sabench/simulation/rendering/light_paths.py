@@ -218,7 +218,10 @@ def _evaluate_block(
         x, y, z = powers[0, terms[t, 0]], powers[1, terms[t, 1]], powers[2, terms[t, 2]]
         for n in range(_BLOCK):
             basis[t, n] = x[n] * y[n] * z[n]
-    out[:, first : first + size] = np.dot(coefficients, basis)[:, :size]
+    found = np.dot(coefficients, basis)
+    for q in range(len(out)):
+        for n in range(size):  # numba takes 2 s to compile the assignment of a part of an array
+            out[q, first + n] = found[q, n]
 
 
 def _apply_in_chunks(

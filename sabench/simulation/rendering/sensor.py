@@ -133,7 +133,8 @@ def _expose_rows(
             fill_blocks(key, start, counter, start, SHOT, blocks)
             fill_poisson(key, counter, blocks, means, signal)
         else:
-            signal[:] = means
+            for column in range(columns):  # compiles 2 s faster than `signal[:] = means`
+                signal[column] = means[column]
         if chain.read_noise_e > 0.0:
             fill_blocks(key, start, counter, start, READ, blocks)
             fill_normals(key, counter, blocks, noise)
