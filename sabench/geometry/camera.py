@@ -163,7 +163,7 @@ class Camera:
 
         They may have any length.
         """
-        local = (leaving @ np.ascontiguousarray(np.transpose(self.rotation))).T
+        local = np.asarray(self.rotation) @ leaving.T
         valid = valid & (local[2] > 1e-9)
         return self._on_sensor((local[:2] / np.where(valid, local[2], 1.0)).T, valid)
 
