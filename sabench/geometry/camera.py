@@ -248,20 +248,26 @@ def _constants(camera: Camera, wall: Wall) -> tuple[tuple[float, ...], Media, tu
 @functools.lru_cache(maxsize=32)
 def _etendue(camera: Camera) -> F64:
     """Compute the etendue once for all frames of a camera."""
-    column, row = np.meshgrid(np.arange(camera.columns), np.arange(camera.rows))
-    pixels = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
-    right, down = np.array([0.5, 0.0]), np.array([0.0, 0.5])
-    around = [camera.ideal(pixels + step) for step in (right, -right, down, -down, 0.0 * right)]
-    seen = np.all([valid for _, valid in around], axis=0)
-    ends = [np.where(seen[:, None], ideal, 0.0) for ideal, _ in around]
-    across, along = ends[0] - ends[1], ends[2] - ends[3]
-    area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0])
-    square = 1.0 + np.sum(ends[4] ** 2, axis=1)
-    out = np.asarray(np.pi * camera.aperture_radius_mm**2 * area / square**2).reshape(
-        camera.rows, camera.columns
-    )
+    column, row = np.arange(camera.columns), np.arange(camera.rows)
+    middle, seen = _ideal_lattice(camera, column, row)
+    sides, sides_seen = _ideal_lattice(camera, np.arange(camera.columns + 1) - 0.5, row)
+    ends, ends_seen = _ideal_lattice(camera, column, np.arange(camera.rows + 1) - 0.5)
+    seen &= sides_seen[:, 1:] & sides_seen[:, :-1] & ends_seen[1:] & ends_seen[:-1]
+    across, along = sides[:, :, 1:] - sides[:, :, :-1], ends[:, 1:] - ends[:, :-1]
+    area = np.abs(across[0] * along[1] - across[1] * along[0])
+    square = 1.0 + (middle[0] ** 2 + middle[1] ** 2)
+    out = np.asarray(np.pi * camera.aperture_radius_mm**2 * area / square**2)
+    out[~seen] = 0.0
     out.flags.writeable = False
     return out
+
+
+def _ideal_lattice(camera: Camera, column: npt.ArrayLike, row: npt.ArrayLike) -> tuple[F64, Bool]:
+    """Return ideal coordinates (2, row, column), and where the lens has any."""
+    pixels = np.stack(np.meshgrid(column, row), axis=-1)
+    ideal, valid = camera.ideal(pixels.reshape(-1, 2))
+    shape = pixels.shape[:2]
+    return np.ascontiguousarray(ideal.T).reshape(2, *shape), valid.reshape(shape)
 
 
 def aimed_rotation(

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numba
 import numpy as np
 
 from sabench.api import Material
@@ -100,16 +102,27 @@ def _passes(
     """
     from sabench.simulation.rendering import bubble_integrator  # needs the variant
 
-    pixels, first = np.repeat(some, more), np.cumsum(more) - more - before
-    number = np.arange(len(pixels)) - np.repeat(first, more)
+    pixels, turn, stream = np.empty((3, more.sum()), dtype=np.int64)
+    _list_passes(some, before, more, pixels, turn, stream)
     rays, total = -(-_RAYS // len(delays)), np.zeros(len(pixels))
-    turn, stream = np.divmod(number, STREAMS)
     for moment, delay in enumerate(delays.tolist()):
         seeds = ((seed + stream) * len(delays) + moment) % _SEEDS
         total += bubble_integrator.radiance(
             stage_of(delay), camera, stage_of.origin, pixels, rays, seeds, turn * rays
         )
     return np.asarray(total / len(delays))
+
+
+@numba.njit(cache=True)
+def _list_passes(
+    some: Any, before: Any, more: Any, pixels: Any, turn: Any, stream: Any
+) -> None:  # pragma: no cover
+    """Fill in each pass's pixel, its stream, and the stream's passes before."""
+    n = 0
+    for k in range(len(some)):
+        for number in range(before[k], before[k] + more[k]):
+            pixels[n], turn[n], stream[n] = some[k], number // STREAMS, number % STREAMS
+            n += 1
 
 
 def _moments(camera: Camera, bubbles: Bubbles, exposure_s: float) -> int:

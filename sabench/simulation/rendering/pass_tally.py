@@ -43,10 +43,7 @@ class PassTally:
 
     def add(self, where: I64, more: I64, values: F64) -> None:
         """Add passes of some pixels, so many `more` of each, one pixel's after the other."""
-        turns = more // STREAMS
-        by_turn = values.reshape(-1, STREAMS)
-        self._sums[where] += np.add.reduceat(by_turn, np.cumsum(turns) - turns)
-        self.count[where] += more
+        _add_passes(self._sums, self.count, where, more, values)
 
     @property
     def mean(self) -> F64:
@@ -95,6 +92,23 @@ class PassTally:
         wanted = np.minimum(wanted, np.minimum(_GROWTH * self.count, _MOST))
         wanted = STREAMS * np.ceil(wanted / STREAMS).astype(np.int64)
         return np.asarray(np.maximum(wanted, self.count))
+
+
+@numba.njit(cache=True)
+def _add_passes(
+    sums: Any, count: Any, where: Any, more: Any, values: Any
+) -> None:  # pragma: no cover
+    """Add `more` passes of each pixel `where` to its streams, which take turns."""
+    streams = sums.shape[1]
+    total, n = np.empty(streams), 0
+    for k in range(len(where)):
+        total[:] = 0.0
+        for turn in range(more[k]):
+            total[turn % streams] += values[n]
+            n += 1
+        for stream in range(streams):
+            sums[where[k], stream] += total[stream]
+        count[where[k]] += more[k]
 
 
 @numba.njit(cache=True)
