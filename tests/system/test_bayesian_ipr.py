@@ -192,12 +192,15 @@ def test_images_narrower_than_pixels_on_a_part_of_the_sensor() -> None:
     assert counts.precision > 0.97
 
 
-@pytest.mark.parametrize("per_pixel", [0.001, 0.005, 0.02])
-def test_a_thin_recording_with_a_background_has_no_ghosts(per_pixel: float) -> None:
-    # What a sliding minimum leaves: a raised background, and patches around dead pixels
+@pytest.mark.parametrize(
+    ("per_pixel", "seed"), [(0.001, 1), (0.001, 2), (0.003, 4), (0.005, 1), (0.02, 1)]
+)
+def test_a_thin_recording_with_a_background_has_no_ghosts(per_pixel: float, seed: int) -> None:
+    # What a sliding minimum leaves: a raised background, and patches around dead pixels. With seeds
+    # 2 and 4, a glint no wider than two particles outshines them, and no camera is said to be wrong
     values = tomllib.loads(find("realistic-particles", "scenes").read_text(encoding="utf-8"))
     values["particles"]["per_pixel"] = per_pixel
-    shot = simulate(parse_scene(values, "test"), seed=1)
+    shot = simulate(parse_scene(values, "test"), seed=seed)
     counts = count(shot, find_in(shot.observation))
     assert counts.recall > 0.98
     assert counts.precision > 0.99

@@ -23,6 +23,7 @@ _LEAST_NOISE = 0.5  # grey values: of rounding
 _FEW, _FEW_PEAKS = 50, 10  # values below black, and peaks, that tell
 _CLEAR = 6.0  # standard deviations by which neighbours' products, and peaks, exceed those of noise
 _PEAK, _AROUND = 5, 7  # px: squares of which a peak is the brightest pixel, and that hold its light
+_BLOB, _OUTSHINES = 15, 0.1  # px: a square around a glint; share of an image's squared light
 _OVER_PEAKS = 3.0  # of the light around a middle peak: the most that is typical
 
 
@@ -56,7 +57,7 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
     """
     sigma, light, noise, shown, number = [], [], [], [], []
     for image, there in zip(images, known, strict=True):
-        widths, own, clear = _measure_image(image, there)
+        widths, own, clear = _measure_image(image, _without_brightest(image, there))
         sigma.append(widths)
         light.append(own)
         noise.append(dark_noise(image[there]))
@@ -76,6 +77,18 @@ def dark_noise(values: F64 | F32) -> float:
     """Estimate the standard deviation of dark pixels from the values below black."""
     below = values[values < 0.0]
     return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, _LEAST_NOISE)
+
+
+def _without_brightest(image: F64, known: Bool) -> Bool:
+    """Leave out what outshines an image's particles, such as a small glint.
+
+    That are squares with more than a tenth of the squared light, unless few peaks are left.
+    """
+    squares = np.where(known, image, 0.0) ** 2
+    inside = cv2.boxFilter(squares, -1, (_BLOB, _BLOB), normalize=False)
+    rest: Bool = known & (inside <= _OUTSHINES * squares.sum())
+    left = _peaks(np.where(rest, image, 0.0), dark_noise(image[known])).sum()
+    return known if left < _FEW_PEAKS else rest
 
 
 def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, bool]:
@@ -116,13 +129,18 @@ def _light_of_peaks(light: F64, noise: float) -> float:
 
     It is infinite if they are few.
     """
-    shown = light.astype(np.float32)
-    highest = cv2.dilate(shown, np.ones((_PEAK, _PEAK), np.uint8))
-    peaks = (shown == highest) & (shown > _CLEAR * noise)
+    peaks = _peaks(light, noise)
     if peaks.sum() < _FEW_PEAKS:
         return math.inf
-    sums = cv2.boxFilter(shown, -1, (_AROUND, _AROUND), normalize=False)
+    sums = cv2.boxFilter(light.astype(np.float32), -1, (_AROUND, _AROUND), normalize=False)
     return max(float(np.median(sums[peaks])), 0.0)
+
+
+def _peaks(light: F64, noise: float) -> Bool:
+    """Mark pixels that are the brightest around and clear of noise."""
+    shown = light.astype(np.float32)
+    highest = cv2.dilate(shown, np.ones((_PEAK, _PEAK), np.uint8))
+    return np.asarray((shown == highest) & (shown > _CLEAR * noise))
 
 
 def _product(light: F64, count: F64, rows: int, columns: int) -> float:

@@ -82,3 +82,14 @@ def test_few_particles_before_a_background_taken_too_high_have_their_light() -> 
     found = measure_images(shown[None], np.ones((1, *shown.shape), dtype=bool))
     assert found.shown[0]
     assert 100.0 < found.light[0] < 700.0
+
+
+@pytest.mark.parametrize("peak", [500.0, 2000.0, 60000.0])
+def test_a_small_glint_does_not_change_the_width_of_few_particles(peak: float) -> None:
+    shown = image(0.001, (0.6, 0.5), 9)
+    rows, columns = np.mgrid[: shown.shape[0], : shown.shape[1]]
+    glint = np.exp(-((rows - 70) ** 2 + (columns - 90) ** 2) / (2.0 * 1.1**2))
+    both = np.array([shown, shown + peak * glint])
+    plain, with_glint = measure_images(both, np.ones(both.shape, dtype=bool)).sigma
+    np.testing.assert_allclose(plain, (0.6, 0.5), rtol=0.06)
+    np.testing.assert_allclose(with_glint, plain, rtol=0.08)
