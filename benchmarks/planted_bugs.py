@@ -48,8 +48,8 @@ BUGS = (
     Bug(
         "a camera's rotation transposed",
         "sabench/geometry/camera.py",
-        "local = (leaving @ np.ascontiguousarray(np.transpose(self.rotation))).T\n",
-        "local = (leaving @ np.asarray(self.rotation)).T\n",
+        "local = np.asarray(self.rotation) @ leaving.T\n",
+        "local = np.asarray(self.rotation).T @ leaving.T\n",
         case="particles",
     ),
     Bug(
