@@ -85,8 +85,9 @@ def keep_freed() -> None:
     """Keep blocks of up to some 30 MB that this process frees (glibc).
 
     By default glibc returns the memory of an image to the system and asks for new pages for the
-    next, which costs a sixth of the time of a stream of small images. A block that is freed raises
-    its limits to the block's size (up to 32 MB: `mallopt`'s manual page); no page of it is used.
+    next, which costs up to a sixth of the time of a stream of small images. A block that is freed
+    raises its limits to the block's size (up to 32 MB: `mallopt`'s manual page); no page of it is
+    used.
     """
     np.empty(_LARGEST, dtype=np.uint8)
 
