@@ -53,12 +53,13 @@ SIDE_PX, PIXEL_MM = 64, 0.05
 DISPLACED_PX, BRIGHTER, ROUNDS = 0.3, 0.2, 40
 
 
-def scene_of(per_pixel: float) -> Scene:
-    """Make a small scene."""
+def scene_of(per_pixel: float, side_px: int = SIDE_PX) -> Scene:
+    """Make a scene of four square images, by default small ones."""
+    width_mm = 4.0 * side_px / SIDE_PX
     values = tomllib.loads(find("standard-particles", "scenes").read_text(encoding="utf-8"))
-    values["cameras"] |= {"rows": SIDE_PX, "columns": SIDE_PX}
+    values["cameras"] |= {"rows": side_px, "columns": side_px}
     values["cameras"]["layout"] |= {"columns": 2, "rows": 2}
-    values["volume"]["size_mm"] = [4.0, 4.0, 2.5]
+    values["volume"]["size_mm"] = [width_mm, width_mm, 2.5]
     values["grid"]["crop_mm"] = [0.6, 0.6, 0.1]
     values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 6.5}
     values["particles"]["per_pixel"] = per_pixel

@@ -83,9 +83,9 @@ def bubbles(scene: Scene) -> dict[str, float]:
     assert shown is not None
     lights, tank = lights_of(scene), tank_of(scene)
     stager = Stager(camera, tank, shown, (), lights, (), None, None)
-    stage, pixels = stager(0.0), np.arange(camera.rows * camera.columns)
+    stage, pixels = stager(0.0), np.arange(camera.rows * camera.columns, dtype=np.uint32)
     several = np.repeat(pixels, _PASSES)
-    seeds = np.tile(np.arange(_PASSES), len(pixels))
+    seeds = np.tile(np.arange(_PASSES, dtype=np.uint32), len(pixels))
     given = stage, camera, stager.origin, several, _RAYS, seeds, np.zeros_like(seeds)
     bubble_integrator.radiance(*given)
     own = min(_cpu(lambda: bubble_integrator.radiance(*given)) for _ in range(_REPEATS))

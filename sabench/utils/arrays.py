@@ -6,6 +6,7 @@ import numpy.typing as npt
 F64 = npt.NDArray[np.float64]
 C128 = npt.NDArray[np.complex128]
 F32 = npt.NDArray[np.float32]
+U32 = npt.NDArray[np.uint32]
 U16 = npt.NDArray[np.uint16]
 I64 = npt.NDArray[np.int64]
 I32 = npt.NDArray[np.int32]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import runpy
 from typing import Any
 
@@ -30,3 +31,19 @@ def test_tables_of_the_standard_suite_are_those_of_the_bundled_records() -> None
     text = script["PAGE"].read_text(encoding="utf-8")
     assert text.count("<!-- standard: ") == 6
     assert script["filled"](text) == text, "run python docs/results/fill_standard.py"
+
+
+def test_seconds_on_a_gpu_are_those_of_the_record() -> None:
+    record = json.loads((ROOT / "benchmarks" / "records" / "gpu.json").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "using" / "generating.md").read_text(encoding="utf-8")
+    shown = [
+        ("particles", "image_s"),
+        ("bubbles", "nine_images_s"),
+        ("refocusing", "additive_s"),
+        ("refocusing", "multiplicative_s"),
+        ("gradient", "usual_s"),
+    ]
+    for part, key in shown:
+        llvm, cuda = (record[part][kind][key] for kind in ("llvm", "cuda"))
+        assert f"| {llvm:g} | {cuda:g} |" in page
+    assert f"{record['gradient']['llvm']['particles']:,.0f} particles" in page

@@ -274,7 +274,7 @@ class _View:
 
     def _shares(self, offset: Any, width: Any) -> Any:
         """Integrate Gaussians over pixels at an offset from their centres."""
-        erf, scale = self._dr.erf, self._dr.rcp(width * math.sqrt(2.0))
+        erf, scale = self._dr.erf, 1.0 / (width * math.sqrt(2.0))
         return 0.5 * (erf((offset + 0.5) * scale) - erf((offset - 0.5) * scale))
 
     def _sum_up(self, images: Any) -> Any:

@@ -109,12 +109,12 @@ class DifferentiableCamera:
 
     def _through_wall(self, offset: list[Any]) -> list[Any]:
         """Compute directions that leave the pinhole towards points at an offset from it."""
-        _, _, first, gap, _ = self._media
+        dr, (_, _, first, gap, _) = self._dr, self._media
         depth = _dot(self._normal, offset)
         lateral = [one - axis * depth for one, axis in zip(offset, self._normal, strict=True)]
         square = _dot(lateral, lateral)
         slope = self._slope(square, depth - gap)
-        slope = slope * self._dr.rsqrt(first + (first - 1.0) * slope * slope * square)
+        slope = slope * _inverse_root(dr, first + (first - 1.0) * slope * slope * square)
         return [one * slope + axis for one, axis in zip(lateral, self._normal, strict=True)]
 
     def _slope(self, square: Any, deep: Any) -> Any:
@@ -130,7 +130,7 @@ class DifferentiableCamera:
         dr = self._dr
         with dr.suspend_grad():
             flat, depth = dr.detach(square), dr.detach(deep)
-            slope = dr.rcp(self._bridged(0.0, flat, depth)[0])  # of a path near the normal
+            slope = 1.0 / self._bridged(0.0, flat, depth)[0]  # of a path near the normal
             for _ in range(_NEWTON):
                 bridged, gain = self._bridged(slope, flat, depth)
                 slope = slope + (1.0 - bridged * slope) / gain
@@ -147,7 +147,7 @@ class DifferentiableCamera:
         tangent = slope * slope * square
         bridged, gain = rare, rare
         for ratio, depth in [(fluid, deep), *others]:
-            inverse = self._dr.rsqrt(ratio + (ratio - 1.0) * tangent)
+            inverse = _inverse_root(self._dr, ratio + (ratio - 1.0) * tangent)
             part = depth * inverse
             bridged, gain = bridged + part, gain + part * inverse * inverse * ratio
         return bridged, gain
@@ -176,6 +176,14 @@ def _media(wall: Wall, camera: Camera) -> list[Any]:
     """
     rare, others, fluid, first, gap = media_of(wall, np.asarray(camera.center_mm))
     return [rare, fluid, 1.0 if first is None else first, gap, others]
+
+
+def _inverse_root(dr: Any, value: Any) -> Any:
+    """Compute 1 / sqrt.
+
+    Dr.Jit's rsqrt has seven digits on a GPU, also in double precision.
+    """
+    return 1.0 / dr.sqrt(value)
 
 
 def _dot(one: Any, other: Any) -> Any:

@@ -28,7 +28,7 @@ from sabench.simulation.rendering.camera_rays import (
 from sabench.simulation.rendering.lamps import Lamps
 from sabench.simulation.rendering.particle_integrator import Cloud
 from sabench.simulation.rendering.tank_walls import enter, layers_of, leave, panel_of
-from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.arrays import F32, F64, U32
 
 _EVENTS, _GLOWING = 64, 4096  # surfaces, and glowing balls, that a ray meets at most
 _NONE = 0xFFFFFFFF
@@ -66,7 +66,7 @@ _FIRST = 4
 
 
 def radiance(
-    stage: Stage, camera: Camera, origin: F64, pixels: I64, samples: int, seeds: I64, starts: I64
+    stage: Stage, camera: Camera, origin: F64, pixels: U32, samples: int, seeds: U32, starts: U32
 ) -> F32:
     """Trace the mean radiance (n,) in front of the lens of some pixels.
 

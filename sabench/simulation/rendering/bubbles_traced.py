@@ -102,15 +102,18 @@ def _passes(
     """
     from sabench.simulation.rendering import bubble_integrator  # needs the variant
 
-    pixels, turn, stream = np.empty((3, more.sum()), dtype=np.int64)
+    pixels, turn, stream = np.empty((3, more.sum()), dtype=np.uint32)
     _list_passes(some, before, more, pixels, turn, stream)
     rays, total = -(-_RAYS // len(delays)), np.zeros(len(pixels))
+    starts = turn * np.uint32(rays)
     for moment, delay in enumerate(delays.tolist()):
-        seeds = ((seed + stream) * len(delays) + moment) % _SEEDS
+        own = np.array([(seed + k) * len(delays) + moment for k in range(STREAMS)]) % _SEEDS
+        seeds = own.astype(np.uint32)[stream]
         total += bubble_integrator.radiance(
-            stage_of(delay), camera, stage_of.origin, pixels, rays, seeds, turn * rays
+            stage_of(delay), camera, stage_of.origin, pixels, rays, seeds, starts
         )
-    return np.asarray(total / len(delays))
+    total /= len(delays)
+    return total
 
 
 @numba.njit(cache=True)

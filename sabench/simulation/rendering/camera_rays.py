@@ -18,12 +18,12 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.occluders import Disc
 from sabench.geometry.sensor_tilt import UPRIGHT, focus_slope, sensor_axes
-from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.arrays import F32, F64, I64, U32
 
 WAVEFRONT = 1 << 22  # rays traced simultaneously: bounds memory, not results
 
 
-def mean_of_rays(numbers: tuple[I64, ...], samples: int, trace: Callable[..., Any]) -> F32:
+def mean_of_rays(numbers: tuple[I64 | U32, ...], samples: int, trace: Callable[..., Any]) -> F32:
     """Compute the mean radiance (n,) of the rays of pixels, some at a time.
 
     Rays of one pixel are neighbours and are added up in their order, so that the image does not
@@ -37,7 +37,8 @@ def mean_of_rays(numbers: tuple[I64, ...], samples: int, trace: Callable[..., An
     count = max(1, WAVEFRONT // samples)
     parts = [np.zeros(0, dtype=np.float32)]
     for first in range(0, len(numbers[0]), count):
-        some = [mi.UInt32(one[first : first + count].astype(np.uint32)) for one in numbers]
+        part = slice(first, first + count)
+        some = [mi.UInt32(one[part].astype(np.uint32, copy=False)) for one in numbers]
         lane = dr.arange(mi.UInt32, dr.width(some[0]) * samples)
         own = [dr.gather(mi.UInt32, one, lane // samples) for one in some]
         mean = dr.block_sum(trace(lane % samples, *own), samples) * (1.0 / samples)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numba
@@ -58,13 +59,11 @@ class PassTally:
         """
         from scipy.ndimage import uniform_filter  # takes long to load
 
-        variance = np.empty(len(self.count))
+        variance, error = np.empty((2, len(self.count)))
         _fill_variances(self._sums, self.count, variance)
         around = uniform_filter(variance.reshape(self._shape), 3).ravel()
-        own = STREAMS - 1
-        mixed = (own * variance + _AROUND * around) / (own + _AROUND)
-        error = np.sqrt(np.maximum(mixed, 0.0) / self.count)
-        return np.asarray(error / np.maximum(self.mean, max(floor, 1e-300)))
+        _fill_errors(self._sums, self.count, variance, around, max(floor, 1e-300), error)
+        return np.asarray(error)
 
     def mean_error(self, off: F64) -> float:
         """Compute the mean of errors `off` (n,) over pixels that count; 0 without any."""
@@ -80,18 +79,11 @@ class PassTally:
 
         if self.mean_error(off) <= error:
             return self.count
-        one, counted = off * np.sqrt(self.count), self._counted
-        share, more = one ** (2.0 / 3.0), counted
-        for _ in range(_TRIALS):
-            rest = error * counted.sum() - off[counted & ~more].sum()
-            factor = (share[more].sum() / max(rest, 1e-6 * error)) ** 2
-            more = counted & (factor * share > self.count)
         rough = maximum_filter((off > error).reshape(self._shape), 3).ravel()
-        wanted = np.where(counted, factor * share, np.minimum(factor * share, (one / error) ** 2))
-        wanted = np.maximum(np.ceil(wanted), np.where(rough, _ROUGH, 0))
-        wanted = np.minimum(wanted, np.minimum(_GROWTH * self.count, _MOST))
-        wanted = STREAMS * np.ceil(wanted / STREAMS).astype(np.int64)
-        return np.asarray(np.maximum(wanted, self.count))
+        wanted = np.empty(len(off), dtype=np.int64)
+        share, factor = _share_out(off, self.count, self._counted, error)
+        _fill_wanted(off, self.count, self._counted, rough, share, factor, error, wanted)
+        return wanted
 
 
 @numba.njit(cache=True)
@@ -122,3 +114,60 @@ def _fill_variances(sums: Any, count: Any, variance: Any) -> None:
         for k in range(streams):
             squares += (sums[n, k] - mean) ** 2
         variance[n] = squares / (streams - 1) * streams / count[n]
+
+
+@numba.njit(cache=True)
+def _fill_errors(
+    sums: Any, count: Any, variance: Any, around: Any, floor: float, error: Any
+) -> None:
+    """Fill in the errors (n,) of pixels over their values."""
+    own = sums.shape[1] - 1
+    for n in range(len(sums)):
+        mean = 0.0
+        for k in range(sums.shape[1]):
+            mean += sums[n, k]
+        mixed = max((own * variance[n] + _AROUND * around[n]) / (own + _AROUND), 0.0)
+        error[n] = math.sqrt(mixed / count[n]) / max(mean / count[n], floor)
+
+
+@numba.njit(cache=True)
+def _share_out(off: Any, count: Any, counted: Any, error: float) -> Any:
+    """Share passes out among pixels.
+
+    Returns (n,) each one's share, and the passes for a share of 1. Pixels whose share is less than
+    the passes that they have keep their errors, and the others get the rest.
+    """
+    share, factor = np.empty(len(off)), 0.0
+    for n in range(len(off)):
+        share[n] = (off[n] * off[n] * count[n]) ** (1.0 / 3.0)
+    for trial in range(_TRIALS):
+        rest, total = 0.0, 0.0
+        for n in range(len(off)):
+            if counted[n]:
+                more = trial == 0 or factor * share[n] > count[n]
+                rest += error if more else error - off[n]
+                total += share[n] if more else 0.0
+        factor = (total / max(rest, 1e-6 * error)) ** 2
+    return share, factor
+
+
+@numba.njit(cache=True)
+def _fill_wanted(
+    off: Any,
+    count: Any,
+    counted: Any,
+    rough: Any,
+    share: Any,
+    factor: float,
+    error: float,
+    wanted: Any,
+) -> None:
+    """Fill in how many passes (n,) pixels get altogether."""
+    for n in range(len(off)):
+        asked = factor * share[n]
+        if not counted[n]:
+            asked = min(asked, (off[n] / error) ** 2 * count[n])
+        if rough[n]:
+            asked = max(asked, _ROUGH)
+        passes = math.ceil(min(asked, float(min(_GROWTH * count[n], _MOST))))
+        wanted[n] = max(STREAMS * -(-passes // STREAMS), count[n])

@@ -58,7 +58,7 @@ def _cross(position: Any, direction: Any, normal: Any, layers: Any) -> tuple[Any
         position = dr.fma(direction, (face - dr.dot(position, normal)) / along, position)
         cosine = dr.abs(along)
         reflected, _, _, _ = mi.fresnel(cosine, after_over_before)
-        passed *= 1.0 - reflected
+        passed *= dr.maximum(1.0 - reflected, 0.0)  # total reflection: GPUs round below 0
         across = (direction - along * normal) * before_over_after
         square = dr.maximum(1.0 - dr.squared_norm(across), 0.0)
         direction = across + dr.copysign(dr.sqrt(square), along) * normal

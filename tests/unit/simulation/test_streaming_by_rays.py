@@ -18,7 +18,8 @@ STREAM = """
 import sys
 import numpy as np
 from tests.unit.simulation.test_streaming import all_samples, make_scene
-samples = all_samples(make_scene(), samples=2, backend="mitsuba")
+scene = make_scene(illumination={"pulse_energy_mj": 0.6})  # no pixel is full
+samples = all_samples(scene, samples=2, backend="mitsuba")
 np.save(sys.argv[1], [one.images for one in samples])
 """
 CUDA = "from sabench.utils import backend; print(backend.choose().kind)"
@@ -60,6 +61,8 @@ def test_a_traced_stream_on_a_gpu_is_that_on_llvm(tmp_path: Path) -> None:
     if run(CUDA, "cuda").returncode:
         pytest.skip("needs a CUDA device")
     on_gpu, on_cpu = (images_on(kind, tmp_path).astype(float) for kind in ("cuda", "llvm"))
-    # single precision rounds light in another order: few pixels are a grey value off
-    assert (np.abs(on_gpu - on_cpu) > 1.0).mean() < 1e-3
-    assert on_gpu.sum() == pytest.approx(on_cpu.sum(), rel=1e-4)
+    # single precision rounds rays differently: light by less than a grey value
+    apart = np.abs(on_gpu - on_cpu)
+    assert apart.max() <= 1.0
+    assert (apart > 0.0).mean() < 0.02
+    assert on_gpu.sum() == pytest.approx(on_cpu.sum(), rel=1e-5)

@@ -23,7 +23,7 @@ from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64
-from sabench.utils.backend import drjit
+from sabench.utils.backend import choose, drjit
 from tests.helpers.image_model import SIGMA, TYPICAL, model_of, particles_of, profile
 from tests.unit.algorithms.particles.test_triangulation import (
     CAMERAS,
@@ -90,6 +90,8 @@ def test_flat_light_is_projected_as_cameras_do() -> None:
 @pytest.mark.parametrize("name", WALLS)
 def test_derivatives_of_pixels_are_those_of_cameras(name: str) -> None:
     dr, _ = drjit()
+    # on a GPU, Dr.Jit differentiates quotients by reciprocals of seven digits
+    digits = 2e-6 if choose().kind == "cuda" else 0.0
     points = RNG.uniform([-8.0, -6.0, 20.0], [8.0, 6.0, 40.0], (20, 3))
     one = make_camera(WALLS[name], (-20.0, 40.0, -490.0))
     exact = DifferentiableCamera(one)
@@ -100,7 +102,7 @@ def test_derivatives_of_pixels_are_those_of_cameras(name: str) -> None:
         pixel = exact.project(*place)
         dr.forward(place[axis])
         slopes = np.column_stack([dr.grad(coordinate).numpy() for coordinate in pixel])
-        np.testing.assert_allclose(slopes, difference, rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(slopes, difference, rtol=digits, atol=1e-6)
 
 
 def test_a_curved_wall_is_refused() -> None:
