@@ -15,12 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sabench.algorithms.particles.background import (
-    ClearImages,
-    clear_images,
-    find_dark_areas,
-)
+from sabench.algorithms.particles.background import ClearImages, clear_images
 from sabench.algorithms.particles.camera_check import without_wrong_cameras
+from sabench.algorithms.particles.hidden_areas import are_doubtful, find_dark_views, keep_hidden
 from sabench.algorithms.particles.image_statistics import measure_images
 from sabench.algorithms.particles.learned_model import (
     align_cameras,
@@ -32,7 +29,6 @@ from sabench.algorithms.particles.particle_search import ParticleSearch, joined,
 from sabench.algorithms.particles.partly_hidden import find_partly_hidden
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
 from sabench.algorithms.particles.time_budget import Deadline
-from sabench.algorithms.particles.volume_shares import volume_shares
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.flaws import Flaws
@@ -49,7 +45,6 @@ _FEWER = 0.998  # of the candidates: more that are left share the light as befor
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
-_HIDDEN = 0.02  # of the pixels in which a camera sees the volume: less is chance
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
 
@@ -109,9 +104,9 @@ def search_frame(
 ) -> ParticleSearch | None:
     """Search for a frame's particles; None if too few cameras show any.
 
-    The first candidates share the light that known particles leave.
-    If light remains in the images, areas that are dark in a camera may be hidden from it, and count
-    no longer. Cameras that contradict the others are left out, with a warning.
+    The first candidates share the light that known particles leave. Areas in which something hides
+    particles from a camera do not count. Cameras that contradict the others are left out, with a
+    warning.
     """
     frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s), known)
     search = _find_visible(frame, np.zeros(len(case.cameras), dtype=np.bool_))
@@ -143,23 +138,32 @@ class _Frame(NamedTuple):
 def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     """Find most particles without the cameras (all cameras,) that are wrong.
 
-    Where light remains, areas that seem hidden do not count if less remains without them.
+    A dark area does not count if particles that are found without it should be seen there.
     """
     search = _find_most(frame, wrong)
-    if search is None or search.unexplained() <= _UNEXPLAINED or frame.deadline.over:
+    if search is None or frame.deadline.over:
         return search
+    images, flaws, _ = frame.clear
+    dark = find_dark_views(search, images, flaws, frame.maps)
+    if search.unexplained() <= _UNEXPLAINED and not are_doubtful(search, dark):
+        return search
+    while dark.any():
+        without = _find_most(_covered(frame, dark), wrong)
+        if without is None or frame.deadline.over:
+            break
+        hidden = keep_hidden(without, dark)
+        if (hidden == dark).all():
+            without.hidden = hidden
+            return without
+        dark = hidden
+    return search
+
+
+def _covered(frame: _Frame, areas: Bool) -> _Frame:
+    """Cover areas (camera, row, column) of the images."""
     images, flaws, saturated = frame.clear
-    shares = volume_shares(frame.maps, images.shape[1:])
-    hidden = find_dark_areas(images, flaws, shares, search.number)
-    hidden[~search.shown] = False
-    more = Flaws(flaws.points, flaws.covered | hidden)
-    again = frame._replace(clear=ClearImages(images, more, saturated))
-    many = (hidden.sum(axis=(1, 2)) > _HIDDEN * (shares > 0.0).sum(axis=(1, 2))).any()
-    without = _find_most(again, wrong) if many else None
-    if without is None or without.unexplained() >= search.unexplained() or frame.deadline.over:
-        return search
-    without.hidden = hidden
-    return without
+    more = Flaws(flaws.points, flaws.covered | areas)
+    return frame._replace(clear=ClearImages(images, more, saturated))
 
 
 def _find_most(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
