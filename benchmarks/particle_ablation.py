@@ -45,7 +45,7 @@ from benchmarks.particle_density import (  # noqa: E402
     warm_up,
     write_record,
 )
-from sabench.algorithms.particles import bayesian_ipr  # noqa: E402
+from sabench.algorithms.particles import bayesian_ipr, hidden_areas  # noqa: E402
 from sabench.algorithms.particles.learned_model import learn_light  # noqa: E402
 from sabench.algorithms.particles.light_prior import even_covariance  # noqa: E402
 from sabench.algorithms.particles.particle_search import ParticleSearch  # noqa: E402
@@ -124,7 +124,7 @@ PARTS: dict[str, tuple[dict[str, Any], Patches]] = {
         {},
         [
             (bayesian_ipr, "clear_images", _not_cleared),
-            (bayesian_ipr, "find_dark_areas", _none_hidden),
+            (hidden_areas, "find_dark_areas", _none_hidden),
         ],
     ),
     "best camera": ({}, [(ParticleSearch, "remove", _remove_with_best_camera)]),

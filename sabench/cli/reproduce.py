@@ -48,7 +48,7 @@ def reproduce(
             "-o",
             "--output",
             metavar="FILE",
-            help="Write the rows to a JSON file, one by one; its rows of other names stay.",
+            help="Write each name's rows to a JSON file when it is done; other rows stay.",
         ),
     ] = None,
     figures: Annotated[
@@ -88,7 +88,7 @@ def _measure(
     output: Path | None,
     folder: Path | None,
 ) -> list[dict[str, Any]]:
-    """Measure item by item, and write what there is after every row."""
+    """Measure item by item; rows of one replace those of the file once it is whole."""
     from dataclasses import asdict
 
     from sabench.evaluation.thesis import reproduce, resolve
@@ -97,7 +97,7 @@ def _measure(
     from sabench.utils.progress import announce_compiling
 
     chosen = resolve(names)
-    kept = [row for row in read_rows(output) if row["item"] not in chosen] if output else []
+    kept = read_rows(output) if output else []
     announce_compiling()
     rows: list[dict[str, Any]] = []
     plots: dict[str, list[Figure]] = {}
@@ -109,7 +109,8 @@ def _measure(
                 continue
             rows.append(asdict(item))
             _report_row(rows[-1])
-            _write_rows([*kept, *rows], output)
+        kept = [row for row in kept if row["item"] != name]
+        _write_rows([*kept, *rows], output)
         _write_page(rows, plots, folder)
     return rows
 

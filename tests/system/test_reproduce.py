@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import pytest
 
+from sabench.cli.reproduce import _measure as measure_names
+from sabench.evaluation import thesis
 from sabench.evaluation.suite_loading import override
 from sabench.evaluation.thesis import TABLES, chapter_5, reproduce, table_2_1_best
 from sabench.evaluation.thesis.common import Row, coarsen
+from sabench.plotting.charts import Figure
 from sabench.scenes import Scene, load_scene
 from tests.conftest import Command
 from tests.system.test_board import block
@@ -75,6 +79,29 @@ def test_rows_of_other_names_stay_in_the_file(command: Command, tmp_path: Path) 
     assert other in rows
     assert old not in rows
     assert [row["item"] for row in rows].count("fig-4-9") == 2
+
+
+def test_an_interrupted_measurement_keeps_the_rows_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not the first ones of the new rows: `--list` would take them for all."""
+
+    def stopped(names: list[str], *given: int | None) -> Iterator[Row | Figure]:
+        found = list(reproduce(names, *given))
+        if names == ["fig-4-27"]:
+            yield found[0]
+            raise KeyboardInterrupt
+        yield from found
+
+    monkeypatch.setattr(thesis, "reproduce", stopped)
+    file = tmp_path / "rows.json"
+    old = [{"item": name, "name": "a", "verdict": "exceeds"} for name in ("fig-4-27", "fig-4-9")]
+    file.write_text(json.dumps(old))
+    with pytest.raises(KeyboardInterrupt):
+        measure_names(["fig-4-9", "fig-4-27"], None, None, file, None)
+    rows = json.loads(file.read_text())
+    assert [row["item"] for row in rows] == ["fig-4-27", "fig-4-9", "fig-4-9"]
+    assert old[0] in rows
 
 
 @pytest.mark.parametrize("text", ['{"a": 1}', "[1]", "no JSON", '[{"item": "fig-4-9"}]'])
