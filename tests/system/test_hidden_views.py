@@ -10,11 +10,13 @@ import pytest
 from sabench.algorithms.particles import fit_cameras
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, search_frame
 from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.api import FoundParticles, ImageSequence
+from sabench.api.make import make_algorithm
 from sabench.geometry.volume_polynomials import points_in_mm
 from sabench.metrics.particle_detection import count_challenge
 from sabench.scenes import Scene, parse_scene
 from sabench.scenes.bundled import find
-from sabench.simulation.in_memory import Shot, simulate
+from sabench.simulation.in_memory import Shot, simulate, simulate_sequence
 
 TOP_LEFT = {3: (-151.5, -158.0), 2: (-72.5, -79.0)}  # of discs, by the cameras in a row
 
@@ -58,3 +60,22 @@ def test_dark_areas_of_few_particles_hide_nothing() -> None:
     values = read("realistic-particles")
     values["particles"]["per_pixel"] = 0.005
     assert search(simulate(parse_scene(values, "few"), seed=1)).hidden is None
+
+
+def test_trajectories_go_on_when_something_moves_in_front_of_a_camera() -> None:
+    """From the fourth of six frames on, one of four cameras sees half of the volume."""
+    values = read("particle-tracking") | {"frames": 6}
+    values["illumination"] |= {"scattering": "isotropic"}
+    before = list(simulate_sequence(parse_scene(values, "free"), seed=2))
+    disc = {"center_mm": [-156.6, -164.6, -400.0], "radius_mm": 8.0}
+    after = list(simulate_sequence(parse_scene(values | {"occluders": [disc]}, "hidden"), seed=2))
+    shots = [*before[:3], *after[3:]]
+    case = ImageSequence.of([one.observation for one in shots], 0.01)
+    solver: Any = make_algorithm("shake_the_box", {})
+    found: list[FoundParticles] = list(solver.solve(case))
+    for shot, one in zip(shots, found, strict=True):
+        grid = shot.observation.grid
+        here, there = (grid.to_voxels(p) for p in (one.position_mm, shot.particles.position_mm))
+        counts = count_challenge(here, there, grid.in_scored(here), grid.in_scored(there))
+        assert counts.recall > 0.995
+        assert counts.detections - counts.matched < 0.005 * counts.truths

@@ -29,6 +29,7 @@ from sabench.algorithms.particles.particle_search import ParticleSearch, joined,
 from sabench.algorithms.particles.partly_hidden import find_partly_hidden
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
 from sabench.algorithms.particles.time_budget import Deadline
+from sabench.algorithms.particles.volume_shares import volume_shares
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.flaws import Flaws
@@ -144,7 +145,7 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     if search is None or frame.deadline.over:
         return search
     images, flaws, _ = frame.clear
-    dark = find_dark_views(search, images, flaws, frame.maps)
+    dark = find_dark_views(search, images, flaws, volume_shares(frame.maps, images.shape[1:]))
     if search.unexplained() <= _UNEXPLAINED and not are_doubtful(search, dark):
         return search
     while dark.any():

@@ -5,30 +5,26 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.algorithms.particles.all_particles import paint_particles
-from sabench.algorithms.particles.background import find_dark_areas
+from sabench.algorithms.particles.background import ClearImages, find_dark_areas
 from sabench.algorithms.particles.image_model import Particles, without_margins
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.volume_shares import volume_shares
-from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, Bool
 
 _LEAST = 0.02  # of the pixels in which a camera sees the volume: less is chance
 _DOUBTFUL = 0.8  # of the light expected in an area: less may be hidden, or ghosts are expected
 _HIDDEN = 0.5  # the same, of particles that are found without the area
+_FEWEST = 3  # cameras without a hidden area
 
 
-def find_dark_views(
-    search: ParticleSearch, images: F32, flaws: Flaws, maps: VolumePolynomials
-) -> Bool:
+def find_dark_views(search: ParticleSearch, images: F32, flaws: Flaws, shares: F64) -> Bool:
     """Mark large dark areas (camera, row, column) of a search's cameras.
 
     Parameters
     ----------
     images : (camera, row, column) of all cameras, also those that the search leaves out.
-    maps : of all cameras.
+    shares : the same shape, of the volume that pixels show (`volume_shares`).
     """
-    shares = volume_shares(maps, images.shape[1:])
     dark = find_dark_areas(images, flaws, shares, search.number)
     large = dark.sum(axis=(1, 2)) > _LEAST * (shares > 0.0).sum(axis=(1, 2))
     dark[~(large & search.shown)] = False
@@ -44,8 +40,24 @@ def keep_hidden(search: ParticleSearch, dark: Bool) -> Bool:
     """Keep the areas that hide the particles of a search that did without them.
 
     There are hardly any particles in other dark areas, and what other cameras show of them is seen.
+    None is kept if fewer than three cameras are left: then nothing was lit, or a frame is missing.
     """
-    return dark & (_seen_shares(search, dark) < _HIDDEN)[:, None, None]
+    hidden = _seen_shares(search, dark) < _HIDDEN
+    few = search.shown.sum() - hidden.sum() < _FEWEST
+    return np.zeros_like(dark) if few else dark & hidden[:, None, None]
+
+
+def hide_unseen(
+    search: ParticleSearch, clear: ClearImages, shares: F64, before: Bool | None
+) -> None:
+    """Hide dark areas in which a search's particles should be seen, but are not.
+
+    An area that is dark and was hidden `before` is hidden, too.
+    """
+    dark = find_dark_views(search, clear.images, clear.flaws, shares)
+    if dark.any():
+        hidden = keep_hidden(search, dark)
+        search.hide(hidden if before is None else hidden | (dark & before))
 
 
 def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:

@@ -160,6 +160,12 @@ class ParticleSearch:
         self.tag = np.zeros(0, dtype=np.int64)
         self.odds = np.zeros(0)
 
+    def hide(self, areas: Bool) -> None:
+        """Hide areas (all cameras, row, column) of the images."""
+        self.hidden = areas
+        self.covered |= areas[self.shown]
+        self.known &= ~areas[self.shown]
+
     def set_width(self, sigma: F64) -> None:
         """Set the widths (camera, 2) of the particles' images, the same everywhere."""
         self.widths = np.concatenate([sigma[:, :, None], np.zeros((*sigma.shape, 3))], axis=2)

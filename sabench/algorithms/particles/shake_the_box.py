@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.bayesian_ipr import (
     CAPS,
     FLOORS,
@@ -25,6 +26,7 @@ from sabench.algorithms.particles.bayesian_ipr import (
 )
 from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.dense_start import WINDOW, are_mostly_wrong, search_window
+from sabench.algorithms.particles.hidden_areas import hide_unseen
 from sabench.algorithms.particles.kalman_tracks import (
     ANY_SPEED,
     MATURE,
@@ -38,6 +40,7 @@ from sabench.algorithms.particles.particle_search import ParticleSearch, joined,
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
 from sabench.algorithms.particles.time_budget import Deadline
 from sabench.algorithms.particles.track_motion import most_probable_motion
+from sabench.algorithms.particles.volume_shares import volume_shares
 from sabench.algorithms.particles.window_tracks import CONFIRMED
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
@@ -181,6 +184,7 @@ class _Tracker:
         self, maps: VolumePolynomials, settings: ShakeTheBoxSettings, longest_s: float
     ) -> None:
         self.maps, self.settings = maps, settings
+        self.shares: F64 | None = None  # of the volume that pixels show
         self.longest_s = longest_s  # between two frames
         self.search: ParticleSearch | None = None
         self.before: tuple[Observation, float] | None = None  # last frame, if it has no tracks
@@ -334,8 +338,11 @@ class _Tracker:
         known = np.median(error, axis=1) < _KNOWN_PX * pixel_mm(self.maps)
         rows = np.flatnonzero(known & (np.abs(place) <= 1.0).all(axis=1))
         search.deadline = Deadline(settings.first.budget_s)
-        search.show(dark_images(case))
+        clear = dark_images(case)
+        before, search.hidden = search.hidden, None
+        search.show(clear)
         search.put(place[rows], tracks.light[rows], rows)
+        hide_unseen(search, clear, self._shares(clear), before)
         weigh_pixels(search, CAPS[0])
         search.refine(_SHAKES)
         weigh_pixels(search, CAPS[1])
@@ -353,6 +360,12 @@ class _Tracker:
             split_and_find(search)
         weigh_pixels(search, CAPS[1])
         search.refine(search.fits)
+
+    def _shares(self, clear: ClearImages) -> F64:
+        """Return the shares of the volume that pixels show."""
+        if self.shares is None:
+            self.shares = volume_shares(self.maps, clear.images.shape[1:])
+        return self.shares
 
     def _recognise(
         self, tracks: KalmanTracks, search: ParticleSearch, position: F64, variance: F64

@@ -12,7 +12,9 @@ import numpy as np
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64, Bool
 
-_POINTS, _EACH = 400_000, 16  # points, and those in a block of pixels on average
+# points that tell shares, and which cameras see a pixel's part of the box, and those in a block of
+# pixels on average
+_FOR_SHARES, _FOR_VIEWS, _EACH = 140_000, 400_000, 16
 _LONELY = 0.05  # of a pixel's part of the box, which few cameras see
 # powers of the root of x^4 = x + 1: points that fill a cube evenly (M. Roberts, The unreasonable
 # effectiveness of quasirandom sequences, 2018)
@@ -25,9 +27,9 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
     They are counts of points that fill the box evenly, in blocks of pixels, interpolated.
     """
     out = np.zeros((len(maps.coefficients), *shape))
-    for block, share in zip(_blocks(maps, shape), out, strict=True):
+    for block, share in zip(_blocks(maps, shape, _FOR_SHARES), out, strict=True):
         counts = np.bincount(block.of[block.shown], minlength=block.rows * block.columns)
-        blocks = counts.reshape(block.rows, block.columns) / (_POINTS * block.edge**2)
+        blocks = counts.reshape(block.rows, block.columns) / (_FOR_SHARES * block.edge**2)
         size = block.columns * block.edge, block.rows * block.edge
         fine = cv2.resize(blocks, size, interpolation=cv2.INTER_LINEAR)
         share[:] = fine[: shape[0], : shape[1]]
@@ -40,7 +42,7 @@ def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -
     At least `fewest` of them, that one included, see nearly all of it. Pixels that show nothing of
     the box are marked, too.
     """
-    blocks = list(_blocks(maps, shape))
+    blocks = list(_blocks(maps, shape, _FOR_VIEWS))
     lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
     out = np.zeros((len(blocks), *shape), dtype=np.bool_)
     for block, marked in zip(blocks, out, strict=True):
@@ -63,10 +65,10 @@ class _Blocks(NamedTuple):
     shown: Bool
 
 
-def _blocks(maps: VolumePolynomials, shape: tuple[int, ...]) -> Iterator[_Blocks]:
-    """Find the blocks of each camera's pixels that hold points which fill the box."""
-    points = 2.0 * ((np.arange(_POINTS)[:, None] * _STEP) % 1.0) - 1.0
-    edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / _POINTS))
+def _blocks(maps: VolumePolynomials, shape: tuple[int, ...], count: int) -> Iterator[_Blocks]:
+    """Find the blocks of each camera's pixels that hold `count` points in the box."""
+    points = 2.0 * ((np.arange(count)[:, None] * _STEP) % 1.0) - 1.0
+    edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / count))
     rows, columns = (math.ceil(size / edge) for size in shape)
     for camera in range(len(maps.coefficients)):
         pixels = project_points(maps, camera, points)
