@@ -254,7 +254,7 @@ def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bo
 
     They are (camera, row, column). Something may hide the volume there. Each image holds `number`
     particles, distributed over the pixels as the shares of the volume that these show. Where they
-    show little of it, nothing tells.
+    show little of it, nothing tells, unless it belongs to a larger area.
     """
     dark = np.zeros(images.shape, dtype=np.bool_)
     for camera, share in enumerate(shares):
@@ -270,7 +270,10 @@ def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bo
             cv2.boxFilter(one.astype(np.float32), -1, (edge, edge), normalize=False)
             for one in (light, expected)
         )
-        empty = (sums < _DARK * each * counts) & (counts > _EXPECTED)
+        empty = lit & (sums < _DARK * each * np.maximum(counts, 1.0))
         window = np.ones((edge, edge), np.uint8)
-        dark[camera] = lit & (cv2.dilate(empty.astype(np.uint8), window) > 0)
+        wide = cv2.dilate(empty.astype(np.uint8), window)
+        sure = cv2.dilate((empty & (counts > _EXPECTED)).astype(np.uint8), window)
+        _, area = cv2.connectedComponents(wide)
+        dark[camera] = (wide > 0) & np.isin(area, area[sure > 0])
     return dark
