@@ -138,4 +138,6 @@ def main(dataset, result, *parameters):
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        sys.exit("expected DATASET RESULT [k=3]: a folder that sabench made, and a file to write")
     main(*sys.argv[1:])

@@ -146,7 +146,7 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
         return search
     images, flaws, _ = frame.clear
     dark = find_dark_views(search, images, flaws, volume_shares(frame.maps, images.shape[1:]))
-    if search.unexplained() <= _UNEXPLAINED and not are_doubtful(search, dark):
+    if search.unexplained() <= _UNEXPLAINED and dark.any() and not are_doubtful(search, dark):
         return search
     while dark.any():
         without = _find_most(_covered(frame, dark), wrong)
