@@ -12,6 +12,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +32,7 @@ _FLAGS = [
 ]
 
 
+_PATIENCE_S = 30.0
 AXE = Path(__file__).resolve().parents[1] / "data" / "axe-core-4.14.1.min.js.gz"
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
 
@@ -85,8 +87,18 @@ class Browser:
             deviceScaleFactor=1,
             mobile=False,
         )
-        self.send("POST", "/url", {"url": "about:blank"})
-        self.send("POST", "/url", {"url": page.as_uri() + fragment})
+        for address in ("about:blank", page.as_uri() + fragment):
+            self.send("POST", "/url", {"url": address})
+            self._wait_for(address.partition("#")[0])
+
+    def _wait_for(self, address: str) -> None:
+        """Wait until an address is loaded: on a busy machine, `/url` may return before."""
+        shown = "[location.href.split('#')[0], document.readyState]"
+        end = time.monotonic() + _PATIENCE_S
+        while self.ask(shown) != [address, "complete"]:
+            if time.monotonic() > end:
+                raise TimeoutError(f"{address}: expected it to be loaded, got {self.ask(shown)}")
+            time.sleep(0.02)
 
     def ask(self, script: str) -> Any:
         """The value of an expression; a promise is waited for."""
