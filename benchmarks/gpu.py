@@ -1,16 +1,17 @@
-"""What a GPU brings, and whether it computes what the CPU does.
+"""Seconds on a GPU and on the CPU beside it, and differences of their results.
 
     python benchmarks/gpu.py [--record]
 
 Each part runs in two processes of its own on the same machine, one on LLVM with all cores and one
-on CUDA, and keeps its results, which are compared. Prints JSON of elapsed seconds and of the
+on CUDA, and their results are compared. Prints JSON of elapsed seconds and of the
 largest differences; with --record, writes it to `records/gpu.json`.
 
 - **particles**: nine traced images of `demo` (50,000 particles behind glass, nine rays a pixel):
   the first one of a process, and the median of the others of a second cloud.
 - **bubbles**: nine images of 1024 x 1024 pixels with 2,000 bubbles to an error of 1 %
   (`bubbles.py`).
-- **refocusing**: additive and multiplicative, of `demo`'s nine images to 80 x 1000 x 1000 voxels.
+- **refocusing**: additive and multiplicative, of random images of `demo`'s nine cameras to 80 x
+  1000 x 1000 voxels.
 - **gradient**: cost and gradient of inverse rendering, the first time and once compiled
   (`inverse_rendering.py`'s scene, 256 x 256 pixels, 0.05 particles per pixel).
 """
@@ -20,6 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -44,6 +46,7 @@ from sabench.simulation import camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.rendering import bubbles_traced
+from sabench.utils import backend
 from sabench.utils.arrays import F32, F64
 
 RECORD = Path(__file__).with_name("records") / "gpu.json"
@@ -136,7 +139,7 @@ def measure(part: str, folder: Path) -> dict[str, Any]:
     for kind in KINDS:
         subprocess.run(
             [sys.executable, __file__, "--part", part, "--into", str(folder / kind)],
-            env=os.environ | {"SABENCH_BACKEND": kind},
+            env=os.environ | {backend.CHOICE_VARIABLE: kind},
             check=True,
         )
         seconds[kind] = json.loads((folder / kind).with_suffix(".json").read_text())
@@ -152,6 +155,8 @@ def measure(part: str, folder: Path) -> dict[str, Any]:
 def device() -> str:
     """Name the GPU and the number of cores beside it."""
     asked = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    if shutil.which(asked[0]) is None:
+        sys.exit("expected a GPU with CUDA and nvidia-smi, found none")
     name = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
     return f"{name}, {os.cpu_count()} cores"
 
@@ -165,7 +170,10 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.part:
         seconds, kept = PARTS[asked.part]()
-        rounded = {key: float(f"{value:.3g}") for key, value in seconds.items()}
+        rounded = {
+            key: float(f"{value:.3g}") if isinstance(value, float) else value
+            for key, value in seconds.items()
+        }
         asked.into.with_suffix(".json").write_text(json.dumps(rounded), encoding="utf-8")
         np.save(asked.into.with_suffix(".npy"), kept)
         return

@@ -1,6 +1,7 @@
 """Draw the pictures of the tutorial from the files that its commands make.
 
-Run python docs/images/tutorial.py work/data work/msa.h5.
+Run python docs/images/tutorial.py work/data work/msa.h5 [FOLDER]; the page's own are in
+docs/images, others in the current folder by default.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from sabench.api import Reconstruction
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting.pictures import montage
 
-_FOLDER = Path(__file__).parent
 _WINDOW = slice(40, 130), slice(80, 230)  # rows and columns of voxels: a part of the volume
 _ZOOM = 6  # pixels of a voxel
 
@@ -28,12 +28,12 @@ def seen_from_front(volume: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
     return np.asarray(np.clip(flat / np.percentile(flat, 99.8), 0.0, 1.0) ** 0.5)
 
 
-def main(data: str, result: str) -> None:
+def main(data: str, result: str, folder: str = ".") -> None:
     """Write the images of all cameras, and the result over the truth."""
     dataset = sabench.open_dataset(data)
     images = dataset.observation(0).images
     levels = dataset.scene.sensor
-    (_FOLDER / "tutorial-images.png").write_bytes(
+    (Path(folder) / "tutorial-images.png").write_bytes(
         montage(images, levels.black_level_dn, float(levels.white_dn))
     )
     found = sabench.open_result(result, dataset)
@@ -49,7 +49,7 @@ def main(data: str, result: str) -> None:
         fy=_ZOOM,
         interpolation=cv2.INTER_NEAREST,
     )
-    cv2.imwrite(str(_FOLDER / "tutorial-ghosts.png"), sheet, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    cv2.imwrite(str(Path(folder) / "tutorial-ghosts.png"), sheet, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 
 if __name__ == "__main__":

@@ -32,7 +32,6 @@ from sabench.algorithms.particles.time_budget import Deadline
 from sabench.algorithms.particles.volume_shares import volume_shares
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
-from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F64, Bool
 
 _FEWEST = 3  # cameras that must show particles
@@ -144,37 +143,35 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
     search = _find_most(frame, wrong)
     if search is None or frame.deadline.over:
         return search
-    images, flaws, _ = frame.clear
-    dark = find_dark_views(search, images, flaws, volume_shares(frame.maps, images.shape[1:]))
+    shares = volume_shares(frame.maps, frame.clear.images.shape[1:])
+    dark = find_dark_views(search, frame.clear, shares)
     if search.unexplained() <= _UNEXPLAINED and dark.any() and not are_doubtful(search, dark):
         return search
     while dark.any():
-        without = _find_most(_covered(frame, dark), wrong)
+        without = _find_most(frame, wrong, dark)
         if without is None or frame.deadline.over:
             break
         hidden = keep_hidden(without, dark)
         if (hidden == dark).all():
-            without.hidden = hidden
             return without
         dark = hidden
     return search
 
 
-def _covered(frame: _Frame, areas: Bool) -> _Frame:
-    """Cover areas (camera, row, column) of the images."""
-    images, flaws, saturated = frame.clear
-    more = Flaws(flaws.points, flaws.covered | areas)
-    return frame._replace(clear=ClearImages(images, more, saturated))
+def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> ParticleSearch | None:
+    """Find all particles but those that look like one with others.
 
-
-def _find_most(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
-    """Find all particles but those that look like one with others."""
+    Areas (camera, row, column) that are hidden do not count.
+    """
     clear, maps, settings, deadline, known = frame
-    statistics = measure_images(clear.images.astype(np.float64), ~clear.flaws.unknown)
+    unknown = clear.flaws.unknown if hidden is None else clear.flaws.unknown | hidden
+    statistics = measure_images(clear.images.astype(np.float64), ~unknown)
     statistics = replace(statistics, shown=statistics.shown & ~wrong)
     if statistics.shown.sum() < _FEWEST:
         return None
     search = ParticleSearch(clear, maps, statistics, settings.fits)
+    if hidden is not None:
+        search.hide(hidden)
     search.deadline = deadline
     if known is not None:
         _put_known(search, known)

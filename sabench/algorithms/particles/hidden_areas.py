@@ -8,7 +8,6 @@ from sabench.algorithms.particles.all_particles import paint_particles
 from sabench.algorithms.particles.background import ClearImages, find_dark_areas
 from sabench.algorithms.particles.image_model import Particles, without_margins
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, Bool
 
 _LEAST = 0.02  # of the pixels in which a camera sees the volume: less is chance
@@ -17,18 +16,18 @@ _HIDDEN = 0.5  # the same, of particles that are found without the area
 _FEWEST = 3  # cameras without a hidden area
 
 
-def find_dark_views(search: ParticleSearch, images: F32, flaws: Flaws, shares: F64) -> Bool:
+def find_dark_views(search: ParticleSearch, clear: ClearImages, shares: F64) -> Bool:
     """Mark large dark areas (camera, row, column) of a search's cameras.
 
     Parameters
     ----------
-    images : (camera, row, column) of all cameras, also those that the search leaves out.
-    shares : the same shape, of the volume that pixels show (`volume_shares`).
+    clear : images of all cameras, also those that the search leaves out.
+    shares : (camera, row, column) of the volume that pixels show (`volume_shares`).
     """
-    dark = find_dark_areas(images, flaws, shares, search.number)
+    dark = find_dark_areas(clear.images, clear.flaws, shares, search.number)
     large = dark.sum(axis=(1, 2)) > _LEAST * (shares > 0.0).sum(axis=(1, 2))
     dark[~(large & search.shown)] = False
-    return dark & ~flaws.unknown
+    return dark & ~clear.flaws.unknown
 
 
 def are_doubtful(search: ParticleSearch, dark: Bool) -> bool:
@@ -54,10 +53,14 @@ def hide_unseen(
 
     An area that is dark and was hidden `before` is hidden, too.
     """
-    dark = find_dark_views(search, clear.images, clear.flaws, shares)
-    if dark.any():
-        hidden = keep_hidden(search, dark)
-        search.hide(hidden if before is None else hidden | (dark & before))
+    dark = find_dark_views(search, clear, shares)
+    if not dark.any():
+        return
+    hidden = keep_hidden(search, dark)
+    if before is not None:
+        hidden |= dark & before
+    if hidden.any():
+        search.hide(hidden)
 
 
 def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:

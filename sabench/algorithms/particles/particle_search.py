@@ -149,9 +149,9 @@ class ParticleSearch:
         """Take the images of a frame, with all cameras, and no particles."""
         images, flaws, saturated = clear
         self.images, self.saturated = images[self.shown], saturated[self.shown]
-        covered = flaws.covered if self.hidden is None else flaws.covered | self.hidden
-        self.covered = covered[self.shown]
-        self.known = ~(flaws.points | covered)[self.shown]
+        self.covered, self.known = flaws.covered[self.shown], ~flaws.unknown[self.shown]
+        if self.hidden is not None:
+            self.hide(self.hidden)
         self.framed, self.framed_left = with_margins(self.images), with_margins(self.images)
         self.images = without_margins(self.framed)
         self.left, self.variance = without_margins(self.framed_left), np.ones_like(self.images)

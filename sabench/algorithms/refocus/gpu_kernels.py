@@ -78,7 +78,7 @@ def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, o
 def _keep(values: Any, out: Any) -> None:  # pragma: no cover
     """Copy rows with all cores.
 
-    One core takes three times as long for a volume as the device does.
+    One core takes longer for a volume than the device.
     """
     for row in numba.prange(len(out)):
         for column in range(out.shape[1]):
