@@ -86,13 +86,19 @@ def hurdles(site: Path) -> Iterator[str]:
         if browser is None:
             print(f"{site}: expected chromium and chromedriver to ask axe-core; there are none")
             return
-        for number, path in enumerate(sorted(site.resolve().rglob("*.html"))):
+        for number, path in enumerate(_lasting(site.resolve())):
             width, mode = ((1400, "light"), (390, "dark"))[number % 2]
             browser.prefer(mode)
             browser.open(path, width=width)
             for one in browser.violations():
                 if one.startswith(_GRAVE):
                     yield f"{path.relative_to(site.resolve())} ({width} px, {mode}): {one}"
+
+
+def _lasting(site: Path) -> list[Path]:
+    """List the pages that do not lead on to another one at once."""
+    pages = sorted(site.rglob("*.html"))
+    return [path for path in pages if 'http-equiv="refresh"' not in path.read_text("utf-8")]
 
 
 def main(site: str) -> int:
