@@ -8,6 +8,7 @@ settings were chosen. Parts:
 
     widening        while candidates share the light, their images are as wide as measured
     levels          the darkest candidates go at once, not in six steps
+    settling        all particles are fitted once at each step, not until they are settled
     refits          neighbours of a particle that is tried as a ghost are not fitted again
     splits          no particle is tried as two
     light free      any light in any camera is as probable as any other
@@ -45,7 +46,11 @@ from benchmarks.particle_density import (  # noqa: E402
     warm_up,
     write_record,
 )
-from sabench.algorithms.particles import bayesian_ipr, hidden_areas  # noqa: E402
+from sabench.algorithms.particles import (  # noqa: E402
+    bayesian_ipr,
+    hidden_areas,
+    particle_search,
+)
 from sabench.algorithms.particles.learned_model import learn_light  # noqa: E402
 from sabench.algorithms.particles.light_prior import even_covariance  # noqa: E402
 from sabench.algorithms.particles.particle_search import ParticleSearch  # noqa: E402
@@ -90,12 +95,6 @@ def _fixed_light(between: float) -> Patches:
     ]
 
 
-def _remove_without_refits(search: ParticleSearch, lone: bool) -> None:
-    fits, search.fits = search.fits, 0
-    _REMOVE(search, lone)
-    search.fits = fits
-
-
 def _remove_with_best_camera(search: ParticleSearch, lone: bool) -> None:
     _REMOVE(search, False)
     search.sure &= lone
@@ -114,7 +113,8 @@ PARTS: dict[str, tuple[dict[str, Any], Patches]] = {
     "all parts": ({}, []),
     "widening": ({"widening": 1.0}, []),
     "levels": ({}, [(bayesian_ipr, "_DARKEST", bayesian_ipr._DARKEST[-1:])]),
-    "refits": ({}, [(ParticleSearch, "remove", _remove_without_refits)]),
+    "settling": ({"fits": 1}, []),
+    "refits": ({}, [(particle_search, "_TRIAL_FITS", 0)]),
     "splits": ({}, [(ParticleSearch, "split", _nothing)]),
     "light free": ({}, _fixed_light(_FREE)),
     "one light": ({}, _fixed_light(_SAME)),

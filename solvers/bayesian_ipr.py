@@ -22,12 +22,13 @@ class BayesianIprParameters(Parameters):
     splits: int = Field(
         3, ge=0, description="rounds in which particles are tried as two, after those"
     )
-    fits: int = Field(2, ge=1, description="times that all particles are fitted at each step")
+    fits: int = Field(8, ge=1, description="most times that all particles are fitted at each step")
     widening: float = Field(
         1.3,
         ge=1.0,
         le=2.0,
-        description="of the particles' images while the first candidates share the light",
+        description="of the particles' images while the first candidates share the light, with "
+        "four cameras; less with more",
     )
     budget_s: float | None = Field(
         None,

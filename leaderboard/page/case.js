@@ -11,7 +11,7 @@ function albumOf(own) {
 }
 
 function image(text, alternative) {
-  return make("img", { src: `data:image/png;base64,${text}`, alt: alternative });
+  return make("img", { src: text, alt: alternative });
 }
 
 function figure(text, alternative, ...caption) {

@@ -72,7 +72,7 @@ function thumb(column, name, place) {
     const album = albumOf(data.cases[place]);
     if (!album[name]) return;
     const wide = data.tasks[state.task].pictured.wide;
-    box.append(make("img", { src: `data:image/png;base64,${album[name]}`, alt: name === "truth" ? "part of the truth" : "the same part of the estimate", class: wide ? "whole" : null }));
+    box.append(make("img", { src: album[name], alt: name === "truth" ? "part of the truth" : "the same part of the estimate", class: wide ? "whole" : null }));
     box.hidden = false;
   });
   return box;

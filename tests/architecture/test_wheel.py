@@ -30,7 +30,8 @@ def test_the_wheel_has_the_records_and_no_others() -> None:
         check=True,
     )
     records = {name for name in INCLUDED if name.startswith("leaderboard/records")}
-    assert records == set(known.stdout.split())
+    tops = {"/".join(name.split("/")[:3]) for name in known.stdout.split()}
+    assert records == tops  # all pictures are those of bundled records, as other tests tell
 
 
 def test_the_citation_has_the_version() -> None:

@@ -15,6 +15,8 @@ from sabench.algorithms.particles import (
     fit_cameras,
     reconstruct_most_probable,
 )
+from sabench.algorithms.particles.bayesian_ipr import CAPS, search_frame
+from sabench.algorithms.particles.learned_model import weigh_pixels
 from sabench.api import Observation
 from sabench.metrics.particle_detection import Counts, count_challenge
 from sabench.scenes import find, parse_scene
@@ -67,6 +69,21 @@ def test_particles_whose_light_differs_between_cameras_are_found() -> None:
     assert counts.truths > 150
     assert counts.recall > 0.97
     assert counts.precision > 0.97
+
+
+def test_no_true_particle_is_removed_because_others_are_not_fitted_yet() -> None:
+    """Trials count what neighbours gain, which they would gain beside the particle, too."""
+    shot = make_shot(31, particles={"per_pixel": 0.12})
+    maps = fit_cameras(shot.observation)
+    search = search_frame(shot.observation, maps, BayesianIprSettings())
+    assert search is not None
+    place = (shot.particles.position_mm - maps.middle_mm) / maps.half_mm
+    off = np.random.default_rng(1).normal(0.0, 0.005, place.shape) / maps.half_mm
+    search.select(np.zeros(len(search.position), dtype=np.bool_))
+    search.put(place + off, np.tile(search.typical, (len(place), 1)), np.full(len(place), -1))
+    weigh_pixels(search, CAPS[1])
+    search.remove(lone=False)
+    assert len(search.position) > 0.995 * len(place)
 
 
 def test_cameras_that_are_off_are_shifted_back() -> None:

@@ -392,6 +392,35 @@ def test_names_that_no_file_can_have_are_no_pictures(
     assert solvers(page_of([record("a", 0.5) | changes], tmp_path)) == [changes.get("solver", "a")]
 
 
+def test_bundled_records_have_small_pictures(tmp_path: Path) -> None:
+    own, small = tmp_path / "pictures" / "tank", tmp_path / "records" / "pictures" / "tank"
+    draw(own, ["truth.png"])
+    small.mkdir(parents=True)
+    for name in ("truth", "images", "a-01234567"):
+        (small / f"{name}.webp").write_bytes(name.encode())
+    album = block(page_of([record("a", 0.5, pictures="tank")], tmp_path), "album0")
+    assert {name: text.partition(",")[0] for name, text in album.items()} == {
+        "truth": "data:image/png;base64",
+        "images": "data:image/png;base64",
+        "row0": "data:image/webp;base64",
+    }
+
+
+def test_the_bundled_pictures_are_those_of_the_bundled_records() -> None:
+    folder = Path(__file__).resolve().parents[2] / "leaderboard" / "records"
+    there = {
+        path.relative_to(folder / "pictures").as_posix()
+        for path in (folder / "pictures").rglob("*.webp")
+    }
+    lines = (folder / "standard.jsonl").read_text(encoding="utf-8").splitlines()
+    pictured = [one for one in map(json.loads, lines) if one["pictures"] and not one["error"]]
+    assert len({one["case"] for one in pictured}) == 57
+    for one in pictured:
+        named = {"images", "truth", f"{one['solver']}-{one['run_hash'][:8]}"}
+        assert {f"{one['pictures']}/{name}.webp" for name in named} <= there
+    assert {Path(name).parent.name for name in there} == {one["pictures"] for one in pictured}
+
+
 def test_pictures_are_those_of_the_seed_that_has_them(tmp_path: Path) -> None:
     draw(tmp_path / "pictures" / "tank-2", ["truth.png", "a-22222222.png", "a-22222222.error.png"])
     seeds = [

@@ -367,9 +367,7 @@ def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment:
         "sabench leaderboard",
         0,
     ]
-    assert browser.ask(
-        "[...document.images].every(image => image.src.startsWith('data:image/png;base64,'))"
-    )
+    assert browser.ask("[...document.images].every(image => image.src.startsWith('data:image/'))")
     assert browser.complaints() == []
     if fragment == LOG:
         text = browser.ask("document.body.innerText")

@@ -36,7 +36,7 @@ def shots_of(per_pixel: float, frames: int) -> list[Shot]:
 
 
 def test_known_particles_help_to_find_the_others() -> None:
-    (shot,) = shots_of(0.22, 1)
+    (shot,) = shots_of(0.26, 1)
     truth, maps = shot.particles.position_mm, fit_cameras(shot.observation)
     given = np.random.default_rng(8).random(len(truth)) < 0.5
     light = np.zeros((int(given.sum()), 4))  # not known

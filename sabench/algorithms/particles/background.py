@@ -39,6 +39,8 @@ _HALO = 6  # px around bright spots
 _PATCH = 12  # px: edge of a square that tells a patch
 _DIMMEST, _BELOW = 0.1, 1.2816  # share of its pixels, and how far dark noise has them below zero
 _RAISED = 4.0  # standard deviations: a patch is that much brighter than the background
+_UNUSUAL = 6.0  # standard deviations below the middle level: a patch is that far above it
+_ONE_SIGMA = 15.9  # percentile, one standard deviation below the mean of normal values
 _BORDER, _WIDE = 2, 11  # px: around patches, and the diameter of a disc wider than particles
 _LOW = 0.5  # standard deviations: how far an opening of the smoothed noise is below its mean
 _UNEVEN = 2.0  # standard deviations: what is that much above a patch's level is its own shading
@@ -112,7 +114,7 @@ def find_patches(image: F32, known: Bool) -> F32:
     """Measure patches that are brighter than the background around them.
 
     The result (row, column) is by how much, and 0 elsewhere. Particles that leave few pixels dark
-    are less even than a patch.
+    are less even than a patch, and where they leave none, no dimmer elsewhere.
     """
     noise = dark_noise(image[known])
     dark = known & (image <= (_RAISED - _BELOW) * noise)
@@ -128,7 +130,8 @@ def find_patches(image: F32, known: Bool) -> F32:
     total, count = np.zeros_like(image), np.zeros_like(image)
     _add_patches(image, known, lit, _BELOW * noise, total, count)
     raised = total / np.maximum(count, np.float32(1.0)) + np.float32(_BELOW * noise)
-    patches = (count > 0) & (raised > _RAISED * noise)
+    least = max(_RAISED * noise, _usual_level(image, known) + _BELOW * noise)
+    patches = (count > 0) & (raised > least)
     if not patches.any():
         return np.zeros_like(image)
     square = np.ones((2 * _BORDER + 1, 2 * _BORDER + 1), np.uint8)
@@ -137,6 +140,34 @@ def find_patches(image: F32, known: Bool) -> F32:
     wide = _wide_light(image, noise)
     uneven = around & (wide > even + np.float32(_UNEVEN * noise))
     return np.where(uneven, wide, even)
+
+
+def _usual_level(image: F32, known: Bool) -> float:
+    """Compute the highest level that squares of an image have by chance.
+
+    That is some standard deviations above the middle one.
+    """
+    levels = _levels(image, known)
+    levels = levels[np.isfinite(levels)]
+    if not len(levels):
+        return 0.0
+    low, middle = np.percentile(levels, [_ONE_SIGMA, 50.0])
+    return float(middle + _UNUSUAL * (middle - low))
+
+
+@numba.njit(cache=True)
+def _levels(image: Any, known: Any) -> Any:
+    """Return the low percentiles of squares side by side.
+
+    They are NaN where few pixels are known.
+    """
+    rows, columns = image.shape[0] // _PATCH, image.shape[1] // _PATCH
+    levels, values = np.full(rows * columns, np.nan), np.zeros(_PATCH * _PATCH)
+    for square in range(rows * columns):
+        top, left = square // columns * _PATCH, square % columns * _PATCH
+        level, _ = _percentiles(image, known, top, left, values)
+        levels[square] = level
+    return levels
 
 
 def _wide_light(image: F32, noise: float) -> F32:
@@ -170,15 +201,26 @@ def _add_patches(image: Any, known: Any, lit: Any, below: float, total: Any, cou
 @numba.njit(cache=True)
 def _level(image: Any, known: Any, i: int, j: int, below: float, values: Any) -> float:
     """Return a low percentile of a square; minus infinity if it is not even."""
+    level, middle = _percentiles(image, known, i, j, values)
+    return level if middle - level < _ROUGH * (level + below) else -np.inf
+
+
+@numba.njit(cache=True)
+def _percentiles(image: Any, known: Any, i: int, j: int, values: Any) -> tuple[float, float]:
+    """Return a low percentile and the median of a square's known pixels.
+
+    They are NaN if these are few.
+    """
     number = 0
     for row in range(i, i + _PATCH):
         for column in range(j, j + _PATCH):
             if known[row, column]:
                 values[number] = image[row, column]
                 number += 1
+    if number <= _PATCH**2 // 2:
+        return np.nan, np.nan
     ranked = np.sort(values[:number])
-    level, middle = ranked[int(_DIMMEST * number)], ranked[number // 2]
-    return float(level if middle - level < _ROUGH * (level + below) else -np.inf)
+    return ranked[int(_DIMMEST * number)], ranked[number // 2]
 
 
 def _ends(size: int, tiles: int) -> I64:

@@ -37,6 +37,10 @@ from sabench.utils.arrays import F64, Bool
 _FEWEST = 3  # cameras that must show particles
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
 _BETWEEN = 0.1  # scatter between cameras meanwhile
+# where images overlap, they are narrower than measured by this share, until widths are learned:
+# wider ones take the light of neighbours that are not found yet
+_NARROWER = 0.05
+_FEW_CAMERAS = 4  # that need all of the widening
 _FIRST_FLOOR = 0.35  # of the first candidates' mean light, over a typical particle's
 _DARKEST = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45)  # light below which candidates go, over the median
 _REAL = 0.3  # of a typical particle's light: what counts for that median
@@ -56,15 +60,15 @@ class BayesianIprSettings:
     ----------
     rounds : the most of search and removal, after the first.
     splits : rounds of splits, search and removal after those.
-    fits : times that all particles are fitted at each step.
-    widening : of the particles' images while candidates share the light, over their width: it
-        brings particles together whose images meet by chance.
+    fits : the most times that all particles are fitted at each step; it ends when they are settled.
+    widening : of the particles' images while candidates share the light, over their width, with
+        four cameras; less with more.
     budget_s : seconds after which a frame's search ends with the particles so far; None is no end.
     """
 
     rounds: int = 8
     splits: int = 3
-    fits: int = 2
+    fits: int = 8
     widening: float = 1.3
     budget_s: float | None = None
 
@@ -216,14 +220,17 @@ def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> N
     """Let the first candidates share the light, and drop the darkest, slowly.
 
     Particles that are there already keep theirs. Meanwhile saturated pixels have no more light than
-    they show, or candidates would not share it.
+    they show, or candidates would not share it. Images are wider than they are, which keeps
+    candidates together whose images meet by chance. In many cameras few do, but then two particles
+    whose images are wide become one.
     """
     narrow, saturated, images = search.sigma, search.saturated, search.images.copy()
     known = search.particles()
     search.images[:] = search.left
     search.select(np.zeros(len(known.position), dtype=np.bool_))
     search.saturated = np.zeros_like(saturated)
-    search.set_width(settings.widening * narrow)
+    few = min(_FEW_CAMERAS / len(search.typical), 1.0) ** 2
+    search.set_width((1.0 + few * (settings.widening - 1.0)) * narrow)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
     weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
@@ -238,7 +245,7 @@ def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> N
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))
     search.saturated = saturated
     search.reset_covariance()
-    search.set_width(narrow)
+    search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * narrow)
     search.refine(settings.fits)
     search.images[:] = images
     search.subtract_all()

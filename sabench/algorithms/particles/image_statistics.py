@@ -19,6 +19,7 @@ from sabench.utils.arrays import F32, F64, Bool
 _PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
 _FAR = (6, 7)  # px: so far apart, pixels share no particle
+_LOCAL = 31  # px: square of the mean that products are less; many particles' images
 _LEAST_NOISE = 0.5  # grey values: of rounding
 _FEW, _FEW_PEAKS = 50, 10  # values below black, and peaks, that tell
 _CLEAR = 6.0  # standard deviations by which neighbours' products, and peaks, exceed those of noise
@@ -94,21 +95,23 @@ def _without_brightest(image: F64, known: Bool) -> Bool:
 def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, bool]:
     """Measure widths (columns, rows), a typical light, and whether particles show.
 
-    Products of pixels d apart fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12. Those one and two
+    Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12.
+    Those one and two
     pixels apart give s, that at distance 0 follows without the noise of a pixel, and it is the
     number of particles times their mean squared light over 4 pi s_x s_y; the mean is the number
     times their mean light.
     """
     light, count = np.where(known, image, 0.0), known.astype(np.float64)
-    apart = [_product(light, count, *step) for d in _FAR for step in ((0, d), (d, 0))]
+    over = _less_local_mean(light, count)
+    apart = [_product(over, count, *step) for d in _FAR for step in ((0, d), (d, 0))]
     far = sum(apart) / len(apart)
     squares: list[float] = []
     at_zero: list[float] = []
     nearest: list[float] = []
     for step in ((0, 1), (1, 0)):
-        one = _product(light, count, *step) - far
+        one = _product(over, count, *step) - far
         nearest.append(one)
-        two = _product(light, count, 2 * step[0], 2 * step[1]) - far
+        two = _product(over, count, 2 * step[0], 2 * step[1]) - far
         square = 0.75 / math.log(one / two) if one > two > 0.0 else 0.0
         square = min(max(square, _LEAST_SIGMA**2 + _PIXEL), _MOST_SIGMA**2 + _PIXEL)
         squares.append(square)
@@ -122,6 +125,19 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
     clear = sum(nearest) / 2.0 > _CLEAR * chance and 1e-6 < own < math.inf
     return widths, own if clear else 0.0, clear
+
+
+def _less_local_mean(light: F64, count: F64) -> F64:
+    """Subtract the mean of the known pixels around from each known one.
+
+    Where more particles are in the middle than at the borders, products of pixels far apart, which
+    leave out borders, would be larger than those of neighbours.
+    """
+    sums, counts = (
+        cv2.boxFilter(one, -1, (_LOCAL, _LOCAL), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for one in (light, count)
+    )
+    return np.asarray(light - count * sums / np.maximum(counts, 1.0))
 
 
 def _light_of_peaks(light: F64, noise: float) -> float:

@@ -63,9 +63,11 @@ _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they 
 # standard deviations of noise: the least floor of candidates; of faint particles, which would all
 # be below it, just above the noise, or this share of a typical particle's light
 _FLOOR, _LEAST_FLOOR, _FAINT = 2.0, 1.1, 0.2
-_MANY, _FIRST = 16.0, 1.5  # of the estimated number: first candidates, times cameras, and least
+_MANY, _FIRST = 16.0, 2.5  # of the estimated number: first candidates, times cameras, and least
 _MORE = 0.5  # of the particles so far: candidates beside them
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
+_SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
+_TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
 _MISFIT = 4.0  # standard deviations: particles that fit no better may be two
 _DOUBTFUL = 0.3  # largest share of particles that are tried as two
 _APART = 1.1  # widths: distance of the two of a split from their middle
@@ -135,7 +137,7 @@ class ParticleSearch:
         statistics: ImageStatistics,
         fits: int,
     ) -> None:
-        """Start without particles; a trial of removal fits neighbours `fits` times."""
+        """Start without particles; all are fitted `fits` times before removals, at most."""
         self.shown, self.fits = statistics.shown, fits
         self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
         self.number, self.noise = statistics.number, statistics.noise[self.shown]
@@ -258,6 +260,14 @@ class ParticleSearch:
         """Compute the mean light (n,) over cameras, in a typical particle's."""
         return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
 
+    def overlap(self) -> float:
+        """Estimate how many particles' images share a pixel.
+
+        An image's area is 4 pi times its squared width.
+        """
+        area = 4.0 * math.pi * float(np.median(self.sigma.prod(axis=1)))
+        return float(self.number * area / self.images[0].size)
+
     def peaks(self, sigma: F64 | None = None) -> F64:
         """Compute the brightest pixel (camera,) of a typical particle.
 
@@ -268,30 +278,36 @@ class ParticleSearch:
         return np.asarray(self.typical * erf.prod(axis=1))
 
     def refine(self, rounds: int) -> None:
-        """Fit all particles, one after the other, in several rounds, as time allows."""
+        """Fit all particles, one after the other, in several rounds, as time allows.
+
+        A round that hardly lowers the cost is the last one.
+        """
         model, particles = self.model(), self.particles()
+        rows = np.arange(len(self.position))
+        turns = self._turns(rows, portions=1)
+        for _ in range(rounds):
+            changes: list[float] = []
 
-        def fit(rows: I64) -> None:
-            refine(model, self.room, particles, rows)
+            def fit(some: I64, changes: list[float] = changes) -> None:
+                changes.append(refine(model, self.room, particles, some))
 
-        self._each(fit, np.arange(len(self.position)), portions=1, rounds=rounds)
+            self._work(fit, turns)
+            if sum(changes) > -_SETTLED * len(rows):
+                break
 
-    def _each(
-        self,
-        work: Callable[[I64], None],
-        rows: I64,
-        neighbours: tuple[I64, I64] | None = None,
-        portions: int = _PORTIONS,
-        rounds: int = 1,
-    ) -> None:
-        """Work on rows, side by side where they share no pixel, as time allows.
+    def _turns(
+        self, rows: I64, neighbours: tuple[I64, I64] | None = None, portions: int = _PORTIONS
+    ) -> list[list[I64]]:
+        """List the groups of rows that share no pixel, turn by turn.
 
         Neighbours, if given, are changed, too. Rows of one portion come before those of the next.
         """
         window, pixel = make_room(self.widest).x.shape[1], pixel_mm(self.maps)
-        turns = disjoint_groups(self.maps, self.position, rows, window, pixel, portions, neighbours)
-        in_time = itertools.takewhile(lambda _: not self.deadline.over, rounds * turns)
-        side_by_side(work, in_time)
+        return disjoint_groups(self.maps, self.position, rows, window, pixel, portions, neighbours)
+
+    def _work(self, work: Callable[[I64], None], turns: list[list[I64]]) -> None:
+        """Work on one turn after the other, as time allows."""
+        side_by_side(work, itertools.takewhile(lambda _: not self.deadline.over, turns))
 
     def subtract_all(self) -> None:
         """Compute anew what all particles leave of the images."""
@@ -348,27 +364,30 @@ class ParticleSearch:
         def start(rows: I64) -> None:
             start_light(model, self.room, particles, rows)
 
-        self._each(start, np.arange(first, len(self.position)), portions=1)
+        self._work(start, self._turns(np.arange(first, len(self.position)), portions=1))
         self.select(np.all(self.light > 0.0, axis=1))  # all, unless time was over
         self.select(order_in_memory(self.maps, self.position, pixel_mm(self.maps)))
 
     def remove(self, lone: bool) -> None:
         """Remove particles that do not earn their price, the darkest first.
 
-        Those that earn several times their price are tried again only near others that newly do.
+        All are fitted before, or what neighbours gain by their own fits would count against a
+        particle that is taken out. Those that earn several times their price are tried again only
+        near others that newly do.
         """
+        self.refine(self.fits)
         starts, near = find_neighbours(self.maps, self.sigma, self.position)
         particles, model = self.particles(), self.model()
         tried = ~self.sure & ~self.trusted
 
         def remove(rows: I64) -> None:
             each = self.room, particles, rows, starts, near
-            remove_ghosts(model, *each, self.fits, lone, self.sure, self.odds)
+            remove_ghosts(model, *each, _TRIAL_FITS, lone, self.sure, self.odds)
 
         for _ in range(2):
             rows = np.flatnonzero(tried)
             order = rows[np.argsort(self.common_light()[rows], kind="stable")]
-            self._each(remove, order, (starts, near))
+            self._work(remove, self._turns(order, (starts, near)))
             promoted = tried & self.sure & particles.alive
             tried = ~tried & ~self.trusted & near_any(promoted, starts, near)
         self.sure &= lone
@@ -393,5 +412,5 @@ class ParticleSearch:
         def split(rows: I64) -> None:
             split_pairs(model, self.room, particles, rows, spare, steps)
 
-        self._each(split, order, portions=1)
+        self._work(split, self._turns(order, portions=1))
         self.select(particles.alive)

@@ -11,6 +11,7 @@ from sabench.evaluation.record_schema import Record
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside
 
+_SMALL = Path("records", "pictures")  # of bundled records, beside the folder of pictures
 # of the figures on the page; the best of every case come first, and those beyond are left out
 _PICTURES_BYTES = 80_000_000
 
@@ -18,7 +19,7 @@ _PICTURES_BYTES = 80_000_000
 def albums_of(
     cases: Sequence[Sequence[Record]], pictures: Path
 ) -> tuple[dict[int, dict[str, str]], int]:
-    """Encode the figures of every case in base 64, by their names.
+    """Encode the figures of every case as addresses with their data, by their names.
 
     Returns also the number of figures that did not fit into the page.
     """
@@ -32,7 +33,8 @@ def albums_of(
             left_out += 1
             continue
         room -= size
-        albums.setdefault(place, {})[name] = base64.b64encode(path.read_bytes()).decode()
+        text = base64.b64encode(path.read_bytes()).decode()
+        albums.setdefault(place, {})[name] = f"data:image/{path.suffix[1:]};base64,{text}"
     return albums, left_out
 
 
@@ -41,8 +43,10 @@ def _pictures(
 ) -> Iterator[tuple[int, int, str, Path]]:
     """List every figure that is there, of the rows of each case.
 
-    It has its rank within the case, the index of the case, its name and its path.
+    It has its rank within the case, the index of the case, its name and its path. Bundled records
+    have small figures, which are bundled with them.
     """
+    small = pictures.parent / _SMALL
     seen: dict[int, int] = {}
     rows = [(place, row) for place, case in enumerate(cases) for row in case]
     for number, (place, row) in enumerate(rows):
@@ -51,18 +55,17 @@ def _pictures(
             continue
         rank = seen[place] = seen.get(place, 0) + 1
         stem = f"{run['solver']}-{run['run_hash'][:8]}"
-        wanted = [(0, "images", "images.png")] + (
-            [(0, "truth", "truth.png")] if _shows_truth(row) else []
-        )
+        wanted = [(0, "images", "images")] + ([(0, "truth", "truth")] if _shows_truth(row) else [])
         # a failed run may have left a figure of an earlier success, which is not this record's
         if not run.get("error"):
             wanted += [
-                (rank, f"row{number}", f"{stem}.png"),
-                (rank, f"error{number}", f"{stem}.error.png"),
-                (rank, f"left{number}", f"{stem}.left.png"),
+                (rank, f"row{number}", stem),
+                (rank, f"error{number}", f"{stem}.error"),
+                (rank, f"left{number}", f"{stem}.left"),
             ]
         for order, name, file in wanted:
-            path = _there(pictures, f"{run['pictures']}/{file}")
+            own = f"{run['pictures']}/{file}"
+            path = _there(pictures, f"{own}.png") or _there(small, f"{own}.webp")
             if path:
                 yield order, place, name, path
 

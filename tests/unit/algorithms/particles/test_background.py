@@ -20,11 +20,16 @@ ROWS, COLUMNS = 240, 320
 NOISE, LIGHT = 2.0, 200.0
 
 
-def image(per_pixel: float, seed: int, spread: float = 0.3) -> F32:
-    """An image of particles of mean light 200 with noise, on black."""
+def image(per_pixel: float, seed: int, spread: float = 0.3, across: F64 | None = None) -> F32:
+    """An image of particles of mean light 200 with noise, on black.
+
+    Their columns are those `across`, if given.
+    """
     rng = np.random.default_rng(seed)
     count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
     center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
+    if across is not None:
+        center[:, 0] = across[:count]
     light = LIGHT * np.exp(spread * rng.standard_normal(count) - 0.5 * spread**2)
     x, y = profile(center[:, 0], 0.7, COLUMNS), profile(center[:, 1], 0.7, ROWS)
     shown = (y * light[:, None]).T @ x + NOISE * rng.standard_normal((ROWS, COLUMNS))
@@ -88,6 +93,15 @@ def test_dense_particles_are_no_patches() -> None:
         shown = image(per_pixel, 6)
         found = find_patches(shown, np.ones(shown.shape, dtype=bool))
         assert np.mean(found > 0.0) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(10, 16))
+def test_particles_that_leave_nothing_dark_are_no_patches(seed: int) -> None:
+    """They are denser in the middle, as before a camera whose view passes the volume's edges."""
+    across = np.random.default_rng(seed).triangular(-60.0, COLUMNS / 2, COLUMNS + 60.0, 60_000)
+    shown = image(0.6, seed, across=across)
+    found = find_patches(shown, np.ones(shown.shape, dtype=bool))
+    assert not found.any()
 
 
 def test_dense_particles_beside_the_dark_are_no_patches() -> None:

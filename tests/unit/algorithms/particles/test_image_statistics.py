@@ -12,11 +12,22 @@ from tests.helpers.image_model import profile
 ROWS, COLUMNS = 400, 500
 
 
-def image(per_pixel: float, sigma: tuple[float, float], seed: int, spread: float = 0.0) -> F64:
-    """An image of particles of mean light 200, and noise of standard deviation 2."""
+def image(
+    per_pixel: float,
+    sigma: tuple[float, float],
+    seed: int,
+    spread: float = 0.0,
+    across: F64 | None = None,
+) -> F64:
+    """An image of particles of mean light 200, and noise of standard deviation 2.
+
+    Their columns are those `across`, if given.
+    """
     rng = np.random.default_rng(seed)
     count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
     center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
+    if across is not None:
+        center[:, 0] = across[:count]
     light = 200.0 * np.exp(spread * rng.standard_normal(count) - 0.5 * spread**2)
     x, y = profile(center[:, 0], sigma[0], COLUMNS), profile(center[:, 1], sigma[1], ROWS)
     return (y * light[:, None]).T @ x + 2.0 * rng.standard_normal((ROWS, COLUMNS))
@@ -32,6 +43,15 @@ def test_widths_light_and_number_hold_at_any_density(
     np.testing.assert_allclose(found.sigma[0], sigma, rtol=0.06)
     assert found.light[0] == pytest.approx(200.0, rel=0.06)
     assert found.number == pytest.approx(per_pixel * ROWS * COLUMNS, rel=0.08)
+
+
+@pytest.mark.parametrize("per_pixel", [0.05, 0.5])
+def test_widths_hold_where_particles_are_denser_in_the_middle(per_pixel: float) -> None:
+    """As before a camera whose view passes the edges of the volume."""
+    across = np.random.default_rng(8).triangular(0.0, COLUMNS / 2, COLUMNS, 120_000)
+    images = image(per_pixel, (0.7, 0.7), 8, across=across)[None]
+    found = measure_images(images, np.ones(images.shape, dtype=bool))
+    np.testing.assert_allclose(found.sigma[0], 0.7, rtol=0.05)
 
 
 def test_unequal_particles_count_by_their_light() -> None:
