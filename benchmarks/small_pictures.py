@@ -5,7 +5,8 @@
 Takes what `sabench run standard --leaderboard LEADERBOARD` drew of the results that are
 in leaderboard/records/standard.jsonl, scales them down, and writes them as WebP to
 leaderboard/records/pictures, in place of what is there. Others are passed over. Prints how many
-there are, their size, and the bundled records that name pictures which are not in LEADERBOARD.
+there are, and their size. Where LEADERBOARD lacks the picture of a bundled record, nothing is
+written.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from typing import Any
 
 import cv2
 
+from sabench.evaluation.leaderboard.page_figures import stem_of
+
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = ROOT / "leaderboard" / "records"
 _SCALE, _QUALITY = 0.6, 40  # of the pictures: all of them stay below 5 MB
@@ -29,7 +32,7 @@ def named(records: list[dict[str, Any]]) -> Iterator[tuple[str, str]]:
     """Yield the folders and stems of pictures of records without errors."""
     for record in records:
         if record["pictures"]:
-            stem = f"{record['solver']}-{record['run_hash'][:8]}"
+            stem = stem_of(record)
             own = [] if record["error"] else [stem, f"{stem}.error", f"{stem}.left"]
             for one in ("images", "truth", *own):
                 yield record["pictures"], one
@@ -57,6 +60,12 @@ def main() -> None:
     there = sorted(
         (folder, stem) for folder, stem in wanted if (drawn / folder / f"{stem}.png").is_file()
     )
+    without = sorted({one for one in wanted if "." not in one[1]} - set(there))
+    if without:
+        sys.exit(
+            f"{drawn}: expected pictures of all bundled records, {len(without)} are missing: "
+            f"the first is {'/'.join(without[0])}.png"
+        )
     out = RECORDS / "pictures"
     shutil.rmtree(out, ignore_errors=True)
     sizes = [
@@ -64,9 +73,6 @@ def main() -> None:
         for folder, stem in there
     ]
     print(f"{len(sizes)} pictures of {sum(sizes) / 1e6:.1f} MB")
-    without = {one for one in wanted if "." not in one[1]} - set(there)
-    if without:
-        sys.exit("no picture of " + ", ".join("/".join(one) for one in sorted(without)))
 
 
 if __name__ == "__main__":

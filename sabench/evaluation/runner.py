@@ -20,6 +20,7 @@ from sabench.evaluation.environment import machine, version_of, versions
 from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.judged_without_truth import Judged, judge
 from sabench.evaluation.leaderboard import rows
+from sabench.evaluation.leaderboard.page_figures import stem_of
 from sabench.evaluation.record_schema import Record, score_faults
 from sabench.evaluation.recorded_cases import check_intact
 from sabench.evaluation.records import append, key_of, latest, now, read_records
@@ -232,7 +233,7 @@ def _rank(
             | {"dataset": dataset.content_hash, "pictures": folder.name if folder else None}
             | {"identity": dataset.identity if case.number is None else None}
         )
-        name = f"{head['solver']}-{head['run_hash'][:8]}"
+        name = stem_of(head)
         out = work / "results" / f"{case.file_name}-{name}.h5"
         try:
             record["reference_s"] = solve_timed(

@@ -96,10 +96,9 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     """Measure widths (columns, rows), a typical light, and whether particles show.
 
     Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12.
-    Those one and two
-    pixels apart give s, that at distance 0 follows without the noise of a pixel, and it is the
-    number of particles times their mean squared light over 4 pi s_x s_y; the mean is the number
-    times their mean light.
+    Those one and two pixels apart give s, that at distance 0 follows without the noise of a pixel,
+    and it is the number of particles times their mean squared light over 4 pi s_x s_y; the mean is
+    the number times their mean light.
     """
     light, count = np.where(known, image, 0.0), known.astype(np.float64)
     over = _less_local_mean(light, count)

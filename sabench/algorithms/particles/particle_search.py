@@ -283,16 +283,16 @@ class ParticleSearch:
         A round that hardly lowers the cost is the last one.
         """
         model, particles = self.model(), self.particles()
-        rows = np.arange(len(self.position))
+        rows, changes = np.arange(len(self.position)), [0.0]
         turns = self._turns(rows, portions=1)
+
+        def fit(some: I64) -> None:
+            changes.append(refine(model, self.room, particles, some))
+
         for _ in range(rounds):
-            changes: list[float] = []
-
-            def fit(some: I64, changes: list[float] = changes) -> None:
-                changes.append(refine(model, self.room, particles, some))
-
+            changes.clear()
             self._work(fit, turns)
-            if sum(changes) > -_SETTLED * len(rows):
+            if sum(changes) >= -_SETTLED * len(rows):
                 break
 
     def _turns(

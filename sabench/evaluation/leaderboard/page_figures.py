@@ -16,10 +16,15 @@ _SMALL = Path("records", "pictures")  # of bundled records, beside the folder of
 _PICTURES_BYTES = 80_000_000
 
 
+def stem_of(record: Record) -> str:
+    """Return the name with which the figures of a result begin."""
+    return f"{record['solver']}-{record['run_hash'][:8]}"
+
+
 def albums_of(
     cases: Sequence[Sequence[Record]], pictures: Path
 ) -> tuple[dict[int, dict[str, str]], int]:
-    """Encode the figures of every case as addresses with their data, by their names.
+    """Encode the figures of every case as data URLs, by their names.
 
     Returns also the number of figures that did not fit into the page.
     """
@@ -54,7 +59,7 @@ def _pictures(
         if run is None:
             continue
         rank = seen[place] = seen.get(place, 0) + 1
-        stem = f"{run['solver']}-{run['run_hash'][:8]}"
+        stem = stem_of(run)
         wanted = [(0, "images", "images")] + ([(0, "truth", "truth")] if _shows_truth(row) else [])
         # a failed run may have left a figure of an earlier success, which is not this record's
         if not run.get("error"):
