@@ -12,11 +12,13 @@ import pytest
 
 from sabench.algorithms.particles import (
     BayesianIprSettings,
+    bayesian_ipr,
     fit_cameras,
     reconstruct_most_probable,
 )
-from sabench.algorithms.particles.bayesian_ipr import CAPS, search_frame
+from sabench.algorithms.particles.bayesian_ipr import CAPS, search_frame, split_and_find
 from sabench.algorithms.particles.learned_model import weigh_pixels
+from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.api import Observation
 from sabench.metrics.particle_detection import Counts, count_challenge
 from sabench.scenes import find, parse_scene
@@ -84,6 +86,20 @@ def test_no_true_particle_is_removed_because_others_are_not_fitted_yet() -> None
     weigh_pixels(search, CAPS[1])
     search.remove(lone=False)
     assert len(search.position) > 0.995 * len(place)
+
+
+def test_pairs_are_tried_no_more_once_hardly_any_is_added(monkeypatch: pytest.MonkeyPatch) -> None:
+    shot, rounds = make_shot(33, particles={"per_pixel": 0.03}), []
+
+    def counted(search: ParticleSearch) -> int:
+        rounds.append(split_and_find(search))
+        return rounds[-1]
+
+    monkeypatch.setattr(bayesian_ipr, "split_and_find", counted)
+    search = search_frame(shot.observation, fit_cameras(shot.observation), BayesianIprSettings())
+    assert search is not None
+    assert 1 <= len(rounds) < BayesianIprSettings().splits
+    assert rounds[-1] < 0.001 * len(search.position)
 
 
 def test_cameras_that_are_off_are_shifted_back() -> None:

@@ -49,6 +49,8 @@ _FEWER = 0.998  # of the candidates: more that are left share the light as befor
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
+ROUGHLY = 0.15  # fall of the cost per particle in a round of fits that are not the last ones
+NOTABLE = 0.001  # of the particles: fewer that are added are not worth another round
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
 
@@ -59,7 +61,7 @@ class BayesianIprSettings:
     Attributes
     ----------
     rounds : the most of search and removal, after the first.
-    splits : rounds of splits, search and removal after those.
+    splits : the most rounds of splits, search and removal after those.
     fits : the most times that all particles are fitted at each step; it ends when they are settled.
     widening : of the particles' images while candidates share the light, over their width, with
         four cameras; less with more.
@@ -123,7 +125,8 @@ def search_frame(
         if frame.deadline.over:
             break
         weigh_pixels(search, CAPS[1])
-        split_and_find(search)
+        if split_and_find(search) < NOTABLE * len(search.position):
+            break
     weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)
     return search
@@ -185,7 +188,7 @@ def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> Partic
             break
         before, along = len(search.position), min((number + 1) / _STEPS, 1.0)
         search.find(FLOORS[0] * (FLOORS[1] / FLOORS[0]) ** along)
-        search.refine(settings.fits)
+        search.refine(settings.fits, ROUGHLY)
         weigh_pixels(search, CAPS[0] * (CAPS[1] / CAPS[0]) ** along)
         search.remove(lone=number > 0)
         learn_light(search)
@@ -204,16 +207,22 @@ def _put_known(search: ParticleSearch, known: Known) -> None:
     search.put(place[inside], light, np.full(len(light), -1))
 
 
-def split_and_find(search: ParticleSearch) -> None:
-    """Try misfits as two, add what is left, and remove what does not earn its price."""
+def split_and_find(search: ParticleSearch) -> int:
+    """Try misfits as two, add what is left, and remove what does not earn its price.
+
+    Returns how many were added.
+    """
+    before = len(search.position)
     search.split()
-    search.refine(search.fits)
+    search.refine(search.fits, ROUGHLY)
     search.find(FLOORS[1])
-    search.refine(search.fits)
+    more = len(search.position) - before
+    search.refine(search.fits, ROUGHLY)
     weigh_pixels(search, CAPS[1])
     search.remove(lone=True)
     learn_light(search)
     learn_widths(search)
+    return more
 
 
 def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> None:
@@ -234,12 +243,12 @@ def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> N
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
     weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
-    search.refine(settings.fits)
+    search.refine(settings.fits, ROUGHLY)
     before = np.inf  # the first time
     for level in _DARKEST:
         if len(search.position) < before:
             weigh_pixels(search, CAPS[0])
-            search.refine(settings.fits)
+            search.refine(settings.fits, ROUGHLY)
         common = search.common_light()
         real, before = common[common > _REAL], _FEWER * len(common)
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))

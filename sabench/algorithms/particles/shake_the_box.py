@@ -19,6 +19,7 @@ from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.bayesian_ipr import (
     CAPS,
     FLOORS,
+    ROUGHLY,
     BayesianIprSettings,
     dark_images,
     search_frame,
@@ -352,7 +353,7 @@ class _Tracker:
         search.remove(lone=True)
         for number in range(settings.searches):
             search.find(FLOORS[min(number, 1)])
-            search.refine(search.fits)
+            search.refine(search.fits, ROUGHLY)
             weigh_pixels(search, CAPS[1])
             search.remove(lone=True)
         align_cameras(search)
