@@ -20,7 +20,7 @@ class BayesianIprParameters(Parameters):
         8, ge=1, description="most rounds of search and removal, after the first candidates"
     )
     splits: int = Field(
-        3, ge=0, description="rounds in which particles are tried as two, after those"
+        3, ge=0, description="most rounds in which particles are tried as two, after those"
     )
     fits: int = Field(8, ge=1, description="most times that all particles are fitted at each step")
     widening: float = Field(

@@ -49,8 +49,7 @@ _FEWER = 0.998  # of the candidates: more that are left share the light as befor
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
-ROUGHLY = 0.15  # fall of the cost per particle in a round of fits that are not the last ones
-NOTABLE = 0.001  # of the particles: fewer that are added are not worth another round
+_NOTABLE = 0.001  # of the particles: fewer that are added are not worth another round
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
 
@@ -125,7 +124,7 @@ def search_frame(
         if frame.deadline.over:
             break
         weigh_pixels(search, CAPS[1])
-        if split_and_find(search) < NOTABLE * len(search.position):
+        if split_and_find(search) < _NOTABLE * len(search.position):
             break
     weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)
@@ -188,7 +187,7 @@ def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> Partic
             break
         before, along = len(search.position), min((number + 1) / _STEPS, 1.0)
         search.find(FLOORS[0] * (FLOORS[1] / FLOORS[0]) ** along)
-        search.refine(settings.fits, ROUGHLY)
+        search.refine(settings.fits)
         weigh_pixels(search, CAPS[0] * (CAPS[1] / CAPS[0]) ** along)
         search.remove(lone=number > 0)
         learn_light(search)
@@ -214,10 +213,10 @@ def split_and_find(search: ParticleSearch) -> int:
     """
     before = len(search.position)
     search.split()
-    search.refine(search.fits, ROUGHLY)
+    search.refine(search.fits)
     search.find(FLOORS[1])
     more = len(search.position) - before
-    search.refine(search.fits, ROUGHLY)
+    search.refine(search.fits)
     weigh_pixels(search, CAPS[1])
     search.remove(lone=True)
     learn_light(search)
@@ -243,12 +242,12 @@ def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> N
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
     weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
-    search.refine(settings.fits, ROUGHLY)
+    search.refine(settings.fits)
     before = np.inf  # the first time
     for level in _DARKEST:
         if len(search.position) < before:
             weigh_pixels(search, CAPS[0])
-            search.refine(settings.fits, ROUGHLY)
+            search.refine(settings.fits)
         common = search.common_light()
         real, before = common[common > _REAL], _FEWER * len(common)
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))

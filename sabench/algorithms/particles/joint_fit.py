@@ -33,7 +33,7 @@ from sabench.algorithms.particles.light_prior import (
 )
 
 _FARTHEST_PX = 0.5  # that a particle moves in one step
-_STILL = 1e-3  # fall of the cost that is not worth a step
+_STILL = 1e-4  # fall of the cost that is not worth a step
 
 
 @numba.njit(cache=True)

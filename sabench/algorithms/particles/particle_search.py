@@ -277,10 +277,10 @@ class ParticleSearch:
         erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in widths])
         return np.asarray(self.typical * erf.prod(axis=1))
 
-    def refine(self, rounds: int, settled: float = _SETTLED) -> None:
+    def refine(self, rounds: int) -> None:
         """Fit all particles, one after the other, in several rounds, as time allows.
 
-        A round that lowers the cost by no more than `settled` a particle is the last one.
+        A round that hardly lowers the cost is the last one.
         """
         model, particles = self.model(), self.particles()
         rows, changes = np.arange(len(self.position)), [0.0]
@@ -292,7 +292,7 @@ class ParticleSearch:
         for _ in range(rounds):
             changes.clear()
             self._work(fit, turns)
-            if sum(changes) >= -settled * len(rows):
+            if sum(changes) >= -_SETTLED * len(rows):
                 break
 
     def _turns(

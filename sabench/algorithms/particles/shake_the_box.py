@@ -19,7 +19,6 @@ from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.bayesian_ipr import (
     CAPS,
     FLOORS,
-    ROUGHLY,
     BayesianIprSettings,
     dark_images,
     search_frame,
@@ -353,7 +352,7 @@ class _Tracker:
         search.remove(lone=True)
         for number in range(settings.searches):
             search.find(FLOORS[min(number, 1)])
-            search.refine(search.fits, ROUGHLY)
+            search.refine(search.fits)
             weigh_pixels(search, CAPS[1])
             search.remove(lone=True)
         align_cameras(search)
