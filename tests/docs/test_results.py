@@ -18,6 +18,13 @@ def test_tables_over_the_density_are_those_of_the_records() -> None:
     assert set(script["PARTS"]) <= first_cells
 
 
+def test_the_table_of_trackers_is_that_of_the_record() -> None:
+    script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_tracking.py"))
+    text = script["PAGE"].read_text(encoding="utf-8")
+    assert script["filled"](text) == text, "run python docs/results/fill_tracking.py"
+    assert all(f"\n| {words} | `shake_the_box` | " in text for words in script["CASES"])
+
+
 def test_tables_on_correlated_ghosts_are_those_of_the_record() -> None:
     script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_ghost_bias.py"))
     for page in script["PAGES"]:
