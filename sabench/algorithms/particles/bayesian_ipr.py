@@ -25,9 +25,10 @@ from sabench.algorithms.particles.learned_model import (
     learn_widths,
     weigh_pixels,
 )
-from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
+from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.algorithms.particles.partly_hidden import find_partly_hidden
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
+from sabench.algorithms.particles.search_state import joined, no_particles
 from sabench.algorithms.particles.time_budget import Deadline
 from sabench.algorithms.particles.volume_shares import volume_shares
 from sabench.api import FoundParticles, Observation

@@ -36,8 +36,9 @@ from sabench.algorithms.particles.kalman_tracks import (
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
 from sabench.algorithms.particles.linking import GATE, assign, link
-from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
+from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
+from sabench.algorithms.particles.search_state import joined, no_particles
 from sabench.algorithms.particles.time_budget import Deadline
 from sabench.algorithms.particles.track_motion import most_probable_motion
 from sabench.algorithms.particles.volume_shares import volume_shares
