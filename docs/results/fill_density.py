@@ -56,6 +56,7 @@ PARTS = {
     "nothing": "all parts",
     "wider images while candidates share the light": "widening",
     "slow removal of the darkest candidates": "levels",
+    "fits until all particles are settled": "settling",
     "fits of neighbours at each trial of a ghost": "refits",
     "particles tried as two": "splits",
     "learned scatter of light: any is as probable": "light free",

@@ -31,6 +31,11 @@ _ROUNDS = 4  # of leaving out particles
 _BRIGHT = 2.0  # times the threshold above the dark level: particles
 _HALO_PX = 7  # edge of the square around each bright pixel that is left out
 _CALM = 0.3  # of a tile's pixels, those with the darkest surroundings
+# where light covers most of an image, fewer of them, among which are fewer particles
+_CALMER = (0.1, 0.03, 0.01)
+_FEW_CALM = 500  # pixels of all images that tell too little
+_COVERED = 0.5  # of the pixels are above the threshold of the calmest ones
+_LIGHT = 1.3  # times the distance of threshold and level of the calmest: light of particles
 _SETTLED = 0.98  # of the pixels remain: those left out change nothing
 _LEAST_SHARE = 0.05  # of the pixels, without which the darkest ones remain
 _SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles from which skewness comes, as normal deviates
@@ -90,7 +95,8 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
     """Measure the dark level and noise of images (frame, row, column) of one camera.
 
     Bright pixels and their surroundings are left out, again and again, as long as darker ones
-    remain. Where particles leave nothing between them, their light counts as noise.
+    remain. Where particles are too dense for that, up to about one on two pixels, those pixels
+    remain that have the darkest surroundings of all.
 
     Parameters
     ----------
@@ -100,7 +106,39 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
     counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
     step = _grey_step(images[counts])
-    dark, found = counts, _measure(images, counts & _find_calm(images), step, _NARROW_Z)
+    around = _light_around(images)
+    found = _measure_calm(images, counts, around, step, _CALM)
+    dense = _measure_dense(images, counts, around, step, found)
+    return _leave_out_bright(images, counts, step, found) if dense is None else dense
+
+
+def _measure_calm(images: U16, counts: Bool, around: F32, step: float, share: float) -> DarkNoise:
+    """Measure the pixels with the darkest surroundings, about as many in each tile."""
+    edge = _TILE_PX * (_CALM / share) ** 0.5
+    return _measure(images, _find_calm(around, counts, share, edge), step, _NARROW_Z, edge)
+
+
+def _measure_dense(
+    images: U16, counts: Bool, around: F32, step: float, usual: DarkNoise
+) -> DarkNoise | None:
+    """Measure as many calm pixels as show no light of particles, where light covers most others.
+
+    None where it does not, or where the usual share of the pixels is calm enough.
+    """
+    shares = [share for share in _CALMER if share * counts.sum() >= _FEW_CALM]
+    if not shares:
+        return None
+    least = _measure_calm(images, counts, around, step, shares[-1])
+    if (images > least.threshold())[counts].mean() < _COVERED:
+        return None
+    more = (_measure_calm(images, counts, around, step, share) for share in shares[:-1])
+    calm = next((one for one in (usual, *more) if _are_alike(one, least)), least)
+    return None if calm is usual else calm
+
+
+def _leave_out_bright(images: U16, counts: Bool, step: float, found: DarkNoise) -> DarkNoise:
+    """Measure what is far from bright pixels, which are left out again and again."""
+    dark = counts
     for round_ in range(_ROUNDS):
         limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
         darker = dark & ~_surroundings(images >= limit)
@@ -116,6 +154,12 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
     return found
 
 
+def _are_alike(one: DarkNoise, other: DarkNoise) -> bool:
+    """Say whether thresholds are about as far above their levels."""
+    reach, far = (float(np.median(each.threshold() - each.level)) for each in (one, other))
+    return reach <= _LIGHT * far and far <= _LIGHT * reach
+
+
 def _stretch(known: Bool, shape: tuple[int, ...]) -> Bool:
     return np.array(np.broadcast_to(known, shape))
 
@@ -129,21 +173,25 @@ def _grey_step(values: U16) -> float:
     return float(np.median(apart)) if len(apart) else 1.0
 
 
-def _find_calm(images: U16) -> Bool:
-    """Mark the pixels (frame, row, column) with dark surroundings.
+def _light_around(images: U16) -> F32:
+    """Sum the surroundings of each pixel (frame, row, column).
 
-    These are among the darkest of the pixel's tile. A pixel itself is no part of them, so that
-    independent noise of the pixels that are marked is distributed as that of all, while few
-    particles are among them.
+    A pixel itself is no part of them, so that independent noise of pixels with dark surroundings is
+    distributed as that of all.
     """
     import cv2
 
-    calm = np.zeros(images.shape, dtype=np.bool_)
-    for image, marks in zip(images, calm, strict=True):
-        grey = image.astype(np.float32)
-        around = cv2.boxFilter(grey, -1, (5, 5), normalize=False) - grey
-        for where in _tiles(image.shape, _TILE_PX).values():
-            marks[where] = around[where] <= np.quantile(around[where], _CALM)
+    grey = images.astype(np.float32)
+    return np.stack([cv2.boxFilter(one, -1, (5, 5), normalize=False) - one for one in grey])
+
+
+def _find_calm(around: F32, counts: Bool, share: float, edge: float) -> Bool:
+    """Mark that share of each tile's pixels (frame, row, column) with the darkest surroundings."""
+    calm = counts.copy()
+    for own, marks in zip(around, calm, strict=True):
+        for where in _tiles(own.shape, edge).values():
+            if marks[where].any():
+                marks[where] &= own[where] <= np.quantile(own[where][marks[where]], share)
     return calm
 
 
@@ -155,14 +203,16 @@ def _surroundings(bright: Bool) -> Bool:
     return np.stack([cv2.dilate(one.astype(np.uint8), square) > 0 for one in bright])
 
 
-def _measure(images: U16, counts: Bool, step: float, span: float) -> DarkNoise:
+def _measure(
+    images: U16, counts: Bool, step: float, span: float, edge: float = _TILE_PX
+) -> DarkNoise:
     """Measure the level by tiles, and the noise of the rest by larger ones."""
     size = images.shape[1:]
     black = np.zeros(size, dtype=np.int64)
-    level = _spread(_by_tile(images, counts, _TILE_PX, black, span)[0], size)
+    level = _spread(_by_tile(images, counts, edge, black, span)[0], size)
     whole = (step * np.rint(level / step)).astype(np.int64)
     rest = images - whole
-    offset, noise = _by_tile(rest, counts, _GROUP * _TILE_PX, -whole, span)
+    offset, noise = _by_tile(rest, counts, _GROUP * edge, -whole, span)
     noise = np.maximum(noise, _FINEST * step)
     least, most = float(noise.min()), float(noise.max())
     wide = [_spread(offset, size), np.clip(_spread(noise, size), least, most)]
@@ -180,7 +230,7 @@ def _measure(images: U16, counts: Bool, step: float, span: float) -> DarkNoise:
 
 
 def _by_tile(
-    values: I64 | U16, counts: Bool, edge: int, black: I64, span: float
+    values: I64 | U16, counts: Bool, edge: float, black: I64, span: float
 ) -> tuple[F64, F64]:
     """Measure mean and standard deviation of each tile.
 
@@ -203,7 +253,7 @@ def _by_tile(
     return _fill(mean), _fill(deviation)
 
 
-def _tiles(size: tuple[int, ...], edge: int) -> dict[tuple[int, int], tuple[slice, slice]]:
+def _tiles(size: tuple[int, ...], edge: float) -> dict[tuple[int, int], tuple[slice, slice]]:
     """Cut an image into tiles of about so many pixels along an edge."""
     down, across = (
         [slice(int(a), int(b)) for a, b in itertools.pairwise(np.linspace(0, n, count + 1).round())]

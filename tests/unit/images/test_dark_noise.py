@@ -62,6 +62,36 @@ def test_particles_hardly_change_what_is_measured(
     assert np.median(found.noise) == pytest.approx(noise, rel=0.12)
 
 
+@pytest.mark.parametrize("per_pixel", [0.1, 0.15, 0.25, 0.5])
+@pytest.mark.parametrize(
+    ("black", "noise", "bits", "peak", "most"),
+    [
+        (64.0, 2.0, 12, 100.0, 1.2),
+        (64.0, 2.0, 12, 1000.0, 1.2),
+        (600.0, 20.0, 12, 1000.0, 1.2),
+        (0.0, 1.5, 8, 40.0, 2.0),  # half of the noise is cut at black
+    ],
+)
+def test_dense_particles_are_no_noise(
+    per_pixel: float, black: float, noise: float, bits: int, peak: float, most: float
+) -> None:
+    light = peak * particles(int(per_pixel * 512**2))[1]
+    image = grey(normal(np.random.default_rng(14), black, noise) + light, bits)
+    found = measure_dark_noise(image[None])
+    assert abs(np.median(found.level) - black) < 0.7 * noise
+    assert 0.9 * noise < np.median(found.noise) < most * noise
+
+
+def test_what_is_not_known_tells_nothing_of_dense_particles() -> None:
+    light = 100.0 * particles(40_000)[1]
+    image = grey(normal(np.random.default_rng(15), 64.0, 2.0) + light)
+    known = np.ones((512, 512), dtype=np.bool_)
+    image[:, 200:], known[:, 200:] = 0, False
+    found = measure_dark_noise(image[None], known)
+    assert abs(np.median(found.level[:, :200]) - 64.0) < 1.4
+    assert 1.8 < np.median(found.noise[:, :200]) < 2.6
+
+
 def test_forty_particles_of_a_recording_cut_at_black_are_forty_peaks() -> None:
     place, light = particles(40)
     image = grey(normal(np.random.default_rng(7), 0.0, 0.8) + 60.0 * light, 8)
