@@ -121,7 +121,7 @@ def _measure_calm(images: U16, counts: Bool, around: F32, step: float, share: fl
 def _measure_dense(
     images: U16, counts: Bool, around: F32, step: float, usual: DarkNoise
 ) -> DarkNoise | None:
-    """Measure as many calm pixels as show no light of particles, where light covers most others.
+    """Measure as many calm pixels as show no light, where it covers most others.
 
     None where it does not, or where the usual share of the pixels is calm enough.
     """
@@ -186,7 +186,7 @@ def _light_around(images: U16) -> F32:
 
 
 def _find_calm(around: F32, counts: Bool, share: float, edge: float) -> Bool:
-    """Mark that share of each tile's pixels (frame, row, column) with the darkest surroundings."""
+    """Mark a share of each tile's pixels, those with the darkest surroundings."""
     calm = counts.copy()
     for own, marks in zip(around, calm, strict=True):
         for where in _tiles(own.shape, edge).values():
