@@ -82,6 +82,24 @@ def test_dense_particles_are_no_noise(
     assert 0.9 * noise < np.median(found.noise) < most * noise
 
 
+ROW, COLUMN = np.mgrid[:512, :512]
+BESIDE_BARS = (COLUMN % 64 >= 6).astype(np.float64)  # dark bodies before a background
+BACKGROUNDS = {  # light, and the grey values of an electron
+    "bars": (100.0 * BESIDE_BARS, 0.22),
+    "bars before bright light": (2000.0 * BESIDE_BARS, 0.22),
+    "bars before few photons": (5.0 * BESIDE_BARS, 1.0),
+    "a light sheet": (1000.0 * np.exp(-(((ROW - 256) / 90.0) ** 2)), 0.22),
+}
+
+
+@pytest.mark.parametrize("name", BACKGROUNDS)
+def test_a_background_is_not_taken_for_dense_particles(name: str) -> None:
+    light, gain = BACKGROUNDS[name]
+    rng = np.random.default_rng(16)
+    image = grey(normal(rng, 64.0, 1.0) + gain * rng.poisson(light / gain))
+    assert (image > measure_dark_noise(image[None]).threshold()).mean() < 0.01
+
+
 def test_what_is_not_known_tells_nothing_of_dense_particles() -> None:
     light = 100.0 * particles(40_000)[1]
     image = grey(normal(np.random.default_rng(15), 64.0, 2.0) + light)
