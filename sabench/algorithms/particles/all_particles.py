@@ -21,6 +21,7 @@ from sabench.algorithms.particles.model_moves import (
     measure_earnings,
     measure_misfit,
 )
+from sabench.algorithms.particles.particle_splits import measure_split_gains
 from sabench.utils.arrays import F64
 from sabench.utils.threads import for_each, share_rows
 
@@ -46,6 +47,20 @@ def misfits(model: ImageModel, sigma: F64, particles: Particles) -> F64:
 
     def measure(rows: slice) -> None:
         measure_misfit(model, make_room(sigma), _some(particles, rows), out[rows])
+
+    share_rows(measure, len(out))
+    return out
+
+
+def split_gains(model: ImageModel, sigma: F64, particles: Particles, steps: F64) -> F64:
+    """Measure how much cost a split promises to save.
+
+    The result (n,) is that along the best of some steps (k, 3).
+    """
+    out = np.zeros(len(particles.position))
+
+    def measure(rows: slice) -> None:
+        measure_split_gains(model, make_room(sigma), _some(particles, rows), steps, out[rows])
 
     share_rows(measure, len(out))
     return out

@@ -208,7 +208,7 @@ def _put_known(search: ParticleSearch, known: Known) -> None:
 
 
 def split_and_find(search: ParticleSearch) -> int:
-    """Try misfits as two, add what is left, and remove what does not earn its price.
+    """Try to split particles, add what is left, and remove what does not earn.
 
     Returns how many were added.
     """

@@ -1,11 +1,10 @@
-"""Removals and splits of particles that make them more probable.
+"""Removals of particles that images do not ask for, and sums about cameras.
 
 A ghost shares the light of true particles' images with them. It fits as well as they do, but when
 it is taken out, its neighbours fit as well without it. So every particle is taken out for trial,
 its neighbours are fitted again, and it comes back only if its absence costs more than its price.
-Two particles closer than two pixels look like one; a particle that does not fit is tried as two.
-Both are the moves of P. J. Green, Reversible jump Markov chain Monte Carlo computation and Bayesian
-model determination, Biometrika 82, 711-732, 1995, taken where they raise the probability.
+It is a move of P. J. Green, Reversible jump Markov chain Monte Carlo computation and Bayesian model
+determination, Biometrika 82, 711-732, 1995, taken where it raises the probability.
 """
 
 from __future__ import annotations
@@ -32,21 +31,17 @@ from sabench.algorithms.particles.image_model import (
 from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
-    project_point,
     project_points,
 )
 from sabench.images.gaussians import fill_growth
 from sabench.images.near_images import near_images
-from sabench.utils.arrays import F64, I64
+from sabench.utils.arrays import F64, I64, Bool
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera
 _SURE = 4.0  # prices that a particle earns which is not tried again
 _CERTAIN = 2.0  # prices that it earns alone, without a trial
 _SHARED = 0.1  # of a particle's light in a pixel: more from others, and they may take it over
-_SAME = 0.8  # widths: distance of images of the two of a split that are one
-_SETTLE = 6  # fits of the two particles of a split
-_DOUBTFUL = 2  # of them, after which a split that does not pay is given up
 
 
 def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
@@ -83,7 +78,8 @@ def remove_ghosts(
     fits : rounds of fitting the neighbours without a particle.
     lone : whether what a particle earns in the camera where it earns most does not count: light in
         one camera alone is no particle.
-    sure : (n,) set for the rows of `order`: whether a particle earns several times its price.
+    sure : (n,) set for the rows of `order`: whether a particle earns several times its price
+        without that camera.
     odds : (n,) set for the same rows: what it earns less its price, the logarithm of the odds that
         it is real; trials end where they are high enough.
     """
@@ -106,16 +102,17 @@ def remove_ghosts(
         take_out(model, room, position, light)
         look(model, room, position, light)
         loss = -cost_of(model, room, light)
+        without_best = least / max(1.0 - _largest_share(room, light), 1e-3)
         if lone:
-            least /= max(1.0 - _largest_share(room, light), 1e-3)
+            least = without_best
         particles.alive[n] = False
         for fit in range(fits):
-            if fit and loss > _SURE * least:
+            if fit and loss > _SURE * without_best:
                 break
             for k in range(first, last):
                 if loss > least and particles.alive[near[k]]:
                     loss += adjust(model, room, particles, near[k])
-        sure[n], odds[n] = loss > _SURE * least, loss - least
+        sure[n], odds[n] = loss > _SURE * without_best, loss - least
         if loss <= least:
             removed += 1
             continue
@@ -182,12 +179,29 @@ def _saved(weight: Any, left: Any, own: float) -> float:
     return float(0.5 * weight * (without * without - rest * rest))
 
 
-def near_any(chosen: Any, starts: I64, near: I64) -> Any:
-    """Mark rows (n,) with a chosen one (n,) among their neighbours."""
-    rows = np.repeat(np.arange(len(chosen)), np.diff(starts))
-    found = np.zeros(len(chosen), dtype=np.bool_)
-    found[rows[chosen[near]]] = True
-    return found
+def count_meetings(
+    maps: VolumePolynomials, sigma: F64, positions: F64, chosen: Bool, starts: I64, near: I64
+) -> I64:
+    """Count (n,) in how many cameras, in all, images of chosen ones (n,) are near.
+
+    The neighbours are those of `find_neighbours`.
+    """
+    pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
+    counts = np.zeros(len(positions), dtype=np.int64)
+    _count_meetings(np.stack(pixels), _NEAR * sigma.max(axis=1), chosen, starts, near, counts)
+    return counts
+
+
+@numba.njit(cache=True)
+def _count_meetings(
+    pixels: Any, reach: Any, chosen: Any, starts: Any, near: Any, counts: Any
+) -> None:
+    for n in range(len(counts)):
+        for k in near[starts[n] : starts[n + 1]]:
+            if chosen[k]:
+                for c in range(len(pixels)):
+                    x, y = pixels[c, n] - pixels[c, k]
+                    counts[n] += x * x + y * y <= reach[c] * reach[c]
 
 
 @numba.njit(cache=True)
@@ -230,98 +244,6 @@ def measure_earnings(model: Any, room: Any, particles: Any, earned: Any) -> None
         for c in range(len(model.typical)):
             light = particles.light[n, c]
             earned[n, c] = light * (room.sums[c, PULL] + 0.5 * light * room.sums[c, WEIGHT])
-
-
-@numba.njit(cache=True, nogil=True)
-def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, steps: Any) -> None:
-    """Replace particles by two each where that is more probable.
-
-    Parameters
-    ----------
-    order : rows, in the order of the trials.
-    spare : (n,) the row that is free for the second of two, for the rows of `order`.
-    steps : (k, 3) half distances of the two, in the box's coordinates, that are tried.
-    """
-    cameras = particles.light.shape[1]
-    place, own, places, lights = (
-        np.zeros(3),
-        np.zeros(cameras),
-        np.zeros((2, 3)),
-        np.zeros((2, cameras)),
-    )
-    for n in order:
-        count = spare[n]
-        place[:], own[:] = particles.position[n], particles.light[n]
-        best = 0.0
-        for s in range(len(steps)):
-            cost = _try_split(model, room, particles, n, count, steps[s])
-            if cost < best:
-                best = cost
-                places[0], places[1] = particles.position[n], particles.position[count]
-                lights[0], lights[1] = particles.light[n], particles.light[count]
-            take_out(model, room, particles.position[n], particles.light[n])
-            take_out(model, room, particles.position[count], particles.light[count])
-            particles.position[n], particles.light[n] = place, own
-            put_in(model, room, place, own)
-        if best < 0.0 and _are_apart(model, room, places):
-            take_out(model, room, place, own)
-            for k in range(2):
-                put_in(model, room, places[k], lights[k])
-            dearer = max(
-                price(model, room, places[0], lights[0]), price(model, room, places[1], lights[1])
-            )
-            if best + dearer < 0.0:
-                particles.position[n], particles.light[n] = places[0], lights[0]
-                particles.position[count], particles.light[count] = places[1], lights[1]
-                particles.alive[count] = True
-            else:
-                for k in range(2):
-                    take_out(model, room, places[k], lights[k])
-                put_in(model, room, place, own)
-
-
-@numba.njit(cache=True)
-def _are_apart(model: Any, room: Any, places: Any) -> bool:
-    """Say whether some camera sees two positions apart.
-
-    If not, one particle with a wider image than others looks the same, and is more probable.
-    """
-    here, slopes = np.zeros((2, 2)), np.zeros((2, 3))
-    for c in range(len(model.typical)):
-        for k in range(2):
-            project_point(model.maps, c, places[k], here[k], slopes)
-        apart = math.hypot(here[0, 0] - here[1, 0], here[0, 1] - here[1, 1])
-        if apart > _SAME * max(model.widths[c, 0, 0], model.widths[c, 1, 0]):
-            return True
-    return False
-
-
-@numba.njit(cache=True)
-def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: Any) -> float:
-    """Replace a particle by two of half its light, and fit both.
-
-    Returns the change of the cost.
-    """
-    take_out(model, room, particles.position[n], particles.light[n])
-    look(model, room, particles.position[n], particles.light[n])
-    cost = -cost_of(model, room, particles.light[n])
-    for p in range(3):
-        middle = particles.position[n, p]
-        particles.position[n, p] = min(max(middle + step[p], -1.0), 1.0)
-        particles.position[new, p] = min(max(middle - step[p], -1.0), 1.0)
-    for c in range(len(model.typical)):
-        particles.light[n, c] *= 0.5
-        particles.light[new, c] = particles.light[n, c]
-    for k in (n, new):
-        look(model, room, particles.position[k], particles.light[k])
-        cost += cost_of(model, room, particles.light[k])
-        put_in(model, room, particles.position[k], particles.light[k])
-    for fit in range(_SETTLE):
-        cost += adjust(model, room, particles, n)
-        cost += adjust(model, room, particles, new)
-        if fit == _DOUBTFUL and cost > 0.0:
-            break
-    return float(cost)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sabench.algorithms.particles.all_particles import misfits
+from sabench.algorithms.particles.all_particles import split_gains
 from sabench.algorithms.particles.candidate_search import (
     BRIGHTEST,
     find_candidates,
@@ -28,11 +28,11 @@ from sabench.algorithms.particles.image_model import make_room
 from sabench.algorithms.particles.joint_fit import refine, start_light
 from sabench.algorithms.particles.light_prior import scatter_between
 from sabench.algorithms.particles.model_moves import (
+    count_meetings,
     find_neighbours,
-    near_any,
     remove_ghosts,
-    split_pairs,
 )
+from sabench.algorithms.particles.particle_splits import split_pairs
 from sabench.algorithms.particles.search_state import SearchState
 from sabench.utils.arrays import I64
 
@@ -44,9 +44,11 @@ _MANY, _FIRST = 16.0, 2.5  # of the estimated number: first candidates, times ca
 _MORE = 0.5  # of the particles so far: candidates beside them
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
+_CONTESTED = 0.25  # of the cameras: meetings with others that have just earned their price
 _TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
-_MISFIT = 4.0  # standard deviations: particles that fit no better may be two
-_DOUBTFUL = 0.3  # largest share of particles that are tried as two
+# units of the cost, and times what the median particle promises (images that are a little wider
+# than the model's promise something everywhere): particles of which a split promises more are tried
+_PROMISING, _COMMON = 3.0, 2.0
 _APART = 1.1  # widths: distance of the two of a split from their middle
 
 
@@ -123,7 +125,8 @@ class ParticleSearch(SearchState):
 
         All are fitted before, or what neighbours gain by their own fits would count against a
         particle that is taken out. Those that earn several times their price are tried again only
-        near others that newly do.
+        where others that newly do meet them in a share of the cameras: what they share with fewer
+        is not all that they earn.
         """
         self.refine(self.fits)
         starts, near = find_neighbours(self.maps, self.sigma, self.position)
@@ -139,25 +142,29 @@ class ParticleSearch(SearchState):
             order = rows[np.argsort(self.common_light()[rows], kind="stable")]
             self._work(remove, self._turns(order, (starts, near)))
             promoted = tried & self.sure & particles.alive
-            tried = ~tried & ~self.trusted & near_any(promoted, starts, near)
-        self.sure &= lone
+            meetings = count_meetings(self.maps, self.sigma, self.position, promoted, starts, near)
+            tried = ~tried & ~self.trusted & (meetings >= _CONTESTED * len(self.sigma))
         self.select(particles.alive)
         self.refine(1)
 
     def split(self) -> None:
-        """Replace particles that do not fit by two, where that is more probable."""
+        """Replace particles by two where that is more probable.
+
+        What is left of the images tells where it may be.
+        """
         count, model = len(self.position), self.model()
-        misfit = misfits(model, self.widest, self.particles())
-        order = np.argsort(-misfit, kind="stable")[: int(_DOUBTFUL * count)]
-        order = order[misfit[order] > _MISFIT]
+        width = float(self.sigma.max())
+        steps = _APART * width / self.maps.half_mm * split_directions(self.maps)
+        gains = split_gains(model, self.widest, self.particles(), steps)
+        least = _PROMISING + _COMMON * float(np.median(gains)) if count else 0.0
+        order = np.argsort(-gains, kind="stable")
+        order = order[gains[order] > least]
         self.sure[order] = False
         self.append(len(order), 1.0)
         spare = np.zeros(count, dtype=np.int64)
         spare[order] = np.arange(count, len(self.position))
         particles = self.particles()
         particles.alive[count:] = False
-        width = float(self.sigma.max())
-        steps = _APART * width / self.maps.half_mm * split_directions(self.maps)
 
         def split(rows: I64) -> None:
             split_pairs(model, self.room, particles, rows, spare, steps)

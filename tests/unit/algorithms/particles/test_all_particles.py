@@ -11,6 +11,7 @@ from sabench.algorithms.particles.all_particles import (
     leverage,
     misfits,
     paint_particles,
+    split_gains,
 )
 from sabench.algorithms.particles.image_model import ImageModel, Particles, paint_all
 from sabench.algorithms.particles.model_moves import add_camera_misses, measure_misfit
@@ -51,11 +52,12 @@ def outcome(maps: VolumePolynomials) -> list[F64 | F32]:
         misfits(model, SIGMAS, particles),
         camera_misses(model, SIGMAS, particles),
         leverage(model, SIGMAS, particles),
+        split_gains(model, SIGMAS, particles, 0.02 * np.eye(3)),
     ]
 
 
 def test_passes_give_what_one_thread_gives(maps: VolumePolynomials) -> None:
-    left, misfit, misses, _ = outcome(maps)
+    left, misfit, misses, *_ = outcome(maps)
     model, particles = case(maps)
     room, alone, sums = room_of(maps), np.zeros(COUNT), np.zeros((4, 5))
     paint_all(model, room, particles, -1.0)

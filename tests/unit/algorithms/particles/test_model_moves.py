@@ -1,20 +1,17 @@
-"""Ghosts are removed, pairs are split, and neither happens to what is true."""
+"""Ghosts are removed, particles are not, and cameras' widths and shifts are learned."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.image_model import Particles, paint_all, without_margins
 from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
     add_width_misses,
+    count_meetings,
     find_neighbours,
-    measure_misfit,
-    near_any,
     remove_ghosts,
-    split_pairs,
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64
@@ -31,7 +28,6 @@ from tests.helpers.image_model import (
 from tests.unit.algorithms.particles.test_triangulation import (
     COLUMNS,
     ROWS,
-    distances,
     maps,
     unit_points,
 )
@@ -142,69 +138,16 @@ def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
     np.testing.assert_allclose(model.left, left, atol=1e-3)
 
 
-def test_rows_with_a_chosen_neighbour_are_marked() -> None:
-    starts, near = np.array([0, 1, 3, 3, 4]), np.array([1, 0, 3, 1])
-    chosen = np.array([False, True, False, False])
-    assert near_any(chosen, starts, near).tolist() == [True, False, False, True]
-
-
-@pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
-def test_two_particles_that_look_like_one_are_split(
-    maps: VolumePolynomials, direction: list[float]
-) -> None:
-    size = pixel_mm(maps) / maps.half_mm
-    half = 0.8 * size * np.array(direction) * [1.0, 1.0, 4.0]
-    pair = np.array([half, -half])
-    images = noisy(maps, pair, np.full((2, 4), TYPICAL))
-    model, room = model_of(maps, images), room_of(maps)
-    rows, lights = np.zeros((2, 3)), np.full((2, 4), 2.0 * TYPICAL)
-    particles = Particles(rows, lights, np.array([True, False]))
-    single = Particles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
-    paint_all(model, room, single, -1.0)
-    refine_all(model, room, single, 10)
-    misfit = np.zeros(1)
-    measure_misfit(model, room, single, misfit)
-    assert misfit[0] > 4.0
-    steps = 0.7 * size * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
-    order = np.zeros(1, dtype=np.int64)
-    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
-    assert particles.alive.all()
-    refine_all(model, room, particles, 20)
-    assert distances(particles.position, pair, maps).max() < 0.3 * pixel_mm(maps)
-    measure_misfit(model, room, particles, two := np.zeros(2))
-    assert two.max() < 4.0
-
-
-def test_a_single_particle_is_not_split(maps: VolumePolynomials) -> None:
-    point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
-    model, room = model_of(maps, noisy(maps, point, light)), room_of(maps)
-    particles = Particles(np.zeros((2, 3)), np.full((2, 4), TYPICAL), np.array([True, False]))
-    paint_all(model, room, particles_of(point, light), -1.0)
-    left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
-    steps = 0.7 * size * np.eye(3)
-    order = np.zeros(1, dtype=np.int64)
-    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
-    assert particles.alive.tolist() == [True, False]
-    np.testing.assert_allclose(particles.position[0], 0.0, atol=1e-12)
-    np.testing.assert_allclose(model.left, left, atol=1e-3)
-
-
-def test_a_wide_particle_is_not_split(maps: VolumePolynomials) -> None:
-    """Two so near that no camera sees them apart are one with a wider image."""
-    size = pixel_mm(maps) / maps.half_mm
-    pair = 0.15 * size * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
-    images = noisy(maps, pair, np.full((2, 4), 50.0 * TYPICAL))
-    model, room = model_of(maps, images), room_of(maps)
-    light = np.full((2, 4), 100.0 * TYPICAL)
-    particles = Particles(np.zeros((2, 3)), light, np.array([True, False]))
-    single = Particles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
-    paint_all(model, room, single, -1.0)
-    measure_misfit(model, room, single, misfit := np.zeros(1))
-    assert misfit[0] > 100.0
-    order = np.zeros(1, dtype=np.int64)
-    steps = 0.15 * size * np.ones((1, 3))
-    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
-    assert particles.alive.tolist() == [True, False]
+def test_meetings_with_chosen_particles_are_counted(maps: VolumePolynomials) -> None:
+    """A particle meets one at its side in all cameras, and each of four others in one."""
+    ghost, size = np.array([0.05, -0.1, 0.1]), pixel_mm(maps) / maps.half_mm
+    beside = ghost + size * np.array([1.0, 0.0, 0.0])
+    points = np.vstack([ghost, beside, crossing(maps, ghost)])
+    starts, near = find_neighbours(maps, WIDTHS, points)
+    for chosen, expected in (([1], 4), ([2], 1), ([2, 4, 5], 3), ([1, 3], 5), ([0], 0)):
+        marked = np.isin(np.arange(6), chosen)
+        counts = count_meetings(maps, WIDTHS, points, marked, starts, near)
+        assert counts[0] == expected
 
 
 def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) -> None:
