@@ -185,6 +185,21 @@ def test_cameras_of_which_no_three_agree_are_reported(solver: str) -> None:
         solve(solver, [swapped(make_small(1).observation)])
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_streaks_aslant_in_a_camera_are_reported(solver: str, side: int) -> None:
+    """Particles that move while they are lit: the model's images have rows and columns as axes."""
+    case = make_small(1).observation
+    images = case.images.astype(np.float64)
+    moved = [np.roll(images[2], (step, side * step), (0, 1)) for step in (-1, 1)]
+    images[2] = 0.5 * images[2] + 0.25 * sum(moved)
+    sign = "+" if side > 0 else "-"
+    with pytest.warns(
+        UserWarning, match=f"camera_02: .*tilted ones .correlation [{sign}]0"
+    ) as caught:
+        solve(solver, [with_images(case, images)])
+    assert len(caught) == 1
+
+
 def test_particles_outside_the_grid_are_reported(solver: str) -> None:
     small = make_small(1).observation
     large = make_small(1, volume={"size_mm": [6.0, 6.0, 8.0]}).observation

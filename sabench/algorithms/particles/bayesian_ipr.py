@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sabench.algorithms.particles.background import ClearImages, clear_images
-from sabench.algorithms.particles.camera_check import without_wrong_cameras
+from sabench.algorithms.particles.camera_check import warn_of_tilt, without_wrong_cameras
 from sabench.algorithms.particles.hidden_areas import are_doubtful, find_dark_views, keep_hidden
 from sabench.algorithms.particles.image_statistics import measure_images
 from sabench.algorithms.particles.learned_model import (
@@ -121,6 +121,7 @@ def search_frame(
     if not frame.deadline.over:
         names = [camera.name for camera in case.cameras]
         search = without_wrong_cameras(search, names, partial(_find_visible, frame))
+        warn_of_tilt(search, names)
     for _ in range(settings.splits):
         if frame.deadline.over:
             break

@@ -35,6 +35,8 @@ class ImageStatistics:
     Attributes
     ----------
     sigma : (camera, 2) standard deviations of particle images along columns and rows, px.
+    tilt : (camera,) correlation of columns and rows within particle images, between -1 and 1: that
+        of an ellipse whose axes are neither.
     light : (camera,) sum of the grey values of a typical particle's image; particles of different
         light count by their light. 0 where none shows.
     noise : (camera,) standard deviation of dark pixels, grey values.
@@ -43,6 +45,7 @@ class ImageStatistics:
     """
 
     sigma: F64
+    tilt: F64
     light: F64
     noise: F64
     shown: Bool
@@ -56,10 +59,11 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
     ----------
     known : the same shape, pixels that count.
     """
-    sigma, light, noise, shown, number = [], [], [], [], []
+    sigma, tilt, light, noise, shown, number = [], [], [], [], [], []
     for image, there in zip(images, known, strict=True):
-        widths, own, clear = _measure_image(image, _without_brightest(image, there))
+        widths, tilted, own, clear = _measure_image(image, _without_brightest(image, there))
         sigma.append(widths)
+        tilt.append(tilted)
         light.append(own)
         noise.append(dark_noise(image[there]))
         shown.append(clear)
@@ -67,6 +71,7 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
             number.append(max(float(image[there].sum()) / own, 1.0))
     return ImageStatistics(
         np.array(sigma),
+        np.array(tilt),
         np.array(light),
         np.array(noise),
         np.array(shown),
@@ -92,8 +97,8 @@ def _without_brightest(image: F64, known: Bool) -> Bool:
     return known if left < _FEW_PEAKS else rest
 
 
-def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, bool]:
-    """Measure widths (columns, rows), a typical light, and whether particles show.
+def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, float, bool]:
+    """Measure widths (columns, rows), tilt, typical light, and whether any show.
 
     Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12.
     Those one and two pixels apart give s, that at distance 0 follows without the noise of a pixel,
@@ -123,7 +128,19 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     values = image[known]
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
     clear = sum(nearest) / 2.0 > _CLEAR * chance and 1e-6 < own < math.inf
-    return widths, own if clear else 0.0, clear
+    tilt = _measure_tilt(over, count, far) * math.sqrt(squares[0] * squares[1])
+    return widths, tilt, own if clear else 0.0, clear
+
+
+def _measure_tilt(over: F64, count: F64, far: float) -> float:
+    """Measure how much products along one diagonal exceed those along the other.
+
+    Products of pixels d apart fall as exp(-d C^-1 d / 4), C the covariance of an image: the
+    logarithm of their ratio is minus the element of C^-1 outside its diagonal.
+    """
+    down = _product(over, count, 1, 1) - far
+    up = _product(over[:, ::-1], count[:, ::-1], 1, 1) - far
+    return math.log(down / up) if min(down, up) > 0.0 else 0.0
 
 
 def _less_local_mean(light: F64, count: F64) -> F64:

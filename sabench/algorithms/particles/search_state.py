@@ -103,7 +103,7 @@ class SearchState:
         self.shown, self.fits = statistics.shown, fits
         self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
         self.number, self.noise = statistics.number, statistics.noise[self.shown]
-        self.typical = statistics.light[self.shown]
+        self.typical, self.tilt = statistics.light[self.shown], statistics.tilt[self.shown]
         self.hidden: Bool | None = None
         self.reset_covariance()
         self.show(clear)

@@ -45,6 +45,26 @@ def test_widths_light_and_number_hold_at_any_density(
     assert found.number == pytest.approx(per_pixel * ROWS * COLUMNS, rel=0.08)
 
 
+@pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
+@pytest.mark.parametrize("slope", [0.0, 1.0, -0.5])
+def test_the_tilt_of_streaks_is_measured_at_any_density(per_pixel: float, slope: float) -> None:
+    """Particles that move while they are lit: sums of images along a line of 2 px."""
+    rng = np.random.default_rng(10)
+    count = int(per_pixel * ROWS * COLUMNS)
+    center = rng.uniform(0.0, (COLUMNS, ROWS), (count, 2))
+    shown = 2.0 * rng.standard_normal((ROWS, COLUMNS))
+    steps = np.linspace(-1.0, 1.0, 9)
+    for step in steps:
+        x = profile(center[:, 0] + step, 0.7, COLUMNS)
+        y = profile(center[:, 1] + slope * step, 0.7, ROWS)
+        shown += 100.0 / len(steps) * y.T @ x
+    along = steps.var()
+    own = 0.7**2 + 1.0 / 12.0
+    expected = slope * along / np.sqrt((own + along) * (own + slope**2 * along))
+    found = measure_images(shown[None], np.ones((1, ROWS, COLUMNS), dtype=bool))
+    assert found.tilt[0] == pytest.approx(expected, abs=0.02 + 0.1 * abs(expected))
+
+
 @pytest.mark.parametrize("per_pixel", [0.05, 0.5])
 def test_widths_hold_where_particles_are_denser_in_the_middle(per_pixel: float) -> None:
     """As before a camera whose view passes the edges of the volume."""
@@ -83,6 +103,7 @@ def test_images_of_noise_or_of_nothing_have_finite_statistics() -> None:
         for known in (True, False):
             found = measure_images(images, np.full(images.shape, known))
             assert np.isfinite(found.sigma).all()
+            assert np.isfinite(found.tilt).all()
             assert not found.light.any()
             assert not found.shown.any()
             assert np.isfinite(found.number)
