@@ -44,7 +44,7 @@ def case(maps: VolumePolynomials) -> tuple[ImageModel, Particles]:
 
 
 def outcome(maps: VolumePolynomials) -> list[F64 | F32]:
-    """What all passes give."""
+    """Results of all passes."""
     model, particles = case(maps)
     paint_particles(model, SIGMAS, particles, -1.0)
     return [

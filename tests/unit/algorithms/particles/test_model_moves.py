@@ -11,6 +11,7 @@ from sabench.algorithms.particles.model_moves import (
     add_width_misses,
     count_meetings,
     find_neighbours,
+    measure_misfit,
     remove_ghosts,
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
@@ -33,13 +34,14 @@ from tests.unit.algorithms.particles.test_triangulation import (
 )
 
 __all__ = ["maps"]
-RNG = np.random.default_rng(9)
 WIDTHS = np.tile(np.array(SIGMA), (4, 1))
 
 
 def noisy(maps: VolumePolynomials, points: F64, light: F64) -> F64:
+    """Images of particles with noise: the same at each call."""
     images = paint(maps, points, light, ROWS, COLUMNS)
-    return np.asarray(images + NOISE * RNG.standard_normal(images.shape))
+    noise = np.random.default_rng(9).standard_normal(images.shape)
+    return np.asarray(images + NOISE * noise)
 
 
 def crossing(maps: VolumePolynomials, ghost: F64) -> F64:
@@ -136,6 +138,19 @@ def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
     np.testing.assert_array_equal(particles.position, points)
     np.testing.assert_array_equal(particles.light, light)
     np.testing.assert_allclose(model.left, left, atol=1e-3)
+
+
+def test_squares_left_are_those_of_noise_where_particles_fit_and_more_where_they_do_not(
+    maps: VolumePolynomials,
+) -> None:
+    points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
+    model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
+    particles = particles_of(points, light)
+    particles.light[0] *= 0.5
+    paint_all(model, room, particles, -1.0)
+    measure_misfit(model, room, particles, misfit := np.zeros(30))
+    assert misfit[0] > 10.0
+    assert abs(np.median(misfit)) < 1.0
 
 
 def test_meetings_with_chosen_particles_are_counted(maps: VolumePolynomials) -> None:

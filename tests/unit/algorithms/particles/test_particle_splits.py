@@ -24,6 +24,7 @@ from tests.helpers.image_model import (
     refine_all,
     room_of,
 )
+from tests.unit.algorithms.particles.test_model_moves import noisy
 from tests.unit.algorithms.particles.test_triangulation import (
     COLUMNS,
     ROWS,
@@ -33,16 +34,10 @@ from tests.unit.algorithms.particles.test_triangulation import (
 )
 
 __all__ = ["maps"]
-RNG = np.random.default_rng(9)
-
-
-def noisy(maps: VolumePolynomials, points: F64, light: F64) -> F64:
-    images = paint(maps, points, light, ROWS, COLUMNS)
-    return np.asarray(images + NOISE * RNG.standard_normal(images.shape))
 
 
 def gains_of(model: ImageModel, maps: VolumePolynomials, particles: Particles) -> F64:
-    """What splits along the axes promise each particle that is in the model."""
+    """Gains that splits along the axes promise each particle that is in the model."""
     steps = 0.7 * pixel_mm(maps) / maps.half_mm * np.diag([1.0, 1.0, 3.0])
     gains = np.zeros(len(particles.position))
     measure_split_gains(model, room_of(maps), particles, steps, gains)
@@ -73,20 +68,22 @@ def test_the_promise_is_the_parabola_of_costs_of_halves_that_move_apart(
     assert gain[0] == pytest.approx(expected, rel=0.03)
 
 
-def test_noise_promises_about_one(maps: VolumePolynomials) -> None:
-    """Half the square of the best of three normal deviates, where it is positive."""
-    points, light = 0.8 * unit_points(60), np.full((60, 4), TYPICAL)
+def test_noise_promises_half_the_square_of_a_normal_deviate_if_positive(
+    maps: VolumePolynomials,
+) -> None:
+    """Its mean is a quarter, and its variance 5 / 16, along any one step."""
+    points, light = 0.8 * unit_points(200), np.full((200, 4), TYPICAL)
     model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
     particles = particles_of(points, light)
     paint_all(model, room, particles, -1.0)
-    refine_all(model, room, particles, 4)
-    gains = gains_of(model, maps, particles)
-    assert 0.1 < np.median(gains) < 1.5
+    step = pixel_mm(maps) / maps.half_mm * np.array([[0.6, 0.3, 1.5]])
+    measure_split_gains(model, room, particles, step, gains := np.zeros(200))
+    assert gains.mean() == pytest.approx(0.25, abs=3.0 * np.sqrt(5.0 / 16.0 / 200.0))
     assert gains.max() < 12.0
 
 
 def test_a_peak_of_the_wrong_height_promises_nothing(maps: VolumePolynomials) -> None:
-    """What light explains is no pair."""
+    """Light explains it: it is no pair."""
     point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
     model = model_of(maps, paint(maps, point, light, ROWS, COLUMNS))
     particles = particles_of(point, light * [0.7, 1.4, 0.8, 1.3])
