@@ -58,6 +58,17 @@ def fill_growth(center: float, sigma: float, first: int, growth: Any) -> None:
         before = after
 
 
+@numba.njit(cache=True)
+def fill_bend(center: float, sigma: float, first: int, bend: Any) -> None:
+    """Fill in the second derivatives (n,) of the shares by the centre.
+
+    They are those by sigma, over sigma: Gaussians spread as heat does.
+    """
+    fill_growth(center, sigma, first, bend)
+    for i in range(len(bend)):
+        bend[i] /= sigma
+
+
 def effective_width(sigma: float) -> float:
     """Compute (integral)^2 / (sum of squares) of a Gaussian, mean over its positions.
 

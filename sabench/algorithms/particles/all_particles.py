@@ -118,7 +118,7 @@ def _of_camera(model: ImageModel, sigma: F64, camera: int) -> tuple[ImageModel, 
     maps = model.maps._replace(coefficients=model.maps.coefficients[one])
     view = model._replace(
         maps=maps,
-        widths=model.widths[one],
+        shapes=model.shapes[one],
         typical=model.typical[one],
         images=model.images[one],
         weight=model.weight[one],

@@ -15,11 +15,12 @@ import numpy as np
 
 from sabench.algorithms.particles.light_prior import scatter_between
 from sabench.algorithms.particles.particle_search import ParticleSearch
+from sabench.algorithms.particles.search_state import MOST_TILT
 from sabench.algorithms.particles.volume_shares import shared_views
 from sabench.utils.arrays import F32, F64, Bool
 
 _FEWEST = 3  # cameras that may be left
-_MANY, _TILTED = 50, 0.15  # particles, and correlation in their images, that matter
+_MANY = 50  # particles that tell of their images
 _LEFT = 0.1  # of the squared light of an image: more that is left has a reason
 _CHANCE = 1.0  # over the square root of the particles' number: share that few leave by chance
 _SCATTER, _LITTLE = 0.7, 0.03  # of light between cameras; with less left, it is particles' own
@@ -67,19 +68,19 @@ def without_wrong_cameras(
 
 
 def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
-    """Warn of cameras whose particle images are not the ellipses of the model.
+    """Warn of cameras whose particle images are longer streaks than the model's.
 
-    Its ellipses have rows and columns as axes. Few particles tell nothing.
+    Few particles tell nothing.
     """
     if search.number < _MANY:
         return
     for camera, tilt in zip(np.flatnonzero(search.shown).tolist(), search.tilt, strict=True):
-        if abs(tilt) > _TILTED:
+        if abs(tilt) > MOST_TILT:
             _warn(
-                f"{names[camera]}: expected particle images with rows and columns as axes, got "
-                f"tilted ones (correlation {tilt:+.2f}); some particles may be found as two: check "
-                "the focus, the camera's angle to the wall, and that particles do not move while "
-                "they are lit"
+                f"{names[camera]}: expected particle images that are spots, got streaks across "
+                f"rows and columns (correlation {tilt:+.2f}, up to {MOST_TILT} is fitted); some "
+                "particles may be missed or found as two: check the focus, the camera's angle to "
+                "the wall, and that particles do not move while they are lit"
             )
 
 

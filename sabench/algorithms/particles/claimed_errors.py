@@ -51,6 +51,6 @@ def _spots(model: ImageModel, particles: Particles, camera: int, variance: F64) 
         pixel,
         slope / model.maps.half_mm,
         particles.light[:, camera],
-        (terms @ model.widths[camera].T).mean(axis=1),
+        (terms @ model.shapes[camera, :2].T).mean(axis=1),
         variance,
     )

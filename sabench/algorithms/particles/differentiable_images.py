@@ -40,8 +40,7 @@ class ImageModel(NamedTuple):
     shifts : (camera, 2) shifts of their pixels as (column, row), px.
     images : (camera, row, column) less black.
     weight : the same shape, 1 / variance of a pixel; 0 where it is unknown.
-    widths : (camera, 2, 4) widths of particle images along columns and rows, px: in the box's
-        middle, and their change along each of its coordinates.
+    shapes : (camera, 3, 4) of particle images, as those of `image_model.ImageModel`.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light over that.
     middle_mm, half_mm : (3,) centre and half edges of the box.
@@ -51,7 +50,7 @@ class ImageModel(NamedTuple):
     shifts: F64
     images: F32
     weight: F32
-    widths: F64
+    shapes: F64
     typical: F64
     precision: F64
     middle_mm: F64
@@ -67,7 +66,7 @@ class DifferentiableImages:
     def __init__(self, model: ImageModel) -> None:
         """Prepare the cameras; `lay_out` comes next."""
         self._dr, _ = drjit()
-        self._half = math.ceil(_REACH * float(model.widths[:, :, 0].max()) + _MARGIN_PX)
+        self._half = math.ceil(_REACH * float(model.shapes[:, :2, 0].max()) + _MARGIN_PX)
         self._model, self._precision = model, constants(model.precision)
         cameras = range(len(model.cameras))
         self._views = [_View(model, camera, 2 * self._half + 1) for camera in cameras]
@@ -195,10 +194,11 @@ class _View:
         exact = model.cameras[camera]
         self.camera = DifferentiableCamera(exact, model.shifts[camera])
         self._image, self._weight = model.images[camera], model.weight[camera]
-        per_mm = model.widths[camera, :, 1:] / model.half_mm
-        middle = model.widths[camera, :, 0] - per_mm @ model.middle_mm
+        per_mm = model.shapes[camera, :, 1:] / model.half_mm
+        middle = model.shapes[camera, :, 0] - per_mm @ model.middle_mm
         terms = np.column_stack([per_mm, middle])
-        self._typical, self._widths = constants([model.typical[camera], terms])
+        self._typical, self._shapes = constants([model.typical[camera], terms])
+        self._tilted = bool(model.shapes[camera, 2, 0])
 
     def lay_out(self, corner: I64) -> None:
         """Lay out windows from corners (n, 2), (column, row) of their first pixels."""
@@ -265,17 +265,32 @@ class _View:
 
     def _images(self, place: list[Any], log: Any) -> Any:
         """Render each particle's own image, window pixels (n k,) particle by particle."""
-        across, down = (_weighted(terms, [*place, 1.0]) for terms in self._widths)
+        across, down, tilt = (_weighted(terms, [*place, 1.0]) for terms in self._shapes)
         light = self._typical * self._dr.exp(log)
         spread = [*self.camera.project(*place), across, down, light]
-        column, row, across, down, light = self._dr.custom(_repeat(), spread, self._window**2)
-        light *= self._shares(self._column - column, across)
-        return light * self._shares(self._row - row, down)
+        if self._tilted:
+            spread.append(tilt)
+        each = self._dr.custom(_repeat(), spread, self._window**2)
+        column, row, across, down, light, *tilts = each
+        x, y = (self._column - column, across), (self._row - row, down)
+        own = self._shares(*x) * self._shares(*y)
+        for tilt in tilts:  # of images that are not tilted, there is none
+            (by_x, by_xx), (by_y, by_yy) = self._bends(*x), self._bends(*y)
+            own += tilt * by_x * by_y + 0.5 * tilt * tilt * by_xx * by_yy
+        return light * own
 
     def _shares(self, offset: Any, width: Any) -> Any:
         """Integrate Gaussians over pixels at an offset from their centres."""
         erf, scale = self._dr.erf, 1.0 / (width * math.sqrt(2.0))
         return 0.5 * (erf((offset + 0.5) * scale) - erf((offset - 0.5) * scale))
+
+    def _bends(self, offset: Any, width: Any) -> tuple[Any, Any]:
+        """Compute the first and second derivative of `_shares` by the centres."""
+        first, last = (offset - 0.5) / width, (offset + 0.5) / width
+        before, after = (
+            self._dr.exp(-0.5 * edge * edge) / math.sqrt(2.0 * math.pi) for edge in (first, last)
+        )
+        return (before - after) / width, (first * before - last * after) / (width * width)
 
     def _sum_up(self, images: Any) -> Any:
         """Add up the images of all particles in the lit pixels."""

@@ -18,6 +18,8 @@ from sabench.utils.arrays import F32, F64, Bool
 
 _PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
+_LEAST_TILT, LEAST_TILTED = 0.1, 0.45  # less is chance; px: width of images whose tilt shows
+_MOST_TILT = 0.95  # of long streaks
 _FAR = (6, 7)  # px: so far apart, pixels share no particle
 _LOCAL = 31  # px: square of the mean that products are less; many particles' images
 _LEAST_NOISE = 0.5  # grey values: of rounding
@@ -100,7 +102,8 @@ def _without_brightest(image: F64, known: Bool) -> Bool:
 def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, float, bool]:
     """Measure widths (columns, rows), tilt, typical light, and whether any show.
 
-    Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12.
+    Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12,
+    or (1 - tilt2) of that.
     Those one and two pixels apart give s, that at distance 0 follows without the noise of a pixel,
     and it is the number of particles times their mean squared light over 4 pi s_x s_y; the mean is
     the number times their mean light.
@@ -120,15 +123,20 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
         square = min(max(square, _LEAST_SIGMA**2 + _PIXEL), _MOST_SIGMA**2 + _PIXEL)
         squares.append(square)
         at_zero.append(max(one, 0.0) * math.exp(0.25 / square))
+    tilt = _measure_tilt(over, count, far) * math.sqrt(squares[0] * squares[1])
+    seen = abs(tilt) > _LEAST_TILT and min(squares) > LEAST_TILTED**2 + _PIXEL
+    tilt = min(max(tilt, -_MOST_TILT), _MOST_TILT) if seen else 0.0
+    area = 4.0 * math.pi * math.sqrt(squares[0] * squares[1] / (1.0 - tilt * tilt))
+    squares = [square / (1.0 - tilt * tilt) for square in squares]
     mean = float(light.sum() / max(count.sum(), 1.0))
-    own = sum(at_zero) * 2.0 * math.pi * math.sqrt(squares[0] * squares[1])
+    own = 0.5 * sum(at_zero) * area
     own = own / mean if mean > 0.0 else math.inf
     own = min(own, _OVER_PEAKS * _light_of_peaks(light, dark_noise(image[known])))
     widths = math.sqrt(squares[0] - _PIXEL), math.sqrt(squares[1] - _PIXEL)
     values = image[known]
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
     clear = sum(nearest) / 2.0 > _CLEAR * chance and 1e-6 < own < math.inf
-    tilt = _measure_tilt(over, count, far) * math.sqrt(squares[0] * squares[1])
+    tilt *= math.sqrt(squares[0] * squares[1]) / (widths[0] * widths[1])
     return widths, tilt, own if clear else 0.0, clear
 
 

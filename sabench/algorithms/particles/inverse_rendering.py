@@ -72,7 +72,7 @@ def image_model(search: ParticleSearch, case: Observation, maps: VolumePolynomia
         search.maps.coefficients[:, 0] - maps.coefficients[shown, 0],
         search.images,
         (search.known & ~search.saturated).astype(np.float32) / search.variance,
-        search.widths,
+        search.shapes,
         search.typical,
         np.asarray(np.linalg.inv(search.covariance), dtype=np.float64),
         maps.middle_mm,

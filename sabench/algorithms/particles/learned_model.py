@@ -5,17 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.algorithms.particles.all_particles import camera_misses, misfits
+from sabench.algorithms.particles.image_statistics import LEAST_TILTED
 from sabench.algorithms.particles.light_prior import learn_covariance
 from sabench.algorithms.particles.lone_particles import find_lone
 from sabench.algorithms.particles.model_moves import add_width_misses
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.algorithms.particles.pixel_variance import fill_variance
-from sabench.utils.arrays import I64
+from sabench.utils.arrays import F64, I64
 from sabench.utils.threads import for_each
 
 _FEW = 30  # particles that tell nothing of all
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
+_TILT_CHANGE = 0.2  # of tilts, at first and over the box
+_TILTED = 0.2  # correlation somewhere in the box that costs particles
+_SHAPE_ERRORS = np.array([[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]] * 2 + [[_TILT_CHANGE] * 4])
+_SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE]])  # the largest of one
 _WIDTH_STEPS = 2
 
 
@@ -54,7 +59,7 @@ def learn_light(search: ParticleSearch) -> None:
 
 
 def learn_widths(search: ParticleSearch) -> None:
-    """Learn the widths of images, and how they change, from lone particles.
+    """Learn the widths and tilts of images, and how they change, from lone particles.
 
     Half of them count, those that leave least of their images: others may be two. Few must be
     missing yet, because what they leave makes others wider.
@@ -67,16 +72,31 @@ def learn_widths(search: ParticleSearch) -> None:
     misfit = misfit[lone] / search.common_light()[lone] ** 2
     lone = lone[misfit <= np.median(misfit)]
     for _ in range(_WIDTH_STEPS):
-        matrices, right = np.zeros((cameras, 8, 8)), np.zeros((cameras, 8))
+        matrices, right = np.zeros((cameras, 12, 12)), np.zeros((cameras, 12))
         add_width_misses(model, search.room, particles, lone, matrices, right)
-        sigma = np.repeat(search.sigma[:, :, None], 4, axis=2)
-        known = (np.array([_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]) * sigma).reshape(-1, 8) ** -2.0
-        right -= known * (search.widths - search.first_widths).reshape(-1, 8)
-        matrices += known[:, :, None] * np.eye(8)
-        step = np.linalg.solve(matrices, right[:, :, None]).reshape(search.widths.shape)
-        most = _WIDTH_CHANGE * sigma
-        search.widths += np.clip(step, -most, most)
+        units = np.column_stack([search.sigma, search.sigma.prod(axis=1)])[:, :, None]
+        known = (_SHAPE_ERRORS * units) ** -2.0
+        right -= (known * (search.shapes - search.first_shapes)).reshape(cameras, 12)
+        matrices += known.reshape(cameras, 12, 1) * np.eye(12)
+        _keep_upright(search, matrices, right)
+        step = np.linalg.solve(matrices, right[:, :, None]).reshape(search.shapes.shape)
+        most = _SHAPE_STEPS * units
+        search.shapes += np.clip(step, -most, most)
         search.subtract_all()
+
+
+def _keep_upright(search: ParticleSearch, matrices: F64, right: F64) -> None:
+    """Take the tilt out of the equations of cameras whose images have hardly any.
+
+    It would only slow the fits down.
+    """
+    tilts = np.linalg.solve(matrices[:, 8:, 8:], right[:, 8:, None])[:, :, 0]
+    farthest = np.abs(tilts).sum(axis=1) / search.sigma.prod(axis=1)
+    upright = (search.shapes[:, 2, 0] == 0.0) & (
+        (farthest < _TILTED) | (search.sigma.min(axis=1) < LEAST_TILTED)
+    )
+    for camera in np.flatnonzero(upright):
+        matrices[camera, :8, 8:], matrices[camera, 8:, :8], right[camera, 8:] = 0.0, 0.0, 0.0
 
 
 def align_cameras(search: ParticleSearch) -> None:

@@ -5,8 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numba
+import numpy as np
 
-from sabench.algorithms.particles.image_model import UNSEEN, WEIGHT, XX, YY, place, sum_up
+from sabench.algorithms.particles.image_model import (
+    UNSEEN,
+    WEIGHT,
+    XX,
+    YY,
+    fill_image,
+    fill_slopes,
+    place,
+    sum_up,
+)
 from sabench.algorithms.particles.light_prior import factorise, fill_inverse_diagonal
 
 
@@ -41,15 +51,17 @@ def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: An
 
     Taken (n, 2) is its column of `tell_taken`. Leverage has margins.
     """
-    x, y, by_x, by_y = room.x[0], room.y[0], room.by_x[0], room.by_y[0]
+    own, by_x, by_y = np.zeros((3, room.window, room.window), dtype=np.float32)
     weights, corner = model.weight[0], room.corner[0]
     for n in range(len(particles.position)):
         if not taken[n, 1] > 0.0:
             continue
         place(model, room, particles.position[n])
+        fill_image(model, room, 0, own)
+        fill_slopes(model, room, 0, by_x, by_y)
         for i in range(room.window):
             for j in range(room.window):
-                own, dx, dy = y[i] * x[j], y[i] * by_x[j], by_y[i] * x[j]
-                share = taken[n, 0] * own * own + taken[n, 1] * (dx * dx + dy * dy)
+                slopes = by_x[i, j] * by_x[i, j] + by_y[i, j] * by_y[i, j]
+                share = taken[n, 0] * own[i, j] * own[i, j] + taken[n, 1] * slopes
                 row, column = corner[1] + i, corner[0] + j
                 leverage[row, column] += share * abs(weights[row, column])

@@ -22,6 +22,7 @@ from sabench.algorithms.particles.image_model import (
     WEIGHT,
     XX,
     counting,
+    fill_image,
     look,
     place,
     put_in,
@@ -29,6 +30,14 @@ from sabench.algorithms.particles.image_model import (
     take_out,
 )
 from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
+from sabench.algorithms.particles.window_sums import (
+    CURVE_X,
+    OWN_X,
+    OWN_Y,
+    SLOPE_X,
+    SLOPE_Y,
+    TILT_SLOPE_Y,
+)
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
     project_points,
@@ -85,11 +94,11 @@ def remove_ghosts(
     """
     cameras = particles.light.shape[1]
     positions, lights = np.zeros((_NEIGHBOURS, 3)), np.zeros((_NEIGHBOURS, cameras))
-    removed = 0
+    image, removed = np.zeros((room.window, room.window), dtype=np.float32), 0
     for n in order:
         position, light = particles.position[n], particles.light[n]
         least = price(model, room, position, light)
-        alone = _earned_alone(model, room, light)
+        alone = _earned_alone(model, room, light, image)
         if alone > _CERTAIN * least:
             sure[n], odds[n] = True, alone - least
             continue
@@ -131,7 +140,7 @@ def remove_ghosts(
 
 
 @numba.njit(cache=True)
-def _earned_alone(model: Any, room: Any, light: Any) -> float:
+def _earned_alone(model: Any, room: Any, light: Any, image: Any) -> float:
     """Compute the least that a particle earns, where `price` was just asked for.
 
     That is in pixels where others leave hardly any light, so that none of them can take over its
@@ -141,13 +150,12 @@ def _earned_alone(model: Any, room: Any, light: Any) -> float:
     for c in range(len(light)):
         room.logs[c] = math.log(light[c] / model.typical[c])
     for c in range(len(light)):
+        fill_image(model, room, c, image)
         earned = _earned_in(
             model.images[c],
             model.left[c],
             model.weight[c],
-            room.x[c],
-            room.y[c],
-            room.window,
+            image,
             room.corner[c],
             light[c],
         )
@@ -158,13 +166,11 @@ def _earned_alone(model: Any, room: Any, light: Any) -> float:
 
 
 @numba.njit(cache=True)
-def _earned_in(
-    image: Any, left: Any, weights: Any, x: Any, y: Any, size: int, corner: Any, light: float
-) -> float:
+def _earned_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light: float) -> float:
     earned = 0.0
-    for i in range(size):
-        for j in range(size):
-            row, column, own = corner[1] + i, corner[0] + j, light * y[i] * x[j]
+    for i in range(len(share)):
+        for j in range(len(share)):
+            row, column, own = corner[1] + i, corner[0] + j, light * share[i, j]
             if image[row, column] - left[row, column] - own <= _SHARED * own:
                 earned += _saved(weights[row, column], left[row, column], own)
     return earned
@@ -266,48 +272,64 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
 def add_width_misses(
     model: Any, room: Any, particles: Any, rows: Any, matrices: Any, right: Any
 ) -> None:
-    """Add up what some particles say of widths, with light as it fits best.
+    """Add up what some particles say of widths and tilts, with light as it fits best.
 
-    The unknowns of a camera are those of `ImageModel.widths`.
+    The unknowns of a camera are those of `ImageModel.shapes`.
 
     Parameters
     ----------
     rows : (k,) particles.
-    matrices, right : (camera, 8, 8) and (camera, 8) normal equations.
+    matrices, right : (camera, 12, 12) and (camera, 12) normal equations.
     """
-    own, both, terms, slopes = np.zeros(2), np.zeros((2, 2)), np.ones(4), np.zeros(2)
+    own, both, terms, slopes = np.zeros(3), np.zeros((3, 3)), np.ones(4), np.zeros(3)
+    image = np.zeros((room.window, room.window), dtype=np.float32)
+    changes = np.zeros((3, room.window, room.window), dtype=np.float32)
     for n in rows:
         terms[1:] = particles.position[n]
         place(model, room, particles.position[n])
         for c in range(len(model.typical)):
             column, row = room.corner[c, 0], room.corner[c, 1]
-            x, y, size = column - MARGIN, row - MARGIN, room.window
-            fill_growth(room.here[c, 0], room.width[c, 0], x, room.by_x[c, :size])
-            fill_growth(room.here[c, 1], room.width[c, 1], y, room.by_y[c, :size])
+            fill_image(model, room, c, image)
+            _fill_changes(model, room, c, changes)
             left, weights, light = model.left[c], model.weight[c], particles.light[n, c]
             own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(size):
-                for j in range(size):
+            for i in range(room.window):
+                for j in range(room.window):
                     each = counting(weights[row + i, column + j], left[row + i, column + j])
-                    share = room.y[c, i] * room.x[c, j]
-                    dx, dy = room.y[c, i] * room.by_x[c, j], room.by_y[c, i] * room.x[c, j]
-                    off = each * left[row + i, column + j]
+                    share, off = image[i, j], each * left[row + i, column + j]
                     whole, pull = whole + each * share * share, pull + off * share
-                    own[0], own[1] = own[0] + each * share * dx, own[1] + each * share * dy
-                    both[0, 0], both[1, 1] = (
-                        both[0, 0] + each * dx * dx,
-                        both[1, 1] + each * dy * dy,
-                    )
-                    both[0, 1] += each * dx * dy
-                    slopes[0], slopes[1] = slopes[0] + off * dx, slopes[1] + off * dy
+                    for a in range(3):
+                        own[a] += each * share * changes[a, i, j]
+                        slopes[a] += off * changes[a, i, j]
+                        for b in range(3):
+                            both[a, b] += each * changes[a, i, j] * changes[b, i, j]
             if not whole > UNSEEN:
                 continue
-            both[1, 0] = both[0, 1]
-            for k in range(8):
+            for k in range(12):
                 a, p = k // 4, k % 4
                 right[c, k] += light * terms[p] * (slopes[a] - own[a] * pull / whole)
-                for m in range(8):
+                for m in range(12):
                     b, q = m // 4, m % 4
                     matrices[c, k, m] += (
                         light * light * terms[p] * terms[q] * (both[a, b] - own[a] * own[b] / whole)
                     )
+
+
+@numba.njit(cache=True)
+def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
+    """Fill in (3, row, column) an image's derivatives by both widths and the tilt.
+
+    Those by widths are an upright image's, near enough to step along.
+    """
+    profiles, growth = room.profiles[c], np.zeros((2, room.window), dtype=np.float32)
+    for k in range(2):
+        first = room.corner[c, k] - MARGIN
+        fill_growth(room.here[c, k], room.width[c, k], first, growth[k])
+    tilted = model.shapes[c, 2, 0] != 0.0
+    for i in range(room.window):
+        for j in range(room.window):
+            changes[0, i, j] = profiles[OWN_Y, i] * growth[0, j]
+            changes[1, i, j] = growth[1, i] * profiles[OWN_X, j]
+            changes[2, i, j] = profiles[SLOPE_Y, i] * profiles[SLOPE_X, j]
+            if tilted:
+                changes[2, i, j] += profiles[TILT_SLOPE_Y, i] * profiles[CURVE_X, j]

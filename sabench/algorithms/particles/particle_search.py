@@ -80,7 +80,7 @@ class ParticleSearch(SearchState):
 
         Neighbours, if given, are changed, too. Rows of one portion come before those of the next.
         """
-        window, pixel = make_room(self.widest).x.shape[1], pixel_mm(self.maps)
+        window, pixel = make_room(self.widest).profiles.shape[2], pixel_mm(self.maps)
         return disjoint_groups(self.maps, self.position, rows, window, pixel, portions, neighbours)
 
     def _work(self, work: Callable[[I64], None], turns: list[list[I64]]) -> None:

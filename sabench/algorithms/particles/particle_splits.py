@@ -20,14 +20,16 @@ from sabench.algorithms.particles.image_model import (
     MARGIN,
     UNSEEN,
     counting,
+    fill_image,
     look,
     place,
     put_in,
     take_out,
 )
 from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
+from sabench.algorithms.particles.window_sums import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 from sabench.geometry.volume_polynomials import project_point
-from sabench.images.gaussians import fill_growth
+from sabench.images.gaussians import fill_bend
 
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
@@ -43,15 +45,14 @@ def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains
     """
     cameras, size = len(model.typical), room.window
     bent, pull, square = np.zeros((2, size)), np.zeros((cameras, 3)), np.zeros((cameras, 3, 3))
+    image = np.zeros((size, size), dtype=np.float32)
     for n in range(len(gains)):
         place(model, room, particles.position[n])
         for c in range(cameras):
             for k in range(2):
-                first, width = room.corner[c, k] - MARGIN, room.width[c, k]
-                fill_growth(room.here[c, k], width, first, bent[k])
-                for i in range(size):
-                    bent[k, i] /= width  # a Gaussian's second derivative by its place
-            _match_bends(model, room, c, bent, pull[c], square[c])
+                first = room.corner[c, k] - MARGIN
+                fill_bend(room.here[c, k], room.width[c, k], first, bent[k])
+            _match_bends(model, room, c, bent, image, pull[c], square[c])
         gains[n] = 0.0
         for s in range(len(steps)):
             gain = _promise(room, particles.light[n], steps[s], pull, square)
@@ -59,22 +60,27 @@ def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains
 
 
 @numba.njit(cache=True)
-def _match_bends(model: Any, room: Any, c: int, bent: Any, pull: Any, square: Any) -> None:
+def _match_bends(
+    model: Any, room: Any, c: int, bent: Any, image: Any, pull: Any, square: Any
+) -> None:
     """Match second derivatives of a particle's image in a camera with what is left.
 
     Fills in their sums (3,) and products (3, 3), by columns, by both, and by rows, less what free
-    light explains. Those of the profiles are `bent` (2, pixel).
+    light explains. Those of the profiles are `bent` (2, pixel); there is room for an image.
     """
     left, weights, bends, shares = model.left[c], model.weight[c], np.zeros(3), np.zeros(3)
     column, row, whole, rest = room.corner[c, 0], room.corner[c, 1], 0.0, 0.0
+    by_x, by_y = room.profiles[c, SLOPE_X], room.profiles[c, SLOPE_Y]
+    x, y = room.profiles[c, OWN_X], room.profiles[c, OWN_Y]
+    fill_image(model, room, c, image)
     pull[:], square[:] = 0.0, 0.0
     for i in range(room.window):
         for j in range(room.window):
             off = left[row + i, column + j]
             each = counting(weights[row + i, column + j], off)
-            own = room.y[c, i] * room.x[c, j]
-            bends[0], bends[2] = room.y[c, i] * bent[0, j], bent[1, i] * room.x[c, j]
-            bends[1] = room.by_y[c, i] * room.by_x[c, j]
+            own = image[i, j]
+            bends[0], bends[2] = y[i] * bent[0, j], bent[1, i] * x[j]
+            bends[1] = by_y[i] * by_x[j]
             whole, rest = whole + each * own * own, rest + each * off * own
             for k in range(3):
                 pull[k] += each * off * bends[k]
@@ -167,7 +173,7 @@ def _are_apart(model: Any, room: Any, places: Any) -> bool:
         for k in range(2):
             project_point(model.maps, c, places[k], here[k], slopes)
         apart = math.hypot(here[0, 0] - here[1, 0], here[0, 1] - here[1, 1])
-        if apart > _SAME * max(model.widths[c, 0, 0], model.widths[c, 1, 0]):
+        if apart > _SAME * max(model.shapes[c, 0, 0], model.shapes[c, 1, 0]):
             return True
     return False
 

@@ -33,6 +33,7 @@ from sabench.utils.threads import for_each
 
 _BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
+MOST_TILT = 0.7  # correlation of columns and rows in images: more is not two terms' Gaussian
 _CERTAIN = 30.0  # logarithm of the highest odds
 
 
@@ -131,15 +132,20 @@ class SearchState:
         self.known &= ~areas[self.shown]
 
     def set_width(self, sigma: F64) -> None:
-        """Set the widths (camera, 2) of the particles' images, the same everywhere."""
-        self.widths = np.concatenate([sigma[:, :, None], np.zeros((*sigma.shape, 3))], axis=2)
-        self.first_widths = self.widths.copy()
+        """Set the widths (camera, 2) of the particles' images, the same everywhere.
+
+        With the tilt that was measured, or the most that the model has.
+        """
+        tilt = np.clip(self.tilt, -MOST_TILT, MOST_TILT)
+        self.shapes = np.zeros((len(sigma), 3, 4))
+        self.shapes[:, :2, 0], self.shapes[:, 2, 0] = sigma, tilt * sigma.prod(axis=1)
+        self.first_shapes = self.shapes.copy()
         self.subtract_all()
 
     @property
     def sigma(self) -> F64:
         """Widths (camera, 2) of the particles' images in the middle of the box, px."""
-        return self.widths[:, :, 0]
+        return self.shapes[:, :2, 0]
 
     @property
     def room(self) -> Room:
@@ -149,7 +155,7 @@ class SearchState:
     @property
     def widest(self) -> F64:
         """Widths (camera, 2), px, for windows that hold images of any width so far."""
-        return np.asarray(np.maximum(self.first_widths[:, :, 0], self.sigma))
+        return np.asarray(np.maximum(self.first_shapes[:, :2, 0], self.sigma))
 
     def reset_covariance(self, between: float = _BETWEEN, common: float = _COMMON) -> None:
         """Forget the covariance of light that was learned."""
@@ -195,7 +201,7 @@ class SearchState:
         for_each(fill, len(weight))
         return ImageModel(
             self.maps,
-            self.widths,
+            self.shapes,
             self.typical,
             precision,
             float(np.linalg.slogdet(precision)[1]),

@@ -17,6 +17,12 @@ from numba.extending import intrinsic
 
 from sabench.utils.vector_units import LANES, Vectors
 
+# Profiles of an image along columns and rows, and their first and second derivatives by the centre;
+# those that tilted images alone have are times t, t^2 / 2 and, for the slope along rows, t, with
+# the covariance t of columns and rows.
+OWN_X, SLOPE_X, CURVE_X, OWN_Y, TILT_Y, TILT_CURVE_Y, SLOPE_Y, TILT_SLOPE_Y = range(8)
+PROFILES = 8
+
 
 class _Row(NamedTuple):
     """Vectors of a window's row, with profiles across and down it."""
@@ -33,8 +39,7 @@ def match_window(
     context: Any,
     left: Any,
     weight: Any,
-    x: Any,
-    y: Any,
+    profiles: Any,
     c: Any,
     row: Any,
     column: Any,
@@ -47,13 +52,30 @@ def match_window(
     """
 
     def terms(do: Vectors, row: _Row) -> list[Any]:
-        own = do.times(row.across[0], row.down[0])
-        counts = _counting(do, row.weight, do.minus(row.left, do.times(row.light, own)))
-        each = do.times(counts, own)
-        spared = _spared(do, row.weight, counts, row.left)
-        return [do.times(each, row.left), do.times(each, own), spared]
+        return _match(do, row, do.times(row.across[0], row.down[0]))
 
-    return _sums(terms, 3, left, weight, [x], [y])
+    return _sums(terms, 3, (left, weight, profiles), [OWN_X], [OWN_Y])
+
+
+@intrinsic
+def match_tilted(
+    context: Any,
+    left: Any,
+    weight: Any,
+    profiles: Any,
+    c: Any,
+    row: Any,
+    column: Any,
+    rows: Any,
+    light: Any,
+) -> tuple[Any, Any]:
+    """Sum up as `match_window` does, of a tilted image."""
+
+    def terms(do: Vectors, row: _Row) -> list[Any]:
+        return _match(do, row, _product(do, row.across, row.down))
+
+    across, down = [OWN_X, SLOPE_X, CURVE_X], [OWN_Y, TILT_Y, TILT_CURVE_Y]
+    return _sums(terms, 3, (left, weight, profiles), across, down)
 
 
 @intrinsic
@@ -61,10 +83,7 @@ def sum_window(
     context: Any,
     left: Any,
     weight: Any,
-    x: Any,
-    by_x: Any,
-    y: Any,
-    by_y: Any,
+    profiles: Any,
     c: Any,
     row: Any,
     column: Any,
@@ -74,23 +93,69 @@ def sum_window(
     """Sum up what `image_model.sum_up` fills in of a camera, in its order."""
 
     def terms(do: Vectors, row: _Row) -> list[Any]:
-        (x, by_x), (y, by_y), left = row.across, row.down, row.left
-        own, along_x, along_y = do.times(x, y), do.times(by_x, y), do.times(x, by_y)
-        counts = _counting(do, row.weight, left)
-        share, slope_x, slope_y = (do.times(counts, one) for one in (own, along_x, along_y))
-        products = (
-            (share, own),
-            (share, left),
-            (slope_x, along_x),
-            (slope_x, along_y),
-            (slope_y, along_y),
-            (slope_x, left),
-            (slope_y, left),
-        )
-        shown = do.plus(left, do.times(row.light, own))
-        return [*(do.times(*pair) for pair in products), _spared(do, row.weight, counts, shown)]
+        (x, by_x), (y, by_y) = row.across, row.down
+        return _sum(do, row, do.times(x, y), do.times(by_x, y), do.times(x, by_y))
 
-    return _sums(terms, 8, left, weight, [x, by_x], [y, by_y])
+    return _sums(terms, 8, (left, weight, profiles), [OWN_X, SLOPE_X], [OWN_Y, SLOPE_Y])
+
+
+@intrinsic
+def sum_tilted(
+    context: Any,
+    left: Any,
+    weight: Any,
+    profiles: Any,
+    c: Any,
+    row: Any,
+    column: Any,
+    rows: Any,
+    light: Any,
+) -> tuple[Any, Any]:
+    """Sum up as `sum_window` does, of a tilted image."""
+
+    def terms(do: Vectors, row: _Row) -> list[Any]:
+        (x, by_x, _), (y, by_y, *tilted, slope_y) = row.across, row.down
+        own = _product(do, row.across, [y, *tilted])
+        along_x = _product(do, row.across[1:], [y, tilted[0]])
+        along_y = _product(do, [x, by_x], [by_y, slope_y])
+        return _sum(do, row, own, along_x, along_y)
+
+    across = [OWN_X, SLOPE_X, CURVE_X]
+    down = [OWN_Y, SLOPE_Y, TILT_Y, TILT_CURVE_Y, TILT_SLOPE_Y]
+    return _sums(terms, 8, (left, weight, profiles), across, down)
+
+
+def _product(do: Vectors, across: Sequence[Any], down: Sequence[Any]) -> Any:
+    """Return the sum of products of profiles across and down."""
+    total = do.times(across[0], down[0])
+    for one, other in zip(across[1:], down[1:], strict=True):
+        total = do.plus(total, do.times(one, other))
+    return total
+
+
+def _match(do: Vectors, row: _Row, own: Any) -> list[Any]:
+    """Return the terms of `match_window` for an image."""
+    counts = _counting(do, row.weight, do.minus(row.left, do.times(row.light, own)))
+    each = do.times(counts, own)
+    spared = _spared(do, row.weight, counts, row.left)
+    return [do.times(each, row.left), do.times(each, own), spared]
+
+
+def _sum(do: Vectors, row: _Row, own: Any, along_x: Any, along_y: Any) -> list[Any]:
+    """Return the terms of `sum_window` for an image and its derivatives."""
+    left, counts = row.left, _counting(do, row.weight, row.left)
+    share, slope_x, slope_y = (do.times(counts, one) for one in (own, along_x, along_y))
+    products = (
+        (share, own),
+        (share, left),
+        (slope_x, along_x),
+        (slope_x, along_y),
+        (slope_y, along_y),
+        (slope_x, left),
+        (slope_y, left),
+    )
+    shown = do.plus(left, do.times(row.light, own))
+    return [*(do.times(*pair) for pair in products), _spared(do, row.weight, counts, shown)]
 
 
 def _counting(do: Vectors, weight: Any, left: Any) -> Any:
@@ -109,13 +174,14 @@ def _spared(do: Vectors, weight: Any, counts: Any, light: Any) -> Any:
 def _sums(
     terms: Callable[[Vectors, _Row], list[Any]],
     count: int,
-    left: Any,
-    weight: Any,
-    across: Sequence[Any],
-    down: Sequence[Any],
+    arrays: tuple[Any, Any, Any],
+    across: Sequence[int],
+    down: Sequence[int],
 ) -> tuple[Any, Any]:
-    """Return the signature and the code of sums of terms over a window."""
-    arrays = left, weight, *across, *down
+    """Return the signature and the code of sums of terms over a window.
+
+    Of the profiles, those that the terms ask for are read across and down.
+    """
     signature = types.UniTuple(types.float32, count)(
         *arrays, types.intp, types.intp, types.intp, types.intp, types.float32
     )
@@ -128,8 +194,11 @@ def _sums(
             context.make_array(kind)(context, builder, value)
             for kind, value in zip(kinds, values, strict=False)
         ]
-        number = {value: context.get_constant(types.intp, value) for value in (0, 1, LANES)}
-        element = context.get_constant(types.intp, do.bytes)
+
+        def number(value: int) -> Any:
+            return context.get_constant(types.intp, value)
+
+        element = number(do.bytes)
 
         def at(array: int, *place: Any) -> Any:
             each = kinds[array], structs[array], [camera, *place]
@@ -138,24 +207,24 @@ def _sums(
         def after(pointer: Any, step: Any, stride: Any) -> Any:
             return builder.gep(pointer, [builder.mul(step, stride)])
 
-        width = builder.extract_value(structs[2].shape, 1)
+        width = builder.extract_value(structs[2].shape, 2)
         strides = [
             builder.sdiv(builder.extract_value(struct.strides, 1), element)
             for struct in structs[:2]
         ]
         totals = [cgutils.alloca_once_value(builder, do.zero) for _ in range(count)]
-        everywhere, profiles = do.splat(light), 2 + len(across)
-        with cgutils.for_range(builder, builder.sdiv(width, number[LANES])) as block:
-            first = builder.mul(block.index, number[LANES])
+        everywhere = do.splat(light)
+        with cgutils.for_range(builder, builder.sdiv(width, number(LANES))) as block:
+            first = builder.mul(block.index, number(LANES))
             corners = [at(k, top, builder.add(start, first)) for k in range(2)]
-            along = [do.load(at(k, first)) for k in range(2, profiles)]
-            ends = [at(k, number[0]) for k in range(profiles, len(arrays))]
+            along = [do.load(at(2, number(kind), first)) for kind in across]
+            ends = [at(2, number(kind), number(0)) for kind in down]
             with cgutils.for_range(builder, rows) as step:
                 left, weight = (
                     do.load(after(corner, step.index, stride))
                     for corner, stride in zip(corners, strides, strict=True)
                 )
-                shares = [do.splat(builder.load(after(end, step.index, number[1]))) for end in ends]
+                shares = [do.splat(builder.load(after(end, step.index, number(1)))) for end in ends]
                 row = _Row(left, weight, everywhere, along, shares)
                 for total, term in zip(totals, terms(do, row), strict=True):
                     builder.store(do.plus(builder.load(total), term), total)

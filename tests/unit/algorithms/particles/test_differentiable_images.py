@@ -114,10 +114,15 @@ def test_a_curved_wall_is_refused() -> None:
         DifferentiableCamera(one)
 
 
-def widths_of(change: float) -> F64:
-    """Widths that grow along x, shrink along y and do not change along z."""
+def shapes_of(change: float) -> F64:
+    """Widths that grow along x, shrink along y and do not change along z.
+
+    If they change, images of two cameras are tilted.
+    """
     rates = change * np.array([0.1, -0.2, 0.0])
-    return np.tile([[one, *(one * rates)] for one in SIGMA], (4, 1, 1))
+    shapes = np.tile([[one, *(one * rates)] for one in (*SIGMA, 0.0)], (4, 1, 1))
+    shapes[1:3, 2] = change * np.array([0.1, -0.02, 0.01, 0.03])
+    return shapes
 
 
 def make_model(images: F64, change: float = 0.0) -> ImageModel:
@@ -128,7 +133,7 @@ def make_model(images: F64, change: float = 0.0) -> ImageModel:
         SHIFTS,
         images.astype(np.float32),
         weight.astype(np.float32),
-        widths_of(change),
+        shapes_of(change),
         np.full(4, TYPICAL),
         np.asarray(np.linalg.inv(even_covariance(4, 0.1, 0.5)), dtype=np.float64),
         MIDDLE,
@@ -143,17 +148,29 @@ def particles(rng: np.random.Generator) -> tuple[F64, F64]:
     return MIDDLE + HALF * place, 0.3 * rng.standard_normal((COUNT, 4))
 
 
+def _bends(center: F64, sigma: F64, count: int) -> list[F64]:
+    """Profiles (n, pixel), and their first and second differences by the centre."""
+    step = 1e-4
+    before, here, after = (
+        np.array(
+            [profile(np.array([at]), one, count)[0] for at, one in zip(moved, sigma, strict=True)]
+        )
+        for moved in (center - step, center, center + step)
+    )
+    return [here, (after - before) / (2.0 * step), (after - 2.0 * here + before) / step**2]
+
+
 def painted(position: F64, logs: F64, change: float) -> F64:
     """Images by exact cameras and the error function."""
     terms = np.column_stack([np.ones(COUNT), (position - MIDDLE) / HALF])
     images = []
-    for camera, shift, widths, log in zip(CAMERAS, SHIFTS, widths_of(change), logs.T, strict=True):
-        pixels, sigma = camera.project(position)[0] + shift, terms @ widths.T
-        x = [
-            profile(at[None], s, COLUMNS)[0] for at, s in zip(pixels[:, 0], sigma.T[0], strict=True)
-        ]
-        y = [profile(at[None], s, ROWS)[0] for at, s in zip(pixels[:, 1], sigma.T[1], strict=True)]
-        images.append(np.einsum("n,nr,nc->rc", TYPICAL * np.exp(log), y, x))
+    for camera, shift, shapes, log in zip(CAMERAS, SHIFTS, shapes_of(change), logs.T, strict=True):
+        pixels, (*sigma, tilt) = camera.project(position)[0] + shift, shapes @ terms.T
+        x, y = (_bends(pixels[:, k], sigma[k], count) for k, count in ((0, COLUMNS), (1, ROWS)))
+        images.append(np.zeros((ROWS, COLUMNS)))
+        for factor, across, down in zip((np.ones(COUNT), tilt, 0.5 * tilt**2), x, y, strict=True):
+            light = factor * TYPICAL * np.exp(log)
+            images[-1] += np.einsum("n,nr,nc->rc", light, down, across)
     return np.array(images)
 
 

@@ -47,22 +47,26 @@ def test_widths_light_and_number_hold_at_any_density(
 
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 @pytest.mark.parametrize("slope", [0.0, 1.0, -0.5])
-def test_the_tilt_of_streaks_is_measured_at_any_density(per_pixel: float, slope: float) -> None:
-    """Particles that move while they are lit: sums of images along a line of 2 px."""
+def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: float) -> None:
+    """A tilted Gaussian is a round one, smoothed along a line."""
     rng = np.random.default_rng(10)
     count = int(per_pixel * ROWS * COLUMNS)
     center = rng.uniform(0.0, (COLUMNS, ROWS), (count, 2))
     shown = 2.0 * rng.standard_normal((ROWS, COLUMNS))
-    steps = np.linspace(-1.0, 1.0, 9)
-    for step in steps:
+    steps = np.linspace(-1.8, 1.8, 13)
+    weights = np.exp(-0.5 * (steps / 0.6) ** 2)
+    weights /= weights.sum()
+    for step, weight in zip(steps, weights, strict=True):
         x = profile(center[:, 0] + step, 0.7, COLUMNS)
         y = profile(center[:, 1] + slope * step, 0.7, ROWS)
-        shown += 100.0 / len(steps) * y.T @ x
-    along = steps.var()
-    own = 0.7**2 + 1.0 / 12.0
-    expected = slope * along / np.sqrt((own + along) * (own + slope**2 * along))
+        shown += 100.0 * weight * y.T @ x
+    along = float(weights @ steps**2)
+    widths = np.sqrt(0.7**2 + along * np.array([1.0, slope**2]))
     found = measure_images(shown[None], np.ones((1, ROWS, COLUMNS), dtype=bool))
-    assert found.tilt[0] == pytest.approx(expected, abs=0.02 + 0.1 * abs(expected))
+    expected = slope * along / widths.prod()
+    assert found.tilt[0] == pytest.approx(expected, abs=0.1 * abs(expected))
+    np.testing.assert_allclose(found.sigma[0], widths, rtol=0.06)
+    assert found.light[0] == pytest.approx(100.0, rel=0.1)
 
 
 @pytest.mark.parametrize("per_pixel", [0.05, 0.5])

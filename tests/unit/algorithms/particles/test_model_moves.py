@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.image_model import Particles, paint_all, without_margins
@@ -165,28 +166,29 @@ def test_meetings_with_chosen_particles_are_counted(maps: VolumePolynomials) -> 
         assert counts[0] == expected
 
 
-def test_widths_that_change_over_the_box_are_learned(maps: VolumePolynomials) -> None:
+@pytest.mark.parametrize("tilted", [False, True])
+def test_shapes_that_change_over_the_box_are_learned(maps: VolumePolynomials, tilted: bool) -> None:
+    """Of two cameras, one has other widths, and one may have tilted images."""
     points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
     model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
-    changes = 0.02 * np.array([[1.0, -1.0, 0.5, 2.0], [-1.0, 1.5, 1.0, 0.5]])
-    model.widths[2] += changes
+    expected = model.shapes.copy()
+    expected[2, :2] += 0.02 * np.array([[1.0, -1.0, 0.5, 2.0], [-1.0, 1.5, 1.0, 0.5]])
+    if tilted:
+        expected[1, 2] = 0.02 * np.array([5.0, -2.0, 1.0, 2.0])
+    model.shapes[:] = expected
     paint_all(model, room, particles_of(points, light), -1.0)
     images = -without_margins(model.left).astype(np.float64)
     model, particles = model_of(maps, images), particles_of(points, 1.1 * light)
     particles.light[:, 2] *= 0.95  # as if its images were narrower
     paint_all(model, room, particles, -1.0)
-    for _ in range(3):
-        matrices, right = np.zeros((4, 8, 8)), np.zeros((4, 8))
+    for _ in range(4):
+        matrices, right = np.zeros((4, 12, 12)), np.zeros((4, 12))
         add_width_misses(model, room, particles, np.arange(30), matrices, right)
-        step = np.linalg.solve(matrices, right[:, :, None]).reshape(4, 2, 4)
-        model.widths[:] += step
+        model.shapes[:] += np.linalg.solve(matrices, right[:, :, None]).reshape(4, 3, 4)
         model.left[:] = model.images
         paint_all(model, room, particles, -1.0)
         refine_all(model, room, particles, 2)
-    expected = np.zeros((4, 2, 4))
-    expected[2] = changes
-    expected[:, :, 0] += SIGMA
-    np.testing.assert_allclose(model.widths, expected, atol=2e-3)
+    np.testing.assert_allclose(model.shapes, expected, atol=2e-3)
 
 
 def test_a_particle_of_which_a_camera_knows_a_far_tail_alone_says_nothing_of_widths(
@@ -200,8 +202,8 @@ def test_a_particle_of_which_a_camera_knows_a_far_tail_alone_says_nothing_of_wid
     model.weight[2] = 0.0
     without_margins(model.weight[2])[row - 2, column - 2] = 1.0
     for width in np.linspace(0.15, 0.3, 31):
-        model.widths[:, :, 0] = width
-        matrices, right = np.zeros((4, 8, 8)), np.zeros((4, 8))
+        model.shapes[:, :2, 0] = width
+        matrices, right = np.zeros((4, 12, 12)), np.zeros((4, 12))
         add_width_misses(model, room, particles, np.zeros(1, dtype=np.int64), matrices, right)
         assert np.abs(matrices[2]).max() < 1e-6
 
