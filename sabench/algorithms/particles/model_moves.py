@@ -103,11 +103,10 @@ def remove_ghosts(
             sure[n], odds[n] = True, alone - least
             continue
         first, last = starts[n], min(starts[n + 1], starts[n] + _NEIGHBOURS)
-        for k in range(first, last):
-            for p in range(3):
-                positions[k - first, p] = particles.position[near[k], p]
-            for c in range(cameras):
-                lights[k - first, c] = particles.light[near[k], c]
+        neighbours = near[first:last]
+        for k in range(len(neighbours)):
+            positions[k] = particles.position[neighbours[k]]
+            lights[k] = particles.light[neighbours[k]]
         take_out(model, room, position, light)
         look(model, room, position, light)
         loss = -cost_of(model, room, light)
@@ -118,25 +117,30 @@ def remove_ghosts(
         for fit in range(fits):
             if fit and loss > _SURE * without_best:
                 break
-            for k in range(first, last):
-                if loss > least and particles.alive[near[k]]:
-                    loss += adjust(model, room, particles, near[k])
+            for j in neighbours:
+                if loss > least and particles.alive[j]:
+                    loss += adjust(model, room, particles, j)
         sure[n], odds[n] = loss > _SURE * without_best, loss - least
         if loss <= least:
             removed += 1
             continue
         particles.alive[n] = True
-        for k in range(first, last):
-            j = near[k]
-            if particles.alive[j]:
-                take_out(model, room, particles.position[j], particles.light[j])
-                for p in range(3):
-                    particles.position[j, p] = positions[k - first, p]
-                for c in range(cameras):
-                    particles.light[j, c] = lights[k - first, c]
-                put_in(model, room, particles.position[j], particles.light[j])
+        _put_back(model, room, particles, neighbours, positions, lights)
         put_in(model, room, position, light)
     return removed
+
+
+@numba.njit(cache=True)
+def _put_back(
+    model: Any, room: Any, particles: Any, neighbours: Any, positions: Any, lights: Any
+) -> None:
+    """Put neighbours that are alive back to where they were before a trial."""
+    for k in range(len(neighbours)):
+        j = neighbours[k]
+        if particles.alive[j]:
+            take_out(model, room, particles.position[j], particles.light[j])
+            particles.position[j], particles.light[j] = positions[k], lights[k]
+            put_in(model, room, positions[k], lights[k])
 
 
 @numba.njit(cache=True)

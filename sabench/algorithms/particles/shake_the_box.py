@@ -28,19 +28,16 @@ from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.dense_start import WINDOW, are_mostly_wrong, search_window
 from sabench.algorithms.particles.hidden_areas import hide_unseen
 from sabench.algorithms.particles.kalman_tracks import (
-    ANY_SPEED,
     MATURE,
     KalmanTracks,
     start_tracks,
-    velocity_near,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
 from sabench.algorithms.particles.linking import GATE, assign, link
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
-from sabench.algorithms.particles.search_state import joined, no_particles
 from sabench.algorithms.particles.time_budget import Deadline
-from sabench.algorithms.particles.track_motion import most_probable_motion
+from sabench.algorithms.particles.tracked_frames import TrackedFrame, no_frame, with_motion
 from sabench.algorithms.particles.volume_shares import volume_shares
 from sabench.algorithms.particles.window_tracks import CONFIRMED
 from sabench.api import FoundParticles, Observation
@@ -76,37 +73,6 @@ class ShakeTheBoxSettings:
     gap: int = 2
 
 
-@dataclass
-class _Frame:
-    """Particles of a frame, their trajectories (n,), and whether they were seen."""
-
-    time: float
-    found: FoundParticles
-    number: I64
-    seen: Bool
-
-    @property
-    def position(self) -> F64:
-        return self.found.position_mm
-
-    @property
-    def variance(self) -> F64:
-        """Variances (n, 3) of positions, mm2."""
-        return np.asarray(self.found.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
-
-    def add(self, more: FoundParticles, number: I64) -> None:
-        """Add particles that were not seen."""
-        self.found = joined(self.found, more)
-        self.number = np.concatenate([self.number, number])
-        self.seen = np.concatenate([self.seen, np.zeros(len(number), dtype=np.bool_)])
-
-    def drop(self, ghosts: I64) -> None:
-        """Drop some trajectories."""
-        kept = ~np.isin(self.number, ghosts)
-        self.found, self.number = self.found.rows(kept), self.number[kept]
-        self.seen = self.seen[kept]
-
-
 def track_particles(
     frames: Iterable[Observation],
     times_s: Sequence[float],
@@ -129,55 +95,6 @@ def track_particles(
         yield turn_to_world(tracker.give(), axes)
 
 
-def _with_motion(
-    frames: Sequence[_Frame], frame: _Frame, motion: tuple[float, float] | None
-) -> FoundParticles:
-    """Add velocities and accelerations to a frame, from it and those around it.
-
-    Particles that were not seen get their positions, too.
-    """
-    found = replace(frame.found, trajectory=frame.number)
-    if motion is None or not len(frame.number):
-        return found
-    times = np.array([one.time - frame.time for one in frames])
-    positions = _positions(frames, frame.number)
-    moving = np.isfinite(positions[0][:, :, 0]).sum(axis=1) > 1
-    still = np.zeros_like(frame.position), np.full_like(frame.position, ANY_SPEED**2)
-    state, _ = most_probable_motion(times, *positions, *still, *motion)
-    expected = velocity_near(frame.position, frame.position[moving], state[moving, 1])
-    state, covariance = most_probable_motion(times, *positions, *expected, *motion)
-    seen = frame.seen[:, None]
-    place = np.where(seen, frame.position, state[:, 0])
-    error = np.where(seen[:, None], np.asarray(found.covariance_mm2), _diagonal(covariance, 0))
-    return replace(
-        found,
-        position_mm=place,
-        covariance_mm2=error,
-        velocity_mm_s=state[:, 1],
-        velocity_covariance=_diagonal(covariance, 1),
-        acceleration_mm_s2=state[:, 2],
-        acceleration_covariance=_diagonal(covariance, 2),
-    )
-
-
-def _positions(frames: Sequence[_Frame], number: I64) -> tuple[F64, F64]:
-    """Collect places of trajectories in some frames, and variances: (n, frame, 3).
-
-    NaN where they were not seen.
-    """
-    position, variance = (np.full((len(number), len(frames), 3), np.nan) for _ in range(2))
-    for slot, one in enumerate(frames):
-        _, i, j = np.intersect1d(number, one.number[one.seen], return_indices=True)
-        position[i, slot] = one.position[one.seen][j]
-        variance[i, slot] = one.variance[one.seen][j]
-    return position, variance
-
-
-def _diagonal(covariance: F64, order: int) -> F64:
-    """Make covariances (n, 3, 3) over axes of one order of the motion."""
-    return np.asarray(covariance[:, :, order, order, None] * np.eye(3))
-
-
 class _Tracker:
     """State of the tracker: tracks that go on, and the last frames."""
 
@@ -193,7 +110,7 @@ class _Tracker:
         self.held: list[tuple[Observation, float]] = []  # frames that wait for those after them
         self.alone: list[ParticleSearch] = []  # the first of these
         self.tracks: KalmanTracks | None = None
-        self.frames: list[_Frame] = []
+        self.frames: list[TrackedFrame] = []
         self.given = 0  # of these frames
         self.born = 0
         self.motion: tuple[float, float] | None = None  # strengths of acceleration and jerk
@@ -206,7 +123,7 @@ class _Tracker:
     def give(self) -> FoundParticles:
         """Return the next frame's particles, and forget frames of no more use."""
         around = self.frames[max(self.given - _LAG, 0) : self.given + _LAG + 1]
-        found = _with_motion(around, self.frames[self.given], self.motion)
+        found = with_motion(around, self.frames[self.given], self.motion)
         self.given += 1
         while self.given > _LAG:
             del self.frames[0]
@@ -250,35 +167,37 @@ class _Tracker:
         for case, time in held[2:]:
             self.take(case, time, 0)
 
-    def _join(self, last: ParticleSearch | None, time: float) -> _Frame:
+    def _join(self, last: ParticleSearch | None, time: float) -> TrackedFrame:
         """Link the particles of a frame that was searched to those of the one before."""
         self.tracks, self.doubtful = None, False
         if self.search is None:
-            return _nothing(time, len(self.maps.coefficients))
+            return no_frame(time, len(self.maps.coefficients))
         frame = self._write(self.search, time)
         if last is not None:
             self.tracks = self._link_first(last.light, self.frames[-1], frame)
         return frame
 
-    def _go_on(self, case: Observation, frame: _Frame) -> None:
+    def _go_on(self, case: Observation, frame: TrackedFrame) -> None:
         """Follow the first tracks to a frame; without any, keep its particles."""
         if self.tracks is not None and self.search is not None:
             self._follow(case, frame.time, self.tracks, self.search)
         else:
             self.frames.append(frame)
 
-    def _write(self, search: ParticleSearch, time: float) -> _Frame:
+    def _write(self, search: ParticleSearch, time: float) -> TrackedFrame:
         """Write down what a frame shows, as new trajectories."""
         found = search.found()
         numbers = self.born + np.arange(len(found.position_mm))
         self.born += len(numbers)
-        return _Frame(time, found, numbers, np.ones(len(numbers), dtype=np.bool_))
+        return TrackedFrame(time, found, numbers, np.ones(len(numbers), dtype=np.bool_))
 
-    def _variance(self, frame: _Frame) -> F64:
+    def _variance(self, frame: TrackedFrame) -> F64:
         """Estimate the variances (n, 3) of a frame's positions, mm2."""
         return frame.variance + (_LEAST_ERROR_PX * pixel_mm(self.maps)) ** 2
 
-    def _link_first(self, light: F64, first: _Frame, second: _Frame) -> KalmanTracks | None:
+    def _link_first(
+        self, light: F64, first: TrackedFrame, second: TrackedFrame
+    ) -> KalmanTracks | None:
         """Begin tracks at the first of two frames if enough can be linked."""
         earlier, later = link(
             [first.position, second.position],
@@ -307,7 +226,9 @@ class _Tracker:
         aside = np.abs(position - self.maps.middle_mm) + _NEAR * error
         return np.asarray((aside <= self.maps.half_mm).all(axis=1))
 
-    def _begin_tracks(self, tracks: KalmanTracks, frame: _Frame, rows: I64, light: F64) -> None:
+    def _begin_tracks(
+        self, tracks: KalmanTracks, frame: TrackedFrame, rows: I64, light: F64
+    ) -> None:
         if len(rows):
             position, variance = frame.position[rows], self._variance(frame)[rows]
             velocity, spread = tracks.neighbours_velocity(position)
@@ -422,7 +343,3 @@ class _Tracker:
         outside = (np.abs(tracks.state[:, 0] - self.maps.middle_mm) > self.maps.half_mm).any(axis=1)
         over = (tracks.seen < MATURE) | (tracks.missed > self.settings.gap) | outside
         tracks.select(~(missed & over))
-
-
-def _nothing(time: float, cameras: int) -> _Frame:
-    return _Frame(time, no_particles(cameras), np.zeros(0, dtype=np.int64), np.zeros(0, np.bool_))
