@@ -3,6 +3,7 @@
 At every point of a lattice the images are looked up where the cameras see it. Local maxima of a
 mean over cameras are candidates for particles. The mean is that of logarithms, so that a particle
 may be dim in one camera, and not more above the darkest camera than particles' scatter explains.
+Where images are crowded, some cameras may be darker: neighbours have taken their light there.
 """
 
 from __future__ import annotations
@@ -96,7 +97,9 @@ def slopes_per_mm(maps: VolumePolynomials) -> F64:
     return np.asarray(slopes / maps.half_mm)
 
 
-def find_candidates(maps: VolumePolynomials, logs: F32, floor: float, spread: float) -> F64:
+def find_candidates(
+    maps: VolumePolynomials, logs: F32, floor: float, spread: float, dark: int = 0
+) -> F64:
     """Find positions (n, 3) in the box of the maps, the brightest first.
 
     Parameters
@@ -105,12 +108,13 @@ def find_candidates(maps: VolumePolynomials, logs: F32, floor: float, spread: fl
         of `BRIGHTEST`; NaN where a camera shows nothing.
     floor : smallest mean of the cameras' logarithms.
     spread : the most that the mean may exceed the darkest camera's.
+    dark : cameras that may be darker: the next one counts as the darkest.
     """
     means = np.empty(lattice_shape(maps), dtype=np.float32)
     bounds = np.zeros_like(logs)
     limits = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
     _bound(logs, limits[2], bounds)
-    _sweep(maps, logs, bounds, *limits, means)
+    _sweep(maps, logs, bounds, *limits, dark, means)
     z, y, x = _local_maxima(means)
     order = np.argsort(-means[z, y, x], kind="stable")
     places = np.stack([x, y, z], axis=1)[order]
@@ -156,7 +160,7 @@ def _bound(logs: Any, most: Any, bounds: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _sweep(
-    maps: Any, logs: Any, bounds: Any, floor: Any, spread: Any, most: Any, means: Any
+    maps: Any, logs: Any, bounds: Any, floor: Any, spread: Any, most: Any, dark: int, means: Any
 ) -> None:
     """Fill in the lattice's mean logarithms (z, y, x), `_DARK` below the floor.
 
@@ -168,8 +172,11 @@ def _sweep(
     for z in numba.prange(slices):
         pixels = np.zeros((cameras, 2, columns))
         above = np.zeros(columns, dtype=np.float32)
+        lacking = np.zeros(columns, dtype=np.int64)
+        lows = np.zeros(dark + 1)
         for y in range(rows):
             above[:] = 0.0
+            lacking[:] = 0
             for c in range(cameras):
                 project_row(
                     maps,
@@ -187,7 +194,8 @@ def _sweep(
                     if inside and above[x] > _DARK:
                         bound = bounds[c, int(row), int(column)]
                         above[x] += bound - floor
-                        if bound < least or above[x] + room < 0.0:
+                        lacking[x] += bound < least
+                        if lacking[x] > dark or above[x] + room < 0.0:
                             above[x] = _DARK
                     bright = bright or above[x] > _DARK
                 if not bright:
@@ -195,26 +203,36 @@ def _sweep(
             for x in range(columns):
                 means[z, y, x] = _DARK
                 if above[x] > _DARK:
-                    means[z, y, x] = _mean_log(logs, pixels, x, floor, spread, most)
+                    means[z, y, x] = _mean_log(logs, pixels, x, floor, spread, most, lows)
 
 
 @numba.njit(cache=True)
-def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any) -> Any:
-    """Average the cameras' logarithms at one point; `_DARK` below the floor."""
-    total, lowest, count, cameras = 0.0, np.inf, 0, len(logs)
+def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any, lows: Any) -> Any:
+    """Average the cameras' logarithms at one point; `_DARK` below the floor.
+
+    There is room for the darkest ones.
+    """
+    total, count, cameras, last = 0.0, 0, len(logs), len(lows) - 1
+    lows[:] = np.inf
     for c in range(cameras):
         value = _look_up(logs[c], pixels[c, 0, x], pixels[c, 1, x])
         if np.isnan(value):
             continue
-        total, count, lowest = total + value, count + 1, min(lowest, value)
+        total, count = total + value, count + 1
+        k = last
+        if value < lows[k]:
+            while k > 0 and lows[k - 1] > value:
+                lows[k] = lows[k - 1]
+                k -= 1
+            lows[k] = value
         if (
-            lowest + spread < floor
+            lows[last] + spread < floor
             or total + (cameras - c - 1) * most < (count + cameras - c - 1) * floor
         ):
             return _DARK
     if count < _FEWEST:
         return _DARK
-    mean = min(total / count, lowest + spread)
+    mean = min(total / count, lows[last] + spread)
     return np.float32(mean) if mean >= floor else _DARK
 
 
