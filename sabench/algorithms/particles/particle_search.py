@@ -42,9 +42,9 @@ _PORTIONS = 8  # of many rows whose order counts: the first are fitted before th
 _FLOOR, _LEAST_FLOOR, _FAINT = 2.0, 1.1, 0.2
 _MANY, _FIRST = 16.0, 2.5  # of the estimated number: first candidates, times cameras, and least
 _MORE = 0.5  # of the particles so far: candidates beside them
-# images that share a pixel; where more do, the share of cameras in which neighbours take all light
-# of a particle that is not found yet
-_CROWDED, _TAKEN = 1.25, 0.2
+# images that share a pixel, at least and for each camera; where more do, the share of cameras in
+# which neighbours take all light of a particle that is not found yet
+_CROWDED, _EACH, _TAKEN = 1.25, 0.095, 0.2
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
 _CONTESTED = 0.25  # of the cameras: meetings with others that have just earned their price
@@ -108,7 +108,8 @@ class ParticleSearch(SearchState):
         noise = float(dark.max())
         least = max(floor, min(_FLOOR * noise, max(_LEAST_FLOOR * noise, _FAINT)))
         first = len(self.position)
-        taken = int(_TAKEN * cameras) if first and self.overlap() > _CROWDED else 0
+        crowded = self.overlap() > max(_CROWDED, _EACH * cameras)
+        taken = int(_TAKEN * cameras) if first and crowded else 0
         found = find_candidates(self.maps, logs, math.log(least), spread, taken)
         share = max(_MANY / cameras, _FIRST)  # the more cameras, the fewer meet by chance
         most = _MORE * max(first, self.number) if first else share * self.number
