@@ -210,7 +210,7 @@ def _sweep(
 def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any, lows: Any) -> Any:
     """Average the cameras' logarithms at one point; `_DARK` below the floor.
 
-    There is room for the darkest ones.
+    `lows` is room for the darkest cameras' logarithms: of those that do not count, and one more.
     """
     total, count, cameras, last = 0.0, 0, len(logs), len(lows) - 1
     lows[:] = np.inf

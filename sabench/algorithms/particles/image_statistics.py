@@ -102,8 +102,8 @@ def _without_brightest(image: F64, known: Bool) -> Bool:
 def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, float, bool]:
     """Measure widths (columns, rows), tilt, typical light, and whether any show.
 
-    Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12,
-    or (1 - tilt2) of that.
+    Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12:
+    of tilted images (1 - tilt2) times that, with the tilt as `_measure_tilt` finds it.
     Those one and two pixels apart give s, that at distance 0 follows without the noise of a pixel,
     and it is the number of particles times their mean squared light over 4 pi s_x s_y; the mean is
     the number times their mean light.
@@ -112,6 +112,7 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     over = _less_local_mean(light, count)
     apart = [_product(over, count, *step) for d in _FAR for step in ((0, d), (d, 0))]
     far = sum(apart) / len(apart)
+    widest = _MOST_SIGMA**2 + _PIXEL
     squares: list[float] = []
     at_zero: list[float] = []
     nearest: list[float] = []
@@ -120,14 +121,14 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
         nearest.append(one)
         two = _product(over, count, 2 * step[0], 2 * step[1]) - far
         square = 0.75 / math.log(one / two) if one > two > 0.0 else 0.0
-        square = min(max(square, _LEAST_SIGMA**2 + _PIXEL), _MOST_SIGMA**2 + _PIXEL)
+        square = min(max(square, _LEAST_SIGMA**2 + _PIXEL), widest)
         squares.append(square)
         at_zero.append(max(one, 0.0) * math.exp(0.25 / square))
     tilt = _measure_tilt(over, count, far) * math.sqrt(squares[0] * squares[1])
     seen = abs(tilt) > _LEAST_TILT and min(squares) > LEAST_TILTED**2 + _PIXEL
     tilt = min(max(tilt, -_MOST_TILT), _MOST_TILT) if seen else 0.0
     area = 4.0 * math.pi * math.sqrt(squares[0] * squares[1] / (1.0 - tilt * tilt))
-    squares = [square / (1.0 - tilt * tilt) for square in squares]
+    squares = [min(square / (1.0 - tilt * tilt), widest) for square in squares]
     mean = float(light.sum() / max(count.sum(), 1.0))
     own = 0.5 * sum(at_zero) * area
     own = own / mean if mean > 0.0 else math.inf

@@ -34,97 +34,6 @@ class _Row(NamedTuple):
     down: Sequence[Any]
 
 
-@intrinsic
-def match_window(
-    context: Any,
-    left: Any,
-    weight: Any,
-    profiles: Any,
-    c: Any,
-    row: Any,
-    column: Any,
-    rows: Any,
-    light: Any,
-) -> tuple[Any, Any]:
-    """Sum up weights times a window's image times an image, and times its own square.
-
-    Saturated pixels that have enough with this light count in the third sum.
-    """
-
-    def terms(do: Vectors, row: _Row) -> list[Any]:
-        return _match(do, row, do.times(row.across[0], row.down[0]))
-
-    return _sums(terms, 3, (left, weight, profiles), [OWN_X], [OWN_Y])
-
-
-@intrinsic
-def match_tilted(
-    context: Any,
-    left: Any,
-    weight: Any,
-    profiles: Any,
-    c: Any,
-    row: Any,
-    column: Any,
-    rows: Any,
-    light: Any,
-) -> tuple[Any, Any]:
-    """Sum up as `match_window` does, of a tilted image."""
-
-    def terms(do: Vectors, row: _Row) -> list[Any]:
-        return _match(do, row, _product(do, row.across, row.down))
-
-    across, down = [OWN_X, SLOPE_X, CURVE_X], [OWN_Y, TILT_Y, TILT_CURVE_Y]
-    return _sums(terms, 3, (left, weight, profiles), across, down)
-
-
-@intrinsic
-def sum_window(
-    context: Any,
-    left: Any,
-    weight: Any,
-    profiles: Any,
-    c: Any,
-    row: Any,
-    column: Any,
-    rows: Any,
-    light: Any,
-) -> tuple[Any, Any]:
-    """Sum up what `image_model.sum_up` fills in of a camera, in its order."""
-
-    def terms(do: Vectors, row: _Row) -> list[Any]:
-        (x, by_x), (y, by_y) = row.across, row.down
-        return _sum(do, row, do.times(x, y), do.times(by_x, y), do.times(x, by_y))
-
-    return _sums(terms, 8, (left, weight, profiles), [OWN_X, SLOPE_X], [OWN_Y, SLOPE_Y])
-
-
-@intrinsic
-def sum_tilted(
-    context: Any,
-    left: Any,
-    weight: Any,
-    profiles: Any,
-    c: Any,
-    row: Any,
-    column: Any,
-    rows: Any,
-    light: Any,
-) -> tuple[Any, Any]:
-    """Sum up as `sum_window` does, of a tilted image."""
-
-    def terms(do: Vectors, row: _Row) -> list[Any]:
-        (x, by_x, _), (y, by_y, *tilted, slope_y) = row.across, row.down
-        own = _product(do, row.across, [y, *tilted])
-        along_x = _product(do, row.across[1:], [y, tilted[0]])
-        along_y = _product(do, [x, by_x], [by_y, slope_y])
-        return _sum(do, row, own, along_x, along_y)
-
-    across = [OWN_X, SLOPE_X, CURVE_X]
-    down = [OWN_Y, SLOPE_Y, TILT_Y, TILT_CURVE_Y, TILT_SLOPE_Y]
-    return _sums(terms, 8, (left, weight, profiles), across, down)
-
-
 def _product(do: Vectors, across: Sequence[Any], down: Sequence[Any]) -> Any:
     """Return the sum of products of profiles across and down."""
     total = do.times(across[0], down[0])
@@ -133,15 +42,31 @@ def _product(do: Vectors, across: Sequence[Any], down: Sequence[Any]) -> Any:
     return total
 
 
-def _match(do: Vectors, row: _Row, own: Any) -> list[Any]:
-    """Return the terms of `match_window` for an image."""
+def _match(do: Vectors, row: _Row) -> list[Any]:
+    """Return the terms of `match_window`, and of `match_tilted`."""
+    own = _product(do, row.across, row.down)
     counts = _counting(do, row.weight, do.minus(row.left, do.times(row.light, own)))
     each = do.times(counts, own)
     spared = _spared(do, row.weight, counts, row.left)
     return [do.times(each, row.left), do.times(each, own), spared]
 
 
-def _sum(do: Vectors, row: _Row, own: Any, along_x: Any, along_y: Any) -> list[Any]:
+def _sum(do: Vectors, row: _Row) -> list[Any]:
+    """Return the terms of `sum_window`."""
+    (x, by_x), (y, by_y) = row.across, row.down
+    return _products(do, row, do.times(x, y), do.times(by_x, y), do.times(x, by_y))
+
+
+def _sum_tilted(do: Vectors, row: _Row) -> list[Any]:
+    """Return the terms of `sum_tilted`."""
+    (x, by_x, _), (y, by_y, *tilted, slope_y) = row.across, row.down
+    own = _product(do, row.across, [y, *tilted])
+    along_x = _product(do, row.across[1:], [y, tilted[0]])
+    along_y = _product(do, [x, by_x], [by_y, slope_y])
+    return _products(do, row, own, along_x, along_y)
+
+
+def _products(do: Vectors, row: _Row, own: Any, along_x: Any, along_y: Any) -> list[Any]:
     """Return the terms of `sum_window` for an image and its derivatives."""
     left, counts = row.left, _counting(do, row.weight, row.left)
     share, slope_x, slope_y = (do.times(counts, one) for one in (own, along_x, along_y))
@@ -232,3 +157,42 @@ def _sums(
         return context.make_tuple(builder, signature.return_type, sums)
 
     return signature, code
+
+
+def _kernel(
+    terms: Callable[[Vectors, _Row], list[Any]],
+    count: int,
+    across: Sequence[int],
+    down: Sequence[int],
+) -> Any:
+    """Make a kernel that sums up so many terms, of these profiles across and down."""
+
+    @intrinsic
+    def add_up(
+        context: Any,
+        left: Any,
+        weight: Any,
+        profiles: Any,
+        c: Any,
+        row: Any,
+        column: Any,
+        rows: Any,
+        light: Any,
+    ) -> tuple[Any, Any]:
+        return _sums(terms, count, (left, weight, profiles), across, down)
+
+    return add_up
+
+
+# Sums of weights times an image times what is left, and times the image itself. Saturated pixels
+# that have enough with this light count in the third sum.
+match_window = _kernel(_match, 3, [OWN_X], [OWN_Y])
+match_tilted = _kernel(_match, 3, [OWN_X, SLOPE_X, CURVE_X], [OWN_Y, TILT_Y, TILT_CURVE_Y])
+# What `image_model.sum_up` fills in of a camera, in its order.
+sum_window = _kernel(_sum, 8, [OWN_X, SLOPE_X], [OWN_Y, SLOPE_Y])
+sum_tilted = _kernel(
+    _sum_tilted,
+    8,
+    [OWN_X, SLOPE_X, CURVE_X],
+    [OWN_Y, SLOPE_Y, TILT_Y, TILT_CURVE_Y, TILT_SLOPE_Y],
+)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sabench.algorithms.particles.image_model import MARGIN, make_room
 from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import profile
@@ -67,6 +68,19 @@ def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: fl
     assert found.tilt[0] == pytest.approx(expected, abs=0.1 * abs(expected))
     np.testing.assert_allclose(found.sigma[0], widths, rtol=0.06)
     assert found.light[0] == pytest.approx(100.0, rel=0.1)
+
+
+def test_windows_of_long_streaks_fit_in_the_margins() -> None:
+    """Streaks of 20 px at 45 degrees, whose tilt hides how wide they are."""
+    rng = np.random.default_rng(4)
+    center = rng.uniform(0.0, (COLUMNS, ROWS), (2000, 2))
+    shown = 2.0 * rng.standard_normal((ROWS, COLUMNS))
+    for step in np.linspace(-7.0, 7.0, 29):
+        x, y = (profile(center[:, k] + step, 1.7, n) for k, n in ((0, COLUMNS), (1, ROWS)))
+        shown += 40.0 * y.T @ x
+    found = measure_images(shown[None], np.ones((1, ROWS, COLUMNS), dtype=bool))
+    assert found.tilt[0] > 0.7
+    assert make_room(1.3 * found.sigma).profiles.shape[2] <= MARGIN
 
 
 @pytest.mark.parametrize("per_pixel", [0.05, 0.5])
