@@ -46,27 +46,34 @@ def fill_profile(
 
 
 @numba.njit(cache=True)
-def fill_growth(center: float, sigma: float, first: int, growth: Any) -> None:
-    """Fill in the derivatives (n,) of the shares by sigma."""
-    scale, peak = 1.0 / (sigma * math.sqrt(2.0)), 1.0 / (math.sqrt(2.0 * math.pi) * sigma**2)
-    edge = first - 0.5 - center
-    before = edge * peak * math.exp(-((edge * scale) ** 2))
-    for i in range(len(growth)):
-        edge = first + i + 0.5 - center
-        after = edge * peak * math.exp(-((edge * scale) ** 2))
-        growth[i] = before - after
+def fill_bend(center: float, sigma: float, first: int, bend: Any) -> None:
+    """Fill in the second derivatives (n,) of the shares by the centre."""
+    scale = -1.0 / (math.sqrt(2.0 * math.pi) * sigma**2)
+    z = (first - 0.5 - center) / sigma
+    before = scale * z * math.exp(-0.5 * z * z)
+    for i in range(len(bend)):
+        z = (first + i + 0.5 - center) / sigma
+        after = scale * z * math.exp(-0.5 * z * z)
+        bend[i] = after - before
         before = after
 
 
 @numba.njit(cache=True)
-def fill_bend(center: float, sigma: float, first: int, bend: Any) -> None:
-    """Fill in the second derivatives (n,) of the shares by the centre.
+def fill_derivatives(center: float, sigma: float, first: int, derivatives: Any) -> None:
+    """Fill in the second to the fifth derivatives (4, n) of shares by the centre.
 
-    They are those by sigma, over sigma: Gaussians spread as heat does.
+    Derivatives of a Gaussian are that times Hermite's polynomials of the distance z to the centre.
     """
-    fill_growth(center, sigma, first, bend)
-    for i in range(len(bend)):
-        bend[i] /= sigma
+    scale, pixels = -1.0 / (math.sqrt(2.0 * math.pi) * sigma**2), derivatives.shape[1]
+    for i in range(pixels + 1):
+        z = (first + i - 0.5 - center) / sigma
+        edge, before, here = scale * math.exp(-0.5 * z * z), 1.0, z
+        for n in range(4):
+            if i < pixels:
+                derivatives[n, i] = -edge * here
+            if i:
+                derivatives[n, i - 1] += edge * here
+            edge, before, here = edge / sigma, here, z * here - (n + 1) * before
 
 
 def effective_width(sigma: float) -> float:

@@ -210,6 +210,19 @@ def test_streaks_aslant_are_tilted_ellipses(solver: str, cameras: list[int], sid
     assert counts.precision > 0.97  # as of streaks along columns; a model without tilt has 0.45
 
 
+def test_discs_out_of_focus_are_flat(solver: str) -> None:
+    """Of 2.5 px radius; taken for Gaussians, a tenth of them are two and more particles."""
+    shot = make_small(1, per_pixel=0.015)
+    case, steps = shot.observation, np.mgrid[-3:4, -3:4].reshape(2, -1).T
+    steps = steps[np.hypot(*steps.T) <= 2.5]
+    images = np.mean([np.roll(case.images, step, (1, 2)) for step in steps], axis=0)
+    noise = 2.0 * np.random.default_rng(1).standard_normal(images.shape)
+    found = solve(solver, [with_images(case, images + noise)])[0]
+    counts = count_found(shot, found)
+    assert counts.recall > 0.97
+    assert counts.precision > 0.97
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_long_streaks_aslant_in_a_camera_are_reported(solver: str, side: int) -> None:
     sign = "+" if side > 0 else "-"

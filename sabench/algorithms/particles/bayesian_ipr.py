@@ -122,6 +122,8 @@ def search_frame(
         names = [camera.name for camera in case.cameras]
         search = without_wrong_cameras(search, names, partial(_find_visible, frame))
         warn_of_tilt(search, names)
+    if search.flat.any():
+        _flatten(search)
     for _ in range(settings.splits):
         if frame.deadline.over:
             break
@@ -131,6 +133,19 @@ def search_frame(
     weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)
     return search
+
+
+def _flatten(search: ParticleSearch) -> None:
+    """Take images for as flat as they are, and try all particles again.
+
+    Those that are halves of one whose images were taken for Gaussians earn nothing now.
+    """
+    search.flatten()
+    search.refine(search.fits)
+    weigh_pixels(search, CAPS[1])
+    learn_widths(search)
+    search.sure[:] = False
+    search.remove(lone=True)
 
 
 class _Frame(NamedTuple):

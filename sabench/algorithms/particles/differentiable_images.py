@@ -22,6 +22,7 @@ from sabench.algorithms.particles.differentiable_projection import (
     aligned,
     constants,
 )
+from sabench.algorithms.particles.image_model import MOST_FLAT
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.backend import drjit
@@ -40,7 +41,7 @@ class ImageModel(NamedTuple):
     shifts : (camera, 2) shifts of their pixels as (column, row), px.
     images : (camera, row, column) less black.
     weight : the same shape, 1 / variance of a pixel; 0 where it is unknown.
-    shapes : (camera, 3, 4) of particle images, as those of `image_model.ImageModel`.
+    shapes : (camera, SHAPES, 4) of particle images, as those of `image_model.ImageModel`.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light over that.
     middle_mm, half_mm : (3,) centre and half edges of the box.
@@ -198,7 +199,7 @@ class _View:
         middle = model.shapes[camera, :, 0] - per_mm @ model.middle_mm
         terms = np.column_stack([per_mm, middle])
         self._typical, self._shapes = constants([model.typical[camera], terms])
-        self._tilted = bool(model.shapes[camera, 2, 0])
+        self._plain = not model.shapes[camera, 2:, 0].any()
 
     def lay_out(self, corner: I64) -> None:
         """Lay out windows from corners (n, 2), (column, row) of their first pixels."""
@@ -265,32 +266,42 @@ class _View:
 
     def _images(self, place: list[Any], log: Any) -> Any:
         """Render each particle's own image, window pixels (n k,) particle by particle."""
-        across, down, tilt = (_weighted(terms, [*place, 1.0]) for terms in self._shapes)
+        across, down, *shape = (_weighted(terms, [*place, 1.0]) for terms in self._shapes)
         light = self._typical * self._dr.exp(log)
         spread = [*self.camera.project(*place), across, down, light]
-        if self._tilted:
-            spread.append(tilt)
-        each = self._dr.custom(_repeat(), spread, self._window**2)
-        column, row, across, down, light, *tilts = each
+        each = self._dr.custom(_repeat(), spread + shape * (not self._plain), self._window**2)
+        column, row, across, down, light, *shape = each
         x, y = (self._column - column, across), (self._row - row, down)
         own = self._shares(*x) * self._shares(*y)
-        for tilt in tilts:  # of images that are not tilted, there is none
-            (by_x, by_xx), (by_y, by_yy) = self._bends(*x), self._bends(*y)
-            own += tilt * by_x * by_y + 0.5 * tilt * tilt * by_xx * by_yy
-        return light * own
+        return light * (own + self._more_than_plain(x, y, *shape) if shape else own)
+
+    def _more_than_plain(self, x: Any, y: Any, tilt: Any, flat: Any) -> Any:
+        """Compute what the image of a camera has beside a plain one, as in `image_model`."""
+        (_, across), (_, down) = x, y
+        flat = self._dr.clip(flat, 0.0, MOST_FLAT)
+        by_x, by_xx, fourth_x = self._derivatives(*x)
+        by_y, by_yy, fourth_y = self._derivatives(*y)
+        bend = 0.5 * tilt * tilt - 2.0 * flat * across * across * down * down
+        fourth = across**4 * fourth_x * self._shares(*y) + down**4 * fourth_y * self._shares(*x)
+        return tilt * by_x * by_y + bend * by_xx * by_yy - flat * fourth
 
     def _shares(self, offset: Any, width: Any) -> Any:
         """Integrate Gaussians over pixels at an offset from their centres."""
         erf, scale = self._dr.erf, 1.0 / (width * math.sqrt(2.0))
         return 0.5 * (erf((offset + 0.5) * scale) - erf((offset - 0.5) * scale))
 
-    def _bends(self, offset: Any, width: Any) -> tuple[Any, Any]:
-        """Compute the first and second derivative of `_shares` by the centres."""
+    def _derivatives(self, offset: Any, width: Any) -> list[Any]:
+        """Compute the first, second and fourth derivative of `_shares` by the centres."""
         first, last = (offset - 0.5) / width, (offset + 0.5) / width
         before, after = (
             self._dr.exp(-0.5 * edge * edge) / math.sqrt(2.0 * math.pi) for edge in (first, last)
         )
-        return (before - after) / width, (first * before - last * after) / (width * width)
+        third = first * (first * first - 3.0) * before - last * (last * last - 3.0) * after
+        return [
+            (before - after) / width,
+            (first * before - last * after) / width**2,
+            third / width**4,
+        ]
 
     def _sum_up(self, images: Any) -> Any:
         """Add up the images of all particles in the lit pixels."""

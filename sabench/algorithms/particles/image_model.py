@@ -17,23 +17,34 @@ import numba
 import numpy as np
 
 from sabench.algorithms.particles.window_sums import (
+    CURVE_SLOPE_Y,
     CURVE_X,
+    CURVE_Y,
+    FLAT_SLOPE_X,
+    FLAT_X,
     OWN_X,
     OWN_Y,
+    PLAIN,
+    PLAIN_BY_X,
+    PLAIN_BY_Y,
     PROFILES,
+    SHAPED,
+    SHAPED_BY_X,
+    SHAPED_BY_Y,
     SLOPE_X,
     SLOPE_Y,
-    TILT_CURVE_Y,
     TILT_SLOPE_Y,
     TILT_Y,
-    match_tilted,
+    WHOLE_SLOPE_Y,
+    WHOLE_Y,
+    match_shaped,
     match_window,
-    sum_tilted,
+    sum_shaped,
     sum_window,
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussian_units import whole_lanes
-from sabench.images.gaussians import fill_bend, fill_profile
+from sabench.images.gaussians import fill_derivatives, fill_profile
 from sabench.utils.arrays import F32, F64
 from sabench.utils.vector_units import LANES
 
@@ -42,6 +53,8 @@ MARGIN = 24  # pixels around images: the widest window
 UNSEEN = 1e-12  # weight of an image that a camera does not see
 WEIGHT, PULL, XX, XY, YY, X, Y, GIVEN = range(8)  # of `sum_up`
 SUMS = 8
+SHAPES = 4  # of `ImageModel.shapes`: two widths, covariance, and flatness
+MOST_FLAT = 0.07  # disc of four and a half widths' diameter; of flatter ones, edges are negative
 _ANY_ORDER = {"reassoc", "contract", "nsz"}  # of sums
 _NONE = np.float32(0.0)
 
@@ -73,9 +86,10 @@ class ImageModel(NamedTuple):
     Attributes
     ----------
     maps : cameras.
-    shapes : (camera, 3, 4) of particle images: widths along columns and rows, px, and covariance of
-        both, px2, in the box's middle, and their change along each of its coordinates. The third is
-        0 for a camera whose images have columns and rows as axes.
+    shapes : (camera, SHAPES, 4) of particle images: widths along columns and rows, px, covariance
+        of both, px2, and flatness, in the box's middle, and their change along each of its
+        coordinates. The last two are 0 in the middle for a camera whose images are plain: Gaussians
+        that have columns and rows as axes. Flat ones are like discs.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light.
     log_precision, least_precision : logarithm of its determinant, and least eigenvalue.
@@ -191,54 +205,80 @@ def place(model: Any, room: Any, position: Any) -> None:
             own, slope = (OWN_X, SLOPE_X) if k == 0 else (OWN_Y, SLOPE_Y)
             shares, slopes = room.profiles[c, own], room.profiles[c, slope]
             fill_profile(room.here[c, k], width, first, room.window, shares, slopes)
-        if model.shapes[c, 2, 0] != 0.0:
-            _tilt_profiles(model, room, c, position)
+        if not is_plain(model.shapes, c):
+            seen = room.here[c], room.width[c], room.corner[c]
+            profiles = room.profiles[c, :, : room.window]
+            _shape_profiles(profiles, model.shapes[c], position, *seen)
+
+
+@numba.njit(cache=True, inline="always")
+def is_plain(shapes: Any, c: int) -> bool:
+    """Tell whether a camera's images are Gaussians with columns and rows as axes."""
+    return bool((shapes[c, 2, 0] == 0.0) & (shapes[c, 3, 0] == 0.0))  # `and` is slower
 
 
 @numba.njit(cache=True)
-def _tilt_profiles(model: Any, room: Any, c: int, position: Any) -> None:
-    """Fill in the profiles of a camera's image that only tilted ones have.
+def _shape_profiles(
+    own: Any, shape: Any, position: Any, here: Any, width: Any, corner: Any
+) -> None:
+    """Fill in the profiles (profile, pixel) of a camera's image that is not plain.
 
     A Gaussian of covariance t of columns and rows is the sum over n of t^n / n! times the product
     of both profiles' derivatives of order n (F. G. Mehler, J. reine angew. Math. 66, 161-176,
-    1866), here up to two: within 1 % of the peak for a correlation of 0.3.
+    1866), here up to two: within 1 % of the peak for a correlation of 0.3. Images with a flat top,
+    and those with a halo, differ from Gaussians by the fourth derivatives first (F. Y. Edgeworth,
+    Trans. Camb. Phil. Soc. 20, 36-65 and 113-141, 1905): by the square of the Laplace operator in
+    units of widths, times minus the flatness.
     """
-    size, own, tilt = room.window, room.profiles[c], model.shapes[c, 2, 0]
+    tilt, flat = shape[2, 0], shape[3, 0]
     for p in range(3):
-        tilt += model.shapes[c, 2, p + 1] * position[p]
-    column, row = room.corner[c, 0] - MARGIN, room.corner[c, 1] - MARGIN
-    fill_bend(room.here[c, 0], room.width[c, 0], column, own[CURVE_X, :size])
-    fill_bend(room.here[c, 1], room.width[c, 1], row, own[TILT_SLOPE_Y, :size])
-    for i in range(size):
-        bend = own[TILT_SLOPE_Y, i]
-        own[TILT_Y, i] = tilt * own[SLOPE_Y, i]
-        own[TILT_CURVE_Y, i] = 0.5 * tilt * tilt * bend
-        own[TILT_SLOPE_Y, i] = tilt * bend
+        tilt += shape[2, p + 1] * position[p]
+        flat += shape[3, p + 1] * position[p]
+    across, down, flat = width[0] * width[0], width[1] * width[1], min(max(flat, 0.0), MOST_FLAT)
+    bend = 0.5 * tilt * tilt - 2.0 * flat * across * down
+    column, row = -flat * across * across, -flat * down * down
+    for k in range(2):
+        start = CURVE_X if k == 0 else WHOLE_Y  # of rows that have room for four derivatives
+        fill_derivatives(here[k], width[k], corner[k] - MARGIN, own[start : start + 4])
+    for i in range(own.shape[1]):
+        own[FLAT_X, i] = column * own[CURVE_X + 2, i]
+        own[FLAT_SLOPE_X, i] = column * own[CURVE_X + 3, i]
+        second, third = own[WHOLE_Y, i], own[WHOLE_Y + 1, i]
+        fourth, fifth = own[WHOLE_Y + 2, i], own[WHOLE_Y + 3, i]
+        own[WHOLE_Y, i] = own[OWN_Y, i] + row * fourth
+        own[WHOLE_SLOPE_Y, i] = own[SLOPE_Y, i] + row * fifth
+        own[TILT_Y, i], own[TILT_SLOPE_Y, i] = tilt * own[SLOPE_Y, i], tilt * second
+        own[CURVE_Y, i], own[CURVE_SLOPE_Y, i] = bend * second, bend * third
 
 
 @numba.njit(cache=True)
 def fill_image(model: Any, room: Any, c: int, image: Any) -> None:
     """Fill in a camera's image (row, column), for light 1, after `place`."""
-    own, tilted = room.profiles[c], model.shapes[c, 2, 0] != 0.0
-    for i in range(room.window):
-        for j in range(room.window):
-            image[i, j] = own[OWN_Y, i] * own[OWN_X, j]
-            if tilted:
-                image[i, j] += own[TILT_Y, i] * own[SLOPE_X, j]
-                image[i, j] += own[TILT_CURVE_Y, i] * own[CURVE_X, j]
+    if is_plain(model.shapes, c):
+        _fill_products(room, c, PLAIN, image)
+    else:
+        _fill_products(room, c, SHAPED, image)
 
 
 @numba.njit(cache=True)
 def fill_slopes(model: Any, room: Any, c: int, by_x: Any, by_y: Any) -> None:
     """Fill in the derivatives of `fill_image` by the centre's column and row."""
-    own, tilted = room.profiles[c], model.shapes[c, 2, 0] != 0.0
+    if is_plain(model.shapes, c):
+        _fill_products(room, c, PLAIN_BY_X, by_x)
+        _fill_products(room, c, PLAIN_BY_Y, by_y)
+    else:
+        _fill_products(room, c, SHAPED_BY_X, by_x)
+        _fill_products(room, c, SHAPED_BY_Y, by_y)
+
+
+@numba.njit(cache=True)
+def _fill_products(room: Any, c: int, pairs: Any, image: Any) -> None:
+    """Fill in the sum of products of pairs of profiles."""
     for i in range(room.window):
         for j in range(room.window):
-            by_x[i, j] = own[OWN_Y, i] * own[SLOPE_X, j]
-            by_y[i, j] = own[SLOPE_Y, i] * own[OWN_X, j]
-            if tilted:
-                by_x[i, j] += own[TILT_Y, i] * own[CURVE_X, j]
-                by_y[i, j] += own[TILT_SLOPE_Y, i] * own[SLOPE_X, j]
+            image[i, j] = 0.0
+            for x, y in pairs:
+                image[i, j] += room.profiles[c, x, j] * room.profiles[c, y, i]
 
 
 # The indices of the windows' sums are unsigned: a signed one is compared with zero each time.
@@ -269,8 +309,9 @@ def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
     """Add light (camera,) times a sign to the images, where `place` was last."""
     for c in range(len(light)):
         own, image, amount = room.profiles[c], model.left[c], sign * light[c]
-        for k in range(1 if model.shapes[c, 2, 0] == 0.0 else 3):
-            _paint(image, own[OWN_X + k], own[OWN_Y + k], room.window, room.corner[c], amount)
+        first, pairs = (OWN_X, 1) if is_plain(model.shapes, c) else (FLAT_X, 4)  # as in SHAPED
+        for k in range(pairs):
+            _paint(image, own[first + k], own[OWN_Y + k], room.window, room.corner[c], amount)
 
 
 @numba.njit(cache=True)
@@ -311,12 +352,12 @@ def match_here(model: Any, room: Any, light: Any) -> None:
     room.given[0] = 0.0
     for c in range(len(room.signal)):
         left, weights, row, column = model.left, model.weight, room.corner[c, 1], room.corner[c, 0]
-        if model.shapes[c, 2, 0] == 0.0:
+        if is_plain(model.shapes, c):
             signal, weight, given = match_window(
                 left, weights, room.profiles, c, row, column, room.window, light[c]
             )
         else:
-            signal, weight, given = match_tilted(
+            signal, weight, given = match_shaped(
                 left, weights, room.profiles, c, row, column, room.window, light[c]
             )
         seen = weight > UNSEEN
@@ -337,10 +378,10 @@ def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
     room.given[0] = 0.0
     for c in range(len(room.sums)):
         left, weights, row, column = model.left, model.weight, room.corner[c, 1], room.corner[c, 0]
-        if model.shapes[c, 2, 0] == 0.0:
+        if is_plain(model.shapes, c):
             sums = sum_window(left, weights, room.profiles, c, row, column, room.window, light[c])
         else:
-            sums = sum_tilted(left, weights, room.profiles, c, row, column, room.window, light[c])
+            sums = sum_shaped(left, weights, room.profiles, c, row, column, room.window, light[c])
         for k in range(SUMS):
             room.sums[c, k] = sums[k]
         seen = sums[WEIGHT] > UNSEEN

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from sabench.algorithms.particles.image_flatness import PIXEL, measure_flatness
 from sabench.utils.arrays import F32, F64, Bool
 
-_PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
 _LEAST_TILT, LEAST_TILTED = 0.1, 0.45  # less is chance; px: width of images whose tilt shows
 _MOST_TILT = 0.95  # of long streaks
-_FAR = (6, 7)  # px: so far apart, pixels share no particle
+_NEAR = range(1, 6)  # px: distances of pixels that share particles
+_FAR = range(6, 8)  # px: so far apart, pixels share no particle
 _LOCAL = 31  # px: square of the mean that products are less; many particles' images
 _LEAST_NOISE = 0.5  # grey values: of rounding
 _FEW, _FEW_PEAKS = 50, 10  # values below black, and peaks, that tell
@@ -39,6 +40,8 @@ class ImageStatistics:
     sigma : (camera, 2) standard deviations of particle images along columns and rows, px.
     tilt : (camera,) correlation of columns and rows within particle images, between -1 and 1: that
         of an ellipse whose axes are neither.
+    flat : (camera, 3) widths and flatness, as `measure_flatness` says, of images that are flatter
+        than Gaussians, such as discs out of focus; 0 of others.
     light : (camera,) sum of the grey values of a typical particle's image; particles of different
         light count by their light. 0 where none shows.
     noise : (camera,) standard deviation of dark pixels, grey values.
@@ -48,6 +51,7 @@ class ImageStatistics:
 
     sigma: F64
     tilt: F64
+    flat: F64
     light: F64
     noise: F64
     shown: Bool
@@ -61,11 +65,13 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
     ----------
     known : the same shape, pixels that count.
     """
-    sigma, tilt, light, noise, shown, number = [], [], [], [], [], []
+    sigma, tilt, flat, light, noise, shown, number = [], [], [], [], [], [], []
     for image, there in zip(images, known, strict=True):
-        widths, tilted, own, clear = _measure_image(image, _without_brightest(image, there))
+        rest = _without_brightest(image, there)
+        widths, tilted, flattened, own, clear = _measure_image(image, rest)
         sigma.append(widths)
         tilt.append(tilted)
+        flat.append(flattened)
         light.append(own)
         noise.append(dark_noise(image[there]))
         shown.append(clear)
@@ -74,6 +80,7 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
     return ImageStatistics(
         np.array(sigma),
         np.array(tilt),
+        np.array(flat),
         np.array(light),
         np.array(noise),
         np.array(shown),
@@ -99,8 +106,8 @@ def _without_brightest(image: F64, known: Bool) -> Bool:
     return known if left < _FEW_PEAKS else rest
 
 
-def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, float, bool]:
-    """Measure widths (columns, rows), tilt, typical light, and whether any show.
+def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, F64, float, bool]:
+    """Measure widths (columns, rows), tilt, `flat`, light, and whether any show.
 
     Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12:
     of tilted images (1 - tilt2) times that, with the tilt as `_measure_tilt` finds it.
@@ -112,20 +119,18 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     over = _less_local_mean(light, count)
     apart = [_product(over, count, *step) for d in _FAR for step in ((0, d), (d, 0))]
     far = sum(apart) / len(apart)
-    widest = _MOST_SIGMA**2 + _PIXEL
+    widest = _MOST_SIGMA**2 + PIXEL
+    steps = (0, 1), (1, 0)
+    near = np.array([[_product(over, count, d * i, d * j) for d in _NEAR] for i, j in steps]) - far
     squares: list[float] = []
     at_zero: list[float] = []
-    nearest: list[float] = []
-    for step in ((0, 1), (1, 0)):
-        one = _product(over, count, *step) - far
-        nearest.append(one)
-        two = _product(over, count, 2 * step[0], 2 * step[1]) - far
+    for one, two in near[:, :2].tolist():
         square = 0.75 / math.log(one / two) if one > two > 0.0 else 0.0
-        square = min(max(square, _LEAST_SIGMA**2 + _PIXEL), widest)
+        square = min(max(square, _LEAST_SIGMA**2 + PIXEL), widest)
         squares.append(square)
         at_zero.append(max(one, 0.0) * math.exp(0.25 / square))
     tilt = _measure_tilt(over, count, far) * math.sqrt(squares[0] * squares[1])
-    seen = abs(tilt) > _LEAST_TILT and min(squares) > LEAST_TILTED**2 + _PIXEL
+    seen = abs(tilt) > _LEAST_TILT and min(squares) > LEAST_TILTED**2 + PIXEL
     tilt = min(max(tilt, -_MOST_TILT), _MOST_TILT) if seen else 0.0
     area = 4.0 * math.pi * math.sqrt(squares[0] * squares[1] / (1.0 - tilt * tilt))
     squares = [min(square / (1.0 - tilt * tilt), widest) for square in squares]
@@ -133,12 +138,13 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     own = 0.5 * sum(at_zero) * area
     own = own / mean if mean > 0.0 else math.inf
     own = min(own, _OVER_PEAKS * _light_of_peaks(light, dark_noise(image[known])))
-    widths = math.sqrt(squares[0] - _PIXEL), math.sqrt(squares[1] - _PIXEL)
+    widths = math.sqrt(squares[0] - PIXEL), math.sqrt(squares[1] - PIXEL)
     values = image[known]
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
-    clear = sum(nearest) / 2.0 > _CLEAR * chance and 1e-6 < own < math.inf
+    clear = float(near[:, 0].mean()) > _CLEAR * chance and 1e-6 < own < math.inf
     tilt *= math.sqrt(squares[0] * squares[1]) / (widths[0] * widths[1])
-    return widths, tilt, own if clear else 0.0, clear
+    flat = measure_flatness(near, _NEAR, _FAR)
+    return widths, tilt, flat, own if clear else 0.0, clear
 
 
 def _measure_tilt(over: F64, count: F64, far: float) -> float:

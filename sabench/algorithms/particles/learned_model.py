@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.algorithms.particles.all_particles import camera_misses, misfits
+from sabench.algorithms.particles.image_model import SHAPES
 from sabench.algorithms.particles.image_statistics import LEAST_TILTED
 from sabench.algorithms.particles.light_prior import learn_covariance
 from sabench.algorithms.particles.lone_particles import find_lone
-from sabench.algorithms.particles.model_moves import add_width_misses
+from sabench.algorithms.particles.model_moves import add_shape_misses
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.algorithms.particles.pixel_variance import fill_variance
 from sabench.utils.arrays import F64, I64
@@ -19,8 +20,11 @@ _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest 
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _TILT_CHANGE = 0.2  # of tilts, at first and over the box
 _TILTED = 0.2  # correlation somewhere in the box that costs particles
-_SHAPE_ERRORS = np.array([[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]] * 2 + [[_TILT_CHANGE] * 4])
-_SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE]])  # the largest of one
+_FLAT_CHANGE = 0.02  # of flatness, at first and over the box
+_SHAPE_ERRORS = np.array(
+    [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]] * 2 + [[_TILT_CHANGE] * 4, [_FLAT_CHANGE] * 4]
+)
+_SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE], [_FLAT_CHANGE]])
 _WIDTH_STEPS = 2
 
 
@@ -59,7 +63,7 @@ def learn_light(search: ParticleSearch) -> None:
 
 
 def learn_widths(search: ParticleSearch) -> None:
-    """Learn the widths and tilts of images, and how they change, from lone particles.
+    """Learn the shapes of images, and how they change, from lone particles.
 
     Half of them count, those that leave least of their images: others may be two. Few must be
     missing yet, because what they leave makes others wider.
@@ -72,31 +76,36 @@ def learn_widths(search: ParticleSearch) -> None:
     misfit = misfit[lone] / search.common_light()[lone] ** 2
     lone = lone[misfit <= np.median(misfit)]
     for _ in range(_WIDTH_STEPS):
-        matrices, right = np.zeros((cameras, 12, 12)), np.zeros((cameras, 12))
-        add_width_misses(model, search.room, particles, lone, matrices, right)
-        units = np.column_stack([search.sigma, search.sigma.prod(axis=1)])[:, :, None]
+        unknowns = 4 * SHAPES
+        matrices, right = np.zeros((cameras, unknowns, unknowns)), np.zeros((cameras, unknowns))
+        add_shape_misses(model, search.room, particles, lone, matrices, right)
+        areas = search.sigma.prod(axis=1)
+        units = np.column_stack([search.sigma, areas, np.ones(cameras)])[:, :, None]
         known = (_SHAPE_ERRORS * units) ** -2.0
-        right -= (known * (search.shapes - search.first_shapes)).reshape(cameras, 12)
-        matrices += known.reshape(cameras, 12, 1) * np.eye(12)
-        _keep_upright(search, matrices, right)
+        right -= (known * (search.shapes - search.first_shapes)).reshape(cameras, -1)
+        matrices += known.reshape(cameras, -1, 1) * np.eye(unknowns)
+        _keep_plain(search, matrices, right)
         step = np.linalg.solve(matrices, right[:, :, None]).reshape(search.shapes.shape)
         most = _SHAPE_STEPS * units
         search.shapes += np.clip(step, -most, most)
         search.subtract_all()
 
 
-def _keep_upright(search: ParticleSearch, matrices: F64, right: F64) -> None:
-    """Take the tilt out of the equations of cameras whose images have hardly any.
+def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
+    """Take tilts out of the equations of cameras whose images have hardly any.
 
-    It would only slow the fits down.
+    They would only slow the fits down. Flatness counts where the images had some at first.
     """
-    tilts = np.linalg.solve(matrices[:, 8:, 8:], right[:, 8:, None])[:, :, 0]
+    tilts = np.linalg.solve(matrices[:, 8:12, 8:12], right[:, 8:12, None])[:, :, 0]
     farthest = np.abs(tilts).sum(axis=1) / search.sigma.prod(axis=1)
     upright = (search.shapes[:, 2, 0] == 0.0) & (
         (farthest < _TILTED) | (search.sigma.min(axis=1) < LEAST_TILTED)
     )
-    for camera in np.flatnonzero(upright):
-        matrices[camera, :8, 8:], matrices[camera, 8:, :8], right[camera, 8:] = 0.0, 0.0, 0.0
+    without = np.stack([upright, search.shapes[:, 3, 0] == 0.0], axis=1)
+    for camera, term in np.argwhere(without):
+        own = slice(8 + 4 * term, 12 + 4 * term)
+        matrices[camera, own], matrices[camera, :, own], right[camera, own] = 0.0, 0.0, 0.0
+        matrices[camera, own, own] = np.eye(4)
 
 
 def align_cameras(search: ParticleSearch) -> None:

@@ -18,11 +18,13 @@ import numpy as np
 from sabench.algorithms.particles.image_model import (
     MARGIN,
     PULL,
+    SHAPES,
     UNSEEN,
     WEIGHT,
     XX,
     counting,
     fill_image,
+    is_plain,
     look,
     place,
     put_in,
@@ -42,7 +44,7 @@ from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
     project_points,
 )
-from sabench.images.gaussians import fill_growth
+from sabench.images.gaussians import fill_derivatives
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64, Bool
 
@@ -273,21 +275,21 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
 
 
 @numba.njit(cache=True)
-def add_width_misses(
+def add_shape_misses(
     model: Any, room: Any, particles: Any, rows: Any, matrices: Any, right: Any
 ) -> None:
-    """Add up what some particles say of widths and tilts, with light as it fits best.
+    """Add up what some particles say of images' shapes, with light as it fits best.
 
     The unknowns of a camera are those of `ImageModel.shapes`.
 
     Parameters
     ----------
     rows : (k,) particles.
-    matrices, right : (camera, 12, 12) and (camera, 12) normal equations.
+    matrices, right : (camera, 4 SHAPES, 4 SHAPES) and (camera, 4 SHAPES) normal equations.
     """
-    own, both, terms, slopes = np.zeros(3), np.zeros((3, 3)), np.ones(4), np.zeros(3)
+    (own, slopes), both, terms = np.zeros((2, SHAPES)), np.zeros((SHAPES, SHAPES)), np.ones(4)
     image = np.zeros((room.window, room.window), dtype=np.float32)
-    changes = np.zeros((3, room.window, room.window), dtype=np.float32)
+    changes = np.zeros((SHAPES, room.window, room.window), dtype=np.float32)
     for n in rows:
         terms[1:] = particles.position[n]
         place(model, room, particles.position[n])
@@ -302,17 +304,17 @@ def add_width_misses(
                     each = counting(weights[row + i, column + j], left[row + i, column + j])
                     share, off = image[i, j], each * left[row + i, column + j]
                     whole, pull = whole + each * share * share, pull + off * share
-                    for a in range(3):
+                    for a in range(SHAPES):
                         own[a] += each * share * changes[a, i, j]
                         slopes[a] += off * changes[a, i, j]
-                        for b in range(3):
+                        for b in range(SHAPES):
                             both[a, b] += each * changes[a, i, j] * changes[b, i, j]
             if not whole > UNSEEN:
                 continue
-            for k in range(12):
+            for k in range(4 * SHAPES):
                 a, p = k // 4, k % 4
                 right[c, k] += light * terms[p] * (slopes[a] - own[a] * pull / whole)
-                for m in range(12):
+                for m in range(4 * SHAPES):
                     b, q = m // 4, m % 4
                     matrices[c, k, m] += (
                         light * light * terms[p] * terms[q] * (both[a, b] - own[a] * own[b] / whole)
@@ -321,19 +323,22 @@ def add_width_misses(
 
 @numba.njit(cache=True)
 def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
-    """Fill in (3, row, column) an image's derivatives by both widths and the tilt.
+    """Fill in (shape, row, column) an image's derivatives by its shape.
 
-    Those by widths are an upright image's, near enough to step along.
+    They are a plain image's, near enough to step along. A Gaussian's derivative by its
+    width is the second by its centre, times the width.
     """
-    profiles, growth = room.profiles[c], np.zeros((2, room.window), dtype=np.float32)
+    own, width = room.profiles[c], room.width[c]
+    higher, first = np.zeros((2, 4, room.window)), room.corner[c] - MARGIN
     for k in range(2):
-        first = room.corner[c, k] - MARGIN
-        fill_growth(room.here[c, k], room.width[c, k], first, growth[k])
-    tilted = model.shapes[c, 2, 0] != 0.0
+        fill_derivatives(room.here[c, k], width[k], first[k], higher[k])
+    across, down, plain = width[0] * width[0], width[1] * width[1], is_plain(model.shapes, c)
     for i in range(room.window):
+        y, y2, y4 = own[OWN_Y, i], down * higher[1, 0, i], down * down * higher[1, 2, i]
         for j in range(room.window):
-            changes[0, i, j] = profiles[OWN_Y, i] * growth[0, j]
-            changes[1, i, j] = growth[1, i] * profiles[OWN_X, j]
-            changes[2, i, j] = profiles[SLOPE_Y, i] * profiles[SLOPE_X, j]
-            if tilted:
-                changes[2, i, j] += profiles[TILT_SLOPE_Y, i] * profiles[CURVE_X, j]
+            x, x2, x4 = own[OWN_X, j], across * higher[0, 0, j], across * across * higher[0, 2, j]
+            changes[0, i, j], changes[1, i, j] = x2 * y / width[0], x * y2 / width[1]
+            changes[2, i, j] = own[SLOPE_Y, i] * own[SLOPE_X, j]
+            if not plain:
+                changes[2, i, j] += own[TILT_SLOPE_Y, i] * own[CURVE_X, j]
+            changes[3, i, j] = -(x4 * y + 2.0 * x2 * y2 + x * y4)

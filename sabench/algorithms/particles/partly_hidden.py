@@ -99,7 +99,7 @@ def _without(search: ParticleSearch, blind: Cameras) -> ParticleSearch:
     part.covariance = search.covariance[np.ix_(seeing, seeing)]
     for name in (
         *("noise", "typical", "variance", "known", "covered", "saturated"),
-        *("tilt", "shapes", "first_shapes", "framed_left"),
+        *("tilt", "flat", "shapes", "first_shapes", "framed_left"),
     ):
         setattr(part, name, getattr(search, name)[seeing])
     part.framed = part.framed_left.copy()

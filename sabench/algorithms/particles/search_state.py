@@ -13,7 +13,10 @@ import numpy as np
 from sabench.algorithms.particles.all_particles import paint_particles
 from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
+from sabench.algorithms.particles.image_flatness import PIXEL
 from sabench.algorithms.particles.image_model import (
+    MOST_FLAT,
+    SHAPES,
     ImageModel,
     Particles,
     Room,
@@ -105,6 +108,7 @@ class SearchState:
         self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
         self.number, self.noise = statistics.number, statistics.noise[self.shown]
         self.typical, self.tilt = statistics.light[self.shown], statistics.tilt[self.shown]
+        self.flat = statistics.flat[self.shown]
         self.hidden: Bool | None = None
         self.reset_covariance()
         self.show(clear)
@@ -134,11 +138,23 @@ class SearchState:
     def set_width(self, sigma: F64) -> None:
         """Set the widths (camera, 2) of the particles' images, the same everywhere.
 
-        With the tilt that was measured, or the most that the model has.
+        With the tilt that was measured, or the most that the model has, and as Gaussians.
         """
         tilt = np.clip(self.tilt, -MOST_TILT, MOST_TILT)
-        self.shapes = np.zeros((len(sigma), 3, 4))
+        self.shapes = np.zeros((len(sigma), SHAPES, 4))
         self.shapes[:, :2, 0], self.shapes[:, 2, 0] = sigma, tilt * sigma.prod(axis=1)
+        self.first_shapes = self.shapes.copy()
+        self.subtract_all()
+
+    def flatten(self) -> None:
+        """Give the images of cameras where they are flat that shape, as it was measured.
+
+        Not before most particles are found: flat images tell less of what is missing.
+        """
+        for camera in np.flatnonzero(self.flat[:, 2]):
+            sigma, shape = self.flat[camera, :2], self.shapes[camera]
+            shape[2, 0] *= sigma.prod() / shape[:2, 0].prod()
+            shape[:2, 0], shape[3, 0] = sigma, min(self.flat[camera, 2], MOST_FLAT)
         self.first_shapes = self.shapes.copy()
         self.subtract_all()
 
@@ -163,12 +179,12 @@ class SearchState:
 
     def found(self) -> FoundParticles:
         """Return the particles."""
-        brightness = peak_brightness(self.light, self.sigma.mean(axis=1)).mean(axis=1)
+        brightness = self._lowered() * peak_brightness(self.light, self.sigma.mean(axis=1))
         light = np.zeros((len(self.light), len(self.shown)))
         light[:, self.shown] = self.light
         return FoundParticles(
             points_in_mm(self.maps, self.position),
-            brightness,
+            brightness.mean(axis=1),
             light=light,
             covariance_mm2=claimed_covariances(
                 self.model(), self.widest, self.particles(), self.noise
@@ -243,7 +259,12 @@ class SearchState:
         """
         widths = self.sigma if sigma is None else sigma
         erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in widths])
-        return np.asarray(self.typical * erf.prod(axis=1))
+        return np.asarray(self.typical * erf.prod(axis=1) * self._lowered())
+
+    def _lowered(self) -> F64:
+        """Estimate the peaks (camera,) of images over those of Gaussians."""
+        area = self.sigma.prod(axis=1)
+        return np.asarray(1.0 - 8.0 * self.shapes[:, 3, 0] * (area / (area + PIXEL)) ** 2)
 
     def subtract_all(self) -> None:
         """Compute anew what all particles leave of the images."""

@@ -7,6 +7,7 @@ window is that of camera c, from a row and a column on, with so many rows.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -17,11 +18,24 @@ from numba.extending import intrinsic
 
 from sabench.utils.vector_units import LANES, Vectors
 
-# Profiles of an image along columns and rows, and their first and second derivatives by the centre;
-# those that tilted images alone have are times t, t^2 / 2 and, for the slope along rows, t, with
-# the covariance t of columns and rows.
-OWN_X, SLOPE_X, CURVE_X, OWN_Y, TILT_Y, TILT_CURVE_Y, SLOPE_Y, TILT_SLOPE_Y = range(8)
-PROFILES = 8
+# Profiles of an image along columns and rows, for light 1, and their derivatives by the centre.
+# Plain images have OWN and SLOPE alone; the others are as `image_model` fills them in.
+FLAT_X, OWN_X, SLOPE_X, CURVE_X, THIRD_X, FLAT_SLOPE_X, CURVE_SLOPE_Y, SLOPE_Y = range(8)
+OWN_Y, WHOLE_Y, TILT_Y, CURVE_Y, WHOLE_SLOPE_Y, TILT_SLOPE_Y = range(8, 14)
+PROFILES = 14
+
+Pairs = Sequence[tuple[int, int]]
+
+# of profiles whose products make up an image, and its derivatives by the centre's column and row
+PLAIN, PLAIN_BY_X, PLAIN_BY_Y = ((OWN_X, OWN_Y),), ((SLOPE_X, OWN_Y),), ((OWN_X, SLOPE_Y),)
+SHAPED = ((FLAT_X, OWN_Y), (OWN_X, WHOLE_Y), (SLOPE_X, TILT_Y), (CURVE_X, CURVE_Y))
+SHAPED_BY_X = ((SLOPE_X, WHOLE_Y), (CURVE_X, TILT_Y), (THIRD_X, CURVE_Y), (FLAT_SLOPE_X, OWN_Y))
+SHAPED_BY_Y = (
+    (OWN_X, WHOLE_SLOPE_Y),
+    (SLOPE_X, TILT_SLOPE_Y),
+    (CURVE_X, CURVE_SLOPE_Y),
+    (FLAT_X, SLOPE_Y),
+)
 
 
 class _Row(NamedTuple):
@@ -30,44 +44,26 @@ class _Row(NamedTuple):
     left: Any
     weight: Any
     light: Any
-    across: Sequence[Any]
-    down: Sequence[Any]
+    profiles: dict[int, Any]
+
+    def product(self, do: Vectors, pairs: Pairs) -> Any:
+        """Return the sum of products of profiles across and down."""
+        terms = [do.times(self.profiles[one], self.profiles[other]) for one, other in pairs]
+        return functools.reduce(do.plus, terms)
 
 
-def _product(do: Vectors, across: Sequence[Any], down: Sequence[Any]) -> Any:
-    """Return the sum of products of profiles across and down."""
-    total = do.times(across[0], down[0])
-    for one, other in zip(across[1:], down[1:], strict=True):
-        total = do.plus(total, do.times(one, other))
-    return total
-
-
-def _match(do: Vectors, row: _Row) -> list[Any]:
-    """Return the terms of `match_window`, and of `match_tilted`."""
-    own = _product(do, row.across, row.down)
+def _match(do: Vectors, row: _Row, image: Pairs) -> list[Any]:
+    """Return the terms of `match_window`, and of `match_shaped`."""
+    own = row.product(do, image)
     counts = _counting(do, row.weight, do.minus(row.left, do.times(row.light, own)))
     each = do.times(counts, own)
     spared = _spared(do, row.weight, counts, row.left)
     return [do.times(each, row.left), do.times(each, own), spared]
 
 
-def _sum(do: Vectors, row: _Row) -> list[Any]:
-    """Return the terms of `sum_window`."""
-    (x, by_x), (y, by_y) = row.across, row.down
-    return _products(do, row, do.times(x, y), do.times(by_x, y), do.times(x, by_y))
-
-
-def _sum_tilted(do: Vectors, row: _Row) -> list[Any]:
-    """Return the terms of `sum_tilted`."""
-    (x, by_x, _), (y, by_y, *tilted, slope_y) = row.across, row.down
-    own = _product(do, row.across, [y, *tilted])
-    along_x = _product(do, row.across[1:], [y, tilted[0]])
-    along_y = _product(do, [x, by_x], [by_y, slope_y])
-    return _products(do, row, own, along_x, along_y)
-
-
-def _products(do: Vectors, row: _Row, own: Any, along_x: Any, along_y: Any) -> list[Any]:
-    """Return the terms of `sum_window` for an image and its derivatives."""
+def _sum(do: Vectors, row: _Row, image: Pairs, by_x: Pairs, by_y: Pairs) -> list[Any]:
+    """Return the terms of `sum_window`, and of `sum_shaped`."""
+    own, along_x, along_y = (row.product(do, pairs) for pairs in (image, by_x, by_y))
     left, counts = row.left, _counting(do, row.weight, row.left)
     share, slope_x, slope_y = (do.times(counts, one) for one in (own, along_x, along_y))
     products = (
@@ -100,13 +96,13 @@ def _sums(
     terms: Callable[[Vectors, _Row], list[Any]],
     count: int,
     arrays: tuple[Any, Any, Any],
-    across: Sequence[int],
-    down: Sequence[int],
+    pairs: set[tuple[int, int]],
 ) -> tuple[Any, Any]:
     """Return the signature and the code of sums of terms over a window.
 
-    Of the profiles, those that the terms ask for are read across and down.
+    Of the profiles, those of some pairs are read across and down.
     """
+    across, down = (sorted(set(kinds)) for kinds in zip(*pairs, strict=True))
     signature = types.UniTuple(types.float32, count)(
         *arrays, types.intp, types.intp, types.intp, types.intp, types.float32
     )
@@ -142,15 +138,18 @@ def _sums(
         with cgutils.for_range(builder, builder.sdiv(width, number(LANES))) as block:
             first = builder.mul(block.index, number(LANES))
             corners = [at(k, top, builder.add(start, first)) for k in range(2)]
-            along = [do.load(at(2, number(kind), first)) for kind in across]
-            ends = [at(2, number(kind), number(0)) for kind in down]
+            along = {kind: do.load(at(2, number(kind), first)) for kind in across}
+            ends = {kind: at(2, number(kind), number(0)) for kind in down}
             with cgutils.for_range(builder, rows) as step:
                 left, weight = (
                     do.load(after(corner, step.index, stride))
                     for corner, stride in zip(corners, strides, strict=True)
                 )
-                shares = [do.splat(builder.load(after(end, step.index, number(1)))) for end in ends]
-                row = _Row(left, weight, everywhere, along, shares)
+                shares = {
+                    kind: do.splat(builder.load(after(end, step.index, number(1))))
+                    for kind, end in ends.items()
+                }
+                row = _Row(left, weight, everywhere, along | shares)
                 for total, term in zip(totals, terms(do, row), strict=True):
                     builder.store(do.plus(builder.load(total), term), total)
         sums = [do.total(builder.load(total)) for total in totals]
@@ -159,13 +158,12 @@ def _sums(
     return signature, code
 
 
-def _kernel(
-    terms: Callable[[Vectors, _Row], list[Any]],
-    count: int,
-    across: Sequence[int],
-    down: Sequence[int],
-) -> Any:
-    """Make a kernel that sums up so many terms, of these profiles across and down."""
+def _kernel(terms: Callable[..., list[Any]], count: int, *images: Pairs) -> Any:
+    """Make a kernel that sums up so many terms of an image, or also its derivatives."""
+    pairs = {pair for image in images for pair in image}
+
+    def of_images(do: Vectors, row: _Row) -> list[Any]:
+        return terms(do, row, *images)
 
     @intrinsic
     def add_up(
@@ -179,20 +177,15 @@ def _kernel(
         rows: Any,
         light: Any,
     ) -> tuple[Any, Any]:
-        return _sums(terms, count, (left, weight, profiles), across, down)
+        return _sums(of_images, count, (left, weight, profiles), pairs)
 
     return add_up
 
 
 # Sums of weights times an image times what is left, and times the image itself. Saturated pixels
 # that have enough with this light count in the third sum.
-match_window = _kernel(_match, 3, [OWN_X], [OWN_Y])
-match_tilted = _kernel(_match, 3, [OWN_X, SLOPE_X, CURVE_X], [OWN_Y, TILT_Y, TILT_CURVE_Y])
+match_window = _kernel(_match, 3, PLAIN)
+match_shaped = _kernel(_match, 3, SHAPED)
 # What `image_model.sum_up` fills in of a camera, in its order.
-sum_window = _kernel(_sum, 8, [OWN_X, SLOPE_X], [OWN_Y, SLOPE_Y])
-sum_tilted = _kernel(
-    _sum_tilted,
-    8,
-    [OWN_X, SLOPE_X, CURVE_X],
-    [OWN_Y, SLOPE_Y, TILT_Y, TILT_CURVE_Y, TILT_SLOPE_Y],
-)
+sum_window = _kernel(_sum, 8, PLAIN, PLAIN_BY_X, PLAIN_BY_Y)
+sum_shaped = _kernel(_sum, 8, SHAPED, SHAPED_BY_X, SHAPED_BY_Y)

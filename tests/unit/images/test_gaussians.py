@@ -7,7 +7,13 @@ import pytest
 from scipy.special import erf
 
 from sabench.images.gaussian_units import whole_lanes
-from sabench.images.gaussians import fill_profile, fill_shares, gaussian_shares
+from sabench.images.gaussians import (
+    fill_bend,
+    fill_derivatives,
+    fill_profile,
+    fill_shares,
+    gaussian_shares,
+)
 from sabench.utils.arrays import F64
 from sabench.utils.vector_units import LANES
 
@@ -38,6 +44,26 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
         density = np.exp(-0.5 * edges**2) / np.sqrt(2.0 * np.pi)
         reached = np.testing.assert_allclose
         reached(slopes[:pixels] * sigma, -np.diff(density), rtol=0.0, atol=4e-8 + 2 * rounding)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.8, 2.5])
+def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
+    """Each against central differences of the one before it."""
+    center, first, pixels, step = 3.3, -2, 11, 1e-4 * sigma
+    found, before, after = np.zeros((3, 5, pixels))
+    for at, each in zip(
+        (center, center - step, center + step), (found, before, after), strict=True
+    ):
+        fill_profile(
+            at, sigma, first, pixels, np.zeros(whole_lanes(pixels)), slopes := np.zeros(16)
+        )
+        each[0] = slopes[:pixels]
+        fill_derivatives(at, sigma, first, each[1:])
+    for n in range(1, 5):
+        expected = (after[n - 1] - before[n - 1]) / (2.0 * step)
+        np.testing.assert_allclose(found[n], expected, atol=1e-3 * np.abs(expected).max())
+    fill_bend(center, sigma, first, bend := np.zeros(pixels))
+    np.testing.assert_allclose(bend, found[1], atol=1e-12)
 
 
 def test_shares_in_numpy_are_those_of_kernels() -> None:

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.polynomial import hermite_e
 
 from sabench.algorithms.particles.differentiable_images import DifferentiableImages, ImageModel
 from sabench.algorithms.particles.differentiable_projection import DifferentiableCamera
 from sabench.algorithms.particles.image_model import (
+    MOST_FLAT,
     SUMS,
     make_room,
     paint_all,
@@ -117,11 +119,12 @@ def test_a_curved_wall_is_refused() -> None:
 def shapes_of(change: float) -> F64:
     """Widths that grow along x, shrink along y and do not change along z.
 
-    If they change, images of two cameras are tilted.
+    If they change, images of two cameras are tilted, and of two are flat.
     """
     rates = change * np.array([0.1, -0.2, 0.0])
-    shapes = np.tile([[one, *(one * rates)] for one in (*SIGMA, 0.0)], (4, 1, 1))
+    shapes = np.tile([[one, *(one * rates)] for one in (*SIGMA, 0.0, 0.0)], (4, 1, 1))
     shapes[1:3, 2] = change * np.array([0.1, -0.02, 0.01, 0.03])
+    shapes[2:, 3] = change * np.array([0.04, 0.01, -0.02, 0.02])
     return shapes
 
 
@@ -148,16 +151,21 @@ def particles(rng: np.random.Generator) -> tuple[F64, F64]:
     return MIDDLE + HALF * place, 0.3 * rng.standard_normal((COUNT, 4))
 
 
-def _bends(center: F64, sigma: F64, count: int) -> list[F64]:
-    """Profiles (n, pixel), and their first and second differences by the centre."""
-    step = 1e-4
-    before, here, after = (
-        np.array(
-            [profile(np.array([at]), one, count)[0] for at, one in zip(moved, sigma, strict=True)]
-        )
-        for moved in (center - step, center, center + step)
+def _derivatives(center: F64, sigma: F64, count: int) -> list[F64]:
+    """Profiles (n, pixel), and their first, second and fourth derivatives by the centre."""
+    shares = np.array(
+        [profile(np.array([at]), one, count)[0] for at, one in zip(center, sigma, strict=True)]
     )
-    return [here, (after - before) / (2.0 * step), (after - 2.0 * here + before) / step**2]
+    z = (np.arange(count + 1) - 0.5 - center[:, None]) / sigma[:, None]
+    edges = [hermite_e.HermiteE.basis(n)(z) * np.exp(-0.5 * z**2) for n in (0, 1, 3)]
+    scale = -1.0 / np.sqrt(2.0 * np.pi)
+    return [
+        shares,
+        *(
+            scale * np.diff(edge, axis=1) / sigma[:, None] ** n
+            for edge, n in zip(edges, (1, 2, 4), strict=True)
+        ),
+    ]
 
 
 def painted(position: F64, logs: F64, change: float) -> F64:
@@ -165,12 +173,19 @@ def painted(position: F64, logs: F64, change: float) -> F64:
     terms = np.column_stack([np.ones(COUNT), (position - MIDDLE) / HALF])
     images = []
     for camera, shift, shapes, log in zip(CAMERAS, SHIFTS, shapes_of(change), logs.T, strict=True):
-        pixels, (*sigma, tilt) = camera.project(position)[0] + shift, shapes @ terms.T
-        x, y = (_bends(pixels[:, k], sigma[k], count) for k, count in ((0, COLUMNS), (1, ROWS)))
+        pixels = camera.project(position)[0] + shift
+        *sigma, tilt, flat = shapes @ terms.T
+        x, y = (
+            _derivatives(pixels[:, k], sigma[k], count) for k, count in ((0, COLUMNS), (1, ROWS))
+        )
+        flat = np.clip(flat, 0.0, MOST_FLAT)
+        across, down = sigma[0] ** 2, sigma[1] ** 2
+        factors = {(0, 0): np.ones(COUNT), (1, 1): tilt, (3, 0): -flat * across**2}
+        factors |= {(2, 2): 0.5 * tilt**2 - 2.0 * flat * across * down, (0, 3): -flat * down**2}
         images.append(np.zeros((ROWS, COLUMNS)))
-        for factor, across, down in zip((np.ones(COUNT), tilt, 0.5 * tilt**2), x, y, strict=True):
+        for (i, j), factor in factors.items():
             light = factor * TYPICAL * np.exp(log)
-            images[-1] += np.einsum("n,nr,nc->rc", light, down, across)
+            images[-1] += np.einsum("n,nr,nc->rc", light, y[j], x[i])
     return np.array(images)
 
 
@@ -189,7 +204,8 @@ def prepared(change: float) -> tuple[DifferentiableImages, F64, F64, F64]:
 def test_images_and_cost_are_those_of_the_formula(change: float) -> None:
     renderer, position, logs, images = prepared(change)
     exact = painted(position, logs, change)
-    np.testing.assert_allclose(renderer.render(position, logs), exact, rtol=0.0, atol=2e-3)
+    cut = 5e-3 if change else 2e-3  # at the windows' edges: flat images reach farther
+    np.testing.assert_allclose(renderer.render(position, logs), exact, rtol=0.0, atol=cut)
     model = make_model(images, change)
     squares = np.sum(model.weight * (model.images - exact) ** 2)
     prior = np.einsum("ni,ij,nj->", logs, model.precision, logs)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
+from scipy.signal import fftconvolve
 
 from sabench.algorithms.particles.image_model import MARGIN, make_room
 from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
@@ -68,6 +70,45 @@ def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: fl
     assert found.tilt[0] == pytest.approx(expected, abs=0.1 * abs(expected))
     np.testing.assert_allclose(found.sigma[0], widths, rtol=0.06)
     assert found.light[0] == pytest.approx(100.0, rel=0.1)
+
+
+def discs(radius: float, per_pixel: float, fine: int = 5) -> F64:
+    """An image of particles out of focus: discs of a radius in px, blurred, with noise.
+
+    They are drawn with so many points to a pixel's edge.
+    """
+    rng, size = np.random.default_rng(9), (ROWS * fine, COLUMNS * fine)
+    points = np.zeros(size)
+    count = int(per_pixel * ROWS * COLUMNS)
+    np.add.at(points, (rng.integers(size[0], size=count), rng.integers(size[1], size=count)), 1e3)
+    across = np.arange(-30, 31) / fine
+    disc = (np.hypot(across, across[:, None]) <= radius).astype(float)
+    sharp = gaussian_filter(points, 0.7 * fine, mode="constant")
+    shown = fftconvolve(sharp, disc / disc.sum(), mode="same")
+    shown = shown.reshape(ROWS, fine, COLUMNS, fine).sum(axis=(1, 3))
+    return np.asarray(shown + 2.0 * rng.standard_normal(shown.shape))
+
+
+@pytest.mark.parametrize("per_pixel", [0.005, 0.05])
+@pytest.mark.parametrize(
+    ("radius", "width", "flatness", "scatter"),
+    [(2.5, 1.38, 0.047, 0.018), (3.0, 1.56, 0.064, 0.01)],
+)
+def test_discs_are_measured_as_flat(
+    per_pixel: float, radius: float, width: float, flatness: float, scatter: float
+) -> None:
+    """Of flatter discs, the flatness shows better."""
+    images = discs(radius, per_pixel)[None]
+    sigma_x, sigma_y, flat = measure_images(images, np.ones(images.shape, dtype=bool)).flat[0]
+    assert [sigma_x, sigma_y] == pytest.approx([width, width], rel=0.06)
+    assert flat == pytest.approx(flatness, abs=scatter)
+
+
+@pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
+@pytest.mark.parametrize("sigma", [(0.5, 0.6), (1.0, 1.0), (1.6, 1.2)])
+def test_gaussians_are_not_flat(per_pixel: float, sigma: tuple[float, float]) -> None:
+    images = image(per_pixel, sigma, 3)[None]
+    assert not measure_images(images, np.ones(images.shape, dtype=bool)).flat.any()
 
 
 def test_windows_of_long_streaks_fit_in_the_margins() -> None:

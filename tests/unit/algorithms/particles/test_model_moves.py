@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.image_model import Particles, paint_all, without_margins
+from sabench.algorithms.particles.image_model import (
+    SHAPES,
+    Particles,
+    paint_all,
+    without_margins,
+)
 from sabench.algorithms.particles.model_moves import (
     add_camera_misses,
-    add_width_misses,
+    add_shape_misses,
     count_meetings,
     find_neighbours,
     measure_misfit,
@@ -166,15 +171,16 @@ def test_meetings_with_chosen_particles_are_counted(maps: VolumePolynomials) -> 
         assert counts[0] == expected
 
 
-@pytest.mark.parametrize("tilted", [False, True])
-def test_shapes_that_change_over_the_box_are_learned(maps: VolumePolynomials, tilted: bool) -> None:
-    """Of two cameras, one has other widths, and one may have tilted images."""
+@pytest.mark.parametrize("shaped", [False, True])
+def test_shapes_that_change_over_the_box_are_learned(maps: VolumePolynomials, shaped: bool) -> None:
+    """Of two cameras, one has other widths, and one may have tilted or flat images."""
     points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
     model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
     expected = model.shapes.copy()
     expected[2, :2] += 0.02 * np.array([[1.0, -1.0, 0.5, 2.0], [-1.0, 1.5, 1.0, 0.5]])
-    if tilted:
+    if shaped:
         expected[1, 2] = 0.02 * np.array([5.0, -2.0, 1.0, 2.0])
+        expected[3, 3] = 0.02 * np.array([2.0, 0.5, -0.5, 0.2])
     model.shapes[:] = expected
     paint_all(model, room, particles_of(points, light), -1.0)
     images = -without_margins(model.left).astype(np.float64)
@@ -182,9 +188,11 @@ def test_shapes_that_change_over_the_box_are_learned(maps: VolumePolynomials, ti
     particles.light[:, 2] *= 0.95  # as if its images were narrower
     paint_all(model, room, particles, -1.0)
     for _ in range(4):
-        matrices, right = np.zeros((4, 12, 12)), np.zeros((4, 12))
-        add_width_misses(model, room, particles, np.arange(30), matrices, right)
-        model.shapes[:] += np.linalg.solve(matrices, right[:, :, None]).reshape(4, 3, 4)
+        matrices, right = np.zeros((4, 16, 16)), np.zeros((4, 16))
+        add_shape_misses(model, room, particles, np.arange(30), matrices, right)
+        matrices[:3, 12:], matrices[:3, :, 12:], right[:3, 12:] = 0.0, 0.0, 0.0
+        matrices[:3, 12:, 12:] = np.eye(4)  # these are known not to be flat
+        model.shapes[:] += np.linalg.solve(matrices, right[:, :, None]).reshape(4, SHAPES, 4)
         model.left[:] = model.images
         paint_all(model, room, particles, -1.0)
         refine_all(model, room, particles, 2)
@@ -203,8 +211,8 @@ def test_a_particle_of_which_a_camera_knows_a_far_tail_alone_says_nothing_of_wid
     without_margins(model.weight[2])[row - 2, column - 2] = 1.0
     for width in np.linspace(0.15, 0.3, 31):
         model.shapes[:, :2, 0] = width
-        matrices, right = np.zeros((4, 12, 12)), np.zeros((4, 12))
-        add_width_misses(model, room, particles, np.zeros(1, dtype=np.int64), matrices, right)
+        matrices, right = np.zeros((4, 16, 16)), np.zeros((4, 16))
+        add_shape_misses(model, room, particles, np.zeros(1, dtype=np.int64), matrices, right)
         assert np.abs(matrices[2]).max() < 1e-6
 
 

@@ -10,30 +10,23 @@ import pytest
 
 from sabench.algorithms.particles.image_model import GIVEN, PULL, WEIGHT, XX, XY, YY, X, Y
 from sabench.algorithms.particles.window_sums import (
-    CURVE_X,
-    OWN_X,
-    OWN_Y,
+    PLAIN,
+    PLAIN_BY_X,
+    PLAIN_BY_Y,
     PROFILES,
-    SLOPE_X,
-    SLOPE_Y,
-    TILT_CURVE_Y,
-    TILT_SLOPE_Y,
-    TILT_Y,
-    match_tilted,
+    SHAPED,
+    SHAPED_BY_X,
+    SHAPED_BY_Y,
+    Pairs,
+    match_shaped,
     match_window,
-    sum_tilted,
+    sum_shaped,
     sum_window,
 )
 from sabench.utils.vector_units import LANES
 
 CAMERA, TOP, START, LIGHT = 1, 5, 9, np.float32(3.0)
-# pairs of profiles across and down whose products are the image, and its derivatives by both
-UPRIGHT = [(OWN_X, OWN_Y)], [(SLOPE_X, OWN_Y)], [(OWN_X, SLOPE_Y)]
-TILTED = (
-    [*UPRIGHT[0], (SLOPE_X, TILT_Y), (CURVE_X, TILT_CURVE_Y)],
-    [*UPRIGHT[1], (CURVE_X, TILT_Y)],
-    [*UPRIGHT[2], (SLOPE_X, TILT_SLOPE_Y)],
-)
+ALL_PLAIN, ALL_SHAPED = (PLAIN, PLAIN_BY_X, PLAIN_BY_Y), (SHAPED, SHAPED_BY_X, SHAPED_BY_Y)
 
 
 @numba.njit
@@ -42,8 +35,8 @@ def _match(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
 
 
 @numba.njit
-def _match_tilted(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return match_tilted(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+def _match_shaped(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
+    return match_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
 
 
 @numba.njit
@@ -52,8 +45,8 @@ def _sum(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
 
 
 @numba.njit
-def _sum_tilted(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return sum_tilted(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+def _sum_shaped(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
+    return sum_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
 
 
 @pytest.fixture(params=[5, 7, 11])
@@ -73,7 +66,7 @@ def _pixels(window: tuple[Any, Any, Any, int]) -> tuple[Any, Any]:
     return left[part].astype(float), weight[part].astype(float)
 
 
-def _image(window: tuple[Any, Any, Any, int], pairs: list[tuple[int, int]]) -> Any:
+def _image(window: tuple[Any, Any, Any, int], pairs: Pairs) -> Any:
     *_, profiles, size = window
     own = profiles[CAMERA].astype(float)
     return np.sum([np.outer(own[down, :size], own[across]) for across, down in pairs], axis=0)
@@ -83,7 +76,7 @@ def _spared(weight: Any, counts: Any, light: Any) -> float:
     return float(np.sum(0.5 * (np.abs(weight) - counts) * np.maximum(light, 0.0) ** 2))
 
 
-@pytest.mark.parametrize(("match", "pairs"), [(_match, UPRIGHT), (_match_tilted, TILTED)])
+@pytest.mark.parametrize(("match", "pairs"), [(_match, ALL_PLAIN), (_match_shaped, ALL_SHAPED)])
 def test_a_window_is_matched_as_in_numpy(
     window: tuple[Any, Any, Any, int], match: Any, pairs: Any
 ) -> None:
@@ -95,7 +88,7 @@ def test_a_window_is_matched_as_in_numpy(
     np.testing.assert_allclose(match(*window), expected, rtol=2e-5, atol=2e-4)
 
 
-@pytest.mark.parametrize(("add", "pairs"), [(_sum, UPRIGHT), (_sum_tilted, TILTED)])
+@pytest.mark.parametrize(("add", "pairs"), [(_sum, ALL_PLAIN), (_sum_shaped, ALL_SHAPED)])
 def test_a_window_is_summed_up_as_in_numpy(
     window: tuple[Any, Any, Any, int], add: Any, pairs: Any
 ) -> None:

@@ -1,0 +1,141 @@
+"""Images that are not plain Gaussians, next to integrals of their formulas over pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from sabench.algorithms.particles.image_model import (
+    MARGIN,
+    MOST_FLAT,
+    ImageModel,
+    Room,
+    fill_image,
+    fill_slopes,
+    paint_here,
+    place,
+)
+from sabench.geometry.volume_polynomials import VolumePolynomials
+from sabench.utils.arrays import F64
+from tests.helpers.image_model import SIGMA, model_of, room_of
+from tests.unit.algorithms.particles.test_triangulation import COLUMNS, ROWS, maps
+
+__all__ = ["maps"]
+
+CAMERA, PLACE, FINE = 1, np.array([0.3, -0.2, 0.4]), 20
+# of the covariance, px2, and flatness over the box
+CHANGE = np.array([[0.0, 0.02, -0.03, 0.01], [0.0, 0.005, 0.002, -0.01]])
+
+
+def shaped(
+    maps: VolumePolynomials, correlation: float, flatness: float = 0.0
+) -> tuple[ImageModel, Room]:
+    """Make a model of dark images, with one camera whose images are shaped so where `PLACE` is."""
+    model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
+    shape = model.shapes[CAMERA, 2:]
+    for k, there in enumerate((correlation * SIGMA[0] * SIGMA[1], flatness)):
+        if there:
+            shape[k] = CHANGE[k]
+            shape[k, 0] = there - CHANGE[k, 1:] @ PLACE
+    return model, room
+
+
+def image_of(model: ImageModel, room: Room, position: F64) -> F64:
+    """Fill in the image (row, column) of a particle in the shaped camera."""
+    place(model, room, position)
+    fill_image(model, room, CAMERA, image := np.zeros((room.window, room.window)))
+    return image
+
+
+def points_in_pixels(room: Room) -> F64:
+    """Places (row, column, 2) as (column, row) within pixels of the window, px."""
+    fine = (np.arange(FINE) + 0.5) / FINE - 0.5
+    column, row = (
+        (room.corner[CAMERA, k] - MARGIN + np.arange(room.window)[:, None] + fine).ravel()
+        for k in range(2)
+    )
+    return np.stack(np.meshgrid(column, row), axis=-1)
+
+
+def over_pixels(shown: F64, room: Room) -> F64:
+    return np.asarray(shown.reshape(room.window, FINE, room.window, FINE).mean(axis=(1, 3)))
+
+
+@pytest.mark.parametrize(("correlation", "share"), [(0.1, 0.001), (0.3, 0.01), (-0.3, 0.01)])
+def test_an_image_is_the_integral_of_a_tilted_gaussian(
+    maps: VolumePolynomials, correlation: float, share: float
+) -> None:
+    """To a share of the peak; without the tilt, it would be off by far more."""
+    model, room = shaped(maps, correlation)
+    found = image_of(model, room, PLACE)
+    covariance = correlation * SIGMA[0] * SIGMA[1]
+    gaussian = multivariate_normal(
+        room.here[CAMERA], [[SIGMA[0] ** 2, covariance], [covariance, SIGMA[1] ** 2]]
+    )
+    expected = over_pixels(gaussian.pdf(points_in_pixels(room)), room)
+    np.testing.assert_allclose(found, expected, atol=share * expected.max())
+    upright = image_of(*shaped(maps, 0.0), PLACE)
+    assert np.abs(upright - expected).max() > 5.0 * share * expected.max()
+
+
+@pytest.mark.parametrize("flatness", [0.01, 0.05])
+def test_a_flat_image_is_a_gaussian_times_a_polynomial(
+    maps: VolumePolynomials, flatness: float
+) -> None:
+    model, room = shaped(maps, 0.0, flatness)
+    found = image_of(model, room, PLACE)
+    u = (((points_in_pixels(room) - room.here[CAMERA]) / SIGMA) ** 2).sum(axis=2)
+    shown = np.exp(-0.5 * u) * (1.0 - flatness * (u**2 - 8.0 * u + 8.0))
+    expected = over_pixels(shown, room) / (2.0 * np.pi * SIGMA[0] * SIGMA[1])
+    np.testing.assert_allclose(found, expected, atol=2e-3 * expected.max())
+    plain = image_of(*shaped(maps, 0.0), PLACE)
+    assert found.max() < (1.0 - 3.0 * flatness) * plain.max()
+
+
+@pytest.mark.parametrize(("flatness", "as_if"), [(-0.01, 0.0), (0.1, MOST_FLAT)])
+def test_images_are_neither_peaked_nor_flatter_than_the_series_has_them(
+    maps: VolumePolynomials, flatness: float, as_if: float
+) -> None:
+    model, room = shaped(maps, 0.0)
+    model.shapes[CAMERA, 3, 0] = flatness
+    one = image_of(model, room, PLACE)
+    model.shapes[CAMERA, 3, 0] = as_if
+    other = image_of(model, room, PLACE)
+    np.testing.assert_allclose(one, other, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("correlation", "flatness"), [(0.1, 0.0), (0.3, 0.0), (0.0, 0.05), (-0.2, 0.05)]
+)
+def test_slopes_are_the_images(
+    maps: VolumePolynomials, correlation: float, flatness: float
+) -> None:
+    """Against differences of images of particles that are moved in the box.
+
+    Steps of fits need no more: the shape's own change is left out.
+    """
+    model, room = shaped(maps, correlation, flatness)
+    step = 1e-3
+    place(model, room, PLACE)
+    by_x, by_y = np.zeros((2, room.window, room.window))
+    fill_slopes(model, room, CAMERA, by_x, by_y)
+    for axis in range(3):
+        along = room.slope[CAMERA, :, axis].copy()
+        moved = [image_of(model, room, PLACE + sign * step * np.eye(3)[axis]) for sign in (-1, 1)]
+        place(model, room, PLACE)
+        expected = (moved[1] - moved[0]) / (2.0 * step)
+        found = along[0] * by_x + along[1] * by_y
+        assert np.abs(found - expected).max() < 0.005 * np.abs(expected).max()
+
+
+def test_what_is_painted_is_the_image(maps: VolumePolynomials) -> None:
+    model, room = shaped(maps, 0.3, 0.04)
+    light = np.array([10.0, 20.0, 30.0, 40.0])
+    place(model, room, PLACE)
+    paint_here(model, room, light, 1.0)
+    expected = light[CAMERA] * image_of(model, room, PLACE)
+    column, row = room.corner[CAMERA]
+    shown = model.left[CAMERA, row : row + room.window, column : column + room.window]
+    np.testing.assert_allclose(shown, expected, rtol=1e-5, atol=1e-5)
+    assert model.left[CAMERA].sum() == pytest.approx(expected.sum(), rel=1e-5)
