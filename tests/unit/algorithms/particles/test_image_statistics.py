@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
+from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.image_model import MARGIN, make_room
 from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
@@ -13,6 +14,7 @@ from sabench.utils.arrays import F64
 from tests.helpers.image_model import profile
 
 ROWS, COLUMNS = 400, 500
+FINE = 5  # points to a pixel's edge
 
 
 def image(
@@ -48,45 +50,41 @@ def test_widths_light_and_number_hold_at_any_density(
     assert found.number == pytest.approx(per_pixel * ROWS * COLUMNS, rel=0.08)
 
 
+def drawn(kernel: F64, per_pixel: float, light: float) -> F64:
+    """An image of particles that look like a kernel of `FINE` points to a pixel, with noise."""
+    rng, size = np.random.default_rng(9), (ROWS * FINE, COLUMNS * FINE)
+    points = np.zeros(size)
+    count = int(per_pixel * ROWS * COLUMNS)
+    places = tuple(rng.integers(edge, size=count) for edge in size)
+    np.add.at(points, places, light)
+    shown = fftconvolve(points, kernel / kernel.sum(), mode="same")
+    shown = shown.reshape(ROWS, FINE, COLUMNS, FINE).sum(axis=(1, 3))
+    return np.asarray(shown + 2.0 * rng.standard_normal(shown.shape))
+
+
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 @pytest.mark.parametrize("slope", [0.0, 1.0, -0.5])
 def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: float) -> None:
     """A tilted Gaussian is a round one, smoothed along a line."""
-    rng = np.random.default_rng(10)
-    count = int(per_pixel * ROWS * COLUMNS)
-    center = rng.uniform(0.0, (COLUMNS, ROWS), (count, 2))
-    shown = 2.0 * rng.standard_normal((ROWS, COLUMNS))
-    steps = np.linspace(-1.8, 1.8, 13)
-    weights = np.exp(-0.5 * (steps / 0.6) ** 2)
-    weights /= weights.sum()
-    for step, weight in zip(steps, weights, strict=True):
-        x = profile(center[:, 0] + step, 0.7, COLUMNS)
-        y = profile(center[:, 1] + slope * step, 0.7, ROWS)
-        shown += 100.0 * weight * y.T @ x
-    along = float(weights @ steps**2)
-    widths = np.sqrt(0.7**2 + along * np.array([1.0, slope**2]))
-    found = measure_images(shown[None], np.ones((1, ROWS, COLUMNS), dtype=bool))
-    expected = slope * along / widths.prod()
+    covariance = 0.7**2 * np.eye(2) + 0.6**2 * np.outer([1.0, slope], [1.0, slope])
+    across = np.arange(-30, 31) / FINE
+    points = np.stack(np.meshgrid(across, across), axis=-1)
+    kernel = multivariate_normal(np.zeros(2), covariance).pdf(points)
+    found = measure_images(
+        drawn(kernel, per_pixel, 100.0)[None], np.ones((1, ROWS, COLUMNS), dtype=bool)
+    )
+    widths = np.sqrt(np.diag(covariance))
+    expected = covariance[0, 1] / widths.prod()
     assert found.tilt[0] == pytest.approx(expected, abs=0.1 * abs(expected))
     np.testing.assert_allclose(found.sigma[0], widths, rtol=0.06)
     assert found.light[0] == pytest.approx(100.0, rel=0.1)
 
 
-def discs(radius: float, per_pixel: float, fine: int = 5) -> F64:
-    """An image of particles out of focus: discs of a radius in px, blurred, with noise.
-
-    They are drawn with so many points to a pixel's edge.
-    """
-    rng, size = np.random.default_rng(9), (ROWS * fine, COLUMNS * fine)
-    points = np.zeros(size)
-    count = int(per_pixel * ROWS * COLUMNS)
-    np.add.at(points, (rng.integers(size[0], size=count), rng.integers(size[1], size=count)), 1e3)
-    across = np.arange(-30, 31) / fine
-    disc = (np.hypot(across, across[:, None]) <= radius).astype(float)
-    sharp = gaussian_filter(points, 0.7 * fine, mode="constant")
-    shown = fftconvolve(sharp, disc / disc.sum(), mode="same")
-    shown = shown.reshape(ROWS, fine, COLUMNS, fine).sum(axis=(1, 3))
-    return np.asarray(shown + 2.0 * rng.standard_normal(shown.shape))
+def disc(radius: float) -> F64:
+    """A kernel of a particle out of focus: a disc of a radius in px, blurred."""
+    across = np.arange(-35, 36) / FINE
+    shown = (np.hypot(across, across[:, None]) <= radius).astype(float)
+    return np.asarray(gaussian_filter(shown, 0.7 * FINE, mode="constant"))
 
 
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05])
@@ -98,7 +96,7 @@ def test_discs_are_measured_as_flat(
     per_pixel: float, radius: float, width: float, flatness: float, scatter: float
 ) -> None:
     """Of flatter discs, the flatness shows better."""
-    images = discs(radius, per_pixel)[None]
+    images = drawn(disc(radius), per_pixel, 1000.0)[None]
     sigma_x, sigma_y, flat = measure_images(images, np.ones(images.shape, dtype=bool)).flat[0]
     assert [sigma_x, sigma_y] == pytest.approx([width, width], rel=0.06)
     assert flat == pytest.approx(flatness, abs=scatter)
