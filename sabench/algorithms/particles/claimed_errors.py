@@ -6,7 +6,12 @@ import numpy as np
 
 from sabench.algorithms.particles.all_particles import leverage
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.image_model import ImageModel, Particles, without_margins
+from sabench.algorithms.particles.image_model import (
+    MOST_FLAT,
+    ImageModel,
+    Particles,
+    without_margins,
+)
 from sabench.algorithms.particles.pixel_variance import fill_noise
 from sabench.geometry.volume_polynomials import project_with_slopes
 from sabench.images.position_bounds import ParticleSpots, position_bounds
@@ -14,6 +19,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.threads import for_each
 
 _LEAST_ERROR_PX = 0.002  # of positions, beside what the images tell
+_NARROWEST_PX = 0.1  # axis of an image
 
 
 def claimed_covariances(model: ImageModel, sigma: F64, particles: Particles, noise: F64) -> F64:
@@ -44,13 +50,21 @@ def claimed_covariances(model: ImageModel, sigma: F64, particles: Particles, noi
 
 
 def _spots(model: ImageModel, particles: Particles, camera: int, variance: F64) -> ParticleSpots:
-    """Make the images of the particles in a camera, with the variance of its pixels."""
+    """Make the images of the particles in a camera, with the variance of its pixels.
+
+    They are round ones of the same area, whose centres move so much more or less with the position
+    that each particle alone is known as well as from its own image.
+    """
     pixel, slope = project_with_slopes(model.maps, camera, particles.position)
     terms = np.concatenate([np.ones((len(pixel), 1)), particles.position], axis=1)
-    return ParticleSpots(
-        pixel,
-        slope / model.maps.half_mm,
-        particles.light[:, camera],
-        (terms @ model.shapes[camera, :2].T).mean(axis=1),
-        variance,
-    )
+    across, down, tilt, flatness = model.shapes[camera] @ terms.T
+    spread = np.array([[across**2, tilt], [tilt, down**2]]).transpose(2, 0, 1)
+    squares, axes = np.linalg.eigh(spread)
+    squares = np.maximum(squares, _NARROWEST_PX**2)
+    width = squares.prod(axis=1) ** 0.25
+    flatness = np.clip(flatness, 0.0, MOST_FLAT)
+    known = np.sqrt(1.0 - 12.0 * flatness + 120.0 * flatness**2)[:, None] * width[:, None]
+    scaled = axes * (known / np.sqrt(squares))[:, None]
+    slope = scaled @ axes.transpose(0, 2, 1) @ slope
+    light = particles.light[:, camera]
+    return ParticleSpots(pixel, slope / model.maps.half_mm, light, width, variance)
