@@ -54,7 +54,7 @@ UNSEEN = 1e-12  # weight of an image that a camera does not see
 WEIGHT, PULL, XX, XY, YY, X, Y, GIVEN = range(8)  # of `sum_up`
 SUMS = 8
 SHAPES = 4  # of `ImageModel.shapes`: two widths, covariance, and flatness
-MOST_FLAT = 0.07  # disc of four and a half widths' diameter; of flatter ones, edges are negative
+MOST_FLAT = 0.07  # a disc of four widths' diameter; edges of flatter ones would be negative
 _ANY_ORDER = {"reassoc", "contract", "nsz"}  # of sums
 _NONE = np.float32(0.0)
 
@@ -225,10 +225,10 @@ def _shape_profiles(
 
     A Gaussian of covariance t of columns and rows is the sum over n of t^n / n! times the product
     of both profiles' derivatives of order n (F. G. Mehler, J. reine angew. Math. 66, 161-176,
-    1866), here up to two: within 1 % of the peak for a correlation of 0.3. Images with a flat top,
-    and those with a halo, differ from Gaussians by the fourth derivatives first (F. Y. Edgeworth,
-    Trans. Camb. Phil. Soc. 20, 36-65 and 113-141, 1905): by the square of the Laplace operator in
-    units of widths, times minus the flatness.
+    1866), here up to two: within 1 % of the peak for a correlation of 0.3. Images with a flat top
+    differ from Gaussians by the fourth derivatives first (F. Y. Edgeworth, Trans. Camb. Phil. Soc.
+    20, 36-65 and 113-141, 1905): by the square of the Laplace operator in units of widths, times
+    minus the flatness.
     """
     tilt, flat = shape[2, 0], shape[3, 0]
     for p in range(3):

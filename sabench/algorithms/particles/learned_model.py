@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.algorithms.particles.all_particles import camera_misses, misfits
-from sabench.algorithms.particles.image_model import SHAPES
+from sabench.algorithms.particles.image_model import MOST_FLAT, SHAPES
 from sabench.algorithms.particles.image_statistics import LEAST_TILTED
 from sabench.algorithms.particles.light_prior import learn_covariance
 from sabench.algorithms.particles.lone_particles import find_lone
@@ -88,6 +88,7 @@ def learn_widths(search: ParticleSearch) -> None:
         step = np.linalg.solve(matrices, right[:, :, None]).reshape(search.shapes.shape)
         most = _SHAPE_STEPS * units
         search.shapes += np.clip(step, -most, most)
+        np.clip(search.shapes[:, 3, 0], 0.0, MOST_FLAT, out=search.shapes[:, 3, 0])
         search.subtract_all()
 
 
