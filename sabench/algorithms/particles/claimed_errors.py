@@ -63,8 +63,9 @@ def _spots(model: ImageModel, particles: Particles, camera: int, variance: F64) 
     squares = np.maximum(squares, _NARROWEST_PX**2)
     width = squares.prod(axis=1) ** 0.25
     flatness = np.clip(flatness, 0.0, MOST_FLAT)
-    known = np.sqrt(1.0 - 12.0 * flatness + 120.0 * flatness**2)[:, None] * width[:, None]
-    scaled = axes * (known / np.sqrt(squares))[:, None]
+    # integral of the squared slopes of a flat image over that of a Gaussian, by their spectra
+    steep = 1.0 - 12.0 * flatness + 120.0 * flatness**2
+    scaled = axes * (width * np.sqrt(steep) / np.sqrt(squares).T).T[:, None]
     slope = scaled @ axes.transpose(0, 2, 1) @ slope
     light = particles.light[:, camera]
     return ParticleSpots(pixel, slope / model.maps.half_mm, light, width, variance)

@@ -27,7 +27,7 @@ from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.backend import drjit
 
-_REACH = 3.1  # of a particle's image in widths
+_REACH, _FLAT_REACH = 3.1, 4.2  # of a particle's image in widths, and of a flat one
 _MARGIN_PX = 0.9  # that a particle may move before windows are laid out again
 _SLOTS = 4  # of window pixels for a pixel: multiples of it, as each number has its own kernel
 
@@ -67,7 +67,8 @@ class DifferentiableImages:
     def __init__(self, model: ImageModel) -> None:
         """Prepare the cameras; `lay_out` comes next."""
         self._dr, _ = drjit()
-        self._half = math.ceil(_REACH * float(model.shapes[:, :2, 0].max()) + _MARGIN_PX)
+        reach = _FLAT_REACH if model.shapes[:, 3, 0].any() else _REACH
+        self._half = math.ceil(reach * float(model.shapes[:, :2, 0].max()) + _MARGIN_PX)
         self._model, self._precision = model, constants(model.precision)
         cameras = range(len(model.cameras))
         self._views = [_View(model, camera, 2 * self._half + 1) for camera in cameras]
@@ -269,7 +270,9 @@ class _View:
         across, down, *shape = (_weighted(terms, [*place, 1.0]) for terms in self._shapes)
         light = self._typical * self._dr.exp(log)
         spread = [*self.camera.project(*place), across, down, light]
-        each = self._dr.custom(_repeat(), spread + shape * (not self._plain), self._window**2)
+        if not self._plain:
+            spread += shape
+        each = self._dr.custom(_repeat(), spread, self._window**2)
         column, row, across, down, light, *shape = each
         x, y = (self._column - column, across), (self._row - row, down)
         own = self._shares(*x) * self._shares(*y)

@@ -36,6 +36,7 @@ def measure_flatness(products: F64, near: Iterable[int], far: Iterable[int]) -> 
     shown = apart[0] - apart[1].mean(axis=2, keepdims=True)
     # of each flatness (first), axis and width
     height = products @ shown.transpose(0, 2, 1) / (shown**2).sum(axis=2)[:, None]
+    height = np.maximum(height, 0.0)
     left = products[:, None] - height[..., None] * shown[:, None]
     squares = (left**2).sum(axis=3)
     which = int(squares.min(axis=2).sum(axis=1).argmin())

@@ -141,9 +141,13 @@ class SearchState:
         With the tilt that was measured, or the most that the model has, and as Gaussians.
         """
         tilt = np.clip(self.tilt, -MOST_TILT, MOST_TILT)
-        self.shapes = np.zeros((len(sigma), SHAPES, 4))
-        self.shapes[:, :2, 0], self.shapes[:, 2, 0] = sigma, tilt * sigma.prod(axis=1)
-        self.first_shapes = self.shapes.copy()
+        shapes = np.zeros((len(sigma), SHAPES, 4))
+        shapes[:, :2, 0], shapes[:, 2, 0] = sigma, tilt * sigma.prod(axis=1)
+        self.set_shapes(shapes)
+
+    def set_shapes(self, shapes: F64) -> None:
+        """Set the shapes of images, before more is learned of them."""
+        self.shapes, self.first_shapes = shapes, shapes.copy()
         self.subtract_all()
 
     def flatten(self) -> None:
@@ -151,12 +155,12 @@ class SearchState:
 
         Not before most particles are found: flat images tell less of what is missing.
         """
+        shapes = self.shapes.copy()
         for camera in np.flatnonzero(self.flat[:, 2]):
-            sigma, shape = self.flat[camera, :2], self.shapes[camera]
+            sigma, shape = self.flat[camera, :2], shapes[camera]
             shape[2, 0] *= sigma.prod() / shape[:2, 0].prod()
             shape[:2, 0], shape[3, 0] = sigma, min(self.flat[camera, 2], MOST_FLAT)
-        self.first_shapes = self.shapes.copy()
-        self.subtract_all()
+        self.set_shapes(shapes)
 
     @property
     def sigma(self) -> F64:
@@ -231,6 +235,15 @@ class SearchState:
     def particles(self) -> Particles:
         """Make the kernels' view of the particles, all alive."""
         return Particles(self.position, self.light, np.ones(len(self.position), dtype=np.bool_))
+
+    def squares_left(self) -> F64:
+        """Sum up the squares (camera,) of what is left of the images, over the variance."""
+        return np.array(
+            [
+                float((self.miss(camera)[known] ** 2 / self.variance[camera][known]).sum())
+                for camera, known in enumerate(self.known)
+            ]
+        )
 
     def unexplained(self) -> float:
         """Compute the share of the light that is left; the median over the cameras."""

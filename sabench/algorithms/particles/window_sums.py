@@ -92,6 +92,26 @@ def _spared(do: Vectors, weight: Any, counts: Any, light: Any) -> Any:
     return do.times(unasked, do.times(shown, shown))
 
 
+class _Places:
+    """Places of elements of arrays, all cameras', for one camera."""
+
+    def __init__(
+        self, context: Any, builder: Any, kinds: Sequence[Any], values: Sequence[Any], camera: Any
+    ) -> None:
+        """Keep what makes pointers."""
+        self._context, self._builder, self._kinds = context, builder, kinds
+        self._camera = camera
+        self.structs = [
+            context.make_array(kind)(context, builder, value)
+            for kind, value in zip(kinds, values, strict=True)
+        ]
+
+    def __call__(self, array: int, *place: Any) -> Any:
+        """Return a pointer to an element of one of the arrays."""
+        each = self._kinds[array], self.structs[array], [self._camera, *place]
+        return cgutils.get_item_pointer(self._context, self._builder, *each)
+
+
 def _sums(
     terms: Callable[[Vectors, _Row], list[Any]],
     count: int,
@@ -110,28 +130,18 @@ def _sums(
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         do = Vectors(builder, ir.FloatType(), LANES)
         camera, top, start, rows, light = values[len(arrays) :]
-        kinds = signature.args[: len(arrays)]
-        structs = [
-            context.make_array(kind)(context, builder, value)
-            for kind, value in zip(kinds, values, strict=False)
-        ]
+        at = _Places(context, builder, signature.args[: len(arrays)], values[: len(arrays)], camera)
 
         def number(value: int) -> Any:
             return context.get_constant(types.intp, value)
 
-        element = number(do.bytes)
-
-        def at(array: int, *place: Any) -> Any:
-            each = kinds[array], structs[array], [camera, *place]
-            return cgutils.get_item_pointer(context, builder, *each)
-
         def after(pointer: Any, step: Any, stride: Any) -> Any:
             return builder.gep(pointer, [builder.mul(step, stride)])
 
-        width = builder.extract_value(structs[2].shape, 2)
+        width = builder.extract_value(at.structs[2].shape, 2)
         strides = [
-            builder.sdiv(builder.extract_value(struct.strides, 1), element)
-            for struct in structs[:2]
+            builder.sdiv(builder.extract_value(struct.strides, 1), number(do.bytes))
+            for struct in at.structs[:2]
         ]
         totals = [cgutils.alloca_once_value(builder, do.zero) for _ in range(count)]
         everywhere = do.splat(light)

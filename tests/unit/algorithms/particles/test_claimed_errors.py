@@ -25,7 +25,7 @@ STEP = 1e-3
 
 
 def all_images(model: ImageModel, position: F64) -> F64:
-    """Images (camera, pixel) of a particle, in windows that do not move with it."""
+    """Images (camera, pixel) of a particle, where its windows lie."""
     room = make_room(np.tile(SIGMA, (4, 1)))
     shown = np.zeros((4, ROWS, COLUMNS))
     place(model, room, position)

@@ -204,8 +204,7 @@ def prepared(change: float) -> tuple[DifferentiableImages, F64, F64, F64]:
 def test_images_and_cost_are_those_of_the_formula(change: float) -> None:
     renderer, position, logs, images = prepared(change)
     exact = painted(position, logs, change)
-    cut = 5e-3 if change else 2e-3  # at the windows' edges: flat images reach farther
-    np.testing.assert_allclose(renderer.render(position, logs), exact, rtol=0.0, atol=cut)
+    np.testing.assert_allclose(renderer.render(position, logs), exact, rtol=0.0, atol=2e-3)
     model = make_model(images, change)
     squares = np.sum(model.weight * (model.images - exact) ** 2)
     prior = np.einsum("ni,ij,nj->", logs, model.precision, logs)
