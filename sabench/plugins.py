@@ -61,10 +61,14 @@ def bundled_folder(kind: str) -> Path:
 
 
 def folders(kind: str) -> list[Path]:
-    """List all folders that are searched for plug-ins of a kind."""
+    """List all folders that are searched for plug-ins of a kind, each once."""
     variable = os.environ.get("SABENCH_PLUGINS", "")
     extra = [(Path(entry) / kind).absolute() for entry in variable.split(os.pathsep) if entry]
-    return [folder for folder in (bundled_folder(kind), *extra) if folder.is_dir()]
+    found: dict[Path, Path] = {}  # one folder by two names is one
+    for folder in (bundled_folder(kind), *extra):
+        if folder.is_dir():
+            found.setdefault(folder.resolve(), folder)
+    return list(found.values())
 
 
 def names(kind: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -54,6 +55,18 @@ def test_a_class_whose_task_cannot_be_read_is_imported(
     monkeypatch.setattr(package, "__path__", [*map(str, plugins.folders("solvers"))])
     entry = plugins.describe("solvers", "odd")
     assert (entry.group, entry.summary) == ("reconstruction", "Odd one.")
+
+
+def test_a_folder_that_is_named_twice_counts_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "odd.py").write_text(BROKEN, encoding="utf-8")
+    root = folder.parent
+    (root / "link").symlink_to(root)
+    monkeypatch.chdir(root)
+    twice = [str(root), ".", "link"]
+    monkeypatch.setenv("SABENCH_PLUGINS", os.pathsep.join(twice))
+    assert plugins.file_of("solvers", "odd") == folder / "odd.py"
 
 
 def test_two_plug_ins_of_one_name_are_refused_and_stop_no_other(folder: Path) -> None:
