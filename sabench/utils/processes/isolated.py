@@ -26,6 +26,7 @@ from sabench.utils.processes.ending import describe_end, kill_tree, overdue
 from sabench.utils.processes.starting import ignored_interrupts
 
 _PRELOADED: list[str] = []
+_LAST_PRELOADED = "sabench.utils.processes.server_end"
 _KEPT = (  # variables that a confined process gets; and those that begin so
     ("PATH", "LANG", "TZ", "TERM", "COLUMNS", "NO_COLOR", "FORCE_COLOR", "CUDA_VISIBLE_DEVICES"),
     ("LC_", "LD_", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_", "DRJIT_", "MI_", "SABENCH_", "PYTHON"),
@@ -132,7 +133,7 @@ def _context() -> Any:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(_PRELOADED)
+    context.set_forkserver_preload([*_PRELOADED, _LAST_PRELOADED])
     return context
 
 
