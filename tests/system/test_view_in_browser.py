@@ -257,3 +257,28 @@ def test_many_points_are_drawn_by_the_page_itself_in_software(
     browser.ask("(() => { sabenchView.objects.raster.canvas.style.visibility = 'hidden'; })()")
     points = np.abs(drawing(browser) - before).max(axis=2) > 20
     assert 0.002 < points.mean() < 0.5
+
+
+def test_a_slow_browser_draws_fewer_pixels_while_the_drawing_moves(
+    browser: Browser, page: Path
+) -> None:
+    open_page(browser, page)
+    ratios = """new Promise(done => {
+      const { space } = sabenchView, seen = [];
+      const wait = () => { for (const end = performance.now() + 60; performance.now() < end;); };
+      space.before.push(wait);
+      const step = () => {
+        space.hurry();
+        seen.push(space.renderer.getPixelRatio());
+        if (seen.length < 60) requestAnimationFrame(step);
+        else {
+          space.before.pop();
+          setTimeout(() => done([...seen, space.renderer.getPixelRatio()]), 1000);
+        }
+      };
+      step();
+    })"""
+    first, *_, last, calm = browser.ask(ratios)
+    assert first == 0.5
+    assert last == 0.3
+    assert calm == 1.0

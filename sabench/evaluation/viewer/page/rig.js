@@ -145,7 +145,7 @@ class Rig {
       this.group.add(mesh);
     };
     const depths = wall.depths, last = depths[depths.length - 1];
-    if (last > 0) put(surface(new THREE.BoxGeometry(size[0], size[1], last), colours.glass, .1), last / 2);
+    if (last > 0) put(solid(new THREE.BoxGeometry(size[0], size[1], last), colours.glass, .18), last / 2);
     for (const depth of depths) put(this.rim(size[0], size[1]), depth);
     if (!last) put(surface(new THREE.PlaneGeometry(...size), colours.glass, .12), 0);
     if (wall.back !== null && wall.back < 4 * this.volumeRadius + last) put(this.rim(size[0], size[1]), wall.back);
@@ -173,7 +173,7 @@ class Rig {
 
   addSheet(sheet) {
     const axes = sheet.axes.map(vector), matrix = new THREE.Matrix4().makeBasis(axes[0], axes[1], axes[2]).setPosition(...sheet.center);
-    const box = surface(new THREE.BoxGeometry(...sheet.size), colours.light, .055);
+    const box = solid(new THREE.BoxGeometry(...sheet.size), colours.light, .08);
     const half = sheet.size.map(edge => edge / 2), edges = segments(boxEdges(half.map(edge => -edge), half), colours.light, .4);
     const arrow = sheet.size[0] * .09, x = -half[0] - 2.2 * arrow;
     const head = segments([x, 0, 0, x + 2 * arrow, 0, 0, x + 2 * arrow, 0, 0, x + 1.4 * arrow, .35 * arrow, 0, x + 2 * arrow, 0, 0, x + 1.4 * arrow, -.35 * arrow, 0], colours.light);

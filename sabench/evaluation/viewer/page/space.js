@@ -2,6 +2,8 @@
 const UP = new THREE.Vector3(0, -1, 0);  // the world's y points down
 const FIELD_DEG = 35;
 const CALM_MS = 180;  // after the last movement
+const MOVING = { ratio: .5, least: .3, step: .85 };  // pixels of the drawing for one of the screen, along each side
+const SLOW_MS = 34, FRAMES = 8;  // between drawings, in the mean of so many
 const vector = values => new THREE.Vector3(...values);
 
 class Space {
@@ -24,6 +26,7 @@ class Space {
     this.before = [];  // called before each drawing
     this.after = [];
     this.hurried = null;  // the timer of the next drawing of all pixels
+    this.moving = MOVING.ratio;
     this.asked = false;
     new ResizeObserver(() => this.resize()).observe(stage);
     this.resize();
@@ -45,12 +48,21 @@ class Space {
     requestAnimationFrame(() => this.draw());
   }
 
-  // While the drawing moves in software, it has half as many pixels along each side.
+  // While the drawing moves in software, it has half as many pixels along each side, or fewer where that is slow.
   hurry() {
-    if (this.hurried === null) this.setRatio(.5);
+    if (this.hurried === null) { this.setRatio(this.moving); this.drawn = []; }
     clearTimeout(this.hurried);
     this.hurried = setTimeout(() => { this.hurried = null; this.setRatio(1); this.invalidate(); }, CALM_MS);
     this.invalidate();
+  }
+
+  keepPace() {
+    const { drawn } = this;
+    if (drawn.push(performance.now()) <= FRAMES) return;
+    this.drawn = [];
+    if (drawn.at(-1) - drawn[0] < FRAMES * SLOW_MS || this.moving <= MOVING.least) return;
+    this.moving = Math.max(MOVING.least, MOVING.step * this.moving);
+    this.setRatio(this.moving);
   }
 
   setRatio(ratio) {
@@ -60,6 +72,7 @@ class Space {
 
   draw() {
     this.asked = false;
+    if (this.hurried !== null) this.keepPace();
     const distance = this.camera.position.distanceTo(this.controls.target);
     this.camera.near = distance / 200;
     this.camera.far = distance + 4 * this.radius;
@@ -128,8 +141,14 @@ function segments(points, colour, opacity = 1) {
   return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color: colour, transparent: opacity < 1, opacity, depthWrite: opacity >= 1 }));
 }
 
+// A translucent sheet of no thickness, seen from both sides.
 function surface(geometry, colour, opacity) {
-  return new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity, side: THREE.DoubleSide, depthWrite: false }));
+  return new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity, side: THREE.DoubleSide, forceSinglePass: true, depthWrite: false }));
+}
+
+// A translucent box, by its far faces alone: one layer of pixels, from outside and from within.
+function solid(geometry, colour, opacity) {
+  return new THREE.Mesh(geometry, new THREE.MeshBasicMaterial({ color: colour, transparent: true, opacity, side: THREE.BackSide, depthWrite: false }));
 }
 
 // Text that faces the viewer, of a height in pixels of the screen.
