@@ -1,4 +1,4 @@
-"""Command that starts a repository from a template: new."""
+"""Command that starts a scene or a repository from one that is bundled: new."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from sabench import plugins
-from sabench.cli.options import say
+from sabench.cli.options import complete_scene, say
 from sabench.utils.errors import InputError
 
-KINDS = ("solver", "suite", "gate")
+FOLDERS = ("solver", "suite", "gate")
+KINDS = ("scene", *FOLDERS)
 
 
 def complete_template(incomplete: str) -> list[str]:
@@ -23,21 +24,51 @@ def new(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND", help="solver, suite or gate.", autocompletion=complete_template
+            metavar="KIND", help="scene, solver, suite or gate.", autocompletion=complete_template
         ),
     ],
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder to create.")],
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="The folder, or the scene file, to create.")
+    ],
+    like: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENE",
+            help="Bundled scene to copy. [default: quick]",
+            autocompletion=complete_scene,
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
-    """Create a folder with a solver, a suite or a gate, its tests and a workflow.
+    """Create a copy of a scene to change, or a folder for a solver, suite or gate.
 
-    Its README says what to run first.
+    A folder also has tests and a workflow; its README says what to run first.
     """
+    if kind not in KINDS:
+        raise InputError(f"KIND: expected one of {', '.join(KINDS)}, got {kind!r}")
+    if kind == "scene":
+        _copy_scene(like or "quick", path)
+    elif like is not None:
+        raise InputError(f"--like: expected with a scene, got {like!r} with a {kind}")
+    else:
+        _copy_template(kind, path)
+
+
+def _copy_scene(name: str, file: Path) -> None:
+    from sabench.scenes.bundled import find
+    from sabench.utils.files import complete_or_nothing
+
+    source = find(name, "scenes")
+    with complete_or_nothing(file) as partial:
+        partial.write_bytes(source.read_bytes())
+    say(f"{file}: the scene {source.stem}, to be changed")
+
+
+def _copy_template(kind: str, folder: Path) -> None:
     import shutil
 
     from sabench.utils.files import complete_or_nothing
 
-    if kind not in KINDS:
-        raise InputError(f"KIND: expected one of {', '.join(KINDS)}, got {kind!r}")
     ignored = shutil.ignore_patterns("__pycache__")
     with complete_or_nothing(folder) as partial:
         shutil.copytree(plugins.bundled_folder("templates") / kind, partial, ignore=ignored)

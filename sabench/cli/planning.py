@@ -78,6 +78,10 @@ def plan(
         say_json(made.to_dict())
     else:
         _show(made)
+        if output is not None:
+            say(f"{output}: the scene that is wanted")
+        if page is not None:
+            say(f"{page}: the plan with drawings")
 
 
 def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Scene:

@@ -48,7 +48,7 @@ def view(
         return
     shown = made.summary
     say(
-        f"{output}: {shown['cameras']} cameras, {shown['frames']} frames, {shown['particles']} "
+        f"{output}: {shown['cameras']} camera(s), {shown['frames']} frame(s), {shown['particles']} "
         f"particles, {shown['bubbles']} bubbles, {shown['bytes'] / 1e6:.1f} MB"
     )
     for note in made.notes:

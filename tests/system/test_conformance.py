@@ -148,6 +148,7 @@ def test_the_command_ends_with_1_for_a_broken_law(
     unknown = command("conform", "nobody")
     assert unknown.returncode == 2
     assert "no solver is named 'nobody'" in unknown.stderr
+    assert "SABENCH_PLUGINS is the folder that holds solvers/nobody.py" in unknown.stderr
 
 
 @pytest.mark.parametrize("name", tasks.NAMES)

@@ -67,12 +67,13 @@ def test_a_check_is_silent_until_something_got_worse(
     algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
-    words = ("check", "tiny.toml", "--baseline", "base.json")
+    words = ("check", "tiny.toml")
     missing = command(*words)
     assert missing.returncode == 2
     assert "--update makes one" in missing.stderr
     made = command(*words, "--update")
     assert made.returncode == 0, made.stderr
+    assert made.stdout == ("tiny: 1 data sets, 1 results: baseline written to tiny.baseline.json\n")
     silent = command(*words, "--junit", "ok.xml")
     assert silent.returncode == 0, silent.stdout + silent.stderr
     assert silent.stdout == "tiny: 1 data sets, 1 results: nothing got worse\n"

@@ -73,4 +73,17 @@ def test_a_folder_that_is_there_is_kept(command: Command, tmp_path: Path) -> Non
     assert list((tmp_path / "here").iterdir()) == []
     done = command("new", "solvers", "there")
     assert done.returncode == 2
-    assert "expected one of solver, suite, gate, got 'solvers'" in done.stderr
+    assert "expected one of scene, solver, suite, gate, got 'solvers'" in done.stderr
+
+
+def test_a_scene_is_the_bundled_one(command: Command, tmp_path: Path) -> None:
+    done = command("new", "scene", "tank.toml", "--like", "cylinder-tank")
+    assert done.stdout == "tank.toml: the scene cylinder-tank, to be changed\n", done.stderr
+    bundled = ROOT / "scenes" / "cylinder-tank.toml"
+    assert (tmp_path / "tank.toml").read_bytes() == bundled.read_bytes()
+    assert command("new", "scene", "tank.toml").returncode == 2
+    assert (tmp_path / "tank.toml").read_bytes() == bundled.read_bytes()
+    assert command("new", "scene", "quick.toml").returncode == 0
+    wrong = command("new", "solver", "mine", "--like", "quick")
+    assert wrong.returncode == 2
+    assert "--like: expected with a scene" in wrong.stderr

@@ -38,7 +38,7 @@ def test_a_rig_is_shown(command: Command, tmp_path: Path, quick_toml: str, what:
     (tmp_path / "quick.toml").write_text(quick_toml, encoding="utf-8")
     done = command("view", what)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("view.html: 4 cameras, 0 frames, 0 particles, 0 bubbles, 0.")
+    assert done.stdout.startswith("view.html: 4 camera(s), 0 frame(s), 0 particles, 0 bubbles, 0.")
 
 
 def test_cameras_of_a_data_set_are_shown_without_its_images(quick: Dataset) -> None:

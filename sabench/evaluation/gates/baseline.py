@@ -138,9 +138,11 @@ def _data_tolerance(kind: str) -> Tolerance:
     return Tolerance(relative=1e-5, absolute=1e-6)
 
 
-def default_path(suite: str) -> Path:
-    """Return the path of a suite's bundled baseline."""
-    return plugins.bundled_folder("leaderboard") / "baselines" / f"{suite}.json"
+def default_path(suite: Path) -> Path:
+    """Return the path of a suite's baseline: bundled, or else next to its file."""
+    if suite.resolve().parent == plugins.bundled_folder("scenes").resolve() / "suites":
+        return plugins.bundled_folder("leaderboard") / "baselines" / f"{suite.stem}.json"
+    return suite.with_suffix(".baseline.json")
 
 
 def read_baseline(path: Path, suite: str) -> Baseline:

@@ -35,19 +35,23 @@ from sabench.utils.version import __version__
 class Report:
     """Result of a gate.
 
-    `worse` makes it fail, `news` does not; `now` is the baseline that this run would make.
+    `worse` makes it fail, `news` does not; `now` is the baseline that this run would make, and
+    `written` the file that it was written to.
     """
 
     suite: str
     worse: tuple[Finding, ...]
     news: tuple[Finding, ...]
     now: Baseline
+    written: Path | None = None
 
     @property
     def summary(self) -> str:
         """Summary in one line."""
         solved = sum(len(case.solvers) for case in self.now.cases)
         ran = f"{self.suite}: {len(self.now.cases)} data sets, {solved} results"
+        if self.written:
+            return f"{ran}: baseline written to {self.written}"
         return (
             f"{ran}: {len(self.worse)} figures worse" if self.worse else f"{ran}: nothing got worse"
         )
@@ -72,8 +76,8 @@ def check_file(
 ) -> Report:
     """Compare a suite with a baseline file, as `check` does.
 
-    The default is the suite's bundled baseline. With `update` the new figures are written to the
-    file, and nothing counts as worse.
+    The default is the suite's bundled baseline, or SUITE.baseline.json next to a suite of one's
+    own. With `update` the new figures are written to the file, and nothing counts as worse.
 
     Parameters
     ----------
@@ -85,8 +89,8 @@ def check_file(
     InputError
         As `check` and `read_baseline`.
     """
-    name = find(suite, "scenes/suites").stem
-    file = path or default_path(name)
+    source = find(suite, "scenes/suites")
+    name, file = source.stem, path or default_path(source)
     before = read_baseline(file, name) if file.exists() or not update else None
     solver_entries = [SolverEntry(name=one) if isinstance(one, str) else one for one in solvers]
     with contextlib.ExitStack() as stack:
@@ -99,7 +103,7 @@ def check_file(
     if not update:
         return report
     write_baseline(file, report.now)
-    return replace(report, worse=(), news=report.worse + report.news)
+    return replace(report, worse=(), news=report.worse + report.news, written=file)
 
 
 def check(

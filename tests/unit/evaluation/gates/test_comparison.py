@@ -40,6 +40,7 @@ from sabench.evaluation.gates.measurement import names_of
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import SolverEntry
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
+from sabench.scenes.bundled import find
 from sabench.simulation.pipeline import generate
 from sabench.tasks.task import Better
 from sabench.utils.errors import InputError
@@ -255,7 +256,10 @@ def test_a_missing_baseline_says_how_to_make_one(tmp_path: Path) -> None:
 
 
 def test_the_bundled_baseline_is_of_the_bundled_suite() -> None:
-    kept, (_, cases) = read_baseline(default_path("ci"), "ci"), load_suite("ci")
+    kept, (_, cases) = (
+        read_baseline(default_path(find("ci", "scenes/suites")), "ci"),
+        load_suite("ci"),
+    )
     assert [one.key for one in kept.cases] == [(one.name, one.seed) for one in cases]
     for entry_, case_ in zip(kept.cases, cases, strict=True):
         assert entry_.scene_hash == case_.data_hash

@@ -67,6 +67,7 @@ def test_the_page_escapes_what_a_scene_says() -> None:
 def test_the_command_prints_a_table_json_and_a_page(command: Command, tmp_path: Path) -> None:
     file = tmp_path / "plan.html"
     done = command("plan", "quick", "--html", str(file))
+    assert done.stdout.endswith(f"{file}: the plan with drawings\n")
     assert done.returncode == 0, done.stderr
     assert re.search(r"plane_spacing_mm +│ 0\.157", done.stdout)
     assert "warning: illumination.pulse_energy_mj: " in done.stdout
