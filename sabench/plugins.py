@@ -89,8 +89,8 @@ def file_of(kind: str, name: str) -> Path:
         near = difflib.get_close_matches(name, files, 1)
         hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(files))}"
         raise InputError(
-            f"no {kind[:-1]} is named {name!r}: {hint}; for one of your own, SABENCH_PLUGINS is the "
-            f"folder that holds {kind}/{name}.py"
+            f"no {kind[:-1]} is named {name!r}: {hint}; for one of your own, SABENCH_PLUGINS is "
+            f"the folder that holds {kind}/{name}.py"
         )
     if len(files[name]) > 1:
         first, second = files[name][:2]

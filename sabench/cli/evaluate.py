@@ -129,8 +129,8 @@ def check(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Baseline to compare with. [default: the bundled one, or SUITE.baseline.json next to "
-            "a suite of your own]",
+            help="Baseline to compare with. [default: the bundled one, or SUITE.baseline.json "
+            "next to a suite of your own]",
             show_default=False,
         ),
     ] = None,
