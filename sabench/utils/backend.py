@@ -75,7 +75,7 @@ def choose() -> Backend:
     return _choose_llvm()
 
 
-_VERSIONS = {0: "LLVM 15 or older", -1: "cannot be loaded"}
+_LIBATOMIC = "libatomic.so.1"  # which libc++ of the wheel needs, and small systems lack
 
 
 def _choose_llvm() -> Backend:
@@ -84,27 +84,39 @@ def _choose_llvm() -> Backend:
         version = llvm_version(path)
         if version >= OLDEST_LLVM:
             return Backend("llvm", path, f"LLVM {version} from {origin}: {path}")
-        refused.append(f"{path} ({_VERSIONS.get(version, f'LLVM {version}')})")
+        refused.append(f"{path} ({_describe_refused(path, version)})")
         if origin == LLVM_VARIABLE:
             break
     found = f"refused {', '.join(refused)}" if refused else "found none"
     raise InputError(f"no LLVM library that Dr.Jit can run on: {found}; {REMEDY}")
 
 
-def _llvm_candidates() -> list[tuple[str, str]]:
-    """List (origin, path) of LLVM libraries in the order of preference.
+def _describe_refused(path: str, version: int) -> str:
+    if version >= 0:
+        return f"LLVM {version}" if version else "LLVM 15 or older"
+    try:
+        ctypes.CDLL(path)
+    except OSError as error:
+        package = ", which the package libatomic1 has" if _LIBATOMIC in str(error) else ""
+        return f"cannot be loaded: {error}{package}"
+    return "cannot be loaded"
 
-    First the variable, then the wheel, then the system's, newest first.
+
+def _llvm_candidates() -> Iterator[tuple[str, str]]:
+    """Yield (origin, path) of LLVM libraries in the order of preference.
+
+    First the variable, then the wheel, then the system's, newest first, which are looked for only
+    if those before are refused.
     """
     variable = os.environ.get(LLVM_VARIABLE)
     if variable:
-        return [(LLVM_VARIABLE, variable)]
-    wheel = [("the wheel karellen-llvm-core", path) for path in _wheel_libraries()]
+        yield LLVM_VARIABLE, variable
+        return
+    for path in _wheel_libraries():
+        yield "the wheel karellen-llvm-core", path
     paths = {os.path.realpath(path) for pattern in _SYSTEM for path in Path("/").glob(pattern)}
-    numbered = (
-        sorted(((llvm_version(path), path) for path in paths), reverse=True) if not wheel else []
-    )
-    return wheel + [("the system", path) for _, path in numbered]
+    for _, path in sorted(((llvm_version(path), path) for path in paths), reverse=True):
+        yield "the system", path
 
 
 def _wheel_libraries() -> list[str]:

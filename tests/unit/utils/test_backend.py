@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import ctypes.util
 import os
 import subprocess
@@ -57,7 +58,34 @@ def test_a_library_that_is_not_there_is_not_replaced_by_another(tmp_path: Path) 
 def test_candidates_put_the_wheel_before_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(backend.LLVM_VARIABLE, raising=False)
     monkeypatch.setattr(backend, "_wheel_libraries", lambda: ["/wheel/libLLVM.so"])
-    assert backend._llvm_candidates() == [("the wheel karellen-llvm-core", "/wheel/libLLVM.so")]
+    monkeypatch.setattr(backend, "_SYSTEM", (__file__.removeprefix("/"),))
+    assert list(backend._llvm_candidates()) == [
+        ("the wheel karellen-llvm-core", "/wheel/libLLVM.so"),
+        ("the system", os.path.realpath(__file__)),
+    ]
+
+
+def test_a_wheel_that_cannot_be_loaded_is_replaced_by_the_system(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv(backend.LLVM_VARIABLE, raising=False)
+    both = [("the wheel", "/wheel/libLLVM.so"), ("the system", "/usr/lib/libLLVM-21.so")]
+    monkeypatch.setattr(backend, "_llvm_candidates", lambda: both)
+    monkeypatch.setattr(backend, "llvm_version", lambda path: -1 if "wheel" in path else 21)
+    assert backend._choose_llvm().library == "/usr/lib/libLLVM-21.so"
+
+
+def test_what_the_wheel_lacks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small system (debian-slim) has no libatomic."""
+    reason = "libatomic.so.1: cannot open shared object file: No such file or directory"
+
+    def fail(path: str) -> None:
+        raise OSError(reason)
+
+    monkeypatch.setattr(ctypes, "CDLL", fail)
+    monkeypatch.setattr(backend, "_llvm_candidates", lambda: [("the wheel", "/w/libLLVM.so")])
+    with pytest.raises(InputError, match=f"{reason}, which the package libatomic1 has"):
+        backend._choose_llvm()
 
 
 def test_an_old_system_library_is_refused_by_its_version(monkeypatch: pytest.MonkeyPatch) -> None:
