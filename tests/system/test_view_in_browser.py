@@ -257,6 +257,14 @@ def test_many_points_are_drawn_by_the_page_itself_in_software(
     browser.ask("(() => { sabenchView.objects.raster.canvas.style.visibility = 'hidden'; })()")
     points = np.abs(drawing(browser) - before).max(axis=2) > 20
     assert 0.002 < points.mean() < 0.5
+    labels = """(() => {
+      const { objects } = sabenchView, { canvas, context } = objects.raster;
+      objects.material.uniforms.sizes.value.fill(0);  // no points
+      objects.drawRaster();
+      const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+      return data.filter((value, place) => place % 4 === 3 && value > 0).length;
+    })()"""
+    assert browser.ask(labels) > 100  # names and lengths lie on top
 
 
 def test_a_slow_browser_draws_fewer_pixels_while_the_drawing_moves(

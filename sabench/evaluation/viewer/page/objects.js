@@ -129,6 +129,7 @@ class Objects {
     const { camera, stage } = this.space, cloud = this.frame.particles, ratio = this.space.renderer.getPixelRatio();
     const matrix = new THREE.Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse).multiply(this.points.matrixWorld);
     this.raster.draw(this.arrays[cloud.position], this.arrays[cloud.kind], matrix, this.material.uniforms, Math.round(ratio * stage.clientWidth), Math.round(ratio * stage.clientHeight));
+    this.raster.drawLabels(this.rig.sprites, camera, ratio);
   }
 
   geometryOf(cloud) {

@@ -122,6 +122,15 @@ class Raster {
       }
   }
 
+  // Labels are in front of all points, as those of WebGL are.
+  drawLabels(sprites, camera, ratio) {
+    for (const { visible, position, userData, material } of sprites) {
+      const at = position.clone().project(camera), tall = ratio * userData.pixels, wide = tall * userData.ratio;
+      if (!visible || at.z > 1) continue;
+      this.context.drawImage(material.map.image, (.5 + .5 * at.x) * this.canvas.width - wide / 2, (.5 - .5 * at.y) * this.canvas.height - tall / 2, wide, tall);
+    }
+  }
+
   clear() {
     this.context.clearRect(0, 0, this.canvas.width, this.canvas.height);
   }
