@@ -46,9 +46,12 @@ def draw(figure: Figure) -> bytes:
     )
     canvas: Any = FigureCanvasAgg(sheet)
     sheet.suptitle(figure.title, fontsize=11)
+    places = []
     for number, panel in enumerate(figure.panels, 1):
         solid = isinstance(panel.content[0], Space)
-        _fill(sheet.add_subplot(down, across, number, projection="3d" if solid else None), panel)
+        places.append(sheet.add_subplot(down, across, number, projection="3d" if solid else None))
+        _fill(places[-1], panel)
+    _add_legends(sheet, places, figure.panels)
     out = io.BytesIO()
     canvas.print_png(out, metadata={"Software": None})  # `savefig` would lay it out in a pass more
     return out.getvalue()
@@ -83,8 +86,18 @@ def _fill(axes: Any, panel: Panel) -> None:
         axes.set_xscale("log")
     if "y" in panel.log:
         axes.set_yscale("log")
-    if len(panel.content) > 1:
-        axes.legend(fontsize=6)
+
+
+def _add_legends(sheet: Any, places: Sequence[Any], panels: Sequence[Panel]) -> None:
+    """Add one legend below the figure where panels share all labels, or one to each."""
+    handles, labels = places[0].get_legend_handles_labels()
+    others = [axes.get_legend_handles_labels()[1] for axes in places[1:]]
+    if others and len(labels) > 1 and all(own == labels for own in others):
+        sheet.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=7)
+        return
+    for axes, panel in zip(places, panels, strict=True):
+        if len(panel.content) > 1:
+            axes.legend(fontsize=6)
 
 
 def _curve(axes: Any, one: Curve, colour: str, marker: str) -> None:

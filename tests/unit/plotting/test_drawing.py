@@ -62,6 +62,14 @@ def test_panels_stand_three_or_four_beside_each_other() -> None:
     assert five[0] > 1.5 * three[0]
 
 
+def test_panels_with_the_same_labels_have_one_legend_below() -> None:
+    one, other = (Curve(name, [0.0, 1.0], [0.5, 1.0]) for name in ("first", "second"))
+    for panels, below in ((1, False), (2, True)):
+        image = picture(one, other, panels=panels)
+        lowest = where(image, _BLUE)[:, 0].max() / len(image)
+        assert (lowest > 0.93) == below
+
+
 def test_equal_figures_are_equal_pictures() -> None:
     figure = Figure("f", "t", (Panel("", "x", "y", (Curve("", [1.0, 2.0], [3.0, 4.0]),)),))
     assert draw(figure) == draw(figure)
