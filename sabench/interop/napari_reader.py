@@ -1,0 +1,81 @@
+"""Reader of data sets for napari: images, and where true particles are in them.
+
+napari finds it by `napari.yaml` and the entry point of that name; it needs napari (extra `napari`),
+which is not imported here. Layers are as napari's readers return them: (data, options, type).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.utils.arrays import F64, U16
+
+Layer = tuple[Any, dict[str, Any], str]
+
+
+class Frames:
+    """Images (frame, row, column) of one camera, each read when it is asked for."""
+
+    dtype = np.dtype(np.uint16)
+    ndim = 3
+
+    def __init__(self, data: Dataset, camera: int) -> None:
+        self._data, self._camera = data, camera
+        self.shape = (data.setup.frames, *data.raw_image(camera, 0).shape)
+
+    def __len__(self) -> int:
+        return int(self.shape[0])
+
+    def __getitem__(self, key: Any) -> U16:
+        first, *others = key if isinstance(key, tuple) else (key,)
+        numbers = np.arange(len(self))[first]
+        if np.ndim(numbers) == 0:
+            image: U16 = self._data.raw_image(self._camera, int(numbers))[tuple(others)]
+            return image
+        images = [self._data.raw_image(self._camera, int(one))[tuple(others)] for one in numbers]
+        return np.stack(images)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> U16:
+        return np.asarray(self[:], dtype=dtype)
+
+
+def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Layer]] | None:
+    """Return the reader of a data set's folder, or None for anything else."""
+    if isinstance(path, list) or not (Path(path) / "manifest.json").is_file():
+        return None
+    return read_layers
+
+
+def read_layers(path: str | list[str]) -> list[Layer]:
+    """Return a layer of images of each camera, and one of its true particles.
+
+    Raises
+    ------
+    InputError
+        The folder is no data set.
+    """
+    data = open_dataset(path if isinstance(path, str) else path[0])
+    layers: list[Layer] = []
+    for number, camera in enumerate(data.setup.cameras):
+        shown = {"name": camera.name, "visible": number == 0}
+        layers.append((Frames(data, number), shown | {"colormap": "gray"}, "image"))
+        if data.has_truth and "particles" in data.shows:
+            shown = shown | {"name": f"{camera.name} particles"}
+            style = {"size": 3, "face_color": "transparent", "border_color": "cyan"}
+            layers.append((_true_places(data, number), shown | style, "points"))
+    return layers
+
+
+def _true_places(data: Dataset, number: int) -> F64:
+    """Project the true particles of all frames: (n, 3) frame, row, column."""
+    camera, rows = data.true_cameras[number], []
+    for frame in range(data.setup.frames):
+        pixels = camera.project(data.particles(frame).position_mm)[0]
+        rows.append(np.column_stack([np.full(len(pixels), frame), pixels[:, 1], pixels[:, 0]]))
+    every: F64 = np.concatenate(rows)
+    return every[np.isfinite(every).all(axis=1)]
