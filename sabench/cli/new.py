@@ -11,8 +11,7 @@ from sabench import plugins
 from sabench.cli.options import complete_scene, say
 from sabench.utils.errors import InputError
 
-FOLDERS = ("solver", "suite", "gate")
-KINDS = ("scene", *FOLDERS)
+KINDS = ("scene", "solver", "suite", "gate")
 
 
 def complete_template(incomplete: str) -> list[str]:

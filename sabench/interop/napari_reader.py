@@ -7,13 +7,15 @@ which is not imported here. Layers are as napari's readers return them: (data, o
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.utils.arrays import F64, U16
+from sabench.utils.errors import InputError
+
+_MOST_PLACES = 200_000  # in the layer of a camera, but for the frame that exceeds them
 
 Layer = tuple[Any, dict[str, Any], str]
 
@@ -46,7 +48,9 @@ class Frames:
 
 def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Layer]] | None:
     """Return the reader of a data set's folder, or None for anything else."""
-    if isinstance(path, list) or not (Path(path) / "manifest.json").is_file():
+    try:
+        open_dataset(_first(path))
+    except InputError:  # a folder of another program, for another reader
         return None
     return read_layers
 
@@ -54,12 +58,14 @@ def get_reader(path: str | list[str]) -> Callable[[str | list[str]], list[Layer]
 def read_layers(path: str | list[str]) -> list[Layer]:
     """Return a layer of images of each camera, and one of its true particles.
 
+    The particles are those of the first frames, up to some 200,000 images of each camera.
+
     Raises
     ------
     InputError
         The folder is no data set.
     """
-    data = open_dataset(path if isinstance(path, str) else path[0])
+    data = open_dataset(_first(path))
     layers: list[Layer] = []
     for number, camera in enumerate(data.setup.cameras):
         shown = {"name": camera.name, "visible": number == 0}
@@ -71,11 +77,17 @@ def read_layers(path: str | list[str]) -> list[Layer]:
     return layers
 
 
+def _first(path: str | list[str]) -> str:
+    return path if isinstance(path, str) else path[0]
+
+
 def _true_places(data: Dataset, number: int) -> F64:
-    """Project the true particles of all frames: (n, 3) frame, row, column."""
-    camera, rows = data.true_cameras[number], []
+    """Read where a camera sees the true particles: (n, 3) frame, row, column."""
+    places: list[F64] = []
     for frame in range(data.setup.frames):
-        pixels = camera.project(data.particles(frame).position_mm)[0]
-        rows.append(np.column_stack([np.full(len(pixels), frame), pixels[:, 1], pixels[:, 0]]))
-    every: F64 = np.concatenate(rows)
-    return every[np.isfinite(every).all(axis=1)]
+        view = data.views(frame)[number]
+        column, row = view.pixel[view.visible].T
+        places.append(np.column_stack([np.full(len(row), frame), row, column]))
+        if sum(map(len, places)) >= _MOST_PLACES:
+            break
+    return np.concatenate(places)

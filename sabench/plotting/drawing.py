@@ -28,6 +28,7 @@ _BINS = 40
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKERS = "os^Dv*x"
 _FLAT = 2.0  # a slice so many times wider than high has its scale below it
+_SMALL, _HANDLE_INCH, _LETTER_INCH = 7, 0.6, 0.06  # points of a legend's letters, its sizes
 _ARROWS = 32  # along a slice's longer side at most
 
 
@@ -93,7 +94,10 @@ def _add_legends(sheet: Any, places: Sequence[Any], panels: Sequence[Panel]) -> 
     handles, labels = places[0].get_legend_handles_labels()
     others = [axes.get_legend_handles_labels()[1] for axes in places[1:]]
     if others and len(labels) > 1 and all(own == labels for own in others):
-        sheet.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=7)
+        columns = int(sheet.get_figwidth() / (_HANDLE_INCH + _LETTER_INCH * max(map(len, labels))))
+        sheet.legend(
+            handles, labels, loc="outside lower center", ncols=max(columns, 1), fontsize=_SMALL
+        )
         return
     for axes, panel in zip(places, panels, strict=True):
         if len(panel.content) > 1:

@@ -85,8 +85,6 @@ def _choose_llvm() -> Backend:
         if version >= OLDEST_LLVM:
             return Backend("llvm", path, f"LLVM {version} from {origin}: {path}")
         refused.append(f"{path} ({_describe_refused(path, version)})")
-        if origin == LLVM_VARIABLE:
-            break
     found = f"refused {', '.join(refused)}" if refused else "found none"
     raise InputError(f"no LLVM library that Dr.Jit can run on: {found}; {REMEDY}")
 

@@ -73,7 +73,7 @@ def test_a_check_is_silent_until_something_got_worse(
     assert "--update makes one" in missing.stderr
     made = command(*words, "--update")
     assert made.returncode == 0, made.stderr
-    assert made.stdout == ("tiny: 1 data sets, 1 results: baseline written to tiny.baseline.json\n")
+    assert made.stdout == "tiny: 1 data sets, 1 results: baseline written to tiny.baseline.json\n"
     silent = command(*words, "--junit", "ok.xml")
     assert silent.returncode == 0, silent.stdout + silent.stderr
     assert silent.stdout == "tiny: 1 data sets, 1 results: nothing got worse\n"

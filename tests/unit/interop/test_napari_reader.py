@@ -39,3 +39,5 @@ def test_the_manifest_names_the_reader() -> None:
 def test_other_folders_are_left_to_other_readers(tmp_path: Path) -> None:
     assert get_reader(str(tmp_path)) is None
     assert get_reader([str(tmp_path)]) is None
+    (tmp_path / "manifest.json").write_text('{"name": "an extension of a browser"}')
+    assert get_reader(str(tmp_path)) is None
