@@ -28,7 +28,7 @@ wheel: $(VENV)/.installed
 	rm -rf build/wheel
 	$(BIN)/pip wheel --quiet --no-deps --wheel-dir build/wheel .
 	$(PYTHON) -m venv build/wheel/venv
-	build/wheel/venv/bin/pip install --quiet --constraint constraints.txt build/wheel/*.whl
+	build/wheel/venv/bin/pip install --quiet --constraint constraints.txt "$$(echo build/wheel/*.whl)[full]"
 	$(BIN)/sabench list > build/wheel/checkout.txt
 	cd build/wheel && venv/bin/sabench list > wheel.txt
 	diff build/wheel/checkout.txt build/wheel/wheel.txt && echo "wheel: sabench list equals the checkout's"
@@ -52,7 +52,7 @@ $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment: on Debian and Ubuntu, apt install python3-venv"; exit 2; }
 
 $(VENV)/.installed: $(VENV)/bin/pip pyproject.toml constraints.txt
-	$(BIN)/pip install --constraint constraints.txt --editable .
+	$(BIN)/pip install --constraint constraints.txt --editable '.[full]'
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

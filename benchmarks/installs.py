@@ -3,7 +3,7 @@
 `python benchmarks/installs.py PYTHON ...` builds the wheel, installs it with every interpreter that
 is given, and runs a smoke test there: list, generate, solve, score, submit and verify. It prints
 JSON: the version, the seconds of installation and smoke test, the MB of the environment. `--light`
-installs what scoring needs alone, and scores a data set of this environment.
+installs `sabench[score]`, and scores a data set of this environment.
 
 `python benchmarks/installs.py --resolve` resolves all dependencies from wheels for systems that are
 not here, with `uv pip compile` (uv must be installed: pip evaluates the markers of dependencies for
@@ -88,11 +88,8 @@ def install(python: str, wheel: Path, place: Path, light: bool) -> dict[str, Any
     run([python, "-m", "venv", "--without-pip", str(place)], wheel.parent)
     own = str(place / "bin" / "python")
     pip = [sys.executable, "-m", "pip", "--python", own, "install", "--quiet"]
-    if light:
-        run([*pip, "-r", str(ROOT / "score-requirements.txt")], wheel.parent)
-        run([*pip, "--no-deps", str(wheel)], wheel.parent)
-    else:
-        run([*pip, "--constraint", str(ROOT / "constraints.txt"), str(wheel)], wheel.parent)
+    package = f"{wheel}[{'score' if light else 'full'}]"
+    run([*pip, "--constraint", str(ROOT / "constraints.txt"), package], wheel.parent)
     installed = time.monotonic()
     version = run([own, "-c", "import platform; print(platform.python_version())"], place).strip()
     (place / "smoke").mkdir()
@@ -124,10 +121,21 @@ def smoke_light(python: str, folder: Path) -> None:
 
 def resolve(platform: str, version: str) -> dict[str, Any]:
     """Resolve all dependencies of a system from wheels, or those of scoring."""
-    source = "score-requirements.txt" if platform in _WITHOUT_RENDERER else "pyproject.toml"
-    words = ("--python-platform", platform, "--python-version", version, "--only-binary", ":all:")
+    extra = "score" if platform in _WITHOUT_RENDERER else "full"
+    place = ("--python-platform", platform, "--python-version", version)
+    words = ("pyproject.toml", *place, "--only-binary", ":all:")
     done = subprocess.run(
-        ["uv", "pip", "compile", source, "--quiet", "--no-annotate", *words],
+        [
+            "uv",
+            "pip",
+            "compile",
+            "pyproject.toml",
+            "--extra",
+            extra,
+            "--quiet",
+            "--no-annotate",
+            *words,
+        ],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -137,7 +145,7 @@ def resolve(platform: str, version: str) -> dict[str, Any]:
     reason = " ".join(done.stderr.split())[:300]
     return {
         "platform": platform,
-        "source": source,
+        "extra": extra,
         "python": version,
         "packages": len(packages),
         "fault": reason if done.returncode else None,

@@ -26,6 +26,7 @@ from typing import Any, Literal
 
 from sabench.utils.class_source import Source, constant, find_class, import_fault, parse
 from sabench.utils.errors import InputError
+from sabench.utils.installed import lacking
 
 _PACKAGE = Path(__file__).resolve().parent
 KINDS = ("generators", "solvers")
@@ -134,9 +135,8 @@ def _load(kind: str, name: str, searched: tuple[Path, ...]) -> type[Any]:
     try:
         module = importlib.import_module(f"{__name__}.{kind}.{name}")
     except Exception as error:
-        raise InputError(
-            f"{kind[:-1]} {name}: cannot import {file}: {type(error).__name__}: {error}"
-        ) from error
+        fault = lacking(error) or f"{type(error).__name__}: {error}"
+        raise InputError(f"{kind[:-1]} {name}: cannot import {file}: {fault}") from error
     own = [
         value
         for value in vars(module).values()

@@ -29,6 +29,7 @@ from sabench.cli.reproduce import reproduce
 from sabench.cli.view import view
 from sabench.cli.warmup import warmup
 from sabench.utils.errors import InputError
+from sabench.utils.installed import lacking
 from sabench.utils.version import __version__
 
 app = typer.Typer(cls=Group)
@@ -98,6 +99,11 @@ def main() -> NoReturn:
         sys.exit(0)
     except OSError as error:
         _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    except ModuleNotFoundError as error:
+        fault = lacking(error)
+        if fault is None:
+            raise
+        _fail(fault)
     except MemoryError as error:
         _fail(f"out of memory: {error}")
     except Exception as error:

@@ -22,6 +22,7 @@ from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor, sens
 from sabench.geometry.wall_records import WallRecord
 from sabench.utils.arrays import F64, Bool, all_in_row, rows_of, triple
 from sabench.utils.fields import TiltAngle
+from sabench.utils.installed import can_compile
 
 if TYPE_CHECKING:
     from sabench.geometry.projection_kernels import Media
@@ -133,7 +134,8 @@ class Camera:
         if self.wall is None:
             offset = points - np.asarray(self.center_mm)
             return self.pixels_of(offset, all_in_row(np.isfinite(offset)))
-        if not isinstance(self.wall, Wall) or self.wall.depth_of(np.asarray(self.center_mm)) >= 0.0:
+        outside = self.wall.depth_of(np.asarray(self.center_mm)) < 0.0
+        if not (can_compile and outside and isinstance(self.wall, Wall)):
             paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
             return self.pixels_of(paths.leaving, paths.valid)
         pixels = self._ideal_pixels(self.wall, points)

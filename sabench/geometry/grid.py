@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sabench.images.gaussians import gaussian_shares
 from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.errors import InputError
 
+_AT_ONCE = 4096  # particles whose voxels are held at a time
 _REACH = 4.0  # standard deviations after which a particle's field is cut: 3e-4 of its peak
 
 
@@ -100,10 +102,6 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
     voxel, as a pixel averages an image, keeps the field's integral where a voxel is longer than the
     particle: values at voxel centres would miss particles between two planes.
     """
-    from sabench.geometry.grid_kernels import (
-        add_particles,
-    )  # numba is loaded at the first use, since most of the package needs none of it
-
     voxels = grid.to_voxels(positions_mm)
     sigma = sigma_mm / np.asarray(grid.voxel_mm)
     radius = np.ceil(_REACH * sigma + 0.5).astype(np.int64)
@@ -115,8 +113,30 @@ def synthesise(grid: Grid, positions_mm: F64, weights: F64, sigma_mm: float) -> 
         _profile(voxels[:, i], nearest[:, i], int(radius[i]), float(sigma[i])) for i in range(3)
     )
     field: F32 = np.zeros(grid.shape, dtype=np.float32)
-    add_particles(nearest - radius, weights[near].astype(np.float32), x, y, z, field)
+    first, light = nearest - radius, weights[near].astype(np.float32)
+    for begin in range(0, len(first), _AT_ONCE):
+        some = slice(begin, begin + _AT_ONCE)
+        _add_particles(field, first[some], light[some, None] * z[some], y[some], x[some])
     return field
+
+
+def _add_particles(field: F32, first: I64, along_z: F32, along_y: F32, along_x: F32) -> None:
+    """Add products of profiles (n, k) to the field (z, y, x), particle by particle.
+
+    They begin at the voxels `first` (x, y, z); parts outside the field are dropped.
+    """
+    places = []
+    for profile, begin, size in zip(
+        (along_z, along_y, along_x), first.T[::-1], field.shape, strict=True
+    ):
+        place = begin[:, None] + np.arange(profile.shape[1])
+        profile *= (place >= 0) & (place < size)
+        places.append(np.clip(place, 0, size - 1))
+    z, y, x = places
+    rows = z[:, :, None] * field.shape[1] + y[:, None]
+    voxels = rows[..., None] * field.shape[2] + x[:, None, None]
+    light = (along_z[:, :, None] * along_y[:, None])[..., None] * along_x[:, None, None]
+    np.add.at(field.reshape(-1), voxels.reshape(-1), light.reshape(-1))
 
 
 def _profile(voxels: F64, nearest: I64, radius: int, sigma: float) -> F32:
@@ -124,8 +144,6 @@ def _profile(voxels: F64, nearest: I64, radius: int, sigma: float) -> F32:
 
     Returns (n, 2 radius + 1), along one axis.
     """
-    from sabench.images.gaussians import gaussian_shares  # numba is loaded at the first use
-
     edges = np.arange(-radius, radius + 2)[None] - 0.5 + (nearest - voxels)[:, None]
     mean = sigma * np.sqrt(2.0 * np.pi) * gaussian_shares(edges, sigma)
     return np.asarray(mean, dtype=np.float32)

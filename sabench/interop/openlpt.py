@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import tifffile
@@ -21,10 +22,12 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
-from sabench.interop.image_statistics import ImageStatistics
 from sabench.interop.tracks import openlpt_files
 from sabench.utils.arrays import F32, F64
 from sabench.utils.processes import child
+
+if TYPE_CHECKING:  # it loads numba, which scores do without
+    from sabench.interop.image_statistics import ImageStatistics
 
 LEAST_FRAMES = 5  # needed to estimate the optical transfer function
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates

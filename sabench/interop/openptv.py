@@ -14,7 +14,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tifffile
@@ -26,10 +26,12 @@ from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.interop.foreign_world import ForeignWorld
-from sabench.interop.image_statistics import ImageStatistics
 from sabench.utils.arrays import F32, F64, I64, U8, triple
 from sabench.utils.files import read_json
 from sabench.utils.processes import child
+
+if TYPE_CHECKING:  # it loads numba, which scores do without
+    from sabench.interop.image_statistics import ImageStatistics
 
 MOST_CAMERAS = 4
 _AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # of OpenPTV's world in ours

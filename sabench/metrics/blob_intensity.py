@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
 from sabench.metrics.particle_detection import CHALLENGE_RADIUS, challenge_pairs
-from sabench.utils.arrays import F32, F64, Bool
+from sabench.utils.arrays import F32, F64, I64, U8, Bool
 
 FACE = 4.0  # voxels from the volume's faces, which cut blobs
 APART = 3.0  # voxels along some axis between particles whose blobs are told apart
@@ -33,11 +32,9 @@ def blob_intensities(volume: F32, peaks: F64) -> F64:
     sums = np.zeros(len(peaks))
     if not len(peaks):
         return sums
-    step = np.full(volume.shape, _HERE, dtype=np.uint8)
-    _find_steps(volume, step)
+    step = _find_steps(volume)
     summits = np.flatnonzero((step == _HERE) & (volume > 0.0))
-    light = np.zeros(len(summits))
-    _climb(volume, step, summits, light)
+    light = _climb(volume, step, summits)
     places = np.stack(np.unravel_index(summits, volume.shape)[::-1], axis=1).astype(np.float64)
     distance, nearest = cKDTree(peaks).query(places, p=np.inf)
     near = distance < CHALLENGE_RADIUS
@@ -82,40 +79,67 @@ def _alone(truth: F64, lit: Bool, shape: tuple[int, ...]) -> Bool:
     return alone
 
 
-@numba.njit(cache=True, parallel=True)
-def _find_steps(volume: Any, step: Any) -> None:
-    """Find the number of each voxel's brightest neighbour, 13 for itself."""
-    planes, rows, columns = volume.shape
-    for z in numba.prange(planes):
-        for y in range(rows):
-            for x in range(columns):
-                if volume[z, y, x] > 0.0:
-                    step[z, y, x] = _step(volume, z, y, x)
+def _find_steps(volume: F32) -> U8:
+    """Find the number of each voxel's brightest neighbour, 13 for itself.
+
+    Of equally bright ones it is the first.
+    """
+    step = np.empty(volume.shape, dtype=np.uint8)
+    last = len(volume) - 1
+    before = here = _brightest_in_plane(volume[0])
+    for z, plane in enumerate(volume):
+        after = _brightest_in_plane(volume[min(z + 1, last)])
+        best, number = here[0].copy(), here[1] + np.uint8(9)
+        if z > 0:
+            np.copyto(number, before[1], where=before[0] >= best)
+            np.maximum(best, before[0], out=best)
+        if z < last:
+            np.copyto(number, after[1] + np.uint8(18), where=after[0] > best)
+            np.maximum(best, after[0], out=best)
+        step[z] = np.where(best > plane, number, np.uint8(_HERE))
+        before, here = here, after
+    return step
 
 
-@numba.njit(cache=True)
-def _step(volume: Any, z: int, y: int, x: int) -> int:
-    best, number = volume[z, y, x], _HERE
-    for c in range(max(z - 1, 0), min(z + 2, volume.shape[0])):
-        for b in range(max(y - 1, 0), min(y + 2, volume.shape[1])):
-            for a in range(max(x - 1, 0), min(x + 2, volume.shape[2])):
-                if volume[c, b, a] > best:
-                    best = volume[c, b, a]
-                    number = 9 * (c - z + 1) + 3 * (b - y + 1) + a - x + 1
-    return number
+def _brightest_in_plane(plane: F32) -> tuple[F32, U8]:
+    """Find the brightest of each pixel and its 8 neighbours.
+
+    Returns it, and the number of the first such one.
+    """
+    numbers = np.full_like(plane, 4, dtype=np.uint8)
+    along_rows = (slice(None), slice(None, -1)), (slice(None), slice(1, None))
+    across = _brightest_of_three(plane, numbers, np.uint8(1), *along_rows)
+    return _brightest_of_three(*across, np.uint8(3), slice(None, -1), slice(1, None))
 
 
-@numba.njit(cache=True)
-def _climb(volume: Any, step: Any, summits: Any, light: Any) -> None:
-    """Add each voxel's intensity to the light of its summit."""
-    planes, rows, columns = volume.shape
-    for z in range(planes):
-        for y in range(rows):
-            for x in range(columns):
-                if volume[z, y, x] > 0.0:
-                    c, b, a = z, y, x
-                    while step[c, b, a] != _HERE:
-                        number = int(step[c, b, a])
-                        c, b, a = c + number // 9 - 1, b + number // 3 % 3 - 1, a + number % 3 - 1
-                    summit = np.searchsorted(summits, (c * rows + b) * columns + a)
-                    light[summit] += volume[z, y, x]
+def _brightest_of_three(
+    values: F32, numbers: U8, stride: np.uint8, first: Any, second: Any
+) -> tuple[F32, U8]:
+    """Find the brightest of three in a line, and the first such one's number.
+
+    Numbers are those of the middle one, and the others' are a stride lower and higher. The first
+    and the second of each pair of neighbours are given as slices.
+    """
+    best, number = values.copy(), numbers.copy()
+    np.copyto(number[second], numbers[first] - stride, where=values[first] >= values[second])
+    np.maximum(best[second], values[first], out=best[second])
+    np.copyto(number[first], numbers[second] + stride, where=values[second] > best[first])
+    np.maximum(best[first], values[second], out=best[first])
+    return best, number
+
+
+def _climb(volume: F32, step: U8, summits: I64) -> F64:
+    """Add up the intensity of all voxels that lead to each summit."""
+    _, rows, columns = volume.shape
+    z, y, x = np.unravel_index(np.arange(27), (3, 3, 3))
+    away = ((z - 1) * rows + y - 1) * columns + x - 1
+    light, flat = np.zeros(len(summits)), step.reshape(-1)
+    for number, plane in enumerate(volume):
+        lit = np.flatnonzero(plane > 0.0)
+        at = number * plane.size + lit
+        moving = np.arange(len(at))
+        while len(moving):
+            at[moving] += away[flat[at[moving]]]
+            moving = moving[flat[at[moving]] != _HERE]
+        np.add.at(light, np.searchsorted(summits, at), plane.reshape(-1)[lit].astype(np.float64))
+    return light

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from typing import Any
 
-import numba
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
-from sabench.utils.arrays import F32, F64
+from sabench.utils.arrays import F32, F64, I64, Bool
 
-# marks of voxels that no neighbour exceeds: higher than all, equal to some, already counted
-_SINGLE, _TIED, _SEEN = 1, 2, 3
+_AROUND = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
 
 
 def fitted_maxima(volume: F32, floor: float) -> F64:
@@ -21,102 +21,94 @@ def fitted_maxima(volume: F32, floor: float) -> F64:
     A voxel higher than its 26 neighbours is a maximum; so is a plateau, connected voxels of one
     value, that no neighbour exceeds, at the mean of its voxels.
     """
-    mark = np.zeros(volume.shape, dtype=np.uint8)
-    _mark_maxima(volume, floor, mark)
-    return np.asarray(
-        _collect(volume, mark, np.empty((np.count_nonzero(mark), 3))), dtype=np.float64
-    )
+    highest = _not_exceeded(volume, floor)
+    tied = np.zeros(len(highest), dtype=np.bool_)
+    for step in _AROUND:
+        _, equal = _equals(volume, highest, step)
+        tied[equal] = True
+    first, place = _plateaus(volume, highest[tied])
+    single = highest[~tied]
+    order = np.argsort(np.concatenate([single, first]))
+    return np.concatenate([_fit(volume, single), place])[order]
 
 
-@numba.njit(cache=True, parallel=True)
-def _mark_maxima(volume: Any, floor: float, mark: Any) -> None:
-    planes, rows, columns = volume.shape
-    for z in numba.prange(planes):
-        for y in range(rows):
-            for x in range(columns):
-                if volume[z, y, x] >= floor:
-                    mark[z, y, x] = _mark_of(volume, z, y, x)
+def _not_exceeded(volume: F32, floor: float) -> I64:
+    """Find flat indices of voxels of E >= floor that no neighbour exceeds."""
+    found = [np.zeros(0, dtype=np.int64)]
+    before = here = _highest_around(volume[0])
+    for z, plane in enumerate(volume):
+        after = _highest_around(volume[min(z + 1, len(volume) - 1)])
+        top = np.maximum(np.maximum(before, here), after)
+        found.append(z * plane.size + np.flatnonzero((plane >= floor) & (plane == top)))
+        before, here = here, after
+    return np.concatenate(found)
 
 
-@numba.njit(cache=True)
-def _mark_of(volume: Any, z: int, y: int, x: int) -> int:
-    value = volume[z, y, x]
-    equals = 0
-    for c in range(max(z - 1, 0), min(z + 2, volume.shape[0])):
-        for b in range(max(y - 1, 0), min(y + 2, volume.shape[1])):
-            for a in range(max(x - 1, 0), min(x + 2, volume.shape[2])):
-                if volume[c, b, a] > value:
-                    return 0
-                equals += volume[c, b, a] == value
-    return _SINGLE if equals == 1 else _TIED  # a voxel equals itself
+def _highest_around(plane: F32) -> F32:
+    """Return the highest of each pixel and its 8 neighbours."""
+    across = plane.copy()
+    np.maximum(across[:, 1:], plane[:, :-1], out=across[:, 1:])
+    np.maximum(across[:, :-1], plane[:, 1:], out=across[:, :-1])
+    highest = across.copy()
+    np.maximum(highest[1:], across[:-1], out=highest[1:])
+    np.maximum(highest[:-1], across[1:], out=highest[:-1])
+    return highest
 
 
-@numba.njit(cache=True)
-def _collect(volume: Any, mark: Any, found: Any) -> Any:
-    count = 0
-    for z in range(mark.shape[0]):
-        for y in range(mark.shape[1]):
-            for x in range(mark.shape[2]):
-                if mark[z, y, x] == _SINGLE:
-                    _put(found, count, _fit(volume, z, y, x))
-                    count += 1
-                elif mark[z, y, x] == _TIED:
-                    highest, position = _plateau(volume, mark, z, y, x)
-                    if highest:
-                        _put(found, count, position)
-                        count += 1
-    return found[:count].copy()
+def _equals(volume: F32, voxels: I64, step: tuple[int, ...]) -> tuple[I64, I64]:
+    """Find neighbours one step away that have the same value as their voxels.
 
-
-@numba.njit(cache=True)
-def _put(rows: Any, number: int, values: Any) -> None:
-    """Set a row, value by value.
-
-    numba's copy of an array takes seconds to compile, with the message of its error.
+    Returns the neighbours' flat indices, and the rows of the voxels.
     """
-    for axis in range(3):
-        rows[number, axis] = values[axis]
+    places = np.unravel_index(voxels, volume.shape)
+    inside = np.ones(len(voxels), dtype=np.bool_)
+    for place, shift, size in zip(places, step, volume.shape, strict=True):
+        inside &= (place + shift >= 0) & (place + shift < size)
+    rows = np.flatnonzero(inside)
+    away = (step[0] * volume.shape[1] + step[1]) * volume.shape[2] + step[2]
+    near, flat = voxels[rows] + away, volume.reshape(-1)
+    equal = flat[near] == flat[voxels[rows]]
+    return near[equal], rows[equal]
 
 
-@numba.njit(cache=True)
-def _plateau(volume: Any, mark: Any, z: int, y: int, x: int) -> Any:
-    """Fill a plateau from its first voxel.
+def _plateaus(volume: F32, tied: I64) -> tuple[I64, F64]:
+    """Join voxels that no neighbour exceeds and some equal.
 
-    Returns whether it is a maximum, and its mean (x, y, z).
+    Returns the first voxel of each plateau that is a maximum, and its mean (n, 3) of x, y, z.
     """
-    value, highest, total, size = volume[z, y, x], True, np.zeros(3), 0
-    waiting = [(z, y, x)]
-    mark[z, y, x] = _SEEN
-    while waiting:
-        k, j, i = waiting.pop()
-        size += 1
-        total[0] += i
-        total[1] += j
-        total[2] += k
-        for c in range(max(k - 1, 0), min(k + 2, volume.shape[0])):
-            for b in range(max(j - 1, 0), min(j + 2, volume.shape[1])):
-                for a in range(max(i - 1, 0), min(i + 2, volume.shape[2])):
-                    if volume[c, b, a] == value and mark[c, b, a] == _TIED:
-                        mark[c, b, a] = _SEEN
-                        waiting.append((c, b, a))
-                    # an unmarked voxel of the same value has a higher neighbour
-                    highest &= volume[c, b, a] != value or mark[c, b, a] == _SEEN
-    return highest, total / size
+    lower, pairs = np.zeros(len(tied), dtype=np.bool_), [np.zeros((2, 0), dtype=np.int64)]
+    for step in _AROUND:
+        near, rows = _equals(volume, tied, step)
+        place = np.minimum(np.searchsorted(tied, near), max(len(tied) - 1, 0))
+        among: Bool = tied[place] == near
+        lower[rows[~among]] = True  # a voxel of the same value has a higher neighbour
+        pairs.append(np.stack([rows[among], place[among]]))
+    one, other = np.concatenate(pairs, axis=1)
+    links = csr_array((np.ones(len(one), dtype=np.bool_), (one, other)), shape=(len(tied),) * 2)
+    count, label = connected_components(links, directed=False)
+    places = np.stack(np.unravel_index(tied, volume.shape)[::-1], axis=1).reshape(-1, 3)
+    size = np.bincount(label, minlength=count)
+    total = [np.bincount(label, weights=axis, minlength=count) for axis in places.T]
+    first = np.zeros(count, dtype=np.int64)
+    first[label[::-1]] = tied[::-1]
+    highest = np.bincount(label[lower], minlength=count) == 0
+    return first[highest], (np.stack(total, axis=1) / size[:, None])[highest]
 
 
-@numba.njit(cache=True)
-def _fit(volume: Any, z: int, y: int, x: int) -> Any:
-    position = np.array([np.float64(x), np.float64(y), np.float64(z)])
-    if 0 < x < volume.shape[2] - 1:
-        position[0] += three_point(volume[z, y, x - 1], volume[z, y, x], volume[z, y, x + 1])
-    if 0 < y < volume.shape[1] - 1:
-        position[1] += three_point(volume[z, y - 1, x], volume[z, y, x], volume[z, y + 1, x])
-    if 0 < z < volume.shape[0] - 1:
-        position[2] += three_point(volume[z - 1, y, x], volume[z, y, x], volume[z + 1, y, x])
+def _fit(volume: F32, voxels: I64) -> F64:
+    """Fit Gaussians through voxels and their neighbours: x, y, z (n, 3)."""
+    places = np.unravel_index(voxels, volume.shape)
+    position = np.stack(places[::-1], axis=1).astype(np.float64).reshape(-1, 3)
+    flat, step = volume.reshape(-1), 1
+    for axis, size in enumerate(volume.shape[::-1]):
+        rows = np.flatnonzero((position[:, axis] > 0) & (position[:, axis] < size - 1))
+        at = voxels[rows]
+        values = zip(*(flat[at + k].tolist() for k in (-step, 0, step)), strict=True)
+        position[rows, axis] += [three_point(*three) for three in values]
+        step *= size
     return position
 
 
-@numba.njit(cache=True)
 def three_point(before: float, value: float, after: float) -> float:
     """Compute the offset of the vertex of a Gaussian through three values.
 
@@ -125,8 +117,7 @@ def three_point(before: float, value: float, after: float) -> float:
 
     Source: Willert and Gharib, Exp. Fluids 10 (1991) 181-193.
     """
-    a, b, c = float(before), float(value), float(after)
-    if a <= 0.0 or c <= 0.0:
-        return (c - a) / (a + b + c)
-    a, b, c = math.log(a), math.log(b), math.log(c)
+    if before <= 0.0 or after <= 0.0:
+        return (after - before) / (before + value + after)
+    a, b, c = math.log(before), math.log(value), math.log(after)
     return 0.5 * (a - c) / (a - 2.0 * b + c)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sabench.images.gaussians import gaussian_shares
+from sabench.images.gaussians import gaussian_profiles
 from sabench.utils.arrays import F64, I64, Bool
 
 _REACH = 3.0  # standard deviations of a particle's image: half its window
@@ -69,7 +69,9 @@ def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool)
     half = np.ceil(_REACH * sigma_px).astype(np.int64)
     first = np.rint(pixels[rows]).astype(np.int64) - half
     profiles = [
-        _profile(pixels[rows, axis], first[:, axis], 2 * int(half[axis]) + 1, sigma_px[axis])
+        gaussian_profiles(
+            pixels[rows, axis], sigma_px[axis], first[:, axis], 2 * int(half[axis]) + 1
+        )
         for axis in (0, 1)
     ]
     (x, by_x), (y, by_y) = profiles
@@ -85,13 +87,6 @@ def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool)
     return Patches(
         rows, np.where(counts, at, -1).reshape(flat), image.reshape(flat), slope.reshape(*flat, 2)
     )
-
-
-def _profile(center: F64, first: I64, pixels: int, sigma: float) -> tuple[F64, F64]:
-    """Compute shares (m, pixels) of Gaussians, and their derivatives by the centre."""
-    edges = first[:, None] + np.arange(pixels + 1) - 0.5 - center[:, None]
-    height = np.exp(-0.5 * (edges / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
-    return gaussian_shares(edges, sigma), height[:, :-1] - height[:, 1:]
 
 
 def fit_light(image: F64, patches: Patches, count: int) -> LightFit:

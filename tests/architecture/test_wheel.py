@@ -37,9 +37,3 @@ def test_the_wheel_has_the_records_and_no_others() -> None:
 def test_the_citation_has_the_version() -> None:
     assert release.versions_agree() is None
     assert release.metadata_is_complete() is None
-
-
-def test_what_scoring_needs_is_among_the_dependencies() -> None:
-    text = (ROOT / "score-requirements.txt").read_text(encoding="utf-8")
-    needed = {line for line in text.splitlines() if not line.startswith("#")}
-    assert needed <= set(PROJECT["project"]["dependencies"])

@@ -1,4 +1,4 @@
-"""Scores without the renderer and without the libraries of figures and of the page."""
+"""Scores without the packages of the extra `full`: no renderer, no numba, no LLVM, no figures."""
 
 from __future__ import annotations
 
@@ -9,50 +9,86 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 import sabench
 from sabench.dataset.reader import Dataset
+from sabench.utils.installed import FULL
 from tests.conftest import ROOT
 
-MODULES = {
-    "opencv-python-headless": "cv2",
-    "scikit-image": "skimage",
-    "openexr": "OpenEXR",
-    "vl-convert-python": "vl_convert",
-}
 SCRIPT = """
-import sys
+import importlib.util, sys
 class Missing:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in {missing!r}:
-            raise ModuleNotFoundError(name)
+            raise ModuleNotFoundError(name, name=name)
+find = importlib.util.find_spec
+importlib.util.find_spec = lambda name: None if name in {missing!r} else find(name)
 sys.meta_path.insert(0, Missing())
 import sabench.evaluation.challenge.score, sabench.interop.import_results
 from sabench.cli.main import main
-sys.argv = ["sabench", "score", {data!r}, {result!r}, "--json"]
+sys.argv = ["sabench", *{words!r}]
 main()
 """
+MODULES = {
+    "opencv-python-headless": "cv2",
+    "scikit-image": "skimage",
+    "vl-convert-python": "vl_convert",
+    "karellen-llvm-core": None,  # a library, no module
+}
 
 
-def left_out() -> set[str]:
-    """Modules of the dependencies that `score-requirements.txt` leaves out."""
-    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    every = {re.split(r"[>;]", one)[0] for one in tomllib.loads(text)["project"]["dependencies"]}
-    light = (ROOT / "score-requirements.txt").read_text(encoding="utf-8").splitlines()
-    names = {one.lower() for one in every} - {re.split(r"[>;]", one)[0].lower() for one in light}
-    return {MODULES.get(name, name.replace("-", "_")) for name in names}
-
-
-def test_scores_need_no_renderer(quick: Dataset, quick_result: Path) -> None:
-    missing = left_out()
-    assert {"mitsuba", "drjit", "cv2", "OpenEXR", "jinja2", "matplotlib"} <= missing
-    script = SCRIPT.format(missing=missing, data=str(quick.root), result=str(quick_result))
-    done = subprocess.run(
+def call(*words: str) -> subprocess.CompletedProcess[str]:
+    """Call sabench where the modules of the extra `full`, and numba's LLVM, are missing."""
+    script = SCRIPT.format(missing=set(FULL | {"llvmlite"}), words=words)
+    return subprocess.run(
         [sys.executable, "-c", script],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=False,
     )
+
+
+def assert_scores(dataset: Dataset, result: Path | str) -> None:
+    """Score with and without what is missing, and compare."""
+    done = call("score", str(dataset.root), str(result), "--json")
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == sabench.score(quick, quick_result)
+    found: dict[str, Any] = json.loads(done.stdout)
+    expected = sabench.score(dataset, result)
+    assert set(found) == set(expected)
+    for key, value in expected.items():
+        if isinstance(value, float):
+            assert found[key] == pytest.approx(value, rel=1e-4), key
+        else:
+            assert found[key] == value, key
+
+
+def test_the_missing_modules_are_those_of_the_extra() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    project = tomllib.loads(text)["project"]
+    full = (re.split(r"[>;]", one)[0] for one in project["optional-dependencies"]["full"])
+    modules = {MODULES.get(name, name.replace("-", "_")) for name in full} - {None}
+    assert modules == FULL
+    assert project["optional-dependencies"]["score"] == []
+
+
+def test_reconstructions_are_scored(quick: Dataset, quick_result: Path) -> None:
+    assert_scores(quick, quick_result)
+
+
+def test_particles_are_scored(quick: Dataset, tmp_path: Path) -> None:
+    """With claims of accuracy and bounds behind a wall, which kernels compute otherwise."""
+    sabench.solve("ray_triangulation", quick, tmp_path / "result.h5")
+    assert_scores(quick, tmp_path / "result.h5")
+
+
+def test_what_needs_more_says_so(tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    done = call("generate", "quick", "-o", str(out))
+    assert done.returncode == 2
+    assert "pip install 'sabench[full]'" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not out.exists()

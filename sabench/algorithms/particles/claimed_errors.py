@@ -14,7 +14,8 @@ from sabench.algorithms.particles.image_model import (
 )
 from sabench.algorithms.particles.pixel_variance import fill_noise
 from sabench.geometry.volume_polynomials import project_with_slopes
-from sabench.images.position_bounds import ParticleSpots, position_bounds
+from sabench.images.particle_spots import ParticleSpots
+from sabench.images.position_bounds import position_bounds
 from sabench.utils.arrays import F64
 from sabench.utils.threads import for_each
 

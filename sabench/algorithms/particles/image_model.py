@@ -43,8 +43,8 @@ from sabench.algorithms.particles.window_sums import (
     sum_window,
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
+from sabench.images.gaussian_kernels import fill_derivatives, fill_profile
 from sabench.images.gaussian_units import whole_lanes
-from sabench.images.gaussians import fill_derivatives, fill_profile
 from sabench.utils.arrays import F32, F64
 from sabench.utils.vector_units import LANES
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
@@ -286,6 +285,8 @@ def _position_errors(
     count = min(_NEIGHBOURS, len(live.position) - 1)
     if count <= 0 or not len(which):
         return np.zeros((len(which), 0))
+    import numba  # takes half a second, and only solvers link
+
     cores = numba.get_num_threads()
     near = cKDTree(live.position).query(live.position, count + 1, workers=cores)[1][which, 1:]
     there = live.position[near] + velocity[:, None] * (time - live.time[near])[..., None]

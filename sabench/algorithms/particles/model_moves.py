@@ -44,7 +44,7 @@ from sabench.geometry.volume_polynomials import (
     VolumePolynomials,
     project_points,
 )
-from sabench.images.gaussians import fill_derivatives
+from sabench.images.gaussian_kernels import fill_derivatives
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64, Bool
 

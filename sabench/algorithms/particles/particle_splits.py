@@ -29,7 +29,7 @@ from sabench.algorithms.particles.image_model import (
 from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
 from sabench.algorithms.particles.window_sums import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 from sabench.geometry.volume_polynomials import project_point
-from sabench.images.gaussians import fill_bend
+from sabench.images.gaussian_kernels import fill_bend
 
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split

@@ -15,8 +15,8 @@ import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
+from sabench.images.gaussian_kernels import fill_shares
 from sabench.images.gaussian_units import whole_lanes
-from sabench.images.gaussians import fill_shares
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.simulation.rendering.window_units import add_products
 from sabench.utils.arrays import F64

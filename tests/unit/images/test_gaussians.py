@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from sabench.images.gaussian_units import whole_lanes
-from sabench.images.gaussians import (
+from sabench.images.gaussian_kernels import (
     fill_bend,
     fill_derivatives,
     fill_profile,
     fill_shares,
-    gaussian_shares,
 )
+from sabench.images.gaussian_units import whole_lanes
+from sabench.images.gaussians import gaussian_shares
 from sabench.utils.arrays import F64
 from sabench.utils.vector_units import LANES
 
