@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -80,3 +81,46 @@ def _known(known: Mapping[str, Any], name: str, kind: str) -> Any:
 
 def _plain(name: str) -> str:
     return "".join(mark for mark in name.lower() if mark.isalnum())
+
+
+def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
+    """Check by the numbers in files' names that no camera lacks a frame which others have.
+
+    Frames are paired in order, so that all after a gap would be paired with other cameras' earlier
+    ones. Files without numbers, and cameras of a single file, are not checked.
+
+    Parameters
+    ----------
+    files : of each camera, by its name.
+    chosen : range of each camera's files to take.
+    notes : list that gets a sentence where cameras begin with different numbers.
+
+    Raises
+    ------
+    InputError
+        A camera that lacks a number, counted from its first one, which another one has.
+    """
+    numbers = {name: _numbers_of(paths)[chosen] for name, paths in files.items()}
+    known = {name: own for name, own in numbers.items() if len(own) > 1}
+    every = {number - own[0] for own in known.values() for number in own}
+    for name, own in known.items():
+        gaps = {own[0] + step for step in every if step < own[-1] - own[0]} - set(own)
+        if gaps:
+            raise InputError(
+                f"{name}: expected an image of number {min(gaps)}, as other cameras have, got "
+                "none; frames are paired in order: remove it from all cameras, or add it"
+            )
+    first = {name: own[0] for name, own in known.items()}
+    if len(set(first.values())) > 1:
+        begin = ", ".join(f"{number} of {name}" for name, number in first.items())
+        notes.append(f"frames are paired in order, and images begin with numbers {begin}")
+
+
+def _numbers_of(paths: Sequence[Path]) -> list[int]:
+    """Read the frames' numbers in files' names; none where no number differs in all of them."""
+    found = [[int(one) for one in re.findall(r"\d+", path.stem)] for path in paths]
+    for place in reversed(range(min((len(one) for one in found), default=0))):
+        numbers = [one[place] for one in found]
+        if len(set(numbers)) == len(paths):
+            return numbers
+    return []

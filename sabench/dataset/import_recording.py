@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sabench.dataset.camera_files import read_cameras
-from sabench.dataset.camera_pairs import Taken, pair_images
+from sabench.dataset.camera_pairs import Taken, check_numbers, pair_images
 from sabench.dataset.recorded_writer import RecordedWriter, recorded_writer
 from sabench.dataset.references import ReferenceList, extended
 from sabench.geometry.camera_model import CameraModel
@@ -118,6 +118,7 @@ def import_recording(
     notes: list[str] = []
     files = find_image_files(folder, [one.name for one in calibration], options.pattern)
     chosen = pair_images(folder, files, calibration, options.pairs, notes)
+    check_numbers({camera.name: paths for camera, paths in chosen}, options.frames, notes)
     cameras = [camera for camera, _ in chosen]
     voxels = _grid(cameras, options, grid, notes)
     _check_views(cameras, voxels, notes)
@@ -278,8 +279,8 @@ def _one_length(folder: Path, counts: Mapping[str, int]) -> int:
     if len(set(counts.values())) > 1:
         got = ", ".join(f"{count} of {name}" for name, count in counts.items())
         raise InputError(
-            f"{folder}: expected as many images of each camera, got {got}; give the range of "
-            "frames that all have"
+            f"{folder}: expected as many images of each camera, got {got}; give a range, "
+            "counted from 0, in which all have as many"
         )
     return next(iter(counts.values()))
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from sabench.api import IterativeSolver, Observation, Reconstruction
@@ -31,10 +34,18 @@ class SolverClock:
         except InputError as error:
             raise InputError(f"solver {name}: {error}") from error
         except Exception as error:
-            failed = f"solver {name} failed{where}: {type(error).__name__}: {error}"
-            raise InputError(failed) from error
+            what = f"{type(error).__name__}: {error} ({_place_of(error)})"
+            raise InputError(f"solver {name} failed{where}: {what}") from error
         took = time.perf_counter() - start - (compile_s() - compiled_s)
         self.seconds += max(took, 0.0)
+
+
+def _place_of(error: Exception) -> str:
+    """Name the innermost file and line outside of libraries that raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [one for one in frames if not one.filename.startswith(sys.prefix)]
+    place = (own or frames)[-1]
+    return f"{Path(place.filename).name}, line {place.lineno}"
 
 
 def call_iterations(

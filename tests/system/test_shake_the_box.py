@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from sabench.algorithms.particles import (
     BayesianIprSettings,
@@ -25,14 +26,14 @@ SETTINGS = ShakeTheBoxSettings(BayesianIprSettings())
 
 
 @functools.cache
-def make_shots() -> tuple[Shot, ...]:
+def make_shots(per_pixel: float = 0.06) -> tuple[Shot, ...]:
     """Frames of a smaller scene of tracking, with displacements of some 3 px."""
     values = tomllib.loads(find("particle-tracking", "scenes").read_text(encoding="utf-8"))
     values["frames"] = FRAMES
     values["volume"]["size_mm"] = [7.0, 7.0, 5.0]
     values["grid"]["crop_mm"] = [0.8, 0.8, 0.3]
     values["cameras"] |= {"rows": 130, "columns": 130}
-    values["particles"]["per_pixel"] = 0.06
+    values["particles"]["per_pixel"] = per_pixel
     values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 6.5}
     scene = parse_scene(values, "test")
     return tuple(simulate_sequence(scene, seed=21))
@@ -120,3 +121,16 @@ def test_frames_one_after_the_other_are_the_same_as_single_ones() -> None:
     for frame, shot in enumerate(simulate_sequence(scene, seed=3)):
         single = simulate(scene, seed=3, frame=frame).observation
         np.testing.assert_array_equal(shot.observation.images, single.images)
+
+
+def test_a_camera_whose_image_is_another_frames_is_left_out_there() -> None:
+    """The search of the frame has fewer cameras than the one that it is linked to."""
+    shots = make_shots(0.02)
+    cases = [shot.observation for shot in shots]
+    images = cases[1].images.copy()
+    images[-1] = cases[5].images[-1]
+    cases[1] = replace(cases[1], images=images)
+    with pytest.warns(UserWarning, match="the camera is left out"):
+        found = follow(cases[:3])
+    counts = count(shots[1], found[1])
+    assert counts.recall > 0.9

@@ -174,7 +174,8 @@ class _Tracker:
             return no_frame(time, len(self.maps.coefficients))
         frame = self._write(self.search, time)
         if last is not None:
-            self.tracks = self._link_first(last.light, self.frames[-1], frame)
+            light = _light_in(self.search, last)
+            self.tracks = self._link_first(light, self.frames[-1], frame)
         return frame
 
     def _go_on(self, case: Observation, frame: TrackedFrame) -> None:
@@ -343,3 +344,16 @@ class _Tracker:
         outside = (np.abs(tracks.state[:, 0] - self.maps.middle_mm) > self.maps.half_mm).any(axis=1)
         over = (tracks.seen < MATURE) | (tracks.missed > self.settings.gap) | outside
         tracks.select(~(missed & over))
+
+
+def _light_in(search: ParticleSearch, last: ParticleSearch) -> F64:
+    """Return a frame's light (n, camera) in the cameras of the next search.
+
+    A search may leave cameras out. Those that the last one left out get the typical light.
+    """
+    if (last.shown == search.shown).all():
+        return last.light
+    light = np.zeros((len(last.light), len(last.shown)))
+    light[:, last.shown] = last.light
+    own = light[:, search.shown]
+    return np.where(own > 0.0, own, search.typical)
