@@ -87,18 +87,28 @@ def file_of(kind: str, name: str) -> Path:
     """
     files = _files(kind)
     if name not in files:
-        near = difflib.get_close_matches(name, files, 1)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(files))}"
-        raise InputError(
-            f"no {kind[:-1]} is named {name!r}: {hint}; for one of your own, SABENCH_PLUGINS is "
-            f"the folder that holds {kind}/{name}.py"
-        )
+        raise InputError(f"no {kind[:-1]} is named {name!r}: {_hint(kind, name, sorted(files))}")
     if len(files[name]) > 1:
         first, second = files[name][:2]
         raise InputError(
             f"two {kind} are named {name}: {first} and {second}; rename or remove one of them"
         )
     return files[name][0]
+
+
+def _hint(kind: str, name: str, known: list[str]) -> str:
+    """Say what there is in place of a name, and where one's own would be."""
+    if not known:  # a folder `sabench` in the current one hides the installed package's
+        return f"none are in {bundled_folder(kind)}; is another copy of sabench in {Path.cwd()}?"
+    near = difflib.get_close_matches(name, known, 1)
+    what = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+    own = f"for one of your own, SABENCH_PLUGINS is the folder that holds {kind}/{name}.py"
+    missing = [
+        entry
+        for entry in os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep)
+        if entry and not (Path(entry) / kind).is_dir()
+    ]
+    return f"{what}; {own}" + "".join(f"; there is no folder {one}/{kind}" for one in missing)
 
 
 def is_bundled(kind: str, name: str) -> bool:

@@ -84,7 +84,7 @@ def _plain(name: str) -> str:
 
 
 def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
-    """Check by the numbers in files' names that no camera lacks a frame which others have.
+    """Check by numbers of files that no camera lacks a frame of the others.
 
     Frames are paired in order, so that all after a gap would be paired with other cameras' earlier
     ones. Files without numbers, and cameras of a single file, are not checked.
@@ -117,7 +117,7 @@ def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
 
 
 def _numbers_of(paths: Sequence[Path]) -> list[int]:
-    """Read the frames' numbers in files' names; none where no number differs in all of them."""
+    """Read the numbers of frames in files' names, which differ in all."""
     found = [[int(one) for one in re.findall(r"\d+", path.stem)] for path in paths]
     for place in reversed(range(min((len(one) for one in found), default=0))):
         numbers = [one[place] for one in found]

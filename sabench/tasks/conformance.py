@@ -245,7 +245,7 @@ def _try(law: Callable[[_Trial], None], trial: _Trial) -> Finding:
     except InputError as error:
         if law in (find_nothing_in_the_dark, survive_a_covered_camera):
             # an InputError is a valid answer to such images
-            return Finding(name, "obeyed", str(error))
+            return Finding(name, "obeyed", f"it refuses such images: {error}")
         return Finding(name, "broken", str(error))
     except Exception as error:
         return Finding(name, "broken", f"{type(error).__name__}: {error}")

@@ -216,10 +216,10 @@ def write_quality(
 
 
 def residual_picture(data: Dataset, left: F64) -> bytes:
-    """Draw the first frame's images and what is left of them as a PNG."""
+    """Draw the first frame's images, each above what is left of it, as a PNG."""
     seen = data.observation(0)
     grey = np.clip(np.rint(left + seen.black_dn), 0.0, 65535.0).astype(np.uint16)
-    both = np.concatenate([seen.images, grey])
+    both = np.concatenate([seen.images, grey], axis=1)
     return pictures.montage(both, seen.black_dn, seen.white_dn)
 
 

@@ -56,7 +56,8 @@ def answers_of_frames(
     InputError
         Whatever the solver raises; something else than an `expected` for every frame.
     """
-    where = f" on frames {frames[0]} to {frames[-1]}"
+    every = f"frames {frames[0]} to {frames[-1]}" if len(frames) > 1 else f"frame {frames[0]}"
+    where = f" on {every}"
     answer, took = call_solver(algorithm, name, sequence, Iterable, where)
     clock.seconds += took
     found, count = iter(answer), 0

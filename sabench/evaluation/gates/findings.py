@@ -113,7 +113,7 @@ def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
     mended; else None.
     """
     if new is None:
-        return True, "it is in the baseline but did not run"
+        return True, "it is in the baseline but did not run: is its name another, or a parameter?"
     if old is None:
         return False, f"not in the baseline{': ' + new.error if new.error else ''}"
     if new.error and not old.error:

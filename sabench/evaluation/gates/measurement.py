@@ -26,6 +26,7 @@ from sabench.evaluation.judged_without_truth import judge
 from sabench.evaluation.runner import dataset_of, discard
 from sabench.evaluation.suites import Case, RecordedCase, SolverEntry
 from sabench.evaluation.timed_solving import solve_timed
+from sabench.tasks.external_programs import solver_name
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 
@@ -38,7 +39,13 @@ def names_of(solver_entries: Sequence[SolverEntry], where: str) -> dict[str, Sol
     named = {
         (
             one.label
-            or " ".join([one.name, *(f"{k}={json.dumps(v)}" for k, v in one.parameters.items())])
+            or " ".join(
+                # of a program its file's, which is the same on another machine
+                [
+                    solver_name(one.name),
+                    *(f"{k}={json.dumps(v)}" for k, v in one.parameters.items()),
+                ]
+            )
         ): one
         for one in solver_entries
     }

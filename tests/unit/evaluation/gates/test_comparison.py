@@ -135,7 +135,8 @@ def test_a_lost_figure_is_worse_and_a_new_one_is_news() -> None:
 
 def test_missing_and_failed_solvers_are_worse_and_new_ones_news() -> None:
     good, bad = entry(q=0.8), Entry(error="it fell")
-    assert found(case(msa=good), case()) == [("it is in the baseline but did not run", True)]
+    text = "it is in the baseline but did not run: is its name another, or a parameter?"
+    assert found(case(msa=good), case()) == [(text, True)]
     assert found(case(), case(msa=good)) == [("not in the baseline", False)]
     assert found(case(msa=good), case(msa=bad)) == [("failed: it fell", True)]
     assert found(case(msa=bad), case(msa=good)) == [("it failed before and does not now", False)]
