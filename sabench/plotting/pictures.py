@@ -225,8 +225,9 @@ def dots(pixels: F64, rows: int, columns: int) -> bytes:
 def arrows(positions: F64, errors: F64, rows: int, columns: int) -> bytes:
     """Draw errors as lines in every camera's image, in a near-square mosaic.
 
-    Lines are longer than the errors by a power of ten, written into the image, that makes the
-    median one about as long as a thirtieth of the image.
+    Lines are longer than the errors by a factor, written into the image: 1, 2 or 5 times a power of
+    ten that makes the median one at most as long as a thirtieth of the image. Positions without an
+    error are dim dots.
 
     Parameters
     ----------
@@ -235,17 +236,26 @@ def arrows(positions: F64, errors: F64, rows: int, columns: int) -> bytes:
     across, scale = _layout(len(positions), rows, columns)
     lengths = np.linalg.norm(errors, axis=-1)
     median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
-    longer = 10.0 ** math.floor(math.log10(columns / 30.0 / median)) if median > 1e-12 else 1.0
+    longer = _round_down(columns / 30.0 / median) if median > 1e-12 else 1.0
     sheets = np.zeros(
         (len(positions), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8
     )
     for sheet, at, off in zip(sheets, positions, errors, strict=True):
-        good = np.isfinite(at).all(axis=-1) & np.isfinite(off).all(axis=-1)
+        there = np.isfinite(at).all(axis=-1)
+        good = there & np.isfinite(off).all(axis=-1)
+        alone = at[there & ~good] * scale
+        _lines(sheet, alone, alone, 90, 2)
         places = at[good] * scale
         _lines(sheet, places, places + off[good] * scale * longer, 170, 1)
         _lines(sheet, places, places, 255, 2)
     _write(sheets[0], f"x {longer:g}")
     return _png(_mosaic(sheets, across))
+
+
+def _round_down(factor: float) -> float:
+    """Round down to 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(factor))
+    return power * max(step for step in (1.0, 2.0, 5.0) if step <= factor / power or step == 1.0)
 
 
 def with_cell_means(positions: F64, errors: F64, rows: int, columns: int) -> tuple[F64, F64]:

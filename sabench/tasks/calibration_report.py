@@ -89,8 +89,8 @@ def report_on(
 ) -> tuple[Report, F64, F64]:
     """Report the quality of a calibration.
 
-    Also returns the places of the target (frame, point, 3) in mm and the residuals of all points
-    found (camera, frame, point, 2) in px.
+    Also returns the places of the target (frame, point, 3) in mm and the residuals of the points
+    used (camera, frame, point, 2) in px, NaN for others.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def report_on(
             if (own := recording.frames == k).any()
         ),
     )
-    return report, points, errors
+    return report, points, seen
 
 
 def _noise_px(case: CalibrationCase, answer: Calibration, errors: F64) -> float:
