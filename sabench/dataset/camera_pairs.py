@@ -50,7 +50,9 @@ def pair_images(
             f"{len(files)} ({', '.join(files)}); name the pairs, or the pattern of the files"
         )
     pairs_in_order = ", ".join(f"{of} = {own}" for of, own in zip(files, named, strict=True))
-    notes.append(f"no images have a camera's name: taken in order, {pairs_in_order}")
+    notes.append(
+        f"no images have a camera's name: taken in order, {pairs_in_order} (or name --pair)"
+    )
     return list(zip(cameras, files.values(), strict=True))
 
 

@@ -58,9 +58,9 @@ def read_camera_source(
         probe(path)
         return CameraSource(read_result_cameras(path))
     file = path / CAMERAS if path.is_dir() else path
-    if not file.is_file():
+    if not file.is_file() or file.suffix != ".json":
         raise InputError(
             f"{path}: expected {CAMERAS} of `sabench calibrate` or of a data set, or a folder with "
-            "it, found none"
+            "it, found none; cameras of another program need --from"
         )
     return CameraSource(*read_calibrated(file))

@@ -28,7 +28,7 @@ from sabench.tasks.held_out_calibration import has_places, hold_out, solve_case
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.fields import Unknown
-from sabench.utils.files import canonical_json, complete_or_nothing
+from sabench.utils.files import canonical_json, complete_or_nothing, refuse_existing
 
 _PLACES = ("frame", "point", "x_mm", "y_mm", "z_mm", "cameras", "from_known_mm")
 
@@ -56,6 +56,7 @@ def calibrate(
     InputError
         Anything missing or wrong in the folder, or a calibration that its data do not support.
     """
+    refuse_existing(out, overwrite=overwrite)
     recording = read_case(folder)
     chosen, compared = _choose_unknowns(recording.case, unknowns)
     case = replace(recording.case, unknown=chosen)
