@@ -230,6 +230,8 @@ def score(
     word: Literal["truth", "empty"] | None = next(
         (one for one in WORDS if one == str(result)), None
     )
+    if word is None and not Path(result).exists():
+        raise InputError(f"{result}: expected a result file, or truth or empty, found no file")
     opened = None if word else open_result(result, data)
     if opened and task not in (None, opened.task):
         raise InputError(f"task: expected {opened.task} for {opened.path}, got {task!r}")
