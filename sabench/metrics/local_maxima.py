@@ -76,10 +76,12 @@ def _plateaus(volume: F32, tied: I64) -> tuple[I64, F64]:
 
     Returns the first voxel of each plateau that is a maximum, and its mean (n, 3) of x, y, z.
     """
+    if not len(tied):
+        return tied, np.zeros((0, 3))
     lower, pairs = np.zeros(len(tied), dtype=np.bool_), [np.zeros((2, 0), dtype=np.int64)]
     for step in _AROUND:
         near, rows = _equals(volume, tied, step)
-        place = np.minimum(np.searchsorted(tied, near), max(len(tied) - 1, 0))
+        place = np.minimum(np.searchsorted(tied, near), len(tied) - 1)
         among: Bool = tied[place] == near
         lower[rows[~among]] = True  # a voxel of the same value has a higher neighbour
         pairs.append(np.stack([rows[among], place[among]]))
