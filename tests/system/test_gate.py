@@ -120,6 +120,10 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(
         '    assert list(found.now.cases[0].solvers) == ["dimmest", "msa k=2.0"]\n'
     )
     run = ("-p", "sabench.evaluation.gates.pytest_plugin", "-p", "no:cacheprovider")
+    missing = pytester.runpytest_inprocess(*run)
+    missing.assert_outcomes(failed=1)
+    missing.stdout.fnmatch_lines(["*base.json: expected a baseline of suite tiny*"])
+    missing.stdout.no_fnmatch_line("*gates/baseline.py*")  # no traceback
     pytester.runpytest_inprocess(*run, "--sabench-update").assert_outcomes(passed=1)
     assert (pytester.path / "base.json").is_file()
     pytester.runpytest_inprocess(*run).assert_outcomes(passed=1)

@@ -156,7 +156,7 @@ def read_baseline(path: Path, suite: str) -> Baseline:
     """
     if not path.exists():
         raise InputError(
-            f"{path}: expected a baseline of the suite {suite}, but there is no file: --update "
+            f"{path}: expected a baseline of suite {suite}, but there is no file: --update "
             "makes one (in pytest --sabench-update)"
         )
     values = read_json(path)

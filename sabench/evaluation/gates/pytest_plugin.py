@@ -67,6 +67,7 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
     ) -> Report:
         from sabench.evaluation.gates.comparison import check_file
         from sabench.evaluation.suites import SolverEntry
+        from sabench.utils.errors import InputError
 
         here = request.path.parent
         solver_entries = [
@@ -74,9 +75,14 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
         ]
         where = here / suite if (here / suite).is_file() else suite
         update = bool(request.config.getoption("--sabench-update"))
-        report = check_file(
-            where, here / baseline, tmp_path / "sabench", update=update, solvers=solver_entries
-        )
+        try:
+            report = check_file(
+                where, here / baseline, tmp_path / "sabench", update=update, solvers=solver_entries
+            )
+        except InputError as error:
+            report, fault = None, str(error)
+        if report is None:  # a sentence that needs no traceback
+            pytest.fail(fault, pytrace=False)
         if report.worse:
             pytest.fail(
                 "\n".join([report.summary, *(one.sentence for one in report.worse)]), pytrace=False
