@@ -120,10 +120,6 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(
         '    assert list(found.now.cases[0].solvers) == ["dimmest", "msa k=2.0"]\n'
     )
     run = ("-p", "sabench.evaluation.gates.pytest_plugin", "-p", "no:cacheprovider")
-    missing = pytester.runpytest_inprocess(*run)
-    missing.assert_outcomes(failed=1)
-    missing.stdout.fnmatch_lines(["*base.json: expected a baseline of suite tiny*"])
-    missing.stdout.no_fnmatch_line("*gates/baseline.py*")  # no traceback
     pytester.runpytest_inprocess(*run, "--sabench-update").assert_outcomes(passed=1)
     assert (pytester.path / "base.json").is_file()
     pytester.runpytest_inprocess(*run).assert_outcomes(passed=1)
@@ -131,6 +127,11 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(
     failed = pytester.runpytest_inprocess(*run)
     failed.assert_outcomes(failed=1)
     failed.stdout.fnmatch_lines(["*few, seed 1: dimmest: q: * before, * now*is allowed*"])
+    (pytester.path / "base.json").unlink()
+    missing = pytester.runpytest_inprocess(*run)
+    missing.assert_outcomes(failed=1)
+    missing.stdout.fnmatch_lines(["*base.json: expected a baseline of suite tiny*"])
+    missing.stdout.no_fnmatch_line("*gates/baseline.py*")  # no traceback
 
 
 def test_pytest_starts_without_loading_sabench(
