@@ -10,7 +10,12 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+# pytest within pytest forgets what it has loaded, and parts of these can be loaded only once
+import numpy.fft  # noqa: F401
 import pytest
+import scipy.ndimage
+import scipy.sparse.csgraph
+import scipy.spatial  # noqa: F401
 
 from tests.conftest import ROOT, Command
 
