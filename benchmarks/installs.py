@@ -122,20 +122,10 @@ def smoke_light(python: str, folder: Path) -> None:
 def resolve(platform: str, version: str) -> dict[str, Any]:
     """Resolve all dependencies of a system from wheels, or those of scoring."""
     extra = "score" if platform in _WITHOUT_RENDERER else "full"
+    command = ("uv", "pip", "compile", "pyproject.toml", "--quiet", "--no-annotate")
     place = ("--python-platform", platform, "--python-version", version)
-    words = ("pyproject.toml", *place, "--only-binary", ":all:")
     done = subprocess.run(
-        [
-            "uv",
-            "pip",
-            "compile",
-            "pyproject.toml",
-            "--extra",
-            extra,
-            "--quiet",
-            "--no-annotate",
-            *words,
-        ],
+        [*command, "--extra", extra, *place, "--only-binary", ":all:"],
         cwd=ROOT,
         capture_output=True,
         text=True,

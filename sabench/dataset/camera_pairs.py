@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -89,7 +90,8 @@ def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
     """Check by numbers of files that no camera lacks a frame of the others.
 
     Frames are paired in order, so that all after a gap would be paired with other cameras' earlier
-    ones. Files without numbers, and cameras of a single file, are not checked.
+    ones. Files without numbers, those whose least step differs between cameras, as of times, and
+    cameras of a single file are not checked.
 
     Parameters
     ----------
@@ -102,8 +104,10 @@ def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
     InputError
         A camera that lacks a number, counted from its first one, which another one has.
     """
-    numbers = {name: _numbers_of(paths)[chosen] for name, paths in files.items()}
-    known = {name: own for name, own in numbers.items() if len(own) > 1}
+    counters = {name: _counters_of(paths) for name, paths in files.items()}
+    if len({_least_step(own) for own in counters.values() if len(own) > 1}) > 1:
+        return  # times, say, and no numbers of frames
+    known = {name: own[chosen] for name, own in counters.items() if len(own[chosen]) > 1}
     every = {number - own[0] for own in known.values() for number in own}
     for name, own in known.items():
         gaps = {own[0] + step for step in every if step < own[-1] - own[0]} - set(own)
@@ -118,11 +122,15 @@ def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
         notes.append(f"frames are paired in order, and images begin with numbers {begin}")
 
 
-def _numbers_of(paths: Sequence[Path]) -> list[int]:
-    """Read the numbers of frames in files' names, which differ in all."""
+def _counters_of(paths: Sequence[Path]) -> list[int]:
+    """Read the last number in files' names that differs in all, if any."""
     found = [[int(one) for one in re.findall(r"\d+", path.stem)] for path in paths]
     for place in reversed(range(min((len(one) for one in found), default=0))):
         numbers = [one[place] for one in found]
         if len(set(numbers)) == len(paths):
             return numbers
     return []
+
+
+def _least_step(numbers: Sequence[int]) -> int:
+    return min(after - before for before, after in itertools.pairwise(numbers))

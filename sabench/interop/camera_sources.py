@@ -61,6 +61,6 @@ def read_camera_source(
     if not file.is_file() or file.suffix != ".json":
         raise InputError(
             f"{path}: expected {CAMERAS} of `sabench calibrate` or of a data set, or a folder with "
-            "it, found none; cameras of another program need --from"
+            "it; cameras of another program need --from"
         )
     return CameraSource(*read_calibrated(file))

@@ -6,6 +6,7 @@ import itertools
 import math
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -21,7 +22,8 @@ def fitted_maxima(volume: F32, floor: float) -> F64:
     A voxel higher than its 26 neighbours is a maximum; so is a plateau, connected voxels of one
     value, that no neighbour exceeds, at the mean of its voxels.
     """
-    highest = _not_exceeded(volume, floor)
+    highest_around = maximum_filter(volume, 3, mode="nearest")
+    highest = np.flatnonzero((volume >= floor) & (volume == highest_around))
     tied = np.zeros(len(highest), dtype=np.bool_)
     for step in _AROUND:
         _, equal = _equals(volume, highest, step)
@@ -30,29 +32,6 @@ def fitted_maxima(volume: F32, floor: float) -> F64:
     single = highest[~tied]
     order = np.argsort(np.concatenate([single, first]))
     return np.concatenate([_fit(volume, single), place])[order]
-
-
-def _not_exceeded(volume: F32, floor: float) -> I64:
-    """Find flat indices of voxels of E >= floor that no neighbour exceeds."""
-    found = [np.zeros(0, dtype=np.int64)]
-    before = here = _highest_around(volume[0])
-    for z, plane in enumerate(volume):
-        after = _highest_around(volume[min(z + 1, len(volume) - 1)])
-        top = np.maximum(np.maximum(before, here), after)
-        found.append(z * plane.size + np.flatnonzero((plane >= floor) & (plane == top)))
-        before, here = here, after
-    return np.concatenate(found)
-
-
-def _highest_around(plane: F32) -> F32:
-    """Return the highest of each pixel and its 8 neighbours."""
-    across = plane.copy()
-    np.maximum(across[:, 1:], plane[:, :-1], out=across[:, 1:])
-    np.maximum(across[:, :-1], plane[:, 1:], out=across[:, :-1])
-    highest = across.copy()
-    np.maximum(highest[1:], across[:-1], out=highest[1:])
-    np.maximum(highest[:-1], across[1:], out=highest[:-1])
-    return highest
 
 
 def _equals(volume: F32, voxels: I64, step: tuple[int, ...]) -> tuple[I64, I64]:

@@ -41,7 +41,7 @@ class SolverClock:
 
 
 def _place_of(error: Exception) -> str:
-    """Name the innermost file and line outside of libraries that raised."""
+    """Name the innermost file and line, but of libraries, that raised."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [one for one in frames if not one.filename.startswith(sys.prefix)]
     place = (own or frames)[-1]

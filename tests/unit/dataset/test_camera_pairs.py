@@ -34,6 +34,7 @@ def test_a_gap_that_others_do_not_have_is_named() -> None:
         {"a": ["a1_7.tif", "a1_9.tif"], "b": ["b2_7.tif", "b2_9.tif"]},  # 8 is nowhere
         {"a": ["1_cam1.tif", "2_cam1.tif"], "b": ["1_cam2.tif", "2_cam2.tif"]},
         {"a": ["a.tif"], "b": ["b.tif"]},
+        {"a": ["0.tif", "101.tif", "200.tif"], "b": ["1.tif", "99.tif", "201.tif"]},  # times
         {"a": ["early.tif", "late.tif"], "b": ["x.tif", "y.tif"]},
         {"a": ["1.tif", "2.tif", "3.tif"], "b": ["1.tif", "2.tif"]},  # counts tell of the end
     ],
