@@ -19,6 +19,16 @@ from typing import Any
 
 import numpy as np
 
+from reproduction.chapter_4 import (
+    D_PIX,
+    Board,
+    board,
+    draw,
+    places_of,
+    reprojection,
+    scene_of,
+    solve_case,
+)
 from sabench.algorithms.calibration.bundle_adjustment import (
     BoardImages,
     normal_equations,
@@ -29,16 +39,6 @@ from sabench.algorithms.calibration.cramer_rao import limit
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.algorithms.calibration.robust import adjust
-from sabench.evaluation.thesis.chapter_4 import (
-    D_PIX,
-    Board,
-    board,
-    draw,
-    places_of,
-    reprojection,
-    scene_of,
-    solve_case,
-)
 from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.scenes import build_rig, parse_scene
 from sabench.utils.arrays import F64

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from reproduction.chapter_4 import draw, scene_of
 from sabench.algorithms.calibration.bundle_adjustment import (
     BoardImages,
     normal_equations,
@@ -21,7 +22,6 @@ from sabench.algorithms.calibration.bundle_adjustment import (
 )
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.api.truth import Particles
-from sabench.evaluation.thesis.chapter_4 import draw, scene_of
 from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles

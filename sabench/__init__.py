@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from sabench.dataset.verification import verify
     from sabench.evaluation.gates.comparison import check_file as check
     from sabench.evaluation.leaderboard.submissions import submit
+    from sabench.evaluation.reproduction import reproduce
     from sabench.evaluation.runner import run_suite
-    from sabench.evaluation.thesis import reproduce
     from sabench.evaluation.viewer.view import View, view
     from sabench.geometry.camera import Camera
     from sabench.geometry.grid import Grid
@@ -79,7 +79,7 @@ _HOMES = {
     "open_samples": "dataset.sample_set",
     "quality": "tasks.quality",
     "read_camera_source": "interop.camera_sources",
-    "reproduce": "evaluation.thesis",
+    "reproduce": "evaluation.reproduction",
     "run_suite": "evaluation.runner",
     "score": "tasks.solve_and_score",
     "simulate": "simulation.in_memory",

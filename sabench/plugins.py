@@ -55,7 +55,7 @@ class Entry:
 
 @functools.cache
 def bundled_folder(kind: str) -> Path:
-    """Find a bundled folder: generators, solvers, scenes, templates or leaderboard."""
+    """Find a bundled folder, such as solvers, scenes or reproduction."""
     beside = _PACKAGE.parent / kind
     checkout = (_PACKAGE.parent / "pyproject.toml").is_file() and beside.is_dir()
     return beside if checkout else _PACKAGE / "_plugins" / kind
@@ -262,8 +262,14 @@ def tables(kind: Literal["scene", "suite"]) -> list[Entry]:
 
 
 def _tables(kind: Literal["scene", "suite"]) -> list[Path]:
-    folder = bundled_folder("scenes")
-    return sorted((folder if kind == "scene" else folder / "suites").glob("*.toml"))
+    folders = [bundled_folder("scenes")] if kind == "scene" else suite_folders()
+    files = [file for folder in folders for file in folder.glob("*.toml")]
+    return sorted(files, key=lambda file: file.name)
+
+
+def suite_folders() -> list[Path]:
+    """List the folders of bundled suites: those of sabench, and those of the thesis."""
+    return [bundled_folder(kind) / "suites" for kind in ("scenes", "reproduction")]
 
 
 def mount() -> None:

@@ -209,3 +209,20 @@ def _counts(
     matched = int(inside.sum())
     rms = float(np.sqrt(np.mean(np.sum(offset**2, axis=1)))) if matched else None
     return Counts(int(scored_truth.sum()), matched + int(alone.sum()), matched, rms)
+
+
+def ghost_ratio(ppp: float, cameras: int, area_px: float, depth_voxels: float) -> float:
+    """Compute ghosts per particle, N_g / N_p = ppp^(N - 1) A_p^N l_z (thesis, equation 3.14).
+
+    A voxel is lit by chance in N independent images that particles of area A_p cover to the share
+    ppp A_p: (ppp A_p)^N of all voxels, of which there are l_z / ppp for each particle. It counts
+    voxels, where a ghost has several, and any overlap of lines of sight.
+
+    Parameters
+    ----------
+    ppp : particles per pixel.
+    cameras : N.
+    area_px : A_p, area of a particle's image in pixels.
+    depth_voxels : l_z.
+    """
+    return float(ppp ** (cameras - 1) * area_px**cameras * depth_voxels)

@@ -12,7 +12,7 @@ from sabench.utils.errors import InputError
 def find(name: str | Path, folder: str) -> Path:
     """Find a file by its path, or by its stem in a bundled folder.
 
-    Bundled folders are scenes and scenes/suites.
+    Bundled folders are scenes and scenes/suites; suites are also found in reproduction/suites.
 
     Raises
     ------
@@ -26,12 +26,14 @@ def find(name: str | Path, folder: str) -> Path:
         raise InputError(f"{name}: expected a file's name")
     if direct.is_file():
         return direct
-    inside = plugins.bundled_folder("scenes").parent / folder
+    inside = [plugins.bundled_folder("scenes").parent / folder]
+    if folder == "scenes/suites":
+        inside = plugins.suite_folders()
     stem = direct.name.removesuffix(".toml")
-    bundled = inside / f"{stem}.toml"
-    if direct.parent in (Path(), Path(folder), Path("suites")) and bundled.is_file():
-        return bundled
-    known = sorted(file.stem for file in inside.glob("*.toml"))
+    files = {file.stem: file for one in inside for file in one.glob("*.toml")}
+    if stem in files and direct.parent in (Path(), Path(folder), Path("suites")):
+        return files[stem]
+    known = sorted(files)
     near = difflib.get_close_matches(stem, known, 1)
     raise InputError(
         f"{name}: expected a file or one of {', '.join(known)}"

@@ -24,7 +24,7 @@ def main() -> None:
         "between files"
     )
     print(f"circles           {[sorted(one) for one in circles(between)]}")
-    for part in ("sabench", "generators", "solvers", "tests", "benchmarks"):
+    for part in ("sabench", "generators", "solvers", "reproduction", "tests", "benchmarks"):
         print(f"lines of {part:10} {lines(root / part)}")
 
 

@@ -35,7 +35,7 @@ def faults(first: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("folder", ["sabench", "solvers", "generators"])
+@pytest.mark.parametrize("folder", ["sabench", "solvers", "generators", "reproduction"])
 def test_first_lines_are_short_and_have_a_head(folder: str) -> None:
     offenders = [
         f"{file.relative_to(ROOT)}:{line}: {fault}: {first}"

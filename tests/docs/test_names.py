@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import typer
 
+from sabench import plugins
 from sabench.cli.main import app
 from tests.docs.pages import PAGES, ROOT, blocks, prose
 
@@ -48,7 +49,7 @@ def _exists(word: str) -> bool:
         return _is_importable(word)
     suite = re.fullmatch(r"suites/([\w-]+)", word)
     if suite is not None:
-        return suite[1].isupper() or (ROOT / "scenes" / "suites" / f"{suite[1]}.toml").is_file()
+        return suite[1].isupper() or suite[1] in plugins.list_suites()
     file, _, test = word.partition("::")
     if test:
         return _exists(file) and f"def {test}(" in (ROOT / file).read_text(encoding="utf-8")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from reproduction.chapter_5 import render_first_frame
 from sabench.api import CalibrationCase, Camera, ImageSequence, Observation, VolumePair
 from sabench.api.make import make_algorithm
-from sabench.evaluation.thesis.chapter_5 import render_first_frame
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F64
 from tests.helpers.bubble_scenes import small

@@ -26,6 +26,7 @@ from sabench.evaluation.suite_loading import load_suite
 from sabench.tasks.solve_and_score import score, score_iterations, solve
 from sabench.utils.errors import InputError, UncheckedError
 from tests.conftest import Command
+from tests.system.test_board import block
 
 SUITE = """title = "t"
 seeds = [1, 2]
@@ -215,3 +216,40 @@ def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: C
     assert not (tmp_path / "leaderboard/pictures").exists()
     assert found[0]["dataset"] != found[1]["dataset"]
     assert all(record.get("identity") is None for record in found)  # a hash of the seed
+
+
+def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(
+    command: Command, tmp_path: Path
+) -> None:
+    (tmp_path / "suite.toml").write_text(
+        'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\n'
+        'scene = "quick"\nname = "q"\n[cases.set]\n"volume.size_mm" = [6.0, 4.0, 2.0]\n'
+        '[cases.vary]\n"particles.count" = [100, 200]\n[[solvers]]\nname = "msa"\n'
+        'label = "product"\n'
+    )
+    done = command("run", "suite.toml")
+    assert done.returncode == 0, done.stderr
+    assert "data set 4 of 4: q-count_200, seed 2" in done.stderr
+    counts = [line.count("±") for line in done.stdout.splitlines() if "product" in line]
+    assert min(counts) > 0
+    assert sum(counts) > 2 * 4  # of two cases, in as many tables as the terminal's width asks for
+    assert len(counts) % 2 == 0
+    lines = (tmp_path / "leaderboard" / "records" / "local.jsonl").read_text().splitlines()
+    records = [json.loads(line) for line in lines]
+    assert [(record["case"], record["axes"], record["seed"]) for record in records] == [
+        (f"q-count_{count}", {"particles.count": count}, seed)
+        for count in (100, 200)
+        for seed in (1, 2)
+    ]
+    assert [bool(record["pictures"]) for record in records] == [True, False, True, False]
+    assert not list((tmp_path / "work" / "datasets").iterdir())
+    assert not list((tmp_path / "work" / "results").iterdir())
+    page = (tmp_path / "leaderboard" / "index.html").read_text()
+    data = block(page)
+    assert [case["axes"] for case in data["cases"]] == [
+        "particles.count 100",
+        "particles.count 200",
+    ]
+    assert [len(row["scores"][0]) for row in data["rows"]] == [2] * len(
+        data["rows"]
+    )  # a mean and its half width

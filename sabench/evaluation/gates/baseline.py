@@ -140,7 +140,7 @@ def _data_tolerance(kind: str) -> Tolerance:
 
 def default_path(suite: Path) -> Path:
     """Return the path of a suite's baseline: bundled, or else next to its file."""
-    if suite.resolve().parent == plugins.bundled_folder("scenes").resolve() / "suites":
+    if suite.resolve().parent in [folder.resolve() for folder in plugins.suite_folders()]:
         return plugins.bundled_folder("leaderboard") / "baselines" / f"{suite.stem}.json"
     return suite.with_suffix(".baseline.json")
 

@@ -9,7 +9,7 @@ import numpy as np
 from sabench.evaluation.planning.light import Sample
 from sabench.evaluation.planning.quantities import Advice, Quantity, Section
 from sabench.evaluation.planning.viewing import Viewing
-from sabench.evaluation.thesis.theory import ghost_ratio
+from sabench.metrics.particle_detection import ghost_ratio
 from sabench.scenes import Scene
 
 _NEIGHBOUR = 0.55396  # mean distance of the nearest neighbour x (number density)^(1/3)

@@ -15,7 +15,7 @@ from scipy.special import erf
 from sabench.api.truth import Particles
 from sabench.evaluation.suite_loading import load_suite, override
 from sabench.evaluation.suites import SceneCase
-from sabench.plugins import bundled_folder
+from sabench.plugins import list_suites
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.utils.confidence import mean_of
@@ -243,7 +243,7 @@ def test_a_fault_is_named_before_any_work(tmp_path: Path, text: str, sentence: s
     assert sentence in str(caught.value)
 
 
-SUITES = sorted(file.stem for file in (bundled_folder("scenes") / "suites").glob("*.toml"))
+SUITES = list_suites()
 
 
 @pytest.mark.parametrize("name", SUITES)

@@ -11,10 +11,10 @@ from scipy.integrate import quad
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from reproduction.jet_scaling import find_tilt, straighten
 from sabench.api import BubbleGenerator
 from sabench.api.truth import Bubbles
 from sabench.geometry.frames import Domain
-from sabench.metrics.jet_tilt import find_tilt, straighten
 from sabench.plugins import load
 from sabench.utils.errors import InputError
 from sabench.utils.validation import validate

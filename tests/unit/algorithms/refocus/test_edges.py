@@ -9,18 +9,13 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from reproduction.edge_depth import count_views, edge_scores, find_rim, silhouette
 from sabench.algorithms.refocus import find_edges, refocus_sum
 from sabench.algorithms.refocus.edges import gradient
 from sabench.api.truth import Solid
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens_distortion import Distortion
-from sabench.metrics.edge_depth import (
-    count_views,
-    edge_scores,
-    find_rim,
-    silhouette,
-)
 from sabench.utils.arrays import F32, triple
 
 GRID = Grid((-8.0, -6.0, -10.0), (0.2, 0.2, 0.5), (41, 61, 81))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from reproduction.refocused_frames import best_k, quality_of_k
 from sabench.algorithms.refocus import refocus_sum
 from sabench.algorithms.refocus.thresholding import (
     ExtractionParameters,
@@ -23,7 +24,6 @@ from sabench.algorithms.refocus.thresholding import (
     occupancy,
 )
 from sabench.api import Observation
-from sabench.evaluation.thesis.best_threshold import best_k, quality_of_k
 from sabench.geometry.grid import synthesise
 from sabench.images.brightness import bright_dn, normalise
 from sabench.images.gaussians import effective_width

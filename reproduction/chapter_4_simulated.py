@@ -1,0 +1,369 @@
+"""Simulated calibrations: table 4.1 and figures 4-11 to 4-21."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from sabench.evaluation.reproduction import Item, Row
+from sabench.geometry.camera import Camera
+from sabench.plotting.charts import Curve, Figure, Histogram, Panel
+from sabench.utils.arrays import F64
+from sabench.utils.progress import progress_bar
+
+from .chapter_4 import (
+    BASELINE,
+    CAMERAS,
+    D_PIX,
+    EVERY_NOISE,
+    NOISES,
+    SOLVERS,
+    STARTS,
+    Board,
+    Draws,
+    board,
+    draw_points,
+    follow_rounds,
+    held_out,
+    measure,
+    point_errors,
+    solve_case,
+    stds,
+)
+from .common import claim, make_row
+
+_EDGE_MM = 50.0
+
+
+def table_4_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure noise and initial errors as drawn, and sizes of array and boards.
+
+    Table 4.1: variables of the simulated calibrations, measured in our draws.
+    """
+    for noise in EVERY_NOISE:
+        drawn = [board(13, BASELINE, noise, 0.2, seed) for seed in seeds]
+        yield make_row(
+            f"noise of a pixel coordinate {noise:g} px: as drawn",
+            noise,
+            [float(np.nanstd(own.case.pixels - own.exact)) for own in drawn],
+        )
+    for start in STARTS:
+        drawn = [board(13, BASELINE, 0.5, start, seed) for seed in seeds]
+        values = [float(np.std(own.case.initial_mm - own.points_mm)) for own in drawn]
+        yield make_row(
+            f"initial error of a point {start:g} of the edge: as drawn",
+            start,
+            [value / _EDGE_MM for value in values],
+            f"{np.mean(values):.3g} mm; cameras {200.0 * start:g} mm, {20.0 * start:g} degrees, "
+            f"{30.0 * start:g} % of the focal length",
+        )
+    given = board(13, BASELINE, 0.5, 0.2, seeds[0])
+    yield from _sizes(given)
+    yield make_row(
+        "combinations of cameras, noise and initial error",
+        3.0 * 5.0 * 5.0,
+        [float(len(CAMERAS) * len(EVERY_NOISE) * len(STARTS))],
+        f"cameras {CAMERAS}, measured by `appendix-c`; noise and starts are those that the text, "
+        "figure 4-12 and appendix C name",
+    )
+
+
+def _sizes(given: Board) -> Iterator[Item]:
+    """Compare the array and the boards with section 4.4.2."""
+    camera, boards, points = given.cameras[0], *given.points_mm.shape[:2]
+    wall = camera.wall
+    thickness = wall.layers[0].thickness_mm if wall else 0.0
+    yield make_row("calibration planes", 5.0, [float(boards)])
+    yield make_row("points of a plane", 121.0, [float(points)], "11 x 11")
+    yield make_row("thickness of the wall, mm", 5.0, [thickness])
+    yield make_row(
+        "pixel of the central camera in the middle of the volume, mm",
+        D_PIX,
+        [_pixel_mm(given.cameras[4])],
+    )
+
+
+def _pixel_mm(camera: Camera) -> float:
+    """Project a short line in the middle of the volume."""
+    ends = np.array([[-0.5, 0.0, 35.0], [0.5, 0.0, 35.0]])
+    seen = camera.project(ends)[0]
+    return float(1.0 / np.linalg.norm(seen[1] - seen[0]))
+
+
+_MEAN, _STD = 0.33, 1.17  # largest mean and scatter with 7 cameras at 2 px, in D_PIX
+
+
+def fig_4_12(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure errors per number of cameras and noise, over all initial guesses.
+
+    The measured error is relative to the noise, the true error to the measured one.
+
+    Figures 4-11 to 4-15: errors of the auto-calibration against noise.
+
+    They also vary with the initial guess; the thesis's alternation is compared with the joint
+    adjustment.
+    """
+    panels = []
+    for cameras in CAMERAS:
+        found = {}
+        for noise in NOISES:
+            found[noise] = measure(cameras, noise, seeds)
+            for name in SOLVERS:
+                yield from _noise_rows(cameras, noise, name, found[noise])
+        if cameras == 7:
+            yield from _point_rows(found[2.0])
+            yield draw_points(
+                "fig-4-14", "Figures 4-14 and 4-15: errors of the points, 7 cameras", found
+            )
+        panels.append(_errors_panel(cameras, found))
+    yield Figure("fig-4-12", "Figure 4-12: measured and true reprojection error", tuple(panels))
+    yield from _rounds(seeds)
+
+
+def _errors_panel(cameras: int, found: dict[float, Draws]) -> Panel:
+    """Draw figure 4-12: errors against the imposed noise, by initial guess."""
+    imposed = [noise * float(np.sqrt(np.pi / 2.0)) for noise in NOISES]
+    joint = [
+        np.mean(
+            [one.measured_px.mean() for start in STARTS for one in found[noise]["joint", start]]
+        )
+        for noise in NOISES
+    ]
+    curves = [
+        Curve("imposed", NOISES, imposed),
+        Curve("measured, joint", NOISES, [float(value) for value in joint]),
+    ]
+    for name, starts in (("joint", (0.2,)), ("alternating", (0.001, 0.01, 0.1, 0.2))):
+        for start in starts:
+            true = [
+                float(np.mean([one.true_px.mean() for one in found[noise][name, start]]))
+                for noise in NOISES
+            ]
+            curves.append(Curve(f"true, {name}, start {start:g}", NOISES, true))
+    return Panel(
+        f"{cameras} cameras", "noise of a coordinate, px", "mean error, px", tuple(curves), "xy"
+    )
+
+
+def _noise_rows(cameras: int, noise: float, name: str, found: Draws) -> Iterator[Row]:
+    every = [one for (own, _), draws in found.items() if own == name for one in draws]
+    head = f"{cameras} cameras, {noise:g} px, {name}"
+    imposed = noise * float(np.sqrt(np.pi / 2.0))
+    yield make_row(
+        f"{head}: mean measured error, px",
+        imposed,
+        [float(one.measured_px.mean()) for one in every],
+        "thesis: equal to the imposed error",
+        "smaller",
+    )
+    ratios = [float(one.true_px.mean() / one.measured_px.mean()) for one in every]
+    by_start = ", ".join(
+        f"{start:g}: {np.mean([one.true_px.mean() for one in found[name, start]]):.3g}"
+        for start in STARTS
+    )
+    yield claim(
+        f"{head}: true / measured",
+        "about 10 %",
+        float(np.mean(ratios)),
+        0.05 <= float(np.mean(ratios)) <= 0.15,
+        f"true px by start: {by_start}",
+    )
+
+
+def _point_rows(found: Draws) -> Iterator[Row]:
+    """Measure the last row of figures 4-14 and 4-15: 7 cameras, 2 px."""
+    for name in SOLVERS:
+        every = [one.errors_mm for (own, _), draws in found.items() if own == name for one in draws]
+        scatter = stds(every) / D_PIX
+        means = np.abs([errors.mean(axis=0) for errors in every]).max(axis=0) / D_PIX
+        note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter)}"
+        yield make_row(
+            f"7 cameras, 2 px, {name}: scatter along Z, pixels of the middle",
+            _STD,
+            [float(scatter[2])],
+            note,
+            "smaller",
+        )
+        yield make_row(
+            f"7 cameras, 2 px, {name}: largest mean along Z, the same unit",
+            _MEAN,
+            [float(means[2])],
+            "one point known to 0.05 mm",
+            "smaller",
+        )
+        yield claim(
+            f"7 cameras, 2 px, {name}: the error is largest along Z",
+            "yes",
+            float(scatter[2] / scatter[:2].max()),
+            bool(scatter[2] > scatter[:2].max()),
+        )
+
+
+def _rounds(seeds: Sequence[int]) -> Iterator[Item]:
+    """Draw figure 4-11: rounds of the alternation with 7 cameras at 0.5 px."""
+    curves = []
+    for start in STARTS:
+        errors = [follow_rounds(board(7, BASELINE, 0.5, start, seed)) for seed in seeds]
+        before, after = (np.mean([own[end] for own in errors]) for end in (0, -1))
+        note = f"largest mean error {before:.3g} px before, {after:.3g} px after"
+        yield make_row(
+            f"rounds of the alternation, 7 cameras, 0.5 px, start {start:g}",
+            None,
+            [float(len(own) - 1) for own in errors],
+            note,
+        )
+        curves.append(Curve(f"start {start:g}", range(len(errors[0])), errors[0]))
+    panel = Panel(
+        "7 cameras, 0.5 px, first seed",
+        "round",
+        "largest mean error of a camera, px",
+        tuple(curves),
+        "y",
+    )
+    yield Figure("fig-4-11", "Figure 4-11: convergence of the alternation", (panel,))
+
+
+_SOLVERS = {
+    "alternating": "refractive_autocal_alternating",
+    "randomised": "refractive_autocal_randomised",
+    "joint": "refractive_autocal",
+}
+
+
+def fig_4_16(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure the scatter of the points' errors over all initial guesses.
+
+    The thesis shows histograms without numbers.
+
+    Figures 4-16 and 4-17: alternating calibration on random camera subsets.
+
+    Subsets of eight cameras are compared with all cameras, and with the joint adjustment.
+    """
+    better, panels = [], []
+    for noise in NOISES:
+        scatter = {}
+        steps = [(start, seed) for start in STARTS for seed in seeds]
+        errors: dict[str, dict[float, list[F64]]] = {
+            name: {start: [] for start in STARTS} for name in _SOLVERS
+        }
+        for start, seed in progress_bar(steps, f"8 cameras, {noise:g} px"):
+            given = board(8, 0.3, noise, start, seed)
+            for name, solver in _SOLVERS.items():
+                errors[name][start].append(point_errors(solve_case(solver, given), given))
+        for name, own in errors.items():
+            scatter[name] = stds([one for draws in own.values() for one in draws]) / D_PIX
+            note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter[name])}"
+            yield make_row(
+                f"8 cameras, {noise:g} px, {name}: scatter along Z, pixels of the middle",
+                None,
+                [float(scatter[name][2])],
+                note,
+            )
+        curves = [
+            Curve(name, STARTS, [float(stds(draws)[2]) / D_PIX for draws in own.values()])
+            for name, own in errors.items()
+        ]
+        panels.append(
+            Panel(
+                f"{noise:g} px",
+                "start",
+                "scatter along Z, pixels of the middle",
+                tuple(curves),
+                "xy",
+            )
+        )
+        better.append(float(scatter["randomised"][2] / scatter["alternating"][2]))
+    yield claim(
+        "randomised over alternating, scatter along Z",
+        "smaller",
+        float(np.mean(better)),
+        bool(np.mean(better) < 1.0),
+        f"by noise: {np.round(better, 2)}",
+    )
+    yield Figure("fig-4-16", "Figures 4-16 and 4-17: random subsets of 8 cameras", tuple(panels))
+
+
+_CAMERAS, _BASELINE = 7, 0.3
+_TITLES = {
+    "fig-4-18": "Figure 4-18: other points by estimated and by exact cameras",
+    "fig-4-19": "Figure 4-19: the same at 0.5 px by start",
+    "fig-4-20": "Figure 4-20: linear auto-calibration without refraction",
+    "fig-4-21": "Figure 4-21: the same at 0.5 px, one draw each",
+}
+
+
+def fig_4_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure the scatter along Z of 500 points per draw.
+
+    Figures 4-18 to 4-21: held-out points by estimated and by exact cameras.
+
+    Linear auto-calibration is compared, also without refraction.
+    """
+    linear: dict[float, float] = {}
+    panels: dict[str, list[Panel]] = {name: [] for name in _TITLES}
+    for noise in progress_bar(NOISES, "points in the volume"):
+        pairs = [_pair("refractive_autocal", noise, 0.2, seed) for seed in seeds]
+        estimated, exact = (float(stds([pair[i] for pair in pairs])[2]) for i in (0, 1))
+        note = f"with the exact cameras {exact:.4g} mm"
+        yield claim(
+            f"{noise:g} px: scatter along Z by estimated over exact cameras",
+            "the same",
+            estimated / exact,
+            estimated < 1.2 * exact,
+            note,
+        )
+        free = [_pair("linear_autocal", noise, 0.001, seed, wall=False) for seed in seeds]
+        linear[noise] = float(stds([pair[0] for pair in free])[2])
+        yield claim(
+            f"{noise:g} px: linear auto-calibration without refraction "
+            "over refractive auto-calibration with it",
+            "at least as large",
+            linear[noise] / estimated,
+            linear[noise] > estimated,
+            f"{linear[noise]:.4g} mm against {estimated:.4g}",
+        )
+        both = (
+            _depths("refractive", [pair[0] for pair in pairs]),
+            _depths("exact cameras", [pair[1] for pair in pairs]),
+        )
+        panels["fig-4-18"].append(_panel(f"{noise:g} px", *both))
+        panels["fig-4-20"].append(
+            _panel(
+                f"{noise:g} px",
+                _depths("linear, without refraction", [pair[0] for pair in free]),
+                both[0],
+            )
+        )
+        if noise == 0.5:
+            panels["fig-4-21"] = [
+                _panel(f"seed {seed}", _depths("linear", [pair[0]]))
+                for seed, pair in zip(seeds, free, strict=True)
+            ]
+    for start in STARTS:
+        errors = [_pair("refractive_autocal", 0.5, start, seed)[0] for seed in seeds]
+        values = [float(stds([own])[2]) for own in errors]
+        panels["fig-4-19"].append(_panel(f"start {start:g}", _depths("refractive", errors)))
+        yield make_row(
+            f"0.5 px, start {start:g}: scatter along Z, mm",
+            None,
+            values,
+            "thesis, figure 4-19: the same for every start",
+        )
+    for name, words in _TITLES.items():
+        yield Figure(name, words, tuple(panels[name]))
+
+
+def _depths(label: str, errors: Sequence[F64]) -> Histogram:
+    return Histogram(label, np.concatenate([own[:, 2] - own[:, 2].mean() for own in errors]))
+
+
+def _panel(title: str, *content: Histogram) -> Panel:
+    return Panel(title, "error along Z without its mean, mm", "density, 1/mm", content)
+
+
+def _pair(
+    solver: str, noise: float, start: float, seed: int, *, wall: bool = True
+) -> tuple[F64, F64]:
+    given = board(_CAMERAS, _BASELINE, noise, start, seed, wall)
+    return held_out(solve_case(solver, given), given, noise, seed)

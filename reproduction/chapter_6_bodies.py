@@ -1,0 +1,347 @@
+"""Flow behind bodies, and three phases in one picture: chapter 6."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sabench.algorithms.bubbles import image_diameter_px, separate_phases
+from sabench.api import FoundParticles, ImageSequence, Observation, VolumePair
+from sabench.api.make import make_algorithm, make_solver
+from sabench.api.truth import BODY, Bubbles, Particles, Sight
+from sabench.evaluation.reproduction import Item
+from sabench.metrics.bubble_detection import detection_scores
+from sabench.metrics.particle_detection import challenge_pairs
+from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
+from sabench.plotting.charts import Curve, Figure, Panel, Picture
+from sabench.scenes import Scene, build_rig, load_scene
+from sabench.simulation.camera_view import render
+from sabench.simulation.frames import Frames
+from sabench.simulation.grey_values import record_image
+from sabench.simulation.in_memory import Shot, observation_of, simulate_sequence
+from sabench.utils.arrays import F64, Bool
+from sabench.utils.confidence import mean_of
+from sabench.utils.progress import console
+from sabench.worlds.advection import advect
+from sabench.worlds.bubbles_and_bodies import Phases
+from sabench.worlds.library.containment import contains
+from sabench.worlds.tracers import TOLERANCE, require_flow
+
+from .common import coarsen, make_row, settings
+
+_SCENES = {"reef": "flow-behind-reef", "propeller": "flow-behind-propeller"}
+_SOLVERS = ("ray_triangulation", "bayesian_ipr")
+_FIELD = "msa, piv3d"
+_WINDOW, _OVERLAP = (32, 32, 16), 0.75
+# cameras of the 3 x 3 grid, row by row: a cross, all
+_CAMERAS = {5: (1, 3, 4, 5, 7), 9: tuple(range(9))}
+_HIDDEN = {"none": (0.0, 0.0), "up to a third": (0.0, 0.34), "more": (0.34, 1.0)}
+_NEAR = 4  # particles around a node, which tell how much of it is hidden
+Figures = dict[tuple[int, str, str], float]  # cameras, solver and what: its figure
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Two frames of some cameras, with the share (n,) of hidden views."""
+
+    cases: tuple[Observation, ...]
+    shots: tuple[Shot, ...]
+    times_s: tuple[float, ...]
+    hidden: tuple[F64, ...]
+
+
+def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure recall, ghosts and velocity errors; the thesis shows no such flow.
+
+    Flow seen through a reef and behind a propeller: what chapter 6 hopes for.
+
+    Tracers move with a viscous flow around a body at rest, which hides some of them from some of
+    the cameras. Recall and velocity errors are given over the share of the cameras that do not see
+    a particle, and over the number of cameras.
+    """
+    for body, name in _SCENES.items():
+        scene = coarsen(load_scene(name), pixels)
+        found: list[Figures] = []
+        for seed in seeds:
+            shots = tuple(simulate_sequence(scene, seed=seed, backend="mitsuba"))
+            found.append(_measure(scene, seed, shots))
+            console.print(f"{body}, seed {seed}: measured", markup=False, highlight=False)
+            if seed == seeds[0]:
+                yield _view(body, shots[0].observation)
+        for cameras, solver, what in found[0]:
+            values = [one[cameras, solver, what] for one in found]
+            known = [value for value in values if np.isfinite(value)]
+            yield make_row(f"{body}, {cameras} cameras, {solver}: {what}", None, known)
+        yield _flow_figure(body, found)
+
+
+def _measure(scene: Scene, seed: int, shots: tuple[Shot, ...]) -> Figures:
+    out: Figures = {}
+    times = tuple(scene.time_s(frame) for frame in range(2))
+    for count, chosen in _CAMERAS.items():
+        cases = tuple(_only(shot.observation, chosen) for shot in shots)
+        seen = _Seen(cases, shots, times, tuple(_hidden(shot, chosen) for shot in shots))
+        out[count, "all", "hidden views, %"] = 100.0 * float(seen.hidden[0].mean())
+        for solver in _SOLVERS:
+            for what, value in _particles(solver, seen).items():
+                out[count, solver, what] = value
+        for what, value in _velocities(scene, seed, seen).items():
+            out[count, _FIELD, what] = value
+    return out
+
+
+def _only(case: Observation, chosen: tuple[int, ...]) -> Observation:
+    cameras = tuple(case.cameras[number] for number in chosen)
+    return replace(case, images=case.images[list(chosen)], cameras=cameras)
+
+
+def _hidden(shot: Shot, chosen: tuple[int, ...]) -> F64:
+    """Compute the share (n,) of the cameras that do not see each particle lit."""
+    seen = [shot.views[number].visible & (shot.views[number].photons > 0.0) for number in chosen]
+    return np.asarray(1.0 - np.mean(seen, axis=0))
+
+
+def _classes(hidden: F64) -> Iterator[tuple[str, Bool]]:
+    """Group places by the share of the cameras that they are hidden from."""
+    for name, (low, high) in _HIDDEN.items():
+        inside = hidden <= high if high == 0.0 else (hidden > low) & (hidden <= high)
+        yield name, np.asarray(inside)
+
+
+def _particles(solver: str, seen: _Seen) -> dict[str, float]:
+    """Find the particles of the first frame; recall and ghosts in percent."""
+    algorithm: Any = make_algorithm(solver, {})
+    case, grid = seen.cases[0], seen.cases[0].grid
+    sequence = ImageSequence(case.cameras, grid, seen.times_s[:1], lambda _: case)
+    found: FoundParticles = next(iter(algorithm.solve(sequence)))
+    places, true = (
+        grid.to_voxels(points)
+        for points in (found.position_mm, seen.shots[0].particles.position_mm)
+    )
+    i, j = challenge_pairs(places, true)
+    hit, ghost = np.zeros(len(true), dtype=np.bool_), np.ones(len(places), dtype=np.bool_)
+    hit[j], ghost[i] = True, False
+    scored = grid.in_scored(true)
+    figures = {"recall, %": _percent(hit[scored])}
+    for name, inside in _classes(seen.hidden[0]):
+        figures[f"recall, hidden from {name}, %"] = _percent(hit[scored & inside])
+    ghosts = int((ghost & grid.in_scored(places)).sum())
+    return figures | {"ghosts, %": 100.0 * ghosts / max(int(hit[scored].sum()), 1)}
+
+
+def _percent(hit: Bool) -> float:
+    return 100.0 * float(hit.mean()) if len(hit) else float("nan")
+
+
+def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
+    """Compute root mean square errors of displacements in voxels, in the fluid."""
+    from scipy.spatial import cKDTree
+
+    grid = seen.cases[0].grid
+    volumes = [make_solver("msa", {}).solve(case).volume for case in seen.cases]
+    start, end = seen.times_s
+    algorithm: Any = make_algorithm("piv3d", settings("piv3d", _WINDOW, _OVERLAP, grid))
+    field = algorithm.solve(VolumePair(volumes[0], volumes[1], grid, end - start))
+    points = evaluation_lattice(grid).positions_mm.reshape(-1, 3)
+    for body, _ in Phases(scene, seed).bodies(0):
+        points = points[~contains(body, points)]
+    velocity, measured = sample_velocity(field, points)
+    flow, tolerance = require_flow(scene, seed), TOLERANCE * max(scene.volume.size_mm)
+    after, before = (
+        advect(flow, points, (start + end) / 2.0, time, tolerance) for time in (end, start)
+    )
+    error = np.linalg.norm(
+        (velocity * (end - start) - (after - before)) / np.asarray(grid.voxel_mm), axis=1
+    )
+    near = cKDTree(seen.shots[0].particles.position_mm).query(points, k=_NEAR)[1]
+    hidden = seen.hidden[0][near].mean(axis=1)
+    figures = {"yield, %": _percent(measured), "rms, voxel": _rms(error[measured])}
+    for name, inside in _classes(hidden):
+        figures[f"rms, hidden from {name}, voxel"] = _rms(error[measured & inside])
+    return figures
+
+
+def _rms(error: F64) -> float:
+    return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
+
+
+def _view(body: str, case: Observation) -> Figure:
+    """Draw the middle camera's image, its brightest pixels cut."""
+    view = case.images[len(case.images) // 2].astype(np.float64)
+    view = np.minimum(view, np.percentile(view, 99.0))
+    shown = Picture(view, (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0))
+    panels = (Panel("", "px", "px", (shown,)),)
+    return Figure(f"flow-behind-{body}", f"tracers around a {body}", panels, inch=(5.5, 4.4))
+
+
+def _flow_figure(body: str, found: Sequence[Figures]) -> Figure:
+    """Draw recall and velocity error over hidden views and cameras."""
+    labels = list(_HIDDEN)
+    recall = [
+        _curve(solver, [(9, solver, f"recall, hidden from {name}, %") for name in labels], found)
+        for solver in _SOLVERS
+    ]
+    recalled = [
+        _curve(solver, [(count, solver, "recall, %") for count in _CAMERAS], found, list(_CAMERAS))
+        for solver in _SOLVERS
+    ]
+    errors = [
+        _curve(
+            f"{count} cameras",
+            [(count, _FIELD, f"rms, hidden from {name}, voxel") for name in labels],
+            found,
+        )
+        for count in _CAMERAS
+    ]
+    over = "hidden from: 0 none, 1 up to a third, 2 more"
+    panels = (
+        Panel("nine cameras", over, "recall, %", tuple(recall)),
+        Panel("all particles", "cameras", "recall, %", tuple(recalled)),
+        Panel(_FIELD, over, "rms error, voxel", tuple(errors)),
+    )
+    return Figure(f"flow-behind-{body}-scores", f"recall and errors around a {body}", panels)
+
+
+def _curve(
+    label: str,
+    keys: Sequence[tuple[int, str, str]],
+    found: Sequence[Figures],
+    x: Sequence[float] | None = None,
+) -> Curve:
+    means = [
+        mean_of([one[key] for one in found if np.isfinite(one.get(key, np.nan))]) for key in keys
+    ]
+    places = x or list(range(len(keys)))
+    known = [(place, mean) for place, mean in zip(places, means, strict=True) if mean]
+    return Curve(
+        label,
+        [place for place, _ in known],
+        [mean.mean for _, mean in known],
+        [mean.half_width or 0.0 for _, mean in known],
+    )
+
+
+_LARGEST_MM = 1.6  # as the solvers take it
+_BUBBLES, _TRACERS = ("rim_fit", "separated_bubbles"), ("bayesian_ipr", "separated_tracers")
+_KEYS = ("recall", "precision", "radius_percent", "plane_mm", "depth_mm")
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """One frame, and the truth of its three phases."""
+
+    case: Observation
+    bubbles: Bubbles
+    particles: Particles
+    lit: Bool
+    sights: tuple[Sight, ...]
+
+
+def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
+    """Measure each phase with and without separation; the thesis shows no such flow.
+
+    Bubbles, a body and tracers in one picture: what chapter 6 hopes for.
+
+    The images are separated by phase, and each phase is scored: bubbles, tracers, and the outline
+    of the body. The same solvers on the raw images show what separation gains.
+    """
+    scene = coarsen(load_scene("three-phases"), pixels)
+    found: list[dict[str, float]] = []
+    for seed in seeds:
+        shot = _record(scene, seed)
+        found.append(_bubbles(shot) | _tracers(shot) | _body(shot))
+        console.print(f"three phases, seed {seed}: measured", markup=False, highlight=False)
+        if seed == seeds[0]:
+            yield _phases_figure(shot.case)
+    for what in found[0]:
+        values = [one[what] for one in found]
+        yield make_row(what, None, [value for value in values if np.isfinite(value)])
+
+
+def _record(scene: Scene, seed: int) -> _Shot:
+    frame = Frames(scene, build_rig(scene, scene.title), seed).at(0)
+    views = [render(frame, number) for number in range(len(frame.rig.cameras))]
+    case = observation_of(frame, [record_image(frame, v, n) for n, v in enumerate(views)])
+    sights = tuple(view.sight for view in views if view.sight is not None)
+    images = [view.particles for view in views if view.particles is not None]
+    if frame.bubbles is None or frame.tracers is None:
+        raise ValueError(f"{scene.title}: expected bubbles and tracers")
+    seen = np.mean([one.visible & (one.photons > 0.0) for one in images], axis=0)
+    return _Shot(case, frame.bubbles, frame.tracers.particles, seen > 0.5, sights)
+
+
+def _bubbles(shot: _Shot) -> dict[str, float]:
+    visible = np.mean([sight.visible for sight in shot.sights], axis=0)
+    out: dict[str, float] = {}
+    for name in _BUBBLES:
+        algorithm: Any = make_algorithm(name, {})
+        scores = detection_scores(algorithm.solve(shot.case), shot.bubbles, visible)
+        out |= {f"bubbles, {name}: {key}": scores[key] for key in _KEYS}
+    return out
+
+
+def _tracers(shot: _Shot) -> dict[str, float]:
+    """Compute recall of all tracers and of those seen by most, and ghosts."""
+    out: dict[str, float] = {}
+    grid = shot.case.grid
+    true = grid.to_voxels(shot.particles.position_mm)
+    scored = grid.in_scored(true)
+    for name in _TRACERS:
+        algorithm: Any = make_algorithm(name, {})
+        sequence = ImageSequence(shot.case.cameras, grid, (0.0,), lambda _: shot.case)
+        found: FoundParticles = next(iter(algorithm.solve(sequence)))
+        places = grid.to_voxels(found.position_mm)
+        i, j = challenge_pairs(places, true)
+        hit, ghost = np.zeros(len(true), dtype=np.bool_), np.ones(len(places), dtype=np.bool_)
+        hit[j], ghost[i] = True, False
+        ghosts = int((ghost & grid.in_scored(places)).sum())
+        out |= {
+            f"tracers, {name}: recall": float(hit[scored].mean()),
+            f"tracers, {name}: recall of those seen": float(hit[scored & shot.lit].mean()),
+            f"tracers, {name}: ghosts, %": 100.0 * ghosts / max(int(hit[scored].sum()), 1),
+        }
+    return out
+
+
+def _body(shot: _Shot) -> dict[str, float]:
+    """Compare the body's pixels with those that show it: intersection over union."""
+    body = separate_phases(shot.case, image_diameter_px(shot.case, _LARGEST_MM)).body
+    true = np.stack([sight.number <= BODY for sight in shot.sights])
+    return {"body: intersection over union": overlap(body, true)}
+
+
+def overlap(found: Bool, true: Bool) -> float:
+    """Compute intersection over union of pixels; 1 where both are empty."""
+    union = int((found | true).sum())
+    return float((found & true).sum() / union) if union else 1.0
+
+
+def _phases_figure(case: Observation) -> Figure:
+    """Draw one view and its three parts."""
+    parts, middle = (
+        separate_phases(case, image_diameter_px(case, _LARGEST_MM)),
+        len(case.images) // 2,
+    )
+    shown = {
+        "one view": case.images[middle],
+        "bubbles": parts.bubbles.images[middle],
+        "tracers": parts.tracers.images[middle],
+        "body": parts.body[middle],
+    }
+    panels = [
+        Panel(
+            name,
+            "px",
+            "px",
+            (
+                Picture(
+                    image.astype(np.float64), (0.0, 0.0), (image.shape[1] - 1.0, len(image) - 1.0)
+                ),
+            ),
+        )
+        for name, image in shown.items()
+    ]
+    return Figure("three-phases", "three phases", tuple(panels), across=2, inch=(4.6, 3.6))

@@ -1,0 +1,157 @@
+"""Common parts of all tables: rows with verdicts, arrays simulated in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from sabench.evaluation.reproduction import Row
+from sabench.evaluation.suite_loading import load_suite, override
+from sabench.evaluation.suites import SceneCase
+from sabench.geometry.grid import Grid
+from sabench.scenes import Scene
+from sabench.scenes.cameras import CameraSpec
+from sabench.simulation.in_memory import Shot, simulate
+from sabench.utils.confidence import mean_of
+from sabench.utils.progress import console
+
+from .catalogue import UNSTATED
+
+ADEQUATE = 0.75  # the Q that the thesis asks for
+AGREES = 0.05  # a measured value this close to the thesis's reproduces it
+
+
+Better = Literal["larger", "smaller", "neither"]
+
+
+def make_row(
+    name: str,
+    thesis: float | None,
+    values: Sequence[float],
+    note: str = "",
+    better: Better = "neither",
+) -> Row:
+    """Make a row of a value that the thesis may state."""
+    mean = mean_of(values)
+    if mean is None:
+        return Row(name, thesis, None, "not reached", note=note)
+    judged = verdict(mean.mean, thesis, better)
+    return Row(name, thesis, mean.mean, judged, mean.half_width, mean.count, note)
+
+
+def verdict(measured: float, thesis: float | None, better: Better = "neither") -> str:
+    """Judge whether a value is the thesis's to within `AGREES`, else better or worse.
+
+    Parameters
+    ----------
+    better : which values are; "neither" for a quantity that is neither good nor bad.
+    """
+    if thesis is None:
+        return UNSTATED
+    if abs(measured - thesis) <= AGREES * abs(thesis):
+        return "reproduced"
+    if better == "neither":
+        return "differs"
+    return "exceeds" if (measured > thesis) == (better == "larger") else "below"
+
+
+def at_least(name: str, thesis: float, values: Sequence[float], note: str = "") -> Row:
+    """Make a row of a value for which the thesis gives a lower bound."""
+    row = make_row(name, thesis, values, note)
+    reached = row.measured is not None and row.measured >= thesis
+    return replace(row, verdict="reproduced" if reached else "below")
+
+
+def claim(name: str, thesis: str, measured: float | None, holds: bool, note: str = "") -> Row:
+    """Make a row of a claim in words, with the figure that decides it."""
+    return Row(name, thesis, measured, "reproduced" if holds else "not reproduced", note=note)
+
+
+def cases(suite: str) -> list[SceneCase]:
+    """List the scenes' cases of a suite, once each whatever its seeds are."""
+    every = load_suite(suite)[1]
+    return list({case.name: case for case in every if isinstance(case, SceneCase)}.values())
+
+
+def coarsen(scene: Scene, pixels: int | None) -> Scene:
+    """Make a coarse copy of a scene, with `pixels` x `pixels` larger pixels.
+
+    The array, the volume and the number of particles per pixel are the same; voxels are larger, of
+    the same shape.
+    """
+    if pixels is None:
+        return scene
+    factor = scene.cameras.columns / pixels
+    values: dict[str, Any] = {
+        "cameras.rows": round(scene.cameras.rows / factor),
+        "cameras.columns": pixels,
+        "cameras.pixel_mm": scene.cameras.pixel_mm * factor,
+        "grid.voxel_mm": [edge * factor for edge in scene.grid.voxel_mm],
+    }
+    given = scene.tracers.particles if scene.tracers is not None else {}
+    if "per_mm3" in given:
+        values["particles.per_mm3"] = density(scene) / factor**2
+    if "count" in given:
+        values["particles.count"] = round(given["count"] / factor**2)
+    if scene.cameras.each:
+        values["cameras.each"] = [_coarsen_camera(one, factor) for one in scene.cameras.each]
+    return override(scene, values, scene.title)
+
+
+def _coarsen_camera(one: CameraSpec, factor: float) -> dict[str, Any]:
+    """Make a camera's own table for larger pixels."""
+    own: dict[str, Any] = one.model_dump(exclude_none=True)
+    if one.pixel_mm is not None:
+        own["pixel_mm"] = one.pixel_mm * factor
+    if one.principal_point_px is not None:
+        own["principal_point_px"] = [(x + 0.5) / factor - 0.5 for x in one.principal_point_px]
+    return own
+
+
+def density(scene: Scene) -> float:
+    """Compute particles per mm3."""
+    return float(scene.particle_world.particles["per_mm3"])
+
+
+def with_density(scene: Scene, per_mm3: float) -> Scene:
+    """Change a scene's number of particles per mm3."""
+    return override(scene, {"particles.per_mm3": per_mm3}, scene.title)
+
+
+def per_pixel(scene: Scene) -> float:
+    """Compute particles per pixel of one camera (ppp)."""
+    return (
+        density(scene)
+        * float(np.prod(scene.volume.size_mm))
+        / (scene.cameras.rows * scene.cameras.columns)
+    )
+
+
+def simulate_frame(scene: Scene, seed: int) -> Shot:
+    """Simulate a frame of the scene, and print that."""
+    shot = simulate(scene, seed=seed)
+    console.print(
+        f"{scene.title}: {len(shot.particles)} particles, seed {seed}",
+        markup=False,
+        highlight=False,
+    )
+    return shot
+
+
+def settings(
+    solver: str, window: tuple[int, int, int], overlap: float, grid: Grid
+) -> dict[str, Any]:
+    """Make a PIV solver's parameters with the thesis's windows.
+
+    The first windows of `piv3d` are twice as long, for larger displacements.
+
+    A coarse copy of an array has fewer voxels: windows are then as large as fit, in whole steps.
+    """
+    fitting = tuple(
+        min(own, 4 * (there // 4)) for own, there in zip(window, grid.shape[::-1], strict=True)
+    )
+    same = {"window": fitting, "overlap": overlap}
+    return same | ({"first_window": tuple(2 * own for own in fitting)} if solver == "piv3d" else {})
