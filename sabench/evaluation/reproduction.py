@@ -1,6 +1,6 @@
-"""Reproduction of J. Belden's thesis, whose tables and figures lie in reproduction/.
+"""Access to the reproduction of J. Belden's thesis in the folder reproduction/.
 
-That folder lies next to the package in a checkout, and inside it in a wheel.
+The folder lies next to the package in a checkout, and inside it in a wheel.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ Item = Row | Figure  # what a measurement yields
 def reproduce(
     tables: Sequence[str], seeds: int | None = None, pixels: int | None = None
 ) -> Iterator[Item]:
-    """Measure tables and figures of the thesis; yield each row or figure when it is ready.
+    """Measure tables and figures of the thesis.
 
-    Frames that several of them use are simulated once.
+    Each row or figure is yielded when it is ready. Frames that several of them use are simulated once.
 
     Parameters
     ----------

@@ -212,7 +212,9 @@ def _counts(
 
 
 def ghost_ratio(ppp: float, cameras: int, area_px: float, depth_voxels: float) -> float:
-    """Compute ghosts per particle, N_g / N_p = ppp^(N - 1) A_p^N l_z (thesis, equation 3.14).
+    """Compute ghosts per particle, N_g / N_p = ppp^(N - 1) A_p^N l_z.
+
+    Equation 3.14 of the thesis.
 
     A voxel is lit by chance in N independent images that particles of area A_p cover to the share
     ppp A_p: (ppp A_p)^N of all voxels, of which there are l_z / ppp for each particle. It counts
