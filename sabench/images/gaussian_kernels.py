@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
-
 from sabench.images.gaussian_units import fill_edges, fill_edges_and_slopes
+from sabench.utils.compiled import numba
 
 
 @numba.njit(cache=True)

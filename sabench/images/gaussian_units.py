@@ -11,13 +11,13 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numba
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.polynomial import chebyshev
 
+from sabench.utils.compiled import numba
 from sabench.utils.vector_units import LANES, Vectors
 
 _END = 4.2  # of the error function's argument: half of it is within 2e-9 of 1/2 there

@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.images.gaussian_kernels import fill_profile
@@ -28,6 +27,7 @@ from sabench.images.particle_spots import (
     where_seen,
 )
 from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
 from sabench.utils.vector_units import add_product
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.window_sums import (
@@ -46,6 +45,7 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.gaussian_kernels import fill_derivatives, fill_profile
 from sabench.images.gaussian_units import whole_lanes
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 from sabench.utils.vector_units import LANES
 
 _REACH, _ROUNDED_PX = 3.1, 0.1  # of a particle's image in widths; that much less is enough

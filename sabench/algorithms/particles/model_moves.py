@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
@@ -47,6 +46,7 @@ from sabench.geometry.volume_polynomials import (
 from sabench.images.gaussian_kernels import fill_derivatives
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.compiled import numba
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
@@ -20,6 +19,7 @@ from sabench.images.gaussian_units import whole_lanes
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.simulation.rendering.window_units import add_products
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
 
 # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
 _REACH = 4.5
