@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from sabench.images.gaussian_kernels import fill_profile
-from sabench.images.gaussian_units import whole_lanes
 from sabench.images.near_images import near_images
 from sabench.images.particle_spots import (
     IMAGE_REACH,
@@ -29,7 +28,7 @@ from sabench.images.particle_spots import (
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
-from sabench.utils.vector_units import add_product
+from sabench.utils.vector_units import add_product, whole_lanes
 
 _STEPS, _EXACT = 100, 1e-4  # of conjugate gradients, and the share of a rest they may still take
 
