@@ -52,7 +52,8 @@ event.register("numba:compiler_lock", _CLOCK)
 def compile_s() -> float:
     """Return the seconds in which this process compiled or loaded kernels.
 
-    Those of all threads count once. This happens once for a kernel and a machine, or a process, and is no part of a solver's time.
+    Those of all threads count once. This happens once for a kernel and a machine, or a process, and
+    is no part of a solver's time.
     """
     return _CLOCK.seconds
 
