@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numba
 import numpy as np
 
 from sabench.algorithms.refocus import cpu_kernels, refocus_sum
@@ -34,6 +33,7 @@ from sabench.metrics.synthesised_field import true_field
 from sabench.scenes import Scene
 from sabench.simulation.in_memory import Shot
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 
 from .common import make_row, simulate_frame
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.images.repair import above_background, peak_light
 from sabench.utils.arrays import F32, U16, Bool
+from sabench.utils.compiled import numba
 
 _BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
 _ILLUMINATED = 0.1  # of the brightest pixel

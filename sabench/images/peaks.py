@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.compiled import numba
 
 _CELL_PX = 4.0  # edge of the square cells into which peaks are sorted
 

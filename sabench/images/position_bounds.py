@@ -12,11 +12,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.images.gaussian_kernels import fill_profile
-from sabench.images.gaussian_units import whole_lanes
 from sabench.images.near_images import near_images
 from sabench.images.particle_spots import (
     IMAGE_REACH,
@@ -28,8 +26,9 @@ from sabench.images.particle_spots import (
     where_seen,
 )
 from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
-from sabench.utils.vector_units import add_product
+from sabench.utils.vector_units import add_product, whole_lanes
 
 _STEPS, _EXACT = 100, 1e-4  # of conjugate gradients, and the share of a rest they may still take
 

@@ -51,7 +51,6 @@ from sabench.tasks.task import (
 from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.installed import can_compile
 from sabench.utils.progress import progress_bar
 
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
@@ -316,10 +315,8 @@ def _claims(estimate: FoundParticles, error: F64, i: I64, ghosts: Bool) -> Figur
 
 def _bounds(data: Dataset, frame: int, rows: I64) -> F64:
     """Compute the bounds (k, 3, 3) of the positions of some of a frame's particles."""
-    if can_compile:
-        from sabench.images.position_bounds import position_bounds
-    else:
-        from sabench.images.bounds_without_kernels import position_bounds
+    from sabench.images.position_bounds import position_bounds  # with kernels, which take time
+
     cameras = range(len(data.true_cameras))
     spots = true_spots(
         data.particles(frame).position_mm,

@@ -13,12 +13,12 @@ import math
 from typing import Any, NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
 from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.utils.compiled import numba
 
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
 _BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_row
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
 _NARROWEST, _ANY = 0.4, 1e-3  # px: widths of images that a lattice of pixels' steps does not miss

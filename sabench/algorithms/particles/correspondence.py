@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.geometry.volume_polynomials import (
@@ -17,6 +16,7 @@ from sabench.geometry.volume_polynomials import (
     project_with_slopes,
 )
 from sabench.images.peaks import find_near
+from sabench.utils.compiled import numba
 
 _NEAR = 64  # particle images looked at around one position
 

@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
-
 from sabench.algorithms.particles.image_model import (
     WEIGHT,
     XX,
@@ -31,6 +29,7 @@ from sabench.algorithms.particles.light_prior import (
     light_cost,
     log_determinant,
 )
+from sabench.utils.compiled import numba
 
 _FARTHEST_PX = 0.5  # that a particle moves in one step
 _STILL = 1e-4  # fall of the cost that is not worth a step

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
@@ -18,6 +17,7 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
 )
 from sabench.algorithms.particles.light_prior import factorise, fill_inverse_diagonal
+from sabench.utils.compiled import numba
 
 
 @numba.njit(cache=True, nogil=True)

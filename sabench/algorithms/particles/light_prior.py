@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
 
 _STEPS, _STILL = 12, 0.01  # of Newton's method, and the step whose next one is nothing
 _LOW, _HIGH = -6.0, 4.0  # of the logarithms

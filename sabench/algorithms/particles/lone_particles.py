@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
 
 _OVERLAP = 4.8  # widths of images: distance of those that overlap

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
@@ -27,9 +26,10 @@ from sabench.algorithms.particles.image_model import (
     take_out,
 )
 from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
-from sabench.algorithms.particles.window_sums import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 from sabench.geometry.volume_polynomials import project_point
 from sabench.images.gaussian_kernels import fill_bend
+from sabench.utils.compiled import numba
+from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
+
+from sabench.utils.compiled import numba
 
 _CLIP = 30.0  # mean squares: more of one pixel says nothing of the others
 _OWN_ERROR = 0.03  # of a particle's image: particles differ

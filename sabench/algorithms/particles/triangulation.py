@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.correspondence import follow_lines, move_to_pixel
@@ -19,6 +18,7 @@ from sabench.algorithms.particles.time_budget import Deadline
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.compiled import numba
 
 _NEAR = 64  # particle images looked at around one position
 _ROOM = 50  # sets of each of the first camera's images for which memory is allocated
