@@ -61,7 +61,8 @@ def write_package(folder: Path) -> Path:
     """Copy what stamps kernels, with a kernel that calls another one."""
     own = folder / "sabench"
     shutil.copytree(PACKAGE / "utils", own / "utils", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(PACKAGE / "__init__.py", own)
+    for name in ("__init__.py", "__init__.pyi"):
+        shutil.copy(PACKAGE / name, own)
     (own / "caller.py").write_text(CALLER)
     (own / "callee.py").write_text(CALLEE.format(number=1))
     return own
