@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
-
+from sabench.plotting.page import render_page
 from sabench.utils.number_text import significant
 
 _PAGE = """<!doctype html>
@@ -87,19 +86,19 @@ def render(
     titles : what each item measures.
     plots : figures of each item.
     """
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["value"] = significant
-    environment.filters["grade"] = _grade
-    environment.filters["interval"] = lambda half: "" if half is None else f" ± {half:.2g}"
-    return environment.from_string(_PAGE).render(
-        entries=entries,
-        items={name: list(own) for name, own in groupby(rows, lambda row: row["item"])},
-        titles=titles,
-        plots=plots,
-        small=any(row["pixels"] for row in rows),
-    )
+    values = {
+        "entries": entries,
+        "items": {name: list(own) for name, own in groupby(rows, lambda row: row["item"])},
+        "titles": titles,
+        "plots": plots,
+        "small": any(row["pixels"] for row in rows),
+    }
+    filters = {"value": significant, "grade": _grade, "interval": _interval}
+    return render_page(_PAGE, values, filters)
+
+
+def _interval(half: float | None) -> str:
+    return "" if half is None else f" ± {half:.2g}"
 
 
 def _grade(verdict: str) -> str:
