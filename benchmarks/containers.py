@@ -28,7 +28,7 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from sabench.simulation.streaming import Sample, stream_samples
+from sabench.simulation.streaming import Sample, stream
 from sabench.utils.arrays import F64, U16
 
 _SHARD, _READS = 100, 300
@@ -187,7 +187,7 @@ def measure(container: Container, folder: Path, samples: list[Sample]) -> list[s
 def main() -> None:
     """Measure and print."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    batches = stream_samples("quick", seed=1, batch=10, samples=count)
+    batches = stream("quick", seed=1, batch=10, samples=count)
     samples = [one for batch in batches for one in batch.samples]
     print("| container | files | MB | written/s | in order/s | at random/s | opened in ms |")
     print("|---|---|---|---|---|---|---|")

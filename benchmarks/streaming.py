@@ -40,7 +40,7 @@ from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.frames import Frames
 from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import record_frame
-from sabench.simulation.streaming import stream_samples
+from sabench.simulation.streaming import stream
 from sabench.utils.philox import draw_key, fill_blocks
 
 SIZES, DENSITIES = (128, 256, 512, 1024), (0.01, 0.05)
@@ -166,13 +166,13 @@ def synthpix_pairs_s(size: int, per_pixel: float, seconds: float) -> float | Non
 
 def measure(size: int, per_pixel: float, seconds: float) -> dict[str, float]:
     """Measure the rates of a scene's stream."""
-    stream = stream_samples(planar_scene(size, per_pixel), seed=1, batch=4)
-    first = next(stream)
+    batches = stream(planar_scene(size, per_pixel), seed=1, batch=4)
+    first = next(batches)
     assert first.images.shape[1:] == (2, 1, size, size)
     pairs = images = 0
     start = CPU()
     while CPU() - start < seconds:
-        for sample in next(stream).samples:
+        for sample in next(batches).samples:
             pairs += 1
             images += sum(len(particles) for particles in sample.particles)
     spent = CPU() - start
@@ -182,8 +182,8 @@ def measure(size: int, per_pixel: float, seconds: float) -> dict[str, float]:
 
 def memory_mb(samples: int) -> float:
     """Stream a number of samples, and return the most memory this process had."""
-    stream = stream_samples(planar_scene(128, 0.05), seed=2, batch=10)
-    for _ in itertools.islice(stream, samples // 10):
+    batches = stream(planar_scene(128, 0.05), seed=2, batch=10)
+    for _ in itertools.islice(batches, samples // 10):
         pass
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 

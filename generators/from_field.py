@@ -11,8 +11,7 @@ from pydantic import Field, model_validator
 from scipy.interpolate import NdBSpline, make_interp_spline
 
 from sabench.api import F64, Domain, FileParameters, Flow, InputError
-from sabench.worlds.library.field_files import length_mm, read_arrays, speed_mm_s, time_s
-from sabench.worlds.library.field_formats import Array
+from sabench.worlds.library.array_files import Array, length_mm, read_arrays, speed_mm_s, time_s
 
 _DEGREE = 3
 _FEWEST = _DEGREE + 1  # points along an axis

@@ -20,8 +20,7 @@ from sabench.api import (
     Particles,
     stream,
 )
-from sabench.worlds.library.field_files import length_mm, read_arrays, speed_mm_s, time_s
-from sabench.worlds.library.field_formats import Array
+from sabench.worlds.library.array_files import Array, length_mm, read_arrays, speed_mm_s, time_s
 
 
 class FromTracksParameters(FileParameters):

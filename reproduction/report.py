@@ -8,10 +8,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
-
 from sabench.plotting.charts import Figure
 from sabench.plotting.drawing import draw
+from sabench.plotting.page import render_page
 from sabench.utils.files import canonical_json, complete_or_nothing
 from sabench.utils.number_text import significant
 from sabench.utils.progress import announce_compiling, console
@@ -128,19 +127,20 @@ def _page(rows: Sequence[Mapping[str, Any]], plots: Mapping[str, Sequence[Figure
     """Render a page beside whose file the plots lie as NAME.png."""
     now = {row["item"] for row in rows}
     recorded = [row for row in read_rows(MEASURED) if row["item"] not in now]
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    values = {
+        "entries": judged([*recorded, *rows]),
+        "items": {name: list(own) for name, own in groupby(rows, lambda row: row["item"])},
+        "measurements": MEASUREMENTS,
+        "plots": plots,
+        "small": any(row["pixels"] for row in rows),
+    }
+    return render_page(
+        _PAGE, values, {"value": significant, "grade": _grade, "interval": _interval}
     )
-    environment.filters["value"] = significant
-    environment.filters["grade"] = _grade
-    environment.filters["interval"] = lambda half: "" if half is None else f" ± {half:.2g}"
-    return environment.from_string(_PAGE).render(
-        entries=judged([*recorded, *rows]),
-        items={name: list(own) for name, own in groupby(rows, lambda row: row["item"])},
-        measurements=MEASUREMENTS,
-        plots=plots,
-        small=any(row["pixels"] for row in rows),
-    )
+
+
+def _interval(half: float | None) -> str:
+    return "" if half is None else f" ± {half:.2g}"
 
 
 def _grade(verdict: str) -> str:

@@ -261,8 +261,7 @@ def verify(
     """Check every byte and every shape of a data set."""
     from sabench.dataset.agreement import disagreements
     from sabench.dataset.reader import open_dataset
-    from sabench.dataset.verification import describe_contents
-    from sabench.dataset.verification import verify as faults_of
+    from sabench.dataset.verification import describe_contents, verify as faults_of
 
     faults = faults_of(dataset)
     if against is not None:
@@ -313,8 +312,7 @@ def pack(
 
 def _pack_dataset(dataset: Path, output: Path, blind: bool, overwrite: bool) -> None:
     from sabench.dataset import schema as layout
-    from sabench.dataset.observation_side import pack as copy
-    from sabench.dataset.observation_side import pack_samples
+    from sabench.dataset.observation_side import pack as copy, pack_samples
     from sabench.dataset.reader import open_dataset
 
     contents = layout.read_manifest(dataset)

@@ -169,12 +169,12 @@ def check(
 
     The exit code is 1 if a score got worse.
     """
-    from sabench.evaluation.gates.comparison import check_file
+    from sabench.evaluation.gates.comparison import check as compare
     from sabench.evaluation.gates.junit import write_junit
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
-    report = check_file(
+    report = compare(
         suite, baseline, work, update=update, solvers=solver or (), exit_first=exit_first
     )
     if junit:

@@ -143,8 +143,7 @@ def import_recording(
     overwrite: Overwrite = False,
 ) -> None:
     """Make a data set without truth of your own images and calibration."""
-    from sabench.dataset.import_recording import ImportOptions
-    from sabench.dataset.import_recording import import_recording as make
+    from sabench.dataset.import_recording import ImportOptions, import_recording as make
     from sabench.interop.camera_sources import read_camera_source
 
     options = ImportOptions(

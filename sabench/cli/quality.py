@@ -43,8 +43,7 @@ def quality(
 ) -> None:
     """Judge a result by the images that it came from, without truth."""
     from sabench.dataset.hdf5_probe import probe, probe_dataset
-    from sabench.tasks.quality import quality as judge
-    from sabench.tasks.quality import write_quality
+    from sabench.tasks.quality import quality as judge, write_quality
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()

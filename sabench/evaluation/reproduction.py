@@ -56,7 +56,7 @@ def reproduce(
 ) -> Iterator[Item]:
     """Measure tables and figures of the thesis.
 
-    Each row or figure is yielded when it is ready. Frames that several of them use are simulated once.
+    Yields each row or figure when it is ready. Frames that several of them use are simulated once.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.fields import Positive, Table, Vector
-from sabench.utils.text_tables import read_table
+from sabench.utils.tables import read_table
 
 _MOST = 100_000_000  # pixels of a surface
 _IMAGES = (".tif", ".tiff")  # files of heights at pixels; others are tables of points

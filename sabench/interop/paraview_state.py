@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from jinja2 import Template
-
 NAME = "state.py"
 _TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
 
@@ -21,5 +19,5 @@ def write_state(root: Path, home: Path) -> None:
     ----------
     home : where the folder will lie, for a ParaView that does not tell where the state is.
     """
-    template = Template(_TEMPLATE.read_text(encoding="utf-8"), keep_trailing_newline=True)
-    (root / NAME).write_text(template.render(folder=repr(str(home))), encoding="utf-8")
+    text = _TEMPLATE.read_text(encoding="utf-8").replace("{{ folder }}", repr(str(home)))
+    (root / NAME).write_text(text, encoding="utf-8")

@@ -58,7 +58,7 @@ def generate_samples(
 ) -> SampleSet:
     """Generate independent samples in shards, resuming an interrupted run.
 
-    They are those of `stream_samples` with the same scene, seed and renderer. The bytes do not
+    They are those of `stream` with the same scene, seed and renderer. The bytes do not
     depend on the number or order of workers.
 
     Parameters
@@ -76,7 +76,7 @@ def generate_samples(
     Raises
     ------
     InputError
-        As `stream_samples`; an existing folder, an unfinished data set of something else, a full
+        As `stream`; an existing folder, an unfinished data set of something else, a full
         disk, or shards that failed again and again.
     """
     loaded, target = scene if isinstance(scene, Scene) else load_scene(scene), Path(out).absolute()

@@ -74,7 +74,7 @@ class Sample:
         return observation_of(content, list(self.images[frame]), lowest)
 
 
-def stream_samples(
+def stream(
     scene: Scene | str | Path,
     *,
     seed: int = 0,

@@ -5,7 +5,6 @@ docs/using/calibrating.md describes them.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
+from sabench.utils.tables import read_records
 from sabench.utils.validation import printable
 
 _FARTHEST_PX = 1e6  # of a point from the image's corner
@@ -25,7 +25,6 @@ _SIGMAS = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm")
 _SEEN = ("camera", "frame", "point", "column", "row")
 _ALIASES = {name.removesuffix("_mm"): name for name in (*_AXES, *_SIGMAS, "sigma_mm")}
 _LARGEST = 2**31  # number of a frame or a point
-_LONGEST = 100_000  # characters of a file's first line
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def read_loose_points(path: Path, names: Sequence[str]) -> Sightings:
 def read_target(path: Path) -> tuple[tuple[float, float, float], ...]:
     """Read a target's own points: columns point, x_mm, y_mm and z_mm, counted from 0."""
     places: dict[int, tuple[float, float, float]] = {}
-    for where, line in _records(path, ("point", *_AXES), ()):
+    for where, line in read_records(path, ("point", *_AXES), (), _ALIASES):
         number = _whole(where, line, "point")
         x, y, z = (_length(where, line, name) for name in _AXES)
         if number in places:
@@ -159,7 +158,7 @@ def _enter(made: Sightings, names: Sequence[str], line: _Line, frame: int, point
 
 
 def _lines(path: Path, names: Sequence[str]) -> Iterator[_Line]:
-    for where, line in _records(path, _SEEN, (*_AXES, "sigma_mm", *_SIGMAS)):
+    for where, line in read_records(path, _SEEN, (*_AXES, "sigma_mm", *_SIGMAS), _ALIASES):
         camera, frame, point = line["camera"], *(_whole(where, line, k) for k in _SEEN[1:3])
         if camera not in names:
             raise InputError(
@@ -206,50 +205,3 @@ def _number(where: str, line: dict[str, str], key: str, most: float, unit: str) 
             f"{where}: {key}: expected a number of -{most:g} to {most:g} {unit}, got {value}"
         )
     return value
-
-
-def _records(
-    path: Path, needed: Sequence[str], possible: Sequence[str]
-) -> Iterator[tuple[str, dict[str, str]]]:
-    """Read the lines of a CSV file by the names of its columns.
-
-    Columns are separated by commas, semicolons or tabs; with the latter two, numbers may have
-    decimal commas. Capitals, blanks and a missing `_mm` do not matter.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            first = file.readline(_LONGEST)
-            mark = next((mark for mark in ";\t" if mark in first), ",")
-            file.seek(0)
-            reader = csv.reader(file, delimiter=mark)
-            names = _header(path, next(reader, []), needed, possible)
-            for cells in reader:
-                if any(cell.strip() for cell in cells):
-                    where = f"{path}: line {reader.line_num}"
-                    yield where, _record(where, names, cells, mark)
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: expected a CSV file in UTF-8, got {error}") from error
-    except OSError as error:
-        raise InputError(f"{path}: expected a CSV file, got {error.strerror}") from error
-
-
-def _header(
-    path: Path, cells: list[str], needed: Sequence[str], possible: Sequence[str]
-) -> list[str]:
-    plain = [cell.strip().lower() for cell in cells]
-    names = [_ALIASES.get(cell, cell) for cell in plain]
-    wrong = [name for name in names if name not in (*needed, *possible)]
-    if wrong or len(set(names)) != len(names) or not set(needed) <= set(names):
-        also = f" and possibly {','.join(possible)}" if possible else ""
-        raise InputError(
-            f"{path}: expected the first line {','.join(needed)}{also}, got "
-            f"{printable(','.join(cells))}"
-        )
-    return names
-
-
-def _record(where: str, names: list[str], cells: list[str], mark: str) -> dict[str, str]:
-    if len(cells) != len(names):
-        raise InputError(f"{where}: expected {len(names)} columns, got {len(cells)}")
-    plain = [cell.strip() if mark == "," else cell.strip().replace(",", ".") for cell in cells]
-    return dict(zip(names, plain, strict=True))

@@ -138,7 +138,7 @@ def _file_of(module: str) -> Path | None:
     path = _PACKAGE.joinpath(*parts)
     if top != _PACKAGE.name:
         return None
-    files = (path / "__init__.py", path.with_suffix(".py"))
+    files = (path / "__init__.pyi", path / "__init__.py", path.with_suffix(".py"))
     return next((file for file in files if file.is_file()), None)
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from reproduction import chapter_2_vortex_rings as rings
-from reproduction import chapter_3
+from reproduction import chapter_2_vortex_rings as rings, chapter_3
 from sabench.scenes import build_rig
 
 

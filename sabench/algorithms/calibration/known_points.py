@@ -8,6 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.api import CalibrationCase
+from sabench.geometry.polynomial_cameras import fit_planes as fit_planes, fit_soloff as fit_soloff
+from sabench.geometry.projective_camera import (
+    Projective as Projective,
+    fit_projective as fit_projective,
+)
 from sabench.utils.arrays import F64
 
 _FLAT = 1e-6  # thickness over width of places in one plane

@@ -4,55 +4,7 @@ The package holds triangulation of image peaks, reconstruction of the most proba
 (Bayesian IPR), tracking (Shake-The-Box), and linking.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from typing import TYPE_CHECKING
-
-from sabench.utils.lazy_names import lazy_names
-
-if TYPE_CHECKING:
-    from sabench.algorithms.particles.bayesian_ipr import (
-        BayesianIprSettings,
-        reconstruct_most_probable,
-    )
-    from sabench.algorithms.particles.common_view import find_fault
-    from sabench.algorithms.particles.defocusing import find_by_defocusing, find_unsuitable
-    from sabench.algorithms.particles.linking import link
-    from sabench.algorithms.particles.peak_detection import PeakParameters
-    from sabench.algorithms.particles.ray_triangulation import (
-        TriangulationSettings,
-        fit_cameras,
-        triangulate_particles,
-    )
-    from sabench.algorithms.particles.shake_the_box import ShakeTheBoxSettings, track_particles
-
-__all__ = [
-    "BayesianIprSettings",
-    "PeakParameters",
-    "ShakeTheBoxSettings",
-    "TriangulationSettings",
-    "find_by_defocusing",
-    "find_fault",
-    "find_unsuitable",
-    "fit_cameras",
-    "link",
-    "reconstruct_most_probable",
-    "track_particles",
-    "triangulate_particles",
-]
-
-_HOMES = {
-    "BayesianIprSettings": "bayesian_ipr",
-    "PeakParameters": "peak_detection",
-    "ShakeTheBoxSettings": "shake_the_box",
-    "TriangulationSettings": "ray_triangulation",
-    "find_by_defocusing": "defocusing",
-    "find_fault": "common_view",
-    "find_unsuitable": "defocusing",
-    "fit_cameras": "ray_triangulation",
-    "link": "linking",
-    "reconstruct_most_probable": "bayesian_ipr",
-    "track_particles": "shake_the_box",
-    "triangulate_particles": "ray_triangulation",
-}
-__getattr__ = lazy_names(__name__, _HOMES)
+# names and homes stand in the stub __init__.pyi, for type checkers too
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

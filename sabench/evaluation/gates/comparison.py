@@ -65,7 +65,7 @@ class Report:
         return {"suite": self.suite, **findings, "figures": self.now.model_dump(mode="json")}
 
 
-def check_file(
+def check(
     suite: str | Path,
     path: Path | None,
     work: Path | None,
@@ -74,7 +74,7 @@ def check_file(
     solvers: Sequence[str | SolverEntry] = (),
     exit_first: bool = False,
 ) -> Report:
-    """Compare a suite with a baseline file, as `check` does.
+    """Compare a suite with a baseline file.
 
     The default is the suite's bundled baseline, or SUITE.baseline.json next to a suite of one's
     own. With `update` the new figures are written to the file, and nothing counts as worse.
@@ -87,7 +87,8 @@ def check_file(
     Raises
     ------
     InputError
-        As `check` and `read_baseline`.
+        A bad suite, an unknown solver, solvers without any case for their task, or a baseline that
+        is broken or whose data sets another renderer made.
     """
     source = find(suite, "scenes/suites")
     name, file = source.stem, path or default_path(source)
@@ -97,7 +98,7 @@ def check_file(
         folder = work or Path(
             stack.enter_context(tempfile.TemporaryDirectory(prefix="sabench-check-"))
         )
-        report = check(
+        report = _compare_suite(
             suite, before, folder, solvers=solver_entries, exit_first=exit_first and not update
         )
     if not update:
@@ -106,7 +107,7 @@ def check_file(
     return replace(report, worse=(), news=report.worse + report.news, written=file)
 
 
-def check(
+def _compare_suite(
     suite: str | Path,
     before: Baseline | None,
     work: Path,

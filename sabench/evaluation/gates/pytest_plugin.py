@@ -65,7 +65,7 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
     def run(
         suite: str, baseline: str | Path, solvers: Sequence[str | Mapping[str, Any]] = ()
     ) -> Report:
-        from sabench.evaluation.gates.comparison import check_file
+        from sabench.evaluation.gates.comparison import check as compare
         from sabench.evaluation.suites import SolverEntry
         from sabench.utils.errors import InputError
 
@@ -76,7 +76,7 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
         where = here / suite if (here / suite).is_file() else suite
         update = bool(request.config.getoption("--sabench-update"))
         try:
-            report = check_file(
+            report = compare(
                 where, here / baseline, tmp_path / "sabench", update=update, solvers=solver_entries
             )
         except InputError as error:

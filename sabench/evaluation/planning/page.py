@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from sabench.evaluation.planning.plan import Plan
 from sabench.evaluation.planning.rig_drawing import draw_rig
 from sabench.plotting.outlines import KINDS, STYLE
+from sabench.plotting.page import render_page
 
 _NAMES = {
     "sheet": "light",
@@ -85,15 +85,12 @@ Resolution of Fluid Flows, MIT.</p>
 
 def render(plan: Plan) -> str:
     """Render a plan as a self-contained page."""
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    drawings = [(name, Markup(svg)) for name, svg in draw_rig(plan.scene, plan.viewing)]
-    return environment.from_string(_PAGE).render(
-        title=plan.scene.title,
-        advice=plan.advice,
-        drawings=drawings,
-        sections=plan.sections,
-        legend=[(kind, _NAMES[kind]) for kind in reversed(KINDS)],
-        style=Markup(STYLE),
-    )
+    values = {
+        "title": plan.scene.title,
+        "advice": plan.advice,
+        "drawings": [(name, Markup(svg)) for name, svg in draw_rig(plan.scene, plan.viewing)],
+        "sections": plan.sections,
+        "legend": [(kind, _NAMES[kind]) for kind in reversed(KINDS)],
+        "style": Markup(STYLE),
+    }
+    return render_page(_PAGE, values)

@@ -32,7 +32,7 @@ from sabench.interop.cameras.lenses import (
 from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.utils.arrays import F64, nested
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import content_lines, split_numbers
+from sabench.utils.tables import content_lines, split_numbers
 
 LOST = ("f-numbers and focal lengths", "the pixel pitch")
 _TSAI, _ZOLOF = "tsai", "extendedzolof"

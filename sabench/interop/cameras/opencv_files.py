@@ -28,7 +28,7 @@ from sabench.interop.cameras.lenses import (
 from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import read_text
+from sabench.utils.tables import read_text
 
 LOST = ("f-numbers and focal lengths in mm", "the pixel pitch")
 _SUFFIXES = (".yml", ".yaml", ".xml", ".json")

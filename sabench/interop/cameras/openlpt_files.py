@@ -27,7 +27,7 @@ from sabench.interop.cameras.lenses import (
 from sabench.interop.foreign_world import ForeignWorld
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import content_lines, split_numbers
+from sabench.utils.tables import content_lines, split_numbers
 
 LOST = ("f-numbers and focal lengths", "the pixel pitch", "the depth of the tank")
 _COUNTS = (2, 3, 3, 3, None, 3, 3, 3, 3, 3, 3, 3, 3, 3)  # numbers on the lines of a pinhole

@@ -30,7 +30,7 @@ from sabench.interop.cameras.lenses import (
 from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import content_lines, split_numbers
+from sabench.utils.tables import content_lines, split_numbers
 
 _SUFFIXES = (".ori", ".addpar")
 LOST = (

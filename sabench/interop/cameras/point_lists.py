@@ -22,7 +22,7 @@ from sabench.interop.cameras.lenses import PIXEL_MM, Extent, Pose, plain_camera
 from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import read_table
+from sabench.utils.tables import read_table
 
 LOST = ("f-numbers and focal lengths", "the pixel pitch", "walls: the points show their effect")
 FILE = "CalibPoints.txt"

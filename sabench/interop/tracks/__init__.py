@@ -12,25 +12,23 @@ from typing import Literal, get_args
 from sabench.interop.foreign_world import note
 from sabench.interop.tracks import (
     challenge_files,
-    csv_files,
-    matlab_files,
     myptv_files,
-    netcdf_files,
     openlpt_files,
     openptv_files,
 )
+from sabench.interop.tracks.named_columns import CSV, MATLAB, NETCDF, NamedColumns
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.errors import InputError
 
 TrackFormat = Literal["openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"]
-_MODULES: dict[str, ModuleType] = {
+_MODULES: dict[str, ModuleType | NamedColumns] = {
     "openptv": openptv_files,
     "myptv": myptv_files,
     "openlpt": openlpt_files,
     "lpt-challenge": challenge_files,
-    "netcdf": netcdf_files,
-    "mat": matlab_files,
-    "csv": csv_files,
+    "netcdf": NETCDF,
+    "mat": MATLAB,
+    "csv": CSV,
 }
 
 

@@ -17,8 +17,7 @@ from sabench.interop.tracks.named_columns import table_of_columns
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import content_lines, numbered_files, read_table
-from sabench.worlds.library.field_formats import Array
+from sabench.utils.tables import Array, content_lines, numbered_files, read_table
 
 LOST = (
     "intensities, velocities and accelerations",

@@ -20,7 +20,7 @@ from sabench.interop.foreign_world import note, unit_mm
 from sabench.interop.tracks.track_table import Recording, TrackTable, number_strangers
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import read_table
+from sabench.utils.tables import read_table
 
 LOST = (
     "intensities of particles",

@@ -1,24 +1,28 @@
-"""Tables of tracks whose columns have names: CSV, NetCDF, MATLAB and others.
+"""Tables of tracks whose columns have names: CSV and other text, NetCDF, MATLAB.
 
 Names are those that programs in use write; the case of letters and what follows a unit's bracket do
-not matter. Other columns are left out, and said.
+not matter. Other columns are left out, and said. NetCDF is written in the classic format (NetCDF
+3), which every reader takes; MATLAB loads its file with `load tracks.mat`.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
 from sabench.interop.foreign_world import note
-from sabench.interop.tracks.track_table import TrackTable, number_strangers
+from sabench.interop.tracks.track_table import Recording, TrackTable, number_strangers
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
-from sabench.worlds.library.field_files import length_mm, speed_mm_s
-from sabench.worlds.library.field_formats import Array
+from sabench.utils.tables import Array, read_table
+from sabench.worlds.library.array_files import length_mm, read_all_arrays, speed_mm_s
 
 Columns = Mapping[str, Array]
 _FRAME = ("frame", "frameid", "frame_id", "frame_number", "image", "snapshot", "timestep", "step")
@@ -34,6 +38,139 @@ _VELOCITY = ("velocity_{}", "velocity_{}_mm_s", "v{}", "vel_{}", "u{}")
 _VELOCITY_UVW = ("{}", "{}_mm_s", "{}f")
 _ACCELERATION = ("acceleration_{}", "acceleration_{}_mm_s2", "a{}", "acc_{}", "a{}f")
 _UNITS = {"_mm": "mm", "_m": "m", "_mm_s": "mm/s", "_mm_s2": "mm/s2"}
+_NETCDF_UNITS = {"_mm": "mm", "_mm_s": "mm s-1", "_mm_s2": "mm s-2", "time_s": "s"}
+_BLOCK = 512  # bytes before the HDF5 part of a MATLAB file
+_MATLAB_HEADER = (
+    b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Thu Jan  1 00:00:00 1970 HDF5 schema"
+)
+
+
+@dataclass(frozen=True)
+class NamedColumns:
+    """Format of tables of tracks whose columns have names.
+
+    Attributes
+    ----------
+    file : name of the file in a folder.
+    read : reads the columns of a file.
+    write : writes columns into a file.
+    """
+
+    file: str
+    read: Callable[[Path], dict[str, Array]]
+    write: Callable[[Path, Mapping[str, npt.NDArray[Any]]], None]
+    LOST = ("light of each camera", "covariances", "probabilities")
+
+    def read_tracks(self, path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
+        """Read a file, or the file of a folder.
+
+        Raises
+        ------
+        InputError
+            No such file, a broken one, or one without frames and positions.
+        """
+        file = path / self.file if path.is_dir() else path
+        return table_of_columns(str(file), self.read(file), unit)
+
+    def write_tracks(self, folder: Path, table: TrackTable, recording: Recording) -> None:
+        """Write the file of a folder."""
+        self.write(folder / self.file, _columns_of_table(table, recording.times_s))
+
+
+def _read_text(file: Path) -> dict[str, Array]:
+    table = read_table(file, 4)
+    if not table.names:
+        raise InputError(f"{file}: expected a first line with the names of its columns, got none")
+    return table.columns()
+
+
+def _write_text(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+    rows = zip(*(np.asarray(one).tolist() for one in columns.values()), strict=True)
+    lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _read_netcdf(file: Path) -> dict[str, Array]:
+    return _observations(file, read_all_arrays(file, ".nc"))
+
+
+def _observations(path: Path, variables: dict[str, Array]) -> dict[str, Array]:
+    """Keep the variables with the shape of x, and drop their padding."""
+    shape = next((one.values.shape for name, one in variables.items() if name[:1] in "xX"), ())
+    kept = {name: one for name, one in variables.items() if one.values.shape == shape}
+    if len(shape) == 2:
+        kept |= _spread(shape, variables)
+    there = np.ones(shape, dtype=bool)
+    for one in kept.values() if len(shape) == 2 else ():
+        there &= np.isfinite(one.values)
+    left = [name for name in variables if name not in kept]
+    if left:
+        note(f"{path}: left out the variables {', '.join(left)}, of another shape than x")
+    return {name: Array(one.values[there].ravel(), one.unit) for name, one in kept.items()}
+
+
+def _spread(shape: tuple[int, ...], variables: dict[str, Array]) -> dict[str, Array]:
+    """Repeat variables of trajectories, or their numbers, over observations."""
+    own = {name: one for name, one in variables.items() if one.values.shape == shape[:1]}
+    number = own or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
+    return {
+        name: Array(np.repeat(one.values[:, None], shape[1], axis=1), one.unit)
+        for name, one in number.items()
+    }
+
+
+def _write_netcdf(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+    from scipy.io import netcdf_file
+
+    count = len(columns["frame"])
+    with netcdf_file(file, "w", version=2) as made:
+        made.createDimension("obs", count)
+        for name, values in columns.items():
+            kind, stored = _storable(file.name, name, values)
+            variable = made.createVariable(name, kind, ("obs",))
+            variable[:] = stored
+            unit = next((unit for end, unit in _NETCDF_UNITS.items() if name.endswith(end)), None)
+            if unit:
+                variable.units = unit
+
+
+def _storable(
+    file: str, name: str, values: npt.NDArray[Any]
+) -> tuple[str, npt.NDArray[np.generic]]:
+    """Choose a type of NetCDF 3, whose whole numbers have 32 bits."""
+    if values.dtype.kind == "f":
+        return "f8", values
+    if np.abs(values).max(initial=0) > 2**31 - 1:
+        note(f"{file}: {name}: numbers beyond 32 bits were numbered anew")
+        values = np.unique(values, return_inverse=True)[1]
+    return "i4", values.astype(np.int32)
+
+
+def _read_matlab(file: Path) -> dict[str, Array]:
+    """Read the vectors of a file; matrices and structures are left out."""
+    vectors = {
+        name: Array(one.values.ravel(), one.unit)
+        for name, one in read_all_arrays(file, ".mat").items()
+        if one.values.size == max(one.values.shape, default=0)
+    }
+    longest = max((one.values.size for one in vectors.values()), default=0)
+    return {name: one for name, one in vectors.items() if one.values.size == longest}
+
+
+def _write_matlab(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
+    """Write one row vector of doubles for each quantity."""
+    with h5py.File(path, "w", userblock_size=_BLOCK) as file:
+        for name, values in columns.items():
+            stored = file.create_dataset(name, data=values.astype(np.float64)[None])
+            stored.attrs["MATLAB_class"] = np.bytes_("double")
+    head = (_MATLAB_HEADER + b" 1.00 .").ljust(116) + bytes(8) + b"\x00\x02IM"
+    with path.open("r+b") as raw:
+        raw.write(head)
+
+
+CSV = NamedColumns("tracks.csv", _read_text, _write_text)
+NETCDF = NamedColumns("tracks.nc", _read_netcdf, _write_netcdf)
+MATLAB = NamedColumns("tracks.mat", _read_matlab, _write_matlab)
 
 
 def table_of_columns(where: str, columns: Columns, unit: str | None) -> TrackTable:
@@ -154,7 +291,7 @@ def _finite(where: str, name: str, values: npt.NDArray[Any]) -> F64:
     return found
 
 
-def columns_of_table(table: TrackTable, times_s: tuple[float, ...]) -> dict[str, npt.NDArray[Any]]:
+def _columns_of_table(table: TrackTable, times_s: tuple[float, ...]) -> dict[str, npt.NDArray[Any]]:
     """List the columns of a table, and times, by the names that are read."""
     times = np.asarray(times_s, dtype=np.float64)
     found: dict[str, npt.NDArray[Any]] = {"frame": table.frame, "time_s": times[table.frame]}

@@ -11,8 +11,7 @@ from sabench.interop.tracks.named_columns import table_of_columns
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import read_table
-from sabench.worlds.library.field_formats import Array
+from sabench.utils.tables import Array, read_table
 
 # files that OpenLPT's own programs read as the result
 _KINDS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")

@@ -20,7 +20,7 @@ from sabench.interop.openptv import join_links
 from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
-from sabench.utils.text_tables import content_lines, numbered_files, read_table, split_numbers
+from sabench.utils.tables import content_lines, numbered_files, read_table, split_numbers
 
 FIRST = 10001  # number of our frame 0 in the names of files
 LOST = (

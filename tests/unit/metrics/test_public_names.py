@@ -13,7 +13,7 @@ import pytest
 from sabench import metrics
 
 
-@pytest.mark.parametrize("name", metrics.__all__)
+@pytest.mark.parametrize("name", dir(metrics))
 def test_a_public_name_is_a_documented_function(name: str) -> None:
     function = getattr(metrics, name)
     assert function.__name__ == name
@@ -21,8 +21,8 @@ def test_a_public_name_is_a_documented_function(name: str) -> None:
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="has no attribute 'qualitty'"):
-        _ = metrics.qualitty
+    with pytest.raises(AttributeError, match="attribute qualitty"):
+        _ = metrics.qualitty  # type: ignore[attr-defined]
 
 
 def test_listing_the_names_imports_no_heavy_library() -> None:

@@ -23,7 +23,7 @@ from sabench.simulation import shard_job
 from sabench.simulation.recording import job as recording_job
 from sabench.simulation.recording.schedule import Task
 from sabench.simulation.recording.workers import UnfinishedError
-from sabench.simulation.streaming import stream_samples
+from sabench.simulation.streaming import stream
 from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.sample_sets import COUNT, SHARES, SIZE, make, scene
@@ -37,7 +37,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> SampleSet:
 
 def test_stored_samples_are_those_of_the_stream(whole: SampleSet) -> None:
     assert len(whole) == COUNT
-    for batch in stream_samples(scene(), seed=4, batch=7, samples=COUNT):
+    for batch in stream(scene(), seed=4, batch=7, samples=COUNT):
         for one in batch.samples:
             stored = next(other for other in whole if other.number == one.number)
             np.testing.assert_array_equal(stored.images, one.images)
@@ -55,7 +55,7 @@ def test_stored_samples_are_those_of_the_stream(whole: SampleSet) -> None:
 
 def test_solvers_see_the_nominal_cameras_of_each_sample(whole: SampleSet) -> None:
     first, other = whole[0], whole[1]
-    by_stream = next(stream_samples(scene(), seed=4, start=first.number)).samples[0]
+    by_stream = next(stream(scene(), seed=4, start=first.number)).samples[0]
     seen, expected = first.observation(1), by_stream.observation(1)
     np.testing.assert_array_equal(seen.images, expected.images)
     assert seen.cameras == expected.cameras != first.true_cameras

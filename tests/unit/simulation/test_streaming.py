@@ -16,7 +16,7 @@ from sabench.scenes import Scene, find, parse_scene
 from sabench.scenes.variation import Draw, Vary, draw_values
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.recording import job
-from sabench.simulation.streaming import Sample, stream_key, stream_samples
+from sabench.simulation.streaming import Sample, stream, stream_key
 from sabench.utils.errors import InputError
 
 
@@ -48,7 +48,7 @@ VARIED: dict[str, Any] = {
 def all_samples(scene: Scene, **options: Any) -> list[Sample]:
     """Make some samples."""
     given = {"seed": 4, "samples": 12} | options
-    return [one for batch in stream_samples(scene, **given) for one in batch.samples]
+    return [one for batch in stream(scene, **given) for one in batch.samples]
 
 
 @pytest.mark.parametrize("varied", [False, True])
@@ -58,7 +58,7 @@ def test_a_stream_goes_on_anywhere_bit_for_bit_with_any_batch(varied: bool) -> N
     assert [one.number for one in whole] == list(range(20))
     rng = np.random.default_rng(1)
     for start, batch in zip(rng.integers(0, 20, 20).tolist(), itertools.cycle([1, 3, 7])):
-        again = next(stream_samples(scene, seed=4, batch=batch, start=start, samples=20))
+        again = next(stream(scene, seed=4, batch=batch, start=start, samples=20))
         for one in again.samples:
             np.testing.assert_array_equal(one.images, whole[one.number].images)
             assert one.drawn == whole[one.number].drawn
@@ -83,7 +83,7 @@ def test_samples_differ_and_seeds_differ() -> None:
 
 def test_values_that_vary_are_in_the_scene_and_in_the_truth() -> None:
     scene = make_scene(vary=vary(**VARIED))
-    batch = next(stream_samples(scene, seed=4, batch=12, samples=12))
+    batch = next(stream(scene, seed=4, batch=12, samples=12))
     assert batch.images.shape == (12, 1, 4, 48, 64)
     assert batch.drawn["particles.count"].shape == (12,)
     assert len(np.unique(batch.drawn["sensor.read_noise_e"])) == 12
@@ -111,7 +111,7 @@ def test_draws_follow_their_distributions() -> None:
 def test_displacements_are_those_of_the_flow() -> None:
     flow = {"generator": "linear_flow", "velocity_mm_s": [10.0, 0.0, -5.0]}
     scene = make_scene(flow=flow, frames=2, interval_s=0.01)
-    batch = next(stream_samples(scene, batch=2, samples=2))
+    batch = next(stream(scene, batch=2, samples=2))
     assert batch.images.shape[1] == 2
     for position, moved in batch.displacements_mm():
         assert len(position) > 200
@@ -137,7 +137,7 @@ def test_impossible_samples_are_refused_before_anything_is_rendered() -> None:
     """A camera's sensor cannot be behind the volume, where the range would put the wall."""
     scene = make_scene(vary=vary(volume__center_mm={"choices": [[0.0, 0.0, -50.0]]}))
     with pytest.raises(InputError, match=r"vary, at the ends of its ranges: volume\.center_mm"):
-        stream_samples(scene)
+        stream(scene)
 
 
 def test_impossible_samples_are_drawn_again_and_counted() -> None:
@@ -175,7 +175,7 @@ def test_faults_of_what_varies_are_named_with_their_key(draw: dict[str, Any], wo
 
 def test_an_unknown_key_is_refused_with_the_first_sample() -> None:
     with pytest.raises(InputError, match=r"sensor\.red_noise_e: unknown key"):
-        stream_samples(make_scene(vary=vary(sensor__red_noise_e={"uniform": [1.0, 2.0]})))
+        stream(make_scene(vary=vary(sensor__red_noise_e={"uniform": [1.0, 2.0]})))
 
 
 @pytest.mark.parametrize(
@@ -193,19 +193,19 @@ def test_an_unknown_key_is_refused_with_the_first_sample() -> None:
 )
 def test_wrong_options_are_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
-        stream_samples(make_scene(), **options)
+        stream(make_scene(), **options)
 
 
 def test_cameras_that_differ_in_number_are_refused_in_one_batch() -> None:
     columns = {"choices": [1, 2]}
     scene = make_scene(vary=vary(cameras__layout__columns=columns))
     with pytest.raises(InputError, match=r"images .* of one shape in all samples"):
-        next(stream_samples(scene, batch=12))
+        next(stream(scene, batch=12))
 
 
 def test_other_scenes_are_refused() -> None:
     with pytest.raises(InputError, match="expected a scene with particles alone"):
-        stream_samples("standard-bubbles")
+        stream("standard-bubbles")
 
 
 def test_ranges_of_a_draw_keep_their_ends() -> None:
@@ -233,10 +233,10 @@ def test_a_stream_of_another_scene_seed_or_version_is_refused(
 ) -> None:
     scene, other = make_scene(), make_scene(sensor={"read_noise_e": 2.0})
     key = stream_key(scene, seed=3)
-    next(stream_samples(scene, seed=3, start=5, key=key))
+    next(stream(scene, seed=3, start=5, key=key))
     for changed, seed in ((other, 3), (scene, 4)):
         with pytest.raises(InputError, match=r"expected the stream .* the scene, the seed"):
-            stream_samples(changed, seed=seed, start=5, key=key)
+            stream(changed, seed=seed, start=5, key=key)
     monkeypatch.setattr(job, "code_hash", lambda: "of another version")
     with pytest.raises(InputError, match="or the version of sabench"):
-        stream_samples(scene, seed=3, start=5, key=key)
+        stream(scene, seed=3, start=5, key=key)

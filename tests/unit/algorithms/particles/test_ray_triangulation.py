@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles import fit_cameras
-from sabench.algorithms.particles import ray_triangulation as module
+from sabench.algorithms.particles import fit_cameras, ray_triangulation as module
 from sabench.algorithms.particles.ray_triangulation import (
     TriangulationSettings,
     triangulate_particles,

@@ -1,4 +1,4 @@
-"""Text files of other programs: encodings, separators and numbers as they come.
+"""Tables in text files of other programs: encodings, separators and numbers as they come.
 
 UTF-8 with or without a mark, UTF-16 with one, and Latin-1 are read; so are line ends of all
 systems, columns apart by commas, semicolons, tabs or spaces, and decimal commas between semicolons.
@@ -6,8 +6,10 @@ systems, columns apart by commas, semicolons, tabs or spaces, and decimal commas
 
 from __future__ import annotations
 
+import contextlib
+import csv
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,10 +17,19 @@ import numpy as np
 
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from sabench.utils.validation import printable
 
 _LARGEST = 2_000_000_000  # bytes of a text file
 _UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]$")  # x [mm], x (mm)
 _NUMBER = re.compile(r"^[-+]?(?:\d|[.,]\d|nan$|inf)", re.IGNORECASE)  # begins as a number does
+
+
+@dataclass(frozen=True)
+class Array:
+    """Array with the unit that its file names."""
+
+    values: F64
+    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -27,17 +38,19 @@ class Table:
 
     Attributes
     ----------
-    path : of the file.
     names, units : of the columns by the header, "" where it names no unit; empty without one.
     values : (rows, columns).
-    lines : (rows,) numbers of the lines, from 1.
     """
 
-    path: Path
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: F64
-    lines: tuple[int, ...]
+
+    def columns(self) -> dict[str, Array]:
+        """Return the columns by their names, or by their numbers from 1 without a header."""
+        names = self.names or tuple(str(i + 1) for i in range(self.values.shape[1]))
+        units = self.units or ("",) * len(names)
+        return {name: Array(self.values[:, i], units[i] or None) for i, name in enumerate(names)}
 
 
 def read_text(path: Path) -> str:
@@ -125,13 +138,39 @@ def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int
     values = _read_fast(body, mark, kept, columns) if body else np.zeros((0, columns))
     if values is None or not (missing or np.isfinite(values).all()):
         values = _read_slowly(path, body, mark, kept, columns, missing=missing)
-    return Table(
-        path,
-        tuple(name for name, _ in names),
-        tuple(unit for _, unit in names),
-        values,
-        tuple(number for number, _ in body),
-    )
+    return Table(tuple(name for name, _ in names), tuple(unit for _, unit in names), values)
+
+
+def read_records(
+    path: Path, needed: Sequence[str], possible: Sequence[str], aliases: Mapping[str, str]
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the lines below a header as words by name, each with the place that errors name.
+
+    Capitals and blanks in the header do not matter. Decimal commas become points.
+
+    Parameters
+    ----------
+    needed, possible : names of columns that the header must have, and that it may have.
+    aliases : other spellings of names.
+    """
+    numbered = [*enumerate(read_text(path).splitlines(), 1)]
+    mark = _separator(numbered[:1]) or ","
+    rows = [(number, words) for number, line in numbered if any(words := _words(line, mark))]
+    cells = rows[0][1] if rows else []
+    names = [aliases.get(one, one) for one in (cell.lower() for cell in cells)]
+    wrong = [name for name in names if name not in (*needed, *possible)]
+    if wrong or len(set(names)) != len(names) or not set(needed) <= set(names):
+        also = f" and possibly {','.join(possible)}" if possible else ""
+        raise InputError(
+            f"{path}: expected the first line {','.join(needed)}{also}, got "
+            f"{printable(','.join(cells))}"
+        )
+    for number, words in rows[1:]:
+        where = f"{path}: line {number}"
+        if len(words) != len(names):
+            raise InputError(f"{where}: expected {len(names)} columns, got {len(words)}")
+        plain = words if mark == "," else [word.replace(",", ".") for word in words]
+        yield where, dict(zip(names, plain, strict=True))
 
 
 def _split_head(
@@ -175,9 +214,17 @@ def _separator(lines: Sequence[tuple[int, str]]) -> str | None:
 
 
 def _split(line: str, mark: str | None) -> list[str]:
+    """Split a line of a table of numbers, which may end with a separator."""
+    words = _words(line, mark)
+    return words[:-1] if mark and len(words) > 1 and not words[-1] else words
+
+
+def _words(line: str, mark: str | None) -> list[str]:
+    """Split a line; separators in quotation marks are kept."""
     words = line.split(mark)
-    if mark and len(words) > 1 and not words[-1].strip():
-        words = words[:-1]  # a separator at the end of the line
+    if mark and '"' in line:
+        with contextlib.suppress(csv.Error):
+            words = next(csv.reader([line], delimiter=mark))
     return [word.strip().strip('"') for word in words]
 
 

@@ -23,8 +23,7 @@ from sabench.scenes import Scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.worlds.library.field_files import read_arrays, speed_mm_s
-from sabench.worlds.library.field_formats import Array
+from sabench.worlds.library.array_files import Array, read_arrays, speed_mm_s
 from sabench.worlds.tracers import Motion, flow_of
 from tests.conftest import ROOT
 from tests.unit.worlds.test_tracers import moving_scene
@@ -246,7 +245,7 @@ def swapped(arrays: Arrays) -> Arrays:
         (lambda folder: field_of(folder / "none.h5"), r"none.h5: expected a file, found none"),
         (
             lambda folder: field_of(Path(shutil.copy(__file__, folder / "field.h5"))),
-            r"field.h5: expected an HDF5 file",
+            r"field.h5: expected an intact HDF5 file",
         ),
         (
             lambda folder: field_of(Path(shutil.copy(__file__, folder / "field.vti"))),
@@ -274,7 +273,7 @@ def test_a_field_must_cover_the_volume(tmp_path: Path) -> None:
 
 def test_broken_netcdf_is_named(tmp_path: Path) -> None:
     (tmp_path / "field.nc").write_bytes(b"CDF\x01" + b"\xff" * 40)
-    with pytest.raises(InputError, match=r"field.nc: expected a NetCDF file, got a broken one"):
+    with pytest.raises(InputError, match=r"field.nc: expected an intact NetCDF file"):
         read_arrays(tmp_path / "field.nc", ["x"])
 
 

@@ -1,0 +1,41 @@
+from .alignment import fit_alignment as fit_alignment
+from .bubble_detection import detection_scores as detection_scores
+from .calibration_error import (
+    calibration_scores as calibration_scores,
+    held_out_scores as held_out_scores,
+    point_scores as point_scores,
+    self_calibration_scores as self_calibration_scores,
+    spacing_error as spacing_error,
+    wall_scores as wall_scores,
+)
+from .code_reading import (
+    read_volume as read_volume,
+    reading as reading,
+    single_views as single_views,
+)
+from .particle_detection import (
+    count_challenge as count_challenge,
+    count_thesis as count_thesis,
+    detect as detect,
+    detect_peaks as detect_peaks,
+)
+from .plunging_jet import analyse as analyse
+from .quality_factor import quality as quality
+from .reconstruction_error import score_frame as score_frame
+from .size_distributions import (
+    counts_per_frame as counts_per_frame,
+    sauter_mm as sauter_mm,
+    size_scores as size_scores,
+)
+from .synthesised_field import brightness as brightness, true_field as true_field
+from .trajectories import (
+    link_scores as link_scores,
+    trajectory_scores as trajectory_scores,
+    vector_scores as vector_scores,
+)
+from .velocity_error import (
+    precision_interval as precision_interval,
+    response as response,
+    velocity_scores as velocity_scores,
+)
+from .vortex_rings import circulation as circulation
