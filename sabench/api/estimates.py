@@ -1,145 +1,21 @@
-"""Estimates: results of solvers, with names, shapes and types of their arrays.
-
-An estimate declares its arrays in `ARRAYS`. One writer and one reader (`sabench.dataset.results`)
-and one check (`Estimate.check`) serve all estimates by these declarations.
-"""
+"""Estimates: results of solvers, with names, shapes and types of their arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import InitVar, dataclass
-from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from sabench.api.arrays import LARGEST, Array, Arrays
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import decode_cameras, encode_cameras
 from sabench.geometry.rotations import cross
 from sabench.utils.arrays import F32, F64, I64, Bool, triple
 from sabench.utils.errors import InputError
 
-_LARGEST = 1e12  # no length, velocity or angle is beyond it, and its square still has many digits
 
-
-@dataclass(frozen=True)
-class Array:
-    """One array of an estimate.
-
-    Attributes
-    ----------
-    name : attribute of the estimate, and name in the result file unless `stored` says another.
-    shape : sizes along the axes; a letter or word stands for a size that is the same wherever the
-        estimate uses it, and for the grid's where it is "z", "y" or "x".
-    dtype : of the attribute. Bool is stored as uint8.
-    optional : whether the attribute may be None and the array missing.
-    unique : whether all values must differ.
-    largest : absolute value that no number may exceed.
-    encode, decode : between an attribute that is no array and its array.
-    """
-
-    name: str
-    shape: tuple[str | int, ...]
-    dtype: type[np.generic] = np.float64
-    optional: bool = False
-    unique: bool = False
-    largest: float = _LARGEST
-    stored: str = ""
-    encode: Callable[[Any], Any] | None = None
-    decode: Callable[[Any], Any] | None = None
-
-    @property
-    def label(self) -> str:
-        """Name in the result file."""
-        return self.stored or self.name
-
-    def sizes(self, known: dict[str, int]) -> tuple[int | None, ...]:
-        """List the sizes along the axes; None where a size is not known yet."""
-        return tuple(size if isinstance(size, int) else known.get(size) for size in self.shape)
-
-    def learn(self, shape: tuple[int, ...], known: dict[str, int]) -> None:
-        """Add the sizes of an array of this declaration to the known ones."""
-        pairs = zip(self.shape, shape, strict=True)
-        known.update({name: size for name, size in pairs if isinstance(name, str)})
-
-    def check_values(self, value: npt.NDArray[Any], where: str) -> None:
-        """Check that values are finite, not too large and, where declared, unique.
-
-        Raises an InputError, whose sentence `where` opens.
-        """
-        if value.dtype.kind == "f":
-            bad = int(value.size - np.count_nonzero(np.isfinite(value)))
-            if bad:
-                raise InputError(
-                    f"{where}: expected finite values, got {bad} that are NaN or infinite"
-                )
-            far = float(np.abs(value).max(initial=0.0))
-            if far > self.largest:
-                raise InputError(
-                    f"{where}: expected values of at most {self.largest:g}, got {far:g}"
-                )
-        if self.unique:
-            numbers, times = np.unique(value, return_counts=True)
-            if len(numbers) < value.size:
-                raise InputError(
-                    f"{where}: expected different numbers, "
-                    f"got {numbers[times.argmax()]} {times.max()} times"
-                )
-
-
-class Estimate:
-    """Base of estimates.
-
-    Attributes
-    ----------
-    GROUP : group of the result file below the frame's; "" for the frame's own. An estimate that is
-        not of a frame has a group below the root.
-    OF_FRAME : whether every frame has an estimate of its own, or one serves all frames.
-    """
-
-    ARRAYS: ClassVar[tuple[Array, ...]]
-    GROUP: ClassVar[str] = ""
-    OF_FRAME: ClassVar[bool] = True
-
-    def arrays(self) -> Iterator[tuple[Array, npt.NDArray[Any]]]:
-        """Pair the declarations with the arrays of all attributes that are not None."""
-        for one in self.ARRAYS:
-            value = getattr(self, one.name)
-            if value is not None or not one.optional:
-                yield one, one.encode(value) if one.encode else value
-
-    def check(self, **known: int) -> None:
-        """Check that every array is as declared; `known` are sizes by their names.
-
-        Raises an InputError if one is not.
-        """
-        sizes = dict(known)
-        for one, value in self.arrays():
-            _check_array(one, value, sizes)
-            one.learn(value.shape, sizes)
-
-
-def _check_array(declared: Array, value: Any, known: dict[str, int]) -> None:
-    expected = declared.sizes(known)
-    kind = np.dtype(declared.dtype)
-    text = f"{declared.name}: expected {kind} of shape {_shape_text(declared, known)}"
-    if not isinstance(value, np.ndarray):
-        raise InputError(f"{text}, got {type(value).__name__}")
-    fits = len(value.shape) == len(expected) and all(
-        size in (None, got) for size, got in zip(expected, value.shape, strict=True)
-    )
-    if not fits or value.dtype != kind:
-        raise InputError(f"{text}, got {value.dtype} of shape {value.shape}")
-    declared.check_values(value, declared.name)
-
-
-def _shape_text(declared: Array, known: dict[str, int]) -> str:
-    """Format a shape as a tuple, with the names of sizes that are not known."""
-    sizes = [
-        str(known.get(size, size)) if isinstance(size, str) else str(size)
-        for size in declared.shape
-    ]
-    return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
+class Estimate(Arrays):
+    """Base of estimates."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +72,7 @@ class FoundParticles(Estimate):
         Array("velocity_mm_s", ("n", 3), optional=True),
         Array("velocity_covariance", ("n", 3, 3), optional=True),
         Array("acceleration_mm_s2", ("n", 3), optional=True),
-        Array("acceleration_covariance", ("n", 3, 3), optional=True, largest=_LARGEST**2),
+        Array("acceleration_covariance", ("n", 3, 3), optional=True, largest=LARGEST**2),
         Array("trajectory", ("n",), np.int64, optional=True, unique=True, stored="track"),
     )
 

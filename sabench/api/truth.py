@@ -1,4 +1,7 @@
-"""Truth of a frame, as generators make it: particles, bubbles, bodies, targets."""
+"""Truth of a frame: particles, bubbles, bodies, targets, and how cameras see them.
+
+Each class declares its arrays: see `sabench.api.arrays`.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,32 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from sabench.api.arrays import Array, Arrays
 from sabench.geometry.frames import Pose
-from sabench.utils.arrays import F32, F64, I32, I64, Bool
+from sabench.utils.arrays import F32, F64, I32, I64, Bool, triple
+from sabench.utils.errors import InputError
 
 Pattern = Literal["checkerboard", "circles", "charuco", "wand", "points"]
+_ANY = float("inf")
+_WIDEST_PX = 1000.0  # standard deviation of a particle image: wider than any sensor
+
+
+class Truth(Arrays):
+    """Base of truth; generators may make other types of numbers than the declared ones."""
+
+    EXACT = False
+
+
+def _number(value: float) -> F64:
+    return np.array([value])
+
+
+def _only(values: F64) -> float:
+    return float(values[0])
 
 
 @dataclass(frozen=True)
-class Particles:
+class Particles(Truth):
     """Particles at one instant, world frame.
 
     Attributes
@@ -26,27 +47,23 @@ class Particles:
     velocity_mm_s : (n, 3).
     """
 
+    ARRAYS = (
+        Array("id", ("n",), np.int64, unique=True),
+        Array("position_mm", ("n", 3), largest=_ANY),
+        Array("diameter_mm", ("n",), largest=_ANY),
+        Array("velocity_mm_s", ("n", 3), largest=_ANY),
+    )
+
     id: I64
     position_mm: F64
     diameter_mm: F64
     velocity_mm_s: F64
 
     def __post_init__(self) -> None:
-        """Check the shapes, and that all values are finite."""
-        count = len(self.id)
-        shapes = {"position_mm": (count, 3), "diameter_mm": (count,), "velocity_mm_s": (count, 3)}
-        for name, expected in shapes.items():
-            value = getattr(self, name)
-            if value.shape != expected or not np.isfinite(value).all():
-                raise ValueError(
-                    f"Particles.{name}: expected finite values of shape {expected}, got shape "
-                    f"{value.shape}"
-                )
-        rising = (self.id[1:] > self.id[:-1]).all()  # usual, and quicker to see
-        if not rising and (np.diff(np.sort(self.id)) == 0).any():
-            raise ValueError("Particles.id: expected unique numbers, got duplicates")
-        if count and not (self.diameter_mm > 0.0).all():
-            raise ValueError("Particles.diameter_mm: expected positive values")
+        """Check the arrays."""
+        self.check()
+        if len(self) and not (self.diameter_mm > 0.0).all():
+            raise InputError("diameter_mm: expected positive values")
 
     def __len__(self) -> int:
         """Return the number of particles."""
@@ -54,7 +71,7 @@ class Particles:
 
 
 @dataclass(frozen=True)
-class Bubbles:
+class Bubbles(Truth):
     """Bubbles or droplets at one instant, world frame.
 
     They are spheroids, or ellipsoids of any axes.
@@ -69,6 +86,16 @@ class Bubbles:
     index : refractive index of their content.
     """
 
+    GROUP = "bubbles"
+    ARRAYS = (
+        Array("id", ("n",), np.int64, unique=True),
+        Array("center_mm", ("n", 3), largest=_ANY),
+        Array("semi_axes_mm", ("n", 3), largest=_ANY),
+        Array("turn", ("n", 3, 3), largest=_ANY),
+        Array("velocity_mm_s", ("n", 3), largest=_ANY),
+        Array("index", (1,), encode=_number, decode=_only),
+    )
+
     id: I64
     center_mm: F64
     semi_axes_mm: F64
@@ -77,29 +104,14 @@ class Bubbles:
     index: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the shapes, and that all values are finite."""
-        count = len(self.id)
-        shapes = {
-            "center_mm": (count, 3),
-            "semi_axes_mm": (count, 3),
-            "turn": (count, 3, 3),
-            "velocity_mm_s": (count, 3),
-        }
-        for name, expected in shapes.items():
-            value = getattr(self, name)
-            if value.shape != expected or not np.isfinite(value).all():
-                raise ValueError(
-                    f"Bubbles.{name}: expected finite values of shape {expected}, got shape "
-                    f"{value.shape}"
-                )
-        if (np.diff(np.sort(self.id)) == 0).any():
-            raise ValueError("Bubbles.id: expected unique numbers, got duplicates")
-        if count and not (self.semi_axes_mm > 0.0).all():
-            raise ValueError("Bubbles.semi_axes_mm: expected positive values")
-        if count and np.abs(self.turn @ self.turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-9:
-            raise ValueError("Bubbles.turn: expected rotations")
+        """Check the arrays, the semi-axes and the rotations."""
+        self.check()
+        if len(self) and not (self.semi_axes_mm > 0.0).all():
+            raise InputError("semi_axes_mm: expected positive values")
+        if len(self) and np.abs(self.turn @ self.turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-9:
+            raise InputError("turn: expected rotations")
         if self.index < 1.0:
-            raise ValueError(f"Bubbles.index: expected 1 or more, got {self.index:g}")
+            raise InputError(f"index: expected 1 or more, got {self.index:g}")
 
     def __len__(self) -> int:
         """Return the number of bubbles."""
@@ -141,7 +153,7 @@ class Bubbles:
 
 
 @dataclass(frozen=True)
-class Solid:
+class Solid(Truth):
     """A closed surface at one instant, world frame.
 
     Attributes
@@ -150,8 +162,52 @@ class Solid:
     faces : (f, 3) int64, counter-clockwise as seen from outside.
     """
 
+    GROUP = "bodies/{}"
+    ARRAYS = (
+        Array("vertices_mm", ("vertices", 3), largest=_ANY),
+        Array("faces", ("faces", 3), np.int64, largest=_ANY),
+    )
+
     vertices_mm: F64
     faces: I64
+
+
+@dataclass(frozen=True)
+class Materials(Truth):
+    """Materials of the particles of a frame.
+
+    Attributes
+    ----------
+    material : (n,) number of each particle's material in the scene's mixture.
+    """
+
+    ARRAYS = (Array("material", ("n",), np.int64),)
+
+    material: I64
+
+
+@dataclass(frozen=True)
+class ExactFlow(Truth):
+    """Exact flow of a frame on a lattice along the world's axes.
+
+    Attributes
+    ----------
+    velocity_mm_s, gradient_1_s : (z, y, x, 3) and (z, y, x, 3, 3), du_i / dx_j.
+    low_mm, step_mm : the first node, and the spacing of nodes.
+    """
+
+    GROUP = "flow"
+    ARRAYS = (
+        Array("velocity_mm_s", ("planes", "rows", "columns", 3), largest=_ANY),
+        Array("gradient_1_s", ("planes", "rows", "columns", 3, 3), largest=_ANY),
+        Array("low_mm", (3,), encode=np.array, decode=triple),
+        Array("step_mm", (3,), encode=np.array, decode=triple),
+    )
+
+    velocity_mm_s: F64
+    gradient_1_s: F64
+    low_mm: tuple[float, float, float]
+    step_mm: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -208,6 +264,36 @@ class Placed:
         return np.stack([pose(self.target.points_mm) for pose in self.poses])
 
 
+class TargetPose(Pose, Truth):
+    """Rotation and position of the target in a frame."""
+
+    ARRAYS = (
+        Array("rotation", (3, 3), stored="turn", largest=_ANY),
+        Array("position_mm", (3,), stored="place_mm", largest=_ANY),
+    )
+
+
+@dataclass(frozen=True)
+class Sighting(Truth):
+    """True images of a target's points in one camera.
+
+    Attributes
+    ----------
+    pixel : (frame, point, 2) column and row; NaN where the camera does not see the point.
+    outlier : (frame, point) whether the detected point lies elsewhere.
+    """
+
+    GROUP = "cameras/{}"
+    OF_FRAME = False
+    ARRAYS = (
+        Array("pixel", ("frame", "point", 2), finite=False, largest=_ANY),
+        Array("outlier", ("frame", "point"), np.bool_),
+    )
+
+    pixel: F64
+    outlier: Bool
+
+
 @dataclass(frozen=True)
 class Prior:
     """Positions of a target that are known before a calibration.
@@ -220,11 +306,35 @@ class Prior:
     known_sigma_mm: F64
 
 
+_IN_FRAMES = ("frame", "point", 3)
+
+
+@dataclass(frozen=True)
+class TargetPoints(Arrays):
+    """Observed pixels of a target's points and the positions known beforehand.
+
+    The arrays are those of `api.CalibrationCase`.
+    """
+
+    OF_FRAME = False
+    ARRAYS = (
+        Array("pixels", ("camera", "frame", "point", 2), finite=False, largest=_ANY),
+        Array("initial_mm", _IN_FRAMES, stored="rough_mm", finite=False, largest=_ANY),
+        Array("known_mm", _IN_FRAMES, finite=False, largest=_ANY),
+        Array("known_sigma_mm", _IN_FRAMES, finite=False, largest=_ANY),
+    )
+
+    pixels: F64
+    initial_mm: F64
+    known_mm: F64
+    known_sigma_mm: F64
+
+
 NOTHING, BODY = -1, -2  # of `Sight.number`: BODY - k is the k-th body
 
 
 @dataclass(frozen=True)
-class Sight:
+class Sight(Truth):
     """True view of a frame's n bubbles and bodies by one camera.
 
     Attributes
@@ -240,7 +350,28 @@ class Sight:
     pixel : (n, 2) column and row of the centre; NaN where it has none.
     contour : (n, 48, 2) float32, column and row of the outline, whatever is in front of it; NaN
         where a line of sight does not reach it.
+    error : mean relative standard error of the photons of pixels that show bubbles and bodies; None
+        before they are rendered.
     """
+
+    GROUP = "sights/{}"
+    ARRAYS = (
+        Array("number", ("rows", "columns"), np.int32, packed=True),
+        Array("depth_mm", ("rows", "columns"), np.float32, finite=False, largest=_ANY, packed=True),
+        Array("path_mm", ("rows", "columns"), np.float32, finite=False, largest=_ANY, packed=True),
+        Array("visible", ("n",), finite=False, largest=_ANY),
+        Array("pixel", ("n", 2), finite=False, largest=_ANY),
+        Array("contour", ("n", "points", 2), np.float32, finite=False, largest=_ANY),
+        Array(
+            "error",
+            (1,),
+            optional=True,
+            finite=False,
+            largest=_ANY,
+            encode=_number,
+            decode=_only,
+        ),
+    )
 
     number: I32
     depth_mm: F32
@@ -248,10 +379,11 @@ class Sight:
     visible: F64
     pixel: F64
     contour: F32
+    error: float | None = None
 
 
 @dataclass(frozen=True)
-class View:
+class View(Truth):
     """Images of a frame's n particles in one camera.
 
     Attributes
@@ -264,7 +396,20 @@ class View:
         sensor.
     """
 
+    GROUP = "cameras/{}"
+    ARRAYS = (
+        Array("pixel", ("n", 2), finite=False, largest=_ANY),
+        Array("photons", ("n",), largest=_ANY),
+        Array("sigma_px", ("n",), finite=False, largest=_WIDEST_PX, file_dtype=np.float32),
+        Array("visible", ("n",), np.bool_),
+    )
+
     pixel: F64
     photons: F64
     sigma_px: F64
     visible: Bool
+
+    def __post_init__(self) -> None:
+        """Check that what a camera sees has a pixel."""
+        if not np.isfinite(self.pixel[self.visible]).all():
+            raise InputError("pixel of visible particles: expected finite values")

@@ -295,11 +295,3 @@ def _check_cost(node: Any, where: str, *, is_open: bool) -> None:
             f"{where}: expected chunks no larger than the data set, got {node.chunks} of "
             f"{node.dtype} for shape {node.shape}"
         )
-
-
-def finite(values: npt.NDArray[Any], where: str) -> npt.NDArray[Any]:
-    """Return `values`, or raise InputError if any is NaN or infinite."""
-    bad = int(values.size - np.count_nonzero(np.isfinite(values)))
-    if bad:
-        raise InputError(f"{where}: expected finite values, got {bad} that are NaN or infinite")
-    return values

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,16 +14,27 @@ from typing import Any
 import numpy as np
 
 from sabench.api import CalibrationCase, Observation, Shown
-from sabench.api.truth import Bubbles, Particles, Placed, Sight, Solid, Target, View
+from sabench.api.truth import (
+    Bubbles,
+    Particles,
+    Placed,
+    Sight,
+    Sighting,
+    Solid,
+    Target,
+    TargetPoints,
+    TargetPose,
+    View,
+)
 from sabench.dataset import schema
+from sabench.dataset.arrays import AnyArrays, group_of, read_arrays
 from sabench.dataset.build_observation import build_observation
 from sabench.dataset.camera_files import CamerasFile, read_cameras, read_true_cameras
-from sabench.dataset.hdf5 import finite, names_in, open_hdf5, read_array
+from sabench.dataset.hdf5 import names_in, open_hdf5, read_array
 from sabench.dataset.references import ReferencesFile, read_references
 from sabench.dataset.schema import Contents, Manifest, RecordedManifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.frames import Pose
 from sabench.images.preprocessing import Step, takes_all_frames
 from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
@@ -29,8 +42,6 @@ from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside
 from sabench.utils.validation import validate
-
-_WIDEST_PX = 1000.0  # standard deviation of a particle image
 
 
 @dataclass(frozen=True)
@@ -176,112 +187,32 @@ class Dataset:
 
     def particles(self, frame: int) -> Particles:
         """Read the true particles of a frame."""
-        self._check_frame(frame)
-        group = schema.frame_group(frame)
-        with open_hdf5(self._truth()) as file:
-            identity = read_array(file, f"{group}/id", (None,), "i")
-            n = len(identity)
-            shapes = {"position_mm": (n, 3), "diameter_mm": (n,), "velocity_mm_s": (n, 3)}
-            values = {
-                k: finite(
-                    read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}"
-                )
-                for k, shape in shapes.items()
-            }
-            return Particles(identity, **values)
+        with self._open_truth(frame) as file:
+            return _read(file, Particles, frame)
 
     def views(self, frame: int) -> list[View]:
         """Read every camera's true particle images, in the cameras' order."""
-        self._check_frame(frame)
-        with open_hdf5(self._truth()) as file:
+        with self._open_truth(frame) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/id", (None,), "i"))
-            views = []
-            for camera in self.setup.cameras:
-                base = f"{schema.frame_group(frame)}/cameras/{camera.name}"
-                visible = read_array(file, f"{base}/visible", (n,), "u") > 0
-                pixel, photons, sigma_px = (
-                    read_array(file, f"{base}/{name}", shape, "f").astype(np.float64)
-                    for name, shape in (("pixel", (n, 2)), ("photons", (n,)), ("sigma_px", (n,)))
-                )
-                view = View(pixel, photons, sigma_px, visible)
-                finite(view.photons, f"{file.filename}: {base}/photons")
-                _check_widths(sigma_px, f"{file.filename}: {base}/sigma_px")
-                finite(
-                    view.pixel[view.visible],
-                    f"{file.filename}: {base}/pixel of visible particles",
-                )
-                views.append(view)
-            return views
+            return [_read(file, View, frame, one.name, n=n) for one in self.setup.cameras]
 
     def bubbles(self, frame: int) -> Bubbles:
         """Read the true bubbles of a frame."""
-        self._check_frame(frame)
-        group = f"{schema.frame_group(frame)}/bubbles"
-        with open_hdf5(self._truth()) as file:
-            identity = read_array(file, f"{group}/id", (None,), "i")
-            n = len(identity)
-            shapes: dict[str, tuple[int, ...]] = {
-                "center_mm": (n, 3),
-                "semi_axes_mm": (n, 3),
-                "turn": (n, 3, 3),
-                "velocity_mm_s": (n, 3),
-            }
-            values = {
-                k: finite(
-                    read_array(file, f"{group}/{k}", shape, "f"), f"{file.filename}: {group}/{k}"
-                )
-                for k, shape in shapes.items()
-            }
-            return Bubbles(
-                identity, **values, index=float(read_array(file, f"{group}/index", (1,), "f")[0])
-            )
+        with self._open_truth(frame) as file:
+            return _read(file, Bubbles, frame)
 
     def solids(self, frame: int) -> list[Solid]:
         """Read the true bodies of a frame."""
-        self._check_frame(frame)
-        group = f"{schema.frame_group(frame)}/bodies"
-        with open_hdf5(self._truth()) as file:
-            count = len(names_in(file, group))
-            parts = [(f"{group}/{k}/vertices_mm", f"{group}/{k}/faces") for k in range(count)]
-            return [
-                Solid(
-                    read_array(file, vertices, (None, 3), "f"),
-                    read_array(file, faces, (None, 3), "i"),
-                )
-                for vertices, faces in parts
-            ]
+        with self._open_truth(frame) as file:
+            count = len(names_in(file, f"{schema.frame_group(frame)}/bodies"))
+            return [_read(file, Solid, frame, number) for number in range(count)]
 
     def sight(self, frame: int, camera: CameraModel) -> Sight:
         """Read the true view of a frame's bubbles and bodies by one camera."""
-        self._check_frame(frame)
-        group, image = (
-            f"{schema.frame_group(frame)}/sights/{camera.name}",
-            (camera.rows, camera.columns),
-        )
-        with open_hdf5(self._truth()) as file:
+        with self._open_truth(frame) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/bubbles/id", (None,), "i"))
-            fields = [
-                ("number", image, "i"),
-                ("depth_mm", image, "f"),
-                ("path_mm", image, "f"),
-                ("visible", (n,), "f"),
-                ("pixel", (n, 2), "f"),
-            ]
-            return Sight(
-                *(
-                    read_array(file, f"{group}/{k}", shape, kind)
-                    for k, shape, kind in [*fields, ("contour", (n, None, 2), "f")]
-                )
-            )
-
-    def render_error(self, frame: int, camera: CameraModel) -> float:
-        """Read the mean relative standard error of pixels that show bubbles and bodies."""
-        with open_hdf5(self._truth()) as file:
-            return float(
-                read_array(
-                    file, f"{schema.frame_group(frame)}/sights/{camera.name}/error", (1,), "f"
-                )[0]
-            )
+            sizes = {"rows": camera.rows, "columns": camera.columns, "n": n}
+            return _read(file, Sight, frame, camera.name, **sizes)
 
     @property
     def shows(self) -> tuple[Shown, ...]:
@@ -299,22 +230,16 @@ class Dataset:
     def calibration_case(self) -> CalibrationCase:
         """Read all frames of a target as a solver receives them."""
         target, setup = self._target(), self.setup
-        count = len(target.points_mm)
-        shapes = {"pixels": (len(setup.cameras), setup.frames, count, 2)} | dict.fromkeys(
-            ("rough_mm", "known_mm", "known_sigma_mm"), (setup.frames, count, 3)
-        )
+        sizes = {"camera": len(setup.cameras), "frame": setup.frames}
         with open_hdf5(inside(self.root, schema.POINTS)) as file:
-            arrays = {
-                name: read_array(file, name, shape, "f").astype(np.float64)
-                for name, shape in shapes.items()
-            }
+            points = _read(file, TargetPoints, point=len(target.points_mm), **sizes)
         return CalibrationCase(
             target,
-            arrays["pixels"],
+            points.pixels,
             setup.pinholes,
-            arrays["rough_mm"],
-            arrays["known_mm"],
-            arrays["known_sigma_mm"],
+            points.initial_mm,
+            points.known_mm,
+            points.known_sigma_mm,
             setup.unknown,
             setup.known_cameras,
         )
@@ -323,10 +248,8 @@ class Dataset:
         """Read the target's true positions and rotations: not for solvers."""
         target = self._target()
         with open_hdf5(self._truth()) as file:
-            return Placed(
-                target,
-                tuple(_pose(file, schema.frame_group(frame)) for frame in range(self.setup.frames)),
-            )
+            frames = range(self.setup.frames)
+            return Placed(target, tuple(_read(file, TargetPose, frame) for frame in frames))
 
     def sightings(self) -> tuple[F64, Bool]:
         """Read the true pixels of the target's points, and which are outliers.
@@ -336,12 +259,11 @@ class Dataset:
 
         Truth, not for solvers.
         """
-        shape = (self.setup.frames, len(self._target().points_mm))
+        sizes = {"frame": self.setup.frames, "point": len(self._target().points_mm)}
         with open_hdf5(self._truth()) as file:
-            groups = [f"cameras/{camera.name}" for camera in self.setup.cameras]
-            exact = [read_array(file, f"{group}/pixel", (*shape, 2), "f") for group in groups]
-            outliers = [read_array(file, f"{group}/outlier", shape, "u") > 0 for group in groups]
-        return np.stack(exact), np.stack(outliers)
+            names = [camera.name for camera in self.setup.cameras]
+            seen = [_read(file, Sighting, which=name, **sizes) for name in names]
+        return np.stack([one.pixel for one in seen]), np.stack([one.outlier for one in seen])
 
     def _target(self) -> Target:
         if not self.shows_target:
@@ -356,6 +278,12 @@ class Dataset:
         _ = self.manifest  # raises where there is no truth
         return inside(self.root, name)
 
+    @contextlib.contextmanager
+    def _open_truth(self, frame: int) -> Iterator[Any]:
+        self._check_frame(frame)
+        with open_hdf5(self._truth()) as file:
+            yield file
+
     def _image(self, camera: str, frame: int) -> Path:
         return inside(self.root, schema.image_name(camera, frame, "tif"))
 
@@ -364,22 +292,14 @@ class Dataset:
             raise InputError(f"{self.root}: frame {frame}: expected 0 to {self.setup.frames - 1}")
 
 
-def _check_widths(sigma_px: F64, where: str) -> None:
-    """Check that no particle image is wider than any sensor; NaN is no image."""
-    widest = float(np.nanmax(sigma_px, initial=0.0))
-    if widest > _WIDEST_PX:
-        raise InputError(f"{where}: expected at most {_WIDEST_PX:g} px, got {widest:g}")
-
-
-def _pose(file: Any, group: str) -> Pose:
-    rotation = finite(
-        read_array(file, f"{group}/turn", (3, 3), "f"), f"{file.filename}: {group}/turn"
-    )
-    return Pose(
-        rotation,
-        finite(
-            read_array(file, f"{group}/place_mm", (3,), "f"), f"{file.filename}: {group}/place_mm"
-        ),
+def _read(
+    file: Any, kind: type[AnyArrays], frame: int = 0, which: str | int = "", **sizes: int
+) -> AnyArrays:
+    """Read what a class declares from an HDF5 file."""
+    group = group_of(kind, frame, which)
+    names = names_in(file, group) if any(one.optional for one in kind.ARRAYS) else ()
+    return read_arrays(
+        kind, functools.partial(read_array, file), group, file.filename, sizes, names
     )
 
 

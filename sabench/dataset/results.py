@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -11,11 +12,10 @@ from typing import Any, TypeVar, get_args
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
-from sabench.api.estimates import Array, Calibration, Estimate
+from sabench.api.estimates import Calibration, Estimate
 from sabench.api.solvers import TaskName
-from sabench.dataset import schema
+from sabench.dataset.arrays import group_of, read_arrays, write_arrays
 from sabench.dataset.hdf5 import (
     create_hdf5,
     delay_interrupts,
@@ -53,8 +53,6 @@ _ATTRIBUTES = (
 )
 ITERATIONS = "iterations"  # group of estimates on the way
 MOST_ITERATIONS = 100  # of which a file may have estimates
-_STORED_KINDS = {"f": "f", "i": "iu", "u": "u", "b": "u"}  # kinds in a file, by the array's own
-_CHUNK = 256  # voxels along a side of the pieces in which volumes are compressed
 AnEstimate = TypeVar("AnEstimate", bound=Estimate)
 
 
@@ -116,40 +114,8 @@ class Result:
     def _read(self, kind: type[AnEstimate], group: str) -> AnEstimate:
         sizes = dict(zip("zyx", self.grid.shape, strict=True))
         with open_hdf5(self.path) as file:
-            names = names_in(file, group)
-            values = {
-                one.name: _read(file, group, one, sizes)
-                for one in kind.ARRAYS
-                if one.label in names or not one.optional
-            }
-        try:
-            decoded = {
-                one.name: one.decode(values[one.name])
-                for one in kind.ARRAYS
-                if one.decode and one.name in values
-            }
-            return kind(**(values | decoded))
-        except InputError as error:
-            raise InputError(f"{self.path}: {group}: {error}") from error
-
-
-def group_of(kind: type[Estimate], frame: int) -> str:
-    """Name the group of an estimate in a result file."""
-    names = (schema.frame_group(frame) if kind.OF_FRAME else "", kind.GROUP)
-    return "/".join(name for name in names if name)
-
-
-def _read(file: Any, group: str, declared: Array, sizes: dict[str, int]) -> npt.NDArray[Any]:
-    """Read one array as declared, and add its sizes to the known ones."""
-    name, dtype = f"{group}/{declared.label}", np.dtype(declared.dtype)
-    kind = _STORED_KINDS[dtype.kind]
-    stored = read_array(file, name, declared.sizes(sizes), kind)
-    declared.learn(stored.shape, sizes)
-    if dtype.kind == "b":
-        return np.asarray(stored > 0)
-    value = stored.astype(dtype, copy=False)
-    declared.check_values(value, f"{file.filename}: {name}")
-    return value
+            fetch, names = functools.partial(read_array, file), names_in(file, group)
+            return read_arrays(kind, fetch, group, file.filename, sizes, names)
 
 
 class ResultWriter:
@@ -175,10 +141,7 @@ class ResultWriter:
 
     def _add(self, estimate: Estimate, name: str) -> None:
         with delay_interrupts():
-            group = self._file.require_group(name)
-            for declared, value in estimate.arrays():
-                stored = value.astype(np.uint8) if value.dtype == np.bool_ else value
-                group.create_dataset(declared.label, data=stored, **_packing(declared, value))
+            write_arrays(self._file, estimate, name)
             self._file.flush()
         self._check()
 
@@ -220,17 +183,6 @@ class ResultWriter:
         """Note that the seconds include the start of a process and its files."""
         with delay_interrupts():
             self._file.attrs["whole_process"] = 1
-
-
-def _packing(declared: Array, value: npt.NDArray[Any]) -> dict[str, Any]:
-    """Choose the HDF5 options for an array.
-
-    Volumes on the grid are compressed, since they are mostly zeros.
-    """
-    if declared.shape != ("z", "y", "x"):
-        return {}
-    chunks = (1, *(min(_CHUNK, size) for size in value.shape[1:]))
-    return {"chunks": chunks, "compression": "gzip", "compression_opts": 1}
 
 
 @contextlib.contextmanager

@@ -30,6 +30,7 @@ _LARGEST_MM = 1e6  # pitch of a target: a kilometre
 SIDES = ("observation", "truth")  # folders of shards
 REFERENCES = "images.json"  # of a recorded data set whose images lie elsewhere
 MASKS = "masks"  # folder of images that mark the pixels that count
+PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # of arrays in HDF5 files
 GIVEN = "given"  # folder of files of other programs, which the scene reads
 
 

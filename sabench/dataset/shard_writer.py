@@ -29,9 +29,6 @@ from sabench.utils.validation import validate
 
 Truth = Literal["particles", "views", "radiance"]
 Compression = Literal["none", "gzip"]
-PARTICLES = ("id", "position_mm", "diameter_mm", "velocity_mm_s")
-VIEWS = ("pixel", "photons", "sigma_px", "visible")
-_PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _NO_IMAGES = np.empty((0, 0, 0, 0), dtype=np.uint16)
 _MAKING = "making"  # folder of shards that are being written
 
@@ -215,7 +212,7 @@ def _write_files(
 def _pixels(file: Any, name: str, shape: tuple[int, ...], kind: str, kept: Kept) -> Any:
     """Make a data set of images; compressed ones lie in chunks of one image."""
     packed = kept.compression == "gzip"
-    chunks = {"chunks": (1, 1, 1, *shape[3:]), **_PACK} if packed else {}
+    chunks = {"chunks": (1, 1, 1, *shape[3:]), **schema.PACK} if packed else {}
     return file.create_dataset(name, shape, dtype=kind, **chunks)
 
 
@@ -279,17 +276,16 @@ class _Collected:
         frames = [one for sample in self._samples for one in sample.particles]
         ends = np.cumsum([len(one) for one in frames])
         truth["particles/end"] = ends.reshape(len(self._samples), -1)
-        for name in PARTICLES:
-            truth[f"particles/{name}"] = np.concatenate([getattr(one, name) for one in frames])
+        for one in Particles.ARRAYS:
+            own = [getattr(particles, one.name) for particles in frames]
+            truth[f"particles/{one.label}"] = np.concatenate(own)
 
     def _store_views(self, truth: Any) -> None:
         """Store the particles' images (particle, camera)."""
         frames = [one for sample in self._samples for one in sample.views]
-        for name in VIEWS:
-            own = [np.stack([getattr(view, name) for view in one], axis=1) for one in frames]
-            values = np.concatenate(own)
-            kind = {"sigma_px": np.float32, "visible": np.uint8}.get(name, values.dtype)
-            truth[f"views/{name}"] = values.astype(kind)
+        for one in View.ARRAYS:
+            own = [np.stack([getattr(v, one.name) for v in views], axis=1) for views in frames]
+            truth[f"views/{one.label}"] = one.to_file(np.concatenate(own))
 
 
 def as_text(value: Any) -> U8:

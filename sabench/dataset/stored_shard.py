@@ -17,18 +17,16 @@ import numpy.typing as npt
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
 from sabench.dataset import schema
+from sabench.dataset.arrays import read_arrays
 from sabench.dataset.build_observation import build_observation
 from sabench.dataset.camera_files import CamerasFile, check_setup, check_true_cameras
-from sabench.dataset.hdf5 import find_array, finite, read_array
+from sabench.dataset.hdf5 import find_array, read_array
 from sabench.dataset.hdf5_chunks import check_streams
 from sabench.geometry.camera import Camera
 from sabench.images.preprocessing import takes_all_frames
 from sabench.utils.arrays import F32, I64, U16
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside
-
-_FIELDS = {"position_mm": (3,), "diameter_mm": (), "velocity_mm_s": (3,)}
-_VIEW_KINDS = {"pixel": "f", "photons": "f", "sigma_px": "f", "visible": "u"}
 
 
 class StoredShard:
@@ -171,30 +169,28 @@ class StoredShard:
         return light
 
     def _particles(self, part: slice) -> Particles:
-        n = self._rows
-        own = {
-            name: finite(
-                self._part("truth", f"particles/{name}", (n, *shape), "f", part),
-                f"{self._path('truth')}: particles/{name}",
-            )
-            for name, shape in _FIELDS.items()
-        }
-        return Particles(self._part("truth", "particles/id", (n,), "i", part), **own)
+        """Read the particles in some rows of the arrays of all particles."""
+
+        def fetch(name: str, shape: tuple[int | None, ...], kinds: str) -> npt.NDArray[Any]:
+            return self._part("truth", name, (self._rows, *shape[1:]), kinds, part)
+
+        return read_arrays(Particles, fetch, "particles", self._path("truth"))
 
     def _views(self, part: slice) -> tuple[View, ...]:
-        n, cameras = self._rows, self._shape[1]
-        own = {
-            name: self._part(
-                "truth", f"views/{name}", (n, cameras, *((2,) if name == "pixel" else ())), k, part
-            )
-            for name, k in _VIEW_KINDS.items()
-        }
+        """Read the images, in each camera, of the particles in some rows."""
+        cameras, count = self._shape[1], part.stop - part.start
+
+        @functools.cache
+        def stored(name: str, shape: tuple[int | None, ...], kinds: str) -> npt.NDArray[Any]:
+            return self._part("truth", name, (self._rows, cameras, *shape[1:]), kinds, part)
+
         return tuple(
-            View(
-                own["pixel"][:, camera],
-                own["photons"][:, camera],
-                own["sigma_px"][:, camera].astype(np.float64),
-                own["visible"][:, camera] > 0,
+            read_arrays(
+                View,
+                lambda name, shape, kinds, camera=camera: stored(name, shape, kinds)[:, camera],
+                "views",
+                self._path("truth"),
+                {"n": count},
             )
             for camera in range(cameras)
         )
@@ -273,7 +269,7 @@ class StoredShard:
             return self._checked(f"{side}/{name}", read)
 
     def _part(
-        self, side: str, name: str, shape: tuple[int, ...], kind: str, part: slice
+        self, side: str, name: str, shape: tuple[int | None, ...], kind: str, part: slice
     ) -> npt.NDArray[Any]:
         """Read a part of an array; the array is checked once."""
         with _reported(self._path(side)):

@@ -6,29 +6,25 @@ import contextlib
 import importlib.metadata
 import platform
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from sabench.api import Shown
-from sabench.api.truth import Prior, Target
+from sabench.api.truth import Sight, Sighting, Target, TargetPoints
 from sabench.dataset import schema
+from sabench.dataset.arrays import Named, group_of, named_arrays, write_arrays
 from sabench.dataset.camera_files import list_cameras
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene
-from sabench.utils.arrays import F64, Bool
 from sabench.utils.files import canonical_json, complete_or_nothing, file_series, sha256
 from sabench.utils.version import SIMULATION, __version__
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "h5py", "tifffile", "OpenEXR")
-_PACKED = ("number", "depth_mm", "path_mm")  # one number for each pixel, mostly the same
-_PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+_PACKED = tuple(one.label for one in Sight.ARRAYS if one.packed)
 
 
 class DatasetWriter:
@@ -38,13 +34,12 @@ class DatasetWriter:
         self.root, self._truth, self._check = root, truth, check
         self.files: dict[str, schema.FileEntry] = {}
 
-    def store(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Store arrays by their names in the file of truth."""
+    def store(self, arrays: Named) -> None:
+        """Store arrays of parts by their names in the file of truth."""
         with delay_interrupts():
             for name, value in arrays.items():
-                self._truth.create_dataset(
-                    name, data=value, **(_PACK if name.rpartition("/")[2] in _PACKED else {})
-                )
+                packed = name.rpartition("/")[2] in _PACKED
+                self._truth.create_dataset(name, data=value, **(schema.PACK if packed else {}))
             self._truth.flush()
         self._check()
 
@@ -65,33 +60,15 @@ class DatasetWriter:
             canonical_json({**head, "target": asdict(target)}), encoding="utf-8"
         )
 
-    def add_sighting(self, camera: Camera, exact: F64, outliers: Bool) -> None:
-        """Store the true pixels of one camera's target points, and its outliers.
+    def add_sighting(self, camera: str, sighting: Sighting) -> None:
+        """Store the true images of a target's points in one camera."""
+        self.store(named_arrays(sighting, group_of(Sighting, which=camera)))
 
-        Pixels (frame, point, 2); outliers (frame, point) are detected points that lie elsewhere.
-        """
-        self.store(
-            {
-                f"cameras/{camera.name}/pixel": exact,
-                f"cameras/{camera.name}/outlier": outliers.astype(np.uint8),
-            }
-        )
-
-    def add_points(self, pixels: F64, prior: Prior) -> None:
-        """Store a target's observed pixels and the positions known beforehand.
-
-        Pixels are (camera, frame, point, 2).
-        """
-        values = {
-            "pixels": pixels,
-            "rough_mm": prior.initial_mm,
-            "known_mm": prior.known_mm,
-            "known_sigma_mm": prior.known_sigma_mm,
-        }
+    def add_points(self, points: TargetPoints) -> None:
+        """Store a target's observed pixels and the positions known beforehand."""
         with create_hdf5(self.root / schema.POINTS) as (file, _), delay_interrupts():
             file.attrs["format"], file.attrs["version"] = schema.FORMAT, schema.VERSION
-            for name, value in values.items():
-                file.create_dataset(name, data=value)
+            write_arrays(file, points, "")
 
 
 @contextlib.contextmanager

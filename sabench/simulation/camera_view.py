@@ -41,15 +41,12 @@ class CameraView:
     photons : (rows, columns) mean number that each pixel receives in one exposure.
     particles : images of the tracers; None without any.
     sight : what each pixel sees of bubbles and bodies; None without any.
-    error : mean relative standard error of `photons` where there are bubbles or bodies; None for a
-        renderer without random rays.
     """
 
     camera: Camera
     photons: F64
     particles: ParticleImages | None = None
     sight: Sight | None = None
-    error: float | None = None
 
     def radiance(self) -> F64:
         """Compute radiance (rows, columns) in front of the lens, photons / (mm2 sr).
@@ -169,8 +166,9 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
         occluders=frame.rig.occluders,
         exposure_s=scene.sensor.exposure_s,
     )
+    sight = replace(sight, error=shown.error)
     if frame.tracers is None:
-        return CameraView(camera, shown.photons, sight=sight, error=shown.error)
+        return CameraView(camera, shown.photons, sight=sight)
     images = _image_tracers(frame, frame.tracers, camera, sight)
     glow = bubbles_traced.render(
         camera,
@@ -186,7 +184,7 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
         particles_mm=frame.tracers.particles.position_mm,
     )
     photons = shown.photons + glow.photons
-    return CameraView(camera, photons, particles=images, sight=sight, error=shown.error)
+    return CameraView(camera, photons, particles=images, sight=sight)
 
 
 def _around(sight: Sight) -> Bool:

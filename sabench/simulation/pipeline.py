@@ -17,7 +17,7 @@ from sabench.dataset.writer import dataset_writer
 from sabench.scenes import BubbleWorld, Scene, TargetWorld, build_rig, load_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.recording.job import Job, record_task
-from sabench.simulation.recording.parts import KEPT, Part, Parts, files_of
+from sabench.simulation.recording.parts import Parts
 from sabench.simulation.recording.recorders import Recorder, recorder_of
 from sabench.simulation.recording.schedule import Schedule, WorkerPool
 from sabench.simulation.recording.workers import (
@@ -149,19 +149,14 @@ def put_together(
         overwrite=overwrite,
     ) as writer:
         for frame in progress_bar(range(job.scene.frames), f"store {job.label}"):
-            writer.store(_truth(parts.frame(frame)))
+            writer.store(parts.frame(frame).truth)
             for camera in rig.cameras[: recorder.views]:
                 part = parts.view(frame, camera.name)
-                writer.store(_truth(part))
-                for name, entry in files_of(part).items():
+                writer.store(part.truth)
+                for name, entry in part.files.items():
                     writer.take(parts.root / name, name, entry)
             memory.trim()
         recorder.finish(writer, parts)
-
-
-def _truth(part: Part) -> Part:
-    """Select the arrays of a part that the data set keeps."""
-    return {name: value for name, value in part.items() if not name.startswith(KEPT)}
 
 
 def _shows(scene: Scene) -> tuple[Shown, ...]:

@@ -279,7 +279,7 @@ def test_particle_images_wider_than_any_sensor_are_refused(quick: Dataset, tmp_p
     name = f"frames/0000/cameras/{camera}/sigma_px"
     with h5py.File(root / "truth.h5", "r+") as file:
         file[name][0] = 1e18
-    with pytest.raises(InputError, match=f"{name}: expected at most 1000 px, got 1e"):
+    with pytest.raises(InputError, match=f"{name}: expected values of at most 1000, got 1e"):
         open_dataset(root).views(0)
 
 

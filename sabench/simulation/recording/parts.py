@@ -12,22 +12,28 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from sabench.api.arrays import Arrays
+from sabench.api.truth import Truth
 from sabench.dataset import schema
+from sabench.dataset.arrays import (
+    AnyArrays,
+    Named,
+    group_of,
+    name_of,
+    named_arrays,
+    read_arrays,
+)
 from sabench.images.tiff_exr import write_exr, write_tiff
 from sabench.utils.arrays import F32, U16
 from sabench.utils.errors import InputError
 from sabench.utils.files import atomic_file, sha256
 
-# arrays by their names in the file of truth; those in `KEPT` serve the recording only
-Part = dict[str, npt.NDArray[Any]]
-Recall = Callable[[int], Part]  # a frame's part
-KEPT = "kept/"
-_FILES = f"{KEPT}files"
+Entry = tuple[Arrays, str | int]  # arrays, and which of several they are: see `group_of`
+_KEPT = "kept"  # group of what serves the recording only
+_FILES = f"{_KEPT}/files"
 # what numpy and zipfile raise of a damaged archive; encrypted entries are a RuntimeError
 _DAMAGED = (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
@@ -36,9 +42,44 @@ _DAMAGED = (OSError, EOFError, ValueError, RuntimeError, zipfile.BadZipFile, zli
 class Taken:
     """One camera's part of a frame: its truth, grey values and radiance."""
 
-    truth: Part
+    truth: list[Entry]
     grey: U16
     radiance: F32
+
+
+class Kept(Truth):
+    """Base of arrays that serve the recording only."""
+
+    GROUP = _KEPT
+    OF_FRAME = False
+
+
+@dataclass(frozen=True)
+class Part:
+    """Part of a data set in the making: arrays by their names in the file of truth."""
+
+    arrays: Named
+
+    @property
+    def truth(self) -> Named:
+        """Arrays that the data set keeps."""
+        return {name: one for name, one in self.arrays.items() if not name.startswith(_KEPT)}
+
+    @property
+    def files(self) -> dict[str, schema.FileEntry]:
+        """Images of a camera's part: paths in the data set, sizes and checksums."""
+        entries = json.loads(self.arrays[_FILES].tobytes())
+        return {name: schema.FileEntry(**entry) for name, entry in entries.items()}
+
+    def find(self, kind: type[AnyArrays], frame: int = 0) -> AnyArrays | None:
+        """Read what a class declares; None where it is not in the part."""
+        group = group_of(kind, frame)
+        if name_of(group, kind.ARRAYS[0]) not in self.arrays:
+            return None
+        return read_arrays(kind, lambda name, shape, kinds: self.arrays[name], group, "part")
+
+
+Recall = Callable[[int], Part]  # a frame's part
 
 
 class Parts:
@@ -55,10 +96,10 @@ class Parts:
         """Read a frame's part; InputError if it is not there."""
         return _load_needed(self._frame(frame))
 
-    def put_frame(self, frame: int, part: Part) -> None:
+    def put_frame(self, frame: int, entries: list[Entry]) -> None:
         """Keep a frame's part."""
         self._check()
-        _save(self._frame(frame), part)
+        _save(self._frame(frame), _part(frame, entries))
 
     def has_view(self, frame: int, camera: str) -> bool:
         """Return whether a camera's part of a frame is there and intact.
@@ -66,11 +107,11 @@ class Parts:
         Its images are compared bit by bit.
         """
         part = _load(self._view(frame, camera))
-        if part is None or _FILES not in part:
+        if part is None or _FILES not in part.arrays:
             return False
         return all(
             (self.root / name).is_file() and sha256(self.root / name) == entry.sha256
-            for name, entry in files_of(part).items()
+            for name, entry in part.files.items()
         )
 
     def view(self, frame: int, camera: str) -> Part:
@@ -87,7 +128,7 @@ class Parts:
             write_exr(partial, taken.radiance)
         files = {name: self._entry(name).model_dump() for name in (tif, exr)}
         text = np.frombuffer(json.dumps(files).encode(), dtype=np.uint8)
-        _save(self._view(frame, camera), taken.truth | {_FILES: text})
+        _save(self._view(frame, camera), Part(_part(frame, taken.truth).arrays | {_FILES: text}))
 
     def _entry(self, name: str) -> schema.FileEntry:
         path = self.root / name
@@ -109,12 +150,11 @@ class Parts:
         return self.root / "views" / f"{frame:04d}-{camera}.npz"
 
 
-def files_of(part: Part) -> dict[str, schema.FileEntry]:
-    """List images of a camera's part: paths in the data set, sizes and checksums."""
-    return {
-        name: schema.FileEntry(**entry)
-        for name, entry in json.loads(part[_FILES].tobytes()).items()
-    }
+def _part(frame: int, entries: list[Entry]) -> Part:
+    arrays: Named = {}
+    for value, which in entries:
+        arrays |= named_arrays(value, group_of(type(value), frame, which))
+    return Part(arrays)
 
 
 def _load_needed(path: Path) -> Part:
@@ -131,11 +171,11 @@ def _load(path: Path) -> Part | None:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             # reading tests the archive's checksums
-            return {name: arrays[name] for name in arrays.files}
+            return Part({name: arrays[name] for name in arrays.files})
     except _DAMAGED:
         return None
 
 
 def _save(path: Path, part: Part) -> None:
     with atomic_file(path) as partial, partial.open("wb") as file:
-        np.savez(file, allow_pickle=False, **part)
+        np.savez(file, allow_pickle=False, **part.arrays)

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from sabench.algorithms.calibration.target_detection import detect
-from sabench.api.truth import Bubbles, Particles
-from sabench.dataset import schema
+from sabench.api.arrays import Array
+from sabench.api.truth import (
+    Bubbles,
+    ExactFlow,
+    Materials,
+    Particles,
+    Sighting,
+    TargetPoints,
+    TargetPose,
+)
 from sabench.dataset.writer import DatasetWriter
 from sabench.scenes import Scene, TargetWorld, build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
@@ -14,18 +25,38 @@ from sabench.simulation.camera_view import CameraView, render
 from sabench.simulation.frame_content import FrameContent
 from sabench.simulation.frames import Frames
 from sabench.simulation.grey_values import record_image
-from sabench.simulation.recording.parts import KEPT, Part, Parts, Recall, Taken
+from sabench.simulation.recording.parts import Entry, Kept, Part, Parts, Recall, Taken
 from sabench.utils.arrays import F64, Bool
+from sabench.utils.errors import InputError
 from sabench.worlds import calibration_targets
 from sabench.worlds.materials import material_numbers
 from sabench.worlds.tracers import lattice
 
-_PARTICLES = ("id", "position_mm", "diameter_mm", "velocity_mm_s")
-_BUBBLES = ("id", "center_mm", "semi_axes_mm", "turn", "velocity_mm_s")
-_SIGHT = ("number", "depth_mm", "path_mm", "visible", "pixel", "contour")
-_STATE = f"{KEPT}state"  # all tracers of a frame; the truth holds only those in the fluid
-_ILLUMINATED = f"{KEPT}illuminated"
-_FOUND = f"{KEPT}found"
+
+@dataclass(frozen=True)
+class _State(Particles):
+    """All tracers of a frame; the truth holds only those in the fluid."""
+
+    GROUP = f"{Kept.GROUP}/state"
+    OF_FRAME = False
+
+
+@dataclass(frozen=True)
+class _Illuminated(Kept):
+    """Whether the laser reaches each tracer (n,)."""
+
+    ARRAYS = (Array("illuminated", ("n",), np.bool_),)
+
+    illuminated: Bool
+
+
+@dataclass(frozen=True)
+class _Detected(Kept):
+    """Pixels (point, 2) of a target's points in one camera; NaN where one was not detected."""
+
+    ARRAYS = (Array("detected", ("point", 2), finite=False),)
+
+    detected: F64
 
 
 class Recorder:
@@ -45,20 +76,17 @@ class Recorder:
         self._last: FrameContent | None = None
         self.cameras, self.views, self.chained = rig.cameras, len(rig.cameras), self._frames.chained
 
-    def frame(self, number: int, recall: Recall) -> Part:
+    def frame(self, number: int, recall: Recall) -> list[Entry]:
         """Make a frame's truth, apart from that of its cameras.
 
         `recall` gives the part of the frame before.
         """
         motion = self._frames.motion
         if motion is not None and self.chained and number and motion.last != number - 1:
-            motion.resume(number - 1, self._state(number - 1, recall(number - 1)))
+            motion.resume(number - 1, _tracers(recall(number - 1), number - 1))
         self._last = self._frames.at(number)
-        return (
-            _truth(self._last)
-            | _flow(self._scene, self._frames.seed, number)
-            | self._kept(self._last)
-        )
+        flow = _flow(self._scene, self._frames.seed, number)
+        return [*_truth(self._last), *flow, *self._kept(self._last)]
 
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
         """Render one camera's image of a frame, and its truth.
@@ -70,36 +98,33 @@ class Recorder:
         frame = self._last
         view = render(frame, camera)
         grey = record_image(frame, view, camera)
-        return Taken(_view_truth(frame, view), grey, view.radiance().astype(np.float32))
+        return Taken(_view_truth(view), grey, view.radiance().astype(np.float32))
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
         """Store what all parts together make: nothing, for most scenes."""
 
-    def _kept(self, frame: FrameContent) -> Part:
+    def _kept(self, frame: FrameContent) -> Iterator[Entry]:
         """Select what later tasks need besides the truth.
 
         Among bubbles, that is all tracers and which of them are illuminated.
         """
         if self._frames.motion is None or frame.tracers is None or frame.bubbles is None:
-            return {}
-        kept: Part = {}
+            return
         if self.chained:
-            kept |= _fields(_STATE, self._frames.motion.at(frame.number), _PARTICLES)
+            every = self._frames.motion.at(frame.number)
+            yield _State(every.id, every.position_mm, every.diameter_mm, every.velocity_mm_s), ""
         if frame.tracers.illuminated is not None:
-            kept[_ILLUMINATED] = frame.tracers.illuminated
-        return kept
-
-    def _state(self, number: int, part: Part) -> Particles:
-        """Read all tracers of a frame from its part."""
-        group = _STATE if f"{_STATE}/id" in part else schema.frame_group(number)
-        return _particles(part, group)
+            yield _Illuminated(frame.tracers.illuminated), ""
 
     def _restore(self, number: int, part: Part) -> FrameContent:
         """Restore a frame from its part."""
-        group = schema.frame_group(number)
-        particles = _particles(part, group) if f"{group}/id" in part else None
-        bubbles = _bubbles(part, group) if f"{group}/bubbles/id" in part else None
-        return self._frames.assemble(number, bubbles, particles, part.get(_ILLUMINATED))
+        lit = part.find(_Illuminated)
+        return self._frames.assemble(
+            number,
+            part.find(Bubbles, number),
+            part.find(Particles, number),
+            None if lit is None else lit.illuminated,
+        )
 
 
 class TargetRecorder(Recorder):
@@ -120,7 +145,7 @@ class TargetRecorder(Recorder):
         taken = super().view(number, camera, recall)
         expected = self._nominal[camera].project(self._prior.initial_mm[number])[0]
         found = detect(taken.grey, self._placed.target, expected)
-        return Taken({**taken.truth, _FOUND: found}, taken.grey, taken.radiance)
+        return replace(taken, truth=[*taken.truth, (_Detected(found), "")])
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
         """Store the target, the detected points, and the prior of its positions."""
@@ -129,9 +154,11 @@ class TargetRecorder(Recorder):
         for number, camera in enumerate(self.cameras):
             exact = calibration_targets.exact_pixels(camera, self._placed.points_mm)
             pixels, outliers = self._collect_points(parts, number, exact)
-            writer.add_sighting(camera, exact, outliers)
+            writer.add_sighting(camera.name, Sighting(exact, outliers))
             found.append(pixels)
-        writer.add_points(np.stack(found), self._prior)
+        prior = self._prior
+        points = np.stack(found), prior.initial_mm, prior.known_mm, prior.known_sigma_mm
+        writer.add_points(TargetPoints(*points))
 
     def _collect_points(self, parts: Parts, camera: int, exact: F64) -> tuple[F64, Bool]:
         """Collect the points that a camera detected.
@@ -142,7 +169,8 @@ class TargetRecorder(Recorder):
             detection = self._scene.detection
             return calibration_targets.found_pixels(detection, exact, self._seed, camera)
         name, frames = self.cameras[camera].name, range(self._scene.frames)
-        found = np.stack([parts.view(frame, name)[_FOUND] for frame in frames])
+        detected = [parts.view(frame, name).find(_Detected) for frame in frames]
+        found = np.stack([one.detected for one in detected if one is not None])
         return found, np.zeros(exact.shape[:2], dtype=np.bool_)
 
 
@@ -152,62 +180,38 @@ def recorder_of(scene: Scene, seed: int, renderer: str, label: str) -> Recorder:
     return kind(scene, seed, renderer, label)
 
 
-def _truth(frame: FrameContent) -> Part:
-    """Collect a frame's truth apart from its cameras', by names on disk."""
-    group, part = schema.frame_group(frame.number), Part()
+def _tracers(part: Part, number: int) -> Particles:
+    """Read all tracers of a frame from its part."""
+    every: Particles | None = part.find(_State)
+    every = part.find(Particles, number) if every is None else every
+    if every is None:
+        raise InputError(f"frame {number}: expected a part with tracers, got one without")
+    return every
+
+
+def _truth(frame: FrameContent) -> Iterator[Entry]:
+    """Collect a frame's truth apart from its cameras'."""
     if frame.bubbles is not None:
-        part |= _fields(f"{group}/bubbles", frame.bubbles, _BUBBLES)
-        part[f"{group}/bubbles/index"] = np.array([frame.bubbles.index])
+        yield frame.bubbles, ""
     for number, solid in enumerate(frame.solids):
-        part |= _fields(f"{group}/bodies/{number}", solid, ("vertices_mm", "faces"))
+        yield solid, number
     if frame.tracers is not None:
-        part |= _fields(group, frame.tracers.particles, _PARTICLES)
+        yield frame.tracers.particles, ""
         if (tracer := frame.scene.tracer).mixture:
             ids = frame.tracers.particles.id
-            part[f"{group}/material"] = material_numbers(tracer, frame.seed, ids)
+            yield Materials(material_numbers(tracer, frame.seed, ids)), ""
     if frame.pose is not None:
-        part |= {f"{group}/turn": frame.pose.rotation, f"{group}/place_mm": frame.pose.position_mm}
-    return part
+        yield TargetPose(frame.pose.rotation, frame.pose.position_mm), ""
 
 
-def _flow(scene: Scene, seed: int, number: int) -> Part:
+def _flow(scene: Scene, seed: int, number: int) -> Iterator[Entry]:
     """Sample the exact flow of a frame, where the scene asks for it."""
-    if not scene.flow_grid_mm:
-        return {}
-    field, gradient = lattice(scene, number, scene.flow_grid_mm, seed)
-    group = f"{schema.frame_group(number)}/flow"
-    return {
-        f"{group}/velocity_mm_s": field.velocity_mm_s,
-        f"{group}/gradient_1_s": gradient,
-        f"{group}/low_mm": np.array(field.low_mm),
-        f"{group}/step_mm": np.array(field.step_mm),
-    }
+    if scene.flow_grid_mm:
+        field, gradient = lattice(scene, number, scene.flow_grid_mm, seed)
+        yield ExactFlow(field.velocity_mm_s, gradient, field.low_mm, field.step_mm), ""
 
 
-def _view_truth(frame: FrameContent, view: CameraView) -> Part:
-    """Collect the truth of one camera's view, by names on disk."""
-    group, camera, part = schema.frame_group(frame.number), view.camera.name, Part()
-    if view.sight is not None:
-        part |= _fields(f"{group}/sights/{camera}", view.sight, _SIGHT)
-        part[f"{group}/sights/{camera}/error"] = np.array([view.error])
-    if view.particles is not None:
-        images, own = view.particles, f"{group}/cameras/{camera}"
-        part[f"{own}/pixel"] = images.pixel
-        part[f"{own}/photons"] = images.photons
-        part[f"{own}/sigma_px"] = images.sigma_px.astype(np.float32)
-        part[f"{own}/spread_px2"] = images.spread_px2.astype(np.float32)
-        part[f"{own}/visible"] = images.visible.astype(np.uint8)
-    return part
-
-
-def _fields(group: str, values: object, names: tuple[str, ...]) -> Part:
-    return {f"{group}/{name}": getattr(values, name) for name in names}
-
-
-def _particles(part: Part, group: str) -> Particles:
-    return Particles(*(part[f"{group}/{name}"] for name in _PARTICLES))
-
-
-def _bubbles(part: Part, group: str) -> Bubbles:
-    shapes = {name: part[f"{group}/bubbles/{name}"] for name in _BUBBLES}
-    return Bubbles(**shapes, index=float(part[f"{group}/bubbles/index"][0]))
+def _view_truth(view: CameraView) -> list[Entry]:
+    """Collect the truth of one camera's view."""
+    every = (view.sight, view.particles)
+    return [(one, view.camera.name) for one in every if one is not None]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sabench.api.arrays import Array
 from sabench.api.truth import Particles, View
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc, in_shadow
@@ -41,6 +42,12 @@ class ParticleImages(View):
     spread_px2 : (n, 3) variances of the image along the columns and along the rows, and their
         covariance; `sigma_px` is the geometric mean of the ellipse's two widths.
     """
+
+    ARRAYS = (
+        *View.ARRAYS[:-1],
+        Array("spread_px2", ("n", 3), finite=False, file_dtype=np.float32),
+        View.ARRAYS[-1],
+    )
 
     intensity: F64
     direction: F64

@@ -313,5 +313,5 @@ def test_impossible_bubbles_are_refused(change: dict[str, object], sentence: str
         "turn": np.eye(3)[None],
         "velocity_mm_s": np.zeros((1, 3)),
     }
-    with pytest.raises(ValueError, match=sentence):
+    with pytest.raises(InputError, match=sentence):
         Bubbles(**(values | change))

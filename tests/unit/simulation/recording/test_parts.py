@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sabench.api.arrays import Array
+from sabench.api.truth import Materials, View
 from sabench.scenes import load_scene
 from sabench.simulation.recording.job import Job, read_job
-from sabench.simulation.recording.parts import KEPT, Parts, Taken, files_of
+from sabench.simulation.recording.parts import Entry, Kept, Parts, Taken
+from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+
+
+@dataclass(frozen=True)
+class State(Kept):
+    """What serves the recording only."""
+
+    ARRAYS = (Array("state", (0,)),)
+
+    state: F64
+
+
+def numbers(count: int) -> Entry:
+    return Materials(np.arange(count)), ""
 
 
 def taken() -> Taken:
     rng = np.random.default_rng(1)
     return Taken(
-        {"frames/0003/cameras/a/pixel": rng.random((5, 2))},
+        [(View(rng.random((5, 2)), np.ones(5), np.ones(5), np.ones(5, dtype=np.bool_)), "a")],
         rng.integers(0, 4095, (6, 8), dtype=np.uint16),
         rng.random((6, 8), dtype=np.float32),
     )
@@ -26,16 +43,17 @@ def test_what_is_put_is_there_and_nothing_beside_it(tmp_path: Path) -> None:
     parts, view = Parts(tmp_path), taken()
     assert parts.empty()
     assert not parts.has_frame(3)
-    parts.put_frame(3, {"frames/0003/id": np.arange(4), f"{KEPT}state": np.zeros(0)})
+    parts.put_frame(3, [numbers(4), (State(np.zeros(0)), "")])
     parts.put_view(3, "a", view)
     assert parts.has_frame(3)
     assert parts.has_view(3, "a")
     assert not parts.empty()
-    np.testing.assert_array_equal(parts.frame(3)["frames/0003/id"], np.arange(4))
-    np.testing.assert_array_equal(
-        parts.view(3, "a")["frames/0003/cameras/a/pixel"], view.truth["frames/0003/cameras/a/pixel"]
-    )
-    assert sorted(files_of(parts.view(3, "a"))) == [
+    assert list(parts.frame(3).truth) == ["frames/0003/material"]
+    np.testing.assert_array_equal(parts.frame(3).truth["frames/0003/material"], np.arange(4))
+    (seen, _), stored = view.truth[0], parts.view(3, "a")
+    assert isinstance(seen, View)
+    np.testing.assert_array_equal(stored.truth["frames/0003/cameras/a/pixel"], seen.pixel)
+    assert sorted(stored.files) == [
         "images/frame_0003/a.exr",
         "images/frame_0003/a.tif",
     ]
@@ -49,7 +67,7 @@ def test_what_is_put_is_there_and_nothing_beside_it(tmp_path: Path) -> None:
 
 def test_a_part_with_one_byte_wrong_is_not_there_or_whole(tmp_path: Path) -> None:
     parts, path = Parts(tmp_path), tmp_path / "frames" / "0003.npz"
-    parts.put_frame(3, {"frames/0003/id": np.arange(4)})
+    parts.put_frame(3, [numbers(4)])
     whole = path.read_bytes()
     refused = 0
     for position in range(len(whole)):  # compression, encryption, length, names, checksum, ...
@@ -90,7 +108,7 @@ def test_a_view_of_which_a_file_is_torn_or_missing_is_not_there_and_can_be_made_
 
 def test_a_number_of_the_truth_that_has_changed_is_not_taken_for_whole(tmp_path: Path) -> None:
     parts, path = Parts(tmp_path), tmp_path / "frames" / "0003.npz"
-    parts.put_frame(3, {"frames/0003/id": np.arange(400)})
+    parts.put_frame(3, [numbers(400)])
     damaged = bytearray(path.read_bytes())
     damaged[damaged.index(np.arange(200, 203).tobytes())] ^= 4
     path.write_bytes(damaged)
@@ -135,7 +153,7 @@ def test_a_job_is_read_as_it_was_written_and_only_by_the_same_code(tmp_path: Pat
 def test_nothing_is_written_where_the_data_set_is_complete(tmp_path: Path) -> None:
     parts = Parts(tmp_path / "gone")
     with pytest.raises(InputError, match="but it is gone"):
-        parts.put_frame(0, {})
+        parts.put_frame(0, [])
     with pytest.raises(InputError, match="but it is gone"):
         parts.put_view(0, "a", taken())
     assert not list(tmp_path.iterdir())
