@@ -22,10 +22,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from sabench.images.brightness import background_noise, normalise
 from sabench.images.dark_noise import FALSE_ALARMS
-from sabench.images.peak_detection import detect_peaks
-from sabench.images.peaks import find_peaks
+from sabench.images.levels import background_noise, normalise
+from sabench.images.peaks import detect_peaks, find_peaks
 from sabench.images.preprocessing import preprocess, read_steps
 from sabench.images.repair import find_points, repair
 from sabench.utils.arrays import F64, U16

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.api import Observation
-from sabench.images.brightness import background_noise
-from sabench.images.particle_widths import image_widths
+from sabench.images.levels import background_noise
 from sabench.images.peaks import find_peaks
+from sabench.images.widths import image_widths
 
 # smallest peak, relative to a bright particle's and to the background's standard deviation: the
 # larger of both holds

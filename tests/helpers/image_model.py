@@ -14,8 +14,7 @@ from sabench.algorithms.particles.image_model import (
     make_room,
     with_margins,
 )
-from sabench.algorithms.particles.joint_fit import refine
-from sabench.algorithms.particles.light_prior import even_covariance
+from sabench.algorithms.particles.joint_fit import even_covariance, refine
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64
 

@@ -15,15 +15,15 @@ if TYPE_CHECKING:
         BayesianIprSettings,
         reconstruct_most_probable,
     )
-    from sabench.algorithms.particles.common_view import find_fault
+    from sabench.algorithms.particles.candidate_search import find_fault
     from sabench.algorithms.particles.defocusing import find_by_defocusing, find_unsuitable
     from sabench.algorithms.particles.inverse_rendering import (
         InverseRenderingSettings,
         reconstruct_by_descent,
     )
     from sabench.algorithms.particles.linking import link
-    from sabench.algorithms.particles.peak_detection import PeakParameters
-    from sabench.algorithms.particles.ray_triangulation import (
+    from sabench.algorithms.particles.matching import (
+        PeakParameters,
         TriangulationSettings,
         fit_cameras,
         triangulate_particles,
@@ -50,17 +50,17 @@ __all__ = [
 _HOMES = {
     "BayesianIprSettings": "bayesian_ipr",
     "InverseRenderingSettings": "inverse_rendering",
-    "PeakParameters": "peak_detection",
+    "PeakParameters": "matching",
     "ShakeTheBoxSettings": "shake_the_box",
-    "TriangulationSettings": "ray_triangulation",
+    "TriangulationSettings": "matching",
     "find_by_defocusing": "defocusing",
-    "find_fault": "common_view",
+    "find_fault": "candidate_search",
     "find_unsuitable": "defocusing",
-    "fit_cameras": "ray_triangulation",
+    "fit_cameras": "matching",
     "link": "linking",
     "reconstruct_by_descent": "inverse_rendering",
     "reconstruct_most_probable": "bayesian_ipr",
     "track_particles": "shake_the_box",
-    "triangulate_particles": "ray_triangulation",
+    "triangulate_particles": "matching",
 }
 __getattr__ = lazy_names(__name__, _HOMES)

@@ -15,25 +15,33 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sabench.algorithms.particles.background import ClearImages, clear_images
-from sabench.algorithms.particles.camera_check import warn_of_tilt, without_wrong_cameras
-from sabench.algorithms.particles.hidden_areas import are_doubtful, find_dark_views, keep_hidden
-from sabench.algorithms.particles.image_statistics import measure_images
+from sabench.algorithms.particles.candidate_search import (
+    rig_axes,
+    turn_maps,
+    turn_to_world,
+    volume_shares,
+)
 from sabench.algorithms.particles.learned_model import (
     align_cameras,
     learn_light,
     learn_widths,
     weigh_pixels,
 )
-from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.partly_hidden import find_partly_hidden
-from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
-from sabench.algorithms.particles.search_state import joined, no_particles
-from sabench.algorithms.particles.time_budget import Deadline
-from sabench.algorithms.particles.volume_shares import volume_shares
+from sabench.algorithms.particles.obstacles import (
+    are_doubtful,
+    find_dark_views,
+    find_partly_hidden,
+    keep_hidden,
+    warn_of_tilt,
+    without_wrong_cameras,
+)
+from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
+from sabench.images.background import ClearImages, clear_images
+from sabench.images.widths import measure_images
 from sabench.utils.arrays import F64, Bool
+from sabench.utils.threads import Deadline
 
 _FEWEST = 3  # cameras that must show particles
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior

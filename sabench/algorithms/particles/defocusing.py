@@ -17,8 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.peak_detection import detect_in_cameras, heights_of
-from sabench.algorithms.particles.triangulation import Candidates, select_best, select_rows
+from sabench.algorithms.particles.matching import (
+    Candidates,
+    detect_in_cameras,
+    heights_of,
+    select_best,
+    select_rows,
+)
 from sabench.api import Camera, FoundParticles, Observation
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.bayesian_ipr import (
     CAPS,
     FLOORS,
@@ -24,25 +23,36 @@ from sabench.algorithms.particles.bayesian_ipr import (
     search_frame,
     split_and_find,
 )
-from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.dense_start import WINDOW, are_mostly_wrong, search_window
-from sabench.algorithms.particles.hidden_areas import hide_unseen
+from sabench.algorithms.particles.candidate_search import (
+    pixel_mm,
+    rig_axes,
+    turn_maps,
+    turn_to_world,
+    volume_shares,
+)
+from sabench.algorithms.particles.dense_start import (
+    CONFIRMED,
+    WINDOW,
+    are_mostly_wrong,
+    search_window,
+)
 from sabench.algorithms.particles.kalman_tracks import (
     MATURE,
     KalmanTracks,
+    TrackedFrame,
+    no_frame,
     start_tracks,
+    with_motion,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
 from sabench.algorithms.particles.linking import GATE, assign, link
+from sabench.algorithms.particles.obstacles import hide_unseen
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
-from sabench.algorithms.particles.time_budget import Deadline
-from sabench.algorithms.particles.tracked_frames import TrackedFrame, no_frame, with_motion
-from sabench.algorithms.particles.volume_shares import volume_shares
-from sabench.algorithms.particles.window_tracks import CONFIRMED
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
+from sabench.images.background import ClearImages
 from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.threads import Deadline
 
 _SHAKES = 3  # rounds of fits of the predicted particles before others are looked for
 _SLACK = 0.04  # of the distance between particles: misses, beside those expected, of the same one

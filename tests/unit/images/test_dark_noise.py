@@ -17,7 +17,7 @@ from benchmarks.false_alarms import (
 )
 from sabench.images.dark_noise import measure_dark_noise
 from sabench.images.gaussians import gaussian_shares
-from sabench.images.peak_detection import detect_peaks
+from sabench.images.peaks import detect_peaks
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
 

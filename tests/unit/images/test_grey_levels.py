@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.images.grey_levels import GreyLevels, GreyValues
+from sabench.images.levels import GreyLevels, GreyValues
 from sabench.utils.arrays import F64
 
 

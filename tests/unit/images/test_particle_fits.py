@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from sabench.images.particle_fits import fit_particle_images, flux_near, image_noise
+from sabench.images.statistics import fit_particle_images, flux_near, image_noise
 from sabench.utils.arrays import F64, U16
 
 SHAPE, PITCH, WHITE = (220, 260), 22, 65535.0

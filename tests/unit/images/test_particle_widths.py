@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.images.particle_widths import image_widths
 from sabench.images.peaks import find_peaks
+from sabench.images.widths import image_widths
 
 
 def test_widths_at_the_border_read_no_pixel_beyond_it() -> None:

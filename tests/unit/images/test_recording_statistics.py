@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.images.recording_statistics import (
-    flux_ratio_spread,
-    measure_camera,
-    measure_noise,
-)
+from sabench.images.statistics import flux_ratio_spread, measure_camera, measure_noise
 from sabench.utils.arrays import F64, U16
 from tests.unit.images.test_particle_fits import SHAPE, lattice, shares
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles.all_particles import (
-    camera_misses,
     leverage,
     misfits,
     paint_particles,
     split_gains,
 )
 from sabench.algorithms.particles.image_model import ImageModel, Particles, paint_all
-from sabench.algorithms.particles.model_moves import add_camera_misses, measure_misfit
+from sabench.algorithms.particles.learned_model import add_camera_misses, camera_misses
+from sabench.algorithms.particles.model_moves import measure_misfit
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import (

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.background import (
+from sabench.algorithms.particles.obstacles import find_dark_areas
+from sabench.images.background import (
     clear_images,
     estimate_background,
     find_bright_spots,
-    find_dark_areas,
     find_patches,
 )
 from sabench.images.flaws import Flaws

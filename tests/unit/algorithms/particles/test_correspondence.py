@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.particles.correspondence import _compute_step, _gains
+from sabench.algorithms.calibration.disparity import _compute_step, _gains
 
 
 def test_a_step_is_the_least_squares_solution() -> None:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.particles.dense_start import are_mostly_wrong
-from sabench.algorithms.particles.local_velocity import Votes, estimate_velocity
-from sabench.algorithms.particles.window_tracks import Finds, confirm_tracks
+from sabench.algorithms.particles.dense_start import (
+    Finds,
+    Votes,
+    are_mostly_wrong,
+    confirm_tracks,
+    estimate_velocity,
+)
 from sabench.utils.arrays import F64
 
 COUNT, FRAMES, INTERVAL, ERROR = 800, 6, 0.01, 0.01

@@ -18,7 +18,7 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
     with_margins,
 )
-from sabench.algorithms.particles.light_prior import even_covariance
+from sabench.algorithms.particles.joint_fit import even_covariance
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.lens_distortion import Distortion

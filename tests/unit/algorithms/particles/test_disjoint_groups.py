@@ -6,9 +6,9 @@ import numba
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles import disjoint_groups as module
+from sabench.algorithms.particles import all_particles as module
+from sabench.algorithms.particles.all_particles import disjoint_groups, side_by_side
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.disjoint_groups import disjoint_groups, side_by_side
 from sabench.algorithms.particles.image_model import paint_all
 from sabench.algorithms.particles.joint_fit import refine
 from sabench.algorithms.particles.model_moves import find_neighbours

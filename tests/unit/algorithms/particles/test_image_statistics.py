@@ -9,7 +9,7 @@ from scipy.signal import fftconvolve
 from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.image_model import MARGIN, make_room
-from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
+from sabench.images.widths import dark_noise, measure_images
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import profile
 

@@ -12,13 +12,7 @@ from sabench.algorithms.particles.image_model import (
     paint_all,
     without_margins,
 )
-from sabench.algorithms.particles.joint_fit import (
-    adjust,
-    cost_of,
-    price,
-    solve_three,
-    start_light,
-)
+from sabench.algorithms.particles.joint_fit import adjust, cost_of, price, solve_three, start_light
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, Bool
 from tests.helpers.image_model import (

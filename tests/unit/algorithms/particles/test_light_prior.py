@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from sabench.algorithms.particles.light_prior import (
+from sabench.algorithms.particles.joint_fit import (
     even_covariance,
     factorise,
     fill_inverse_diagonal,

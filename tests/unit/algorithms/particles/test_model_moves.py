@@ -12,9 +12,8 @@ from sabench.algorithms.particles.image_model import (
     paint_all,
     without_margins,
 )
+from sabench.algorithms.particles.learned_model import add_camera_misses, add_shape_misses
 from sabench.algorithms.particles.model_moves import (
-    add_camera_misses,
-    add_shape_misses,
     count_meetings,
     find_neighbours,
     measure_misfit,

@@ -12,7 +12,7 @@ from sabench.algorithms.particles.image_model import (
     paint_all,
     without_margins,
 )
-from sabench.algorithms.particles.particle_splits import measure_split_gains, split_pairs
+from sabench.algorithms.particles.model_moves import measure_split_gains, split_pairs
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import (

@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles import fit_cameras
-from sabench.algorithms.particles import ray_triangulation as module
-from sabench.algorithms.particles.ray_triangulation import (
+from sabench.algorithms.particles import matching as module
+from sabench.algorithms.particles.matching import (
     TriangulationSettings,
+    count_by_chance,
+    find_candidates,
     triangulate_particles,
 )
-from sabench.algorithms.particles.triangulation import count_by_chance, find_candidates
 from sabench.api import Observation
 from sabench.images.peaks import Peaks, find_near, keep_peaks, sort_peaks
 from tests.helpers.small_particles import count_found, make_small
 
-CLOCK = "sabench.algorithms.particles.time_budget.time.monotonic"
+CLOCK = "sabench.utils.threads.time.monotonic"
 
 
 def solve(case: Observation, **changes: Any) -> Any:
@@ -44,7 +45,7 @@ def test_a_long_budget_changes_nothing() -> None:
 def test_a_spent_budget_is_said_and_gives_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
     shot = make_small(3)
     counts = []
-    monkeypatch.setattr("sabench.algorithms.particles.triangulation._BATCH", 8)
+    monkeypatch.setattr("sabench.algorithms.particles.matching._BATCH", 8)
     for ticks in (1.0, 8.0):
         monkeypatch.setattr(CLOCK, itertools.count().__next__)
         with pytest.warns(UserWarning, match=rf"the time budget of {ticks:g} s a frame is spent"):

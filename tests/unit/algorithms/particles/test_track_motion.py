@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.track_motion import most_probable_motion
+from sabench.algorithms.particles.kalman_tracks import most_probable_motion
 from sabench.utils.arrays import F64
 
 _TIMES = 1e-3 * np.arange(-3.0, 4.0)

@@ -7,9 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.correspondence import match, move_to_pixel, pair_up
-from sabench.algorithms.particles.ray_triangulation import fit_cameras
-from sabench.algorithms.particles.triangulation import Candidates, find_candidates, select_best
+from sabench.algorithms.calibration.disparity import match, pair_up
+from sabench.algorithms.particles.matching import (
+    Candidates,
+    find_candidates,
+    fit_cameras,
+    move_to_pixel,
+    select_best,
+)
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.particles.volume_shares import shared_views, volume_shares
+from sabench.algorithms.particles.candidate_search import shared_views, volume_shares
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from tests.unit.algorithms.particles.test_triangulation import COLUMNS, ROWS, maps
 
