@@ -27,7 +27,7 @@ from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64
 from sabench.utils.backend import choose, drjit
 from tests.helpers.image_model import SIGMA, TYPICAL, model_of, particles_of, profile
-from tests.unit.algorithms.particles.test_triangulation import (
+from tests.unit.algorithms.particles.test_matching import (
     CAMERAS,
     COLUMNS,
     HIGH,

@@ -19,7 +19,7 @@ from sabench.algorithms.particles.image_model import (
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import SIGMA, model_of, room_of
-from tests.unit.algorithms.particles.test_triangulation import COLUMNS, ROWS, maps
+from tests.unit.algorithms.particles.test_matching import COLUMNS, ROWS, maps
 
 __all__ = ["maps"]
 

@@ -1,4 +1,4 @@
-"""Levels estimated from a camera's own images."""
+"""Grey values of no light and of saturation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Backgrounds, glints and hidden areas of images of known particles."""
+"""Background of images, and bright things that are no particles."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import profile
 
 ROWS, COLUMNS = 240, 320
+
+
 NOISE, LIGHT = 2.0, 200.0
 
 
