@@ -23,10 +23,11 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from sabench.images.dark_noise import FALSE_ALARMS
-from sabench.images.levels import background_noise, normalise
+from sabench.images.levels import normalise
 from sabench.images.peaks import detect_peaks, find_peaks
 from sabench.images.preprocessing import preprocess, read_steps
 from sabench.images.repair import find_points, repair
+from sabench.interop.image_statistics import background_noise
 from sabench.utils.arrays import F64, U16
 
 RECORD = Path(__file__).with_name("records") / "false-alarms.json"

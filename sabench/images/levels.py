@@ -8,12 +8,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
-import numba
 import numpy as np
 
-from sabench.images.repair import above_background, peak_light
 from sabench.utils.arrays import F32, I64, U16, Bool
 
 _DEPTHS = (8, 10, 12, 14, 16)
@@ -130,7 +127,7 @@ def normalise(images: U16, black_dn: float, unknown: Bool | None = None) -> F32:
     scaled: F32 = np.empty(images.shape, dtype=np.float32)
     for number, (grey, image) in enumerate(zip(images, scaled, strict=True)):
         level = bright_dn(grey, black_dn, None if unknown is None else unknown[number])
-        _scale(grey, float(black_dn), 1.0 / max(level, 1.0), image)
+        image[:] = np.maximum(grey.astype(np.float64) - black_dn, 0.0) * (1.0 / max(level, 1.0))
     return scaled
 
 
@@ -145,6 +142,8 @@ def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
     ----------
     unknown : pixels (row, column) that do not count.
     """
+    from sabench.images.repair import above_background, peak_light  # loads numba
+
     peak = peak_light(*above_background(grey))
     known = grey.ravel() if unknown is None else grey[~unknown]
     counts = np.bincount(known, minlength=1)
@@ -160,21 +159,3 @@ def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
         for step in (0, min(1, math.ceil(rank) - math.floor(rank)))
     )
     return float(low + (rank - math.floor(rank)) * (high - low))
-
-
-@numba.njit(cache=True, parallel=True)
-def _scale(grey: Any, black: float, factor: float, image: Any) -> None:
-    """Compute image = factor max(grey - black, 0)."""
-    for row in numba.prange(len(grey)):
-        for i in range(grey.shape[1]):
-            image[row, i] = np.float32(max(grey[row, i] - black, 0.0) * factor)
-
-
-def background_noise(image: F32) -> float:
-    """Estimate the standard deviation of an image's dark part.
-
-    It follows from the median distance of the dark pixels to the image's median.
-    """
-    middle = np.median(image)
-    dark = image[image <= 2.0 * middle] if middle > 0.0 else image
-    return float(1.4826 * np.median(np.abs(dark - middle)))
