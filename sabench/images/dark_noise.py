@@ -107,7 +107,7 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
     """
     if images.ndim != 3 or not images.size:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
-    counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
+    counts = np.array(np.broadcast_to(True if known is None else known, images.shape))
     step = _grey_step(images[counts])
     around = _light_around(images)
     found = _measure_calm(images, counts, around, step, _CALM)
@@ -189,10 +189,6 @@ def _are_alike(one: DarkNoise, other: DarkNoise) -> bool:
     """Say whether thresholds are about as far above their levels."""
     reach, far = (float(np.median(each.threshold() - each.level)) for each in (one, other))
     return reach <= _LIGHT * far and far <= _LIGHT * reach
-
-
-def _stretch(known: Bool, shape: tuple[int, ...]) -> Bool:
-    return np.array(np.broadcast_to(known, shape))
 
 
 def _grey_step(values: U16) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sabench.utils.arrays import F32, I64, U16, Bool
 
-_DEPTHS = (8, 10, 12, 14, 16)
+DEPTHS = (8, 10, 12, 14, 16)
 _VALUES = 1 << 16
 _DARKEST = 1e-4  # of the pixels of a backlit image
 _TAIL = 0.02  # of the pixels: darker than nearly all
@@ -56,7 +56,7 @@ class GreyValues:
     @property
     def bit_depth(self) -> int:
         """Least of 8, 10, 12, 14 and 16 bits that hold all grey values."""
-        return next(depth for depth in _DEPTHS if self._highest < 1 << depth)
+        return next(depth for depth in DEPTHS if self._highest < 1 << depth)
 
     def levels(self, bit_depth: int, *, backlit: bool = False) -> GreyLevels:
         """Estimate the levels of a sensor of so many bits.

@@ -14,6 +14,7 @@ import numpy as np
 
 from sabench.images.peaks import find_peaks
 from sabench.images.repair import above_background, find_points
+from sabench.images.widths import PIXEL
 from sabench.utils.arrays import F32, F64, I64, U16
 
 WHITE = 255.0  # grey value to which a saturated pixel is scaled
@@ -26,7 +27,6 @@ _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the backgro
 _HALF = 2  # px: half the window in which a particle image is fitted
 _NARROW_PX, _WIDEST_PX = 1.0, 10.0  # widths of fits by 3 x 3 pixels, and of those that fail
 _MOST = 50.0  # ln of light; only of fits that fail
-_PIXEL = 1.0 / 12.0  # px2: variance of a pixel
 
 
 @dataclass(frozen=True)
@@ -285,8 +285,8 @@ def _gaussians_of(c: F64) -> F64:
     x, y = across * c[:, 1] + both * c[:, 2], both * c[:, 1] + down * c[:, 2]
     top = c[:, 0] + 0.5 * (c[:, 1] * x + c[:, 2] * y)
     flux = np.exp(np.minimum(top, _MOST)) * 2.0 * np.pi / np.sqrt(safe)
-    square = (across - _PIXEL) * (down - _PIXEL) - both**2
-    valid &= (np.minimum(across, down) > _PIXEL) & (square > 0.0)
+    square = (across - PIXEL) * (down - PIXEL) - both**2
+    valid &= (np.minimum(across, down) > PIXEL) & (square > 0.0)
     valid &= np.maximum(np.abs(x), np.abs(y)) < 1.0
     width = np.sqrt(np.sqrt(np.where(valid, square, np.nan)))
     return np.stack([width, flux, x, y], axis=1)

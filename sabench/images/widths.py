@@ -58,7 +58,7 @@ def image_widths(images: F32, pixels: list[F64]) -> F64:
             ]
         )
         bends = bends[(bends > 0.05) & (bends < 20.0)]
-        square = float(np.quantile(1.0 / bends, 0.25)) - 1.0 / 12.0 if len(bends) else 0.0
+        square = float(np.quantile(1.0 / bends, 0.25)) - PIXEL if len(bends) else 0.0
         out.append(math.sqrt(max(square, 0.09)))
     return np.array(out)
 

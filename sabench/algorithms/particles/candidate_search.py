@@ -95,6 +95,11 @@ def pixel_mm(maps: VolumePolynomials) -> float:
     return float(1.0 / np.linalg.norm(slopes_per_mm(maps), ord=2, axis=(1, 2)).max())
 
 
+def mean_spacing(maps: VolumePolynomials, count: float) -> float:
+    """Compute the edge of the cube that holds one of some particles on average, mm."""
+    return float((np.prod(2.0 * maps.half_mm) / max(count, 1.0)) ** (1.0 / 3.0))
+
+
 def split_directions(maps: VolumePolynomials) -> F64:
     """Make nine steps (n, 3) mm by which two particles may differ.
 

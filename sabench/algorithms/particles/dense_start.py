@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, Known, search_frame
-from sabench.algorithms.particles.candidate_search import pixel_mm
+from sabench.algorithms.particles.candidate_search import mean_spacing, pixel_mm
 from sabench.algorithms.particles.kalman_tracks import (
     ANY_SPEED,
     KalmanTracks,
@@ -94,7 +94,9 @@ def search_window(
         if len(found) < len(cases) or min(len(one.position_mm) for one in found) <= _NEIGHBOURS:
             return list(alone)
         finds = [_finds(one, time, maps) for one, time in zip(found, times_s, strict=True)]
-        known = confirm_tracks(finds, _spacing(found, maps))
+        known = confirm_tracks(
+            finds, mean_spacing(maps, np.mean([len(one.position_mm) for one in found]))
+        )
         before, confirmed = confirmed, sum(len(one.position) for one in known)
         if not confirmed:
             return list(alone)
@@ -108,12 +110,6 @@ def search_window(
             break
     first = [search for search in searches if search is not None]
     return first if len(first) == len(alone) else list(alone)
-
-
-def _spacing(found: Sequence[FoundParticles], maps: VolumePolynomials) -> float:
-    """Compute the edge of the cube that holds one particle on average, mm."""
-    count = np.mean([len(one.position_mm) for one in found])
-    return float((np.prod(2.0 * maps.half_mm) / count) ** (1.0 / 3.0))
 
 
 def _finds(found: FoundParticles, time: float, maps: VolumePolynomials) -> Finds:

@@ -38,7 +38,7 @@ from sabench.algorithms.particles.window_sums import (
     SLOPE_Y,
     TILT_SLOPE_Y,
 )
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.geometry.volume_polynomials import project_points
 from sabench.images.gaussian_kernels import fill_derivatives
 from sabench.images.near_images import near_images
 from sabench.images.widths import LEAST_TILTED
@@ -91,7 +91,7 @@ def weigh_pixels(search: ParticleSearch, cap: float) -> None:
 
 def learn_light(search: ParticleSearch) -> None:
     """Learn typical light and its covariance from the particles that stand alone."""
-    lone = _lone(search)
+    lone = _find_lone(search)
     if len(lone) < _FEW:
         return
     logs = np.log(search.light[lone] / search.typical)
@@ -105,7 +105,7 @@ def learn_widths(search: ParticleSearch) -> None:
     Half of them count, those that leave least of their images: others may be two. Few must be
     missing yet, because what they leave makes others wider.
     """
-    lone = _lone(search)
+    lone = _find_lone(search)
     if len(lone) < _FEW:
         return
     model, particles, cameras = search.model(), search.particles(), len(search.images)
@@ -166,12 +166,6 @@ def align_cameras(search: ParticleSearch) -> None:
         search.refine(1)
 
 
-def _lone(search: ParticleSearch) -> I64:
-    return find_lone(
-        search.maps, search.position, search.light, search.sigma, search.images.shape[1:]
-    )
-
-
 @numba.njit(cache=True)
 def _miss(left: float, saturated: bool) -> float:
     """Return what is left of a pixel; 0 where a saturated one has enough."""
@@ -220,22 +214,14 @@ def fill_variance(
             variance[i, j] = max(min(even + slope * light, dark + most), dark + least)
 
 
-def find_lone(
-    maps: VolumePolynomials, position: F64, light: F64, sigma: F64, shape: tuple[int, ...]
-) -> I64:
-    """Find particles whose images overlap with others' the least, and are complete.
-
-    Parameters
-    ----------
-    position, light : (n, 3) in the box of the maps, (n, camera).
-    sigma : (camera, 2) widths of images.
-    shape : rows and columns of the images.
-    """
+def _find_lone(search: ParticleSearch) -> I64:
+    """Find particles whose images overlap with others' the least, and are complete."""
+    maps, position, light, sigma = search.maps, search.position, search.light, search.sigma
     if len(position) < _FEW:
         return np.zeros(0, dtype=np.int64)
     pixels = np.stack([project_points(maps, camera, position) for camera in range(len(sigma))])
     border = (_BORDER * sigma.max(axis=1))[:, None, None]
-    last = np.array(shape[::-1]) - 1.0
+    last = np.array(search.images.shape[:0:-1]) - 1.0
     inside = ((pixels > border) & (pixels < last - border)).all(axis=(0, 2))
     reach = _OVERLAP * sigma.max(axis=1)
     starts, near = near_images(pixels, reach)

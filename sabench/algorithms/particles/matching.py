@@ -146,9 +146,10 @@ def triangulate_particles(
         maps, peaks, settings.reach_px, case.repaired.flaws.covered, order, deadline
     )
     if deadline.over:
-        _warn(
+        warnings.warn(
             f"ray_triangulation: the time budget of {settings.budget_s:g} s a frame is spent: the "
-            "result holds the particles found so far, the brightest ones first"
+            "result holds the particles found so far, the brightest ones first",
+            stacklevel=1,
         )
     found = select_rows(every, select_best(every, peaks))
     brightness = heights_of(found.hit, peaks, images).mean(axis=1)
@@ -175,10 +176,11 @@ def _thin_out(
         f"{len(few.pixels)} of {len(own.pixels)} in {camera.name}"
         for camera, few, own in zip(case.cameras, kept, peaks, strict=True)
     )
-    _warn(
+    warnings.warn(
         f"ray_triangulation: expected at most {_MOST_BY_CHANCE:g} sets of particle images that "
         f"agree by chance with each one, got {chance:.0f}: the brightest images are used "
-        f"({counts}); raise floor, or lower false_alarms or reach_px"
+        f"({counts}); raise floor, or lower false_alarms or reach_px",
+        stacklevel=1,
     )
     return kept
 
@@ -187,10 +189,6 @@ def _brightest(heights: F32, share: float) -> I64:
     """Select the numbers of the highest peaks, in their order."""
     count = int(share * len(heights))
     return np.sort(np.argsort(-heights, kind="stable")[:count])
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, stacklevel=2)
 
 
 class Candidates(NamedTuple):

@@ -283,16 +283,18 @@ def without_wrong_cameras(
             wrong[worst] = True
             now = search_without(wrong)
     if now is None:
-        _warn(
+        warnings.warn(
             f"{names[_worst(search)]}: expected light of particles in the grid, got light that "
             "they do not explain, as in other cameras; check the calibration, and that the grid "
-            "holds all particles that the cameras see"
+            "holds all particles that the cameras see",
+            stacklevel=1,
         )
         return search
     for camera in np.flatnonzero(wrong).tolist():
-        _warn(
+        warnings.warn(
             f"{names[camera]}: expected light where the other cameras' particles are, got it "
-            "elsewhere; the camera is left out: check its calibration"
+            "elsewhere; the camera is left out: check its calibration",
+            stacklevel=1,
         )
     return now
 
@@ -306,11 +308,12 @@ def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
         return
     for camera, tilt in zip(np.flatnonzero(search.shown).tolist(), search.tilt, strict=True):
         if abs(tilt) > MOST_TILT:
-            _warn(
+            warnings.warn(
                 f"{names[camera]}: expected particle images that are spots, got streaks across "
                 f"rows and columns (correlation {tilt:+.2f}, up to {MOST_TILT} is fitted); some "
                 "particles may be missed or found as two: check the focus, the camera's angle to "
-                "the wall, and that particles do not move while they are lit"
+                "the wall, and that particles do not move while they are lit",
+                stacklevel=1,
             )
 
 
@@ -367,7 +370,3 @@ def _squares(light: F32, floor: float) -> float:
 def _worst(search: ParticleSearch) -> int:
     """Return the camera, among all, of whose image most is left."""
     return int(np.flatnonzero(search.shown)[np.argmax(left_of_images(search))])
-
-
-def _warn(sentence: str) -> None:
-    warnings.warn(sentence, stacklevel=2)

@@ -24,6 +24,7 @@ from sabench.algorithms.particles.bayesian_ipr import (
     split_and_find,
 )
 from sabench.algorithms.particles.candidate_search import (
+    mean_spacing,
     pixel_mm,
     rig_axes,
     turn_maps,
@@ -306,7 +307,7 @@ class _Tracker:
         """Return the track (n,) of each particle found, -1 for new ones."""
         row = search.tag.copy()
         known = np.flatnonzero(row >= 0)
-        slack = (_SLACK * self._spacing(len(position))) ** 2
+        slack = (_SLACK * mean_spacing(self.maps, len(position))) ** 2
         off = tracks.off(row[known], position[known], variance[known] + slack)
         row[known[off.sum(axis=1) > GATE]] = -1
         lost = np.setdiff1d(np.arange(len(tracks.number)), row)
@@ -320,10 +321,6 @@ class _Tracker:
             i, j = assign(i[good], j[good], cost[good], (len(lost), len(new)))
             row[new[j]] = lost[i]
         return row
-
-    def _spacing(self, count: int) -> float:
-        """Compute the edge of the cube that holds one particle on average, mm."""
-        return float((np.prod(2.0 * self.maps.half_mm) / max(count, 1)) ** (1.0 / 3.0))
 
     def _fill_gaps(self, tracks: KalmanTracks, rows: I64, found: FoundParticles) -> None:
         """Add tracks to the frames which they missed, as they are found now."""
