@@ -43,7 +43,7 @@ sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 from sabench.utils import backend, memory  # noqa: E402
 from sabench.utils.errors import InputError  # noqa: E402
-from sabench.utils.processes import isolated, isolated_reading  # noqa: E402
+from sabench.utils.processes import call  # noqa: E402
 from tests.helpers.untrusted import (  # noqa: E402
     KINDS,
     Base,
@@ -240,8 +240,8 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int) -> None:
         os.dup2(silent, number)
     (root / "tmp").mkdir(exist_ok=True)
     tempfile.tempdir = str(root / "tmp")
-    isolated_reading._CPU_S = 2.0  # below the limit that is tested here
-    isolated.preload("trimesh", "h5py", "vtkmodules.all")  # thousands of children need them
+    call._CPU_S = 2.0  # below the limit that is tested here
+    call.preload("trimesh", "h5py", "vtkmodules.all")  # thousands of children need them
     try:
         _warm_up(base, root)
         pipe.send(("warm", "", 0.0))

@@ -37,8 +37,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import bubbles, inverse_rendering
 from sabench.algorithms.particles import fit_cameras
-from sabench.algorithms.particles.differentiable_images import DifferentiableImages
-from sabench.algorithms.particles.inverse_rendering import image_model
 from sabench.algorithms.refocus import refocus_log2, refocus_sum
 from sabench.geometry.volume_polynomials import points_in_mm
 from sabench.scenes import build_rig, load_scene
@@ -108,8 +106,9 @@ def gradient() -> Measured:
     """Differentiate the cost of a search's particles in four images of 256 x 256 pixels."""
     shot = simulate(inverse_rendering.scene_of(0.05, 256), seed=1)
     found = inverse_rendering.search(shot)
-    model = image_model(found, shot.observation, fit_cameras(shot.observation))
-    images = DifferentiableImages(model)
+    descent = inverse_rendering.descent
+    model = descent.image_model(found, shot.observation, fit_cameras(shot.observation))
+    images = descent.DifferentiableImages(model)
     place = points_in_mm(found.maps, found.position)
     logs = np.log(found.light / model.typical)
     images.lay_out(place)

@@ -22,7 +22,9 @@ probability, less that of the search).
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
+import os
 import sys
 import tomllib
 from collections.abc import Callable
@@ -34,13 +36,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.particle_density import cpu_s, warm_up, write_record
+from sabench import plugins
 from sabench.algorithms.particles import fit_cameras
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, search_frame
-from sabench.algorithms.particles.inverse_rendering import (
-    InverseRenderingSettings,
-    descend,
-    image_model,
-)
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.geometry.volume_polynomials import points_in_mm
 from sabench.metrics.particle_detection import challenge_pairs, count_challenge
@@ -48,6 +46,10 @@ from sabench.scenes import Scene, parse_scene
 from sabench.scenes.bundled import find
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64
+
+os.environ["SABENCH_PLUGINS"] = str(Path(__file__).parents[1] / "examples" / "plugins")
+plugins.load("solvers", "inverse_rendering")
+descent: Any = importlib.import_module("sabench.plugins.solvers._inverse_rendering.descent")
 
 SIDE_PX, PIXEL_MM = 64, 0.05
 DISPLACED_PX, BRIGHTER, ROUNDS = 0.3, 0.2, 40
@@ -76,8 +78,8 @@ def search(shot: Shot) -> ParticleSearch:
 
 def move_down(found: ParticleSearch, shot: Shot) -> None:
     """Move a search's particles to the least cost."""
-    model = image_model(found, shot.observation, fit_cameras(shot.observation))
-    descend(found, model, InverseRenderingSettings())
+    model = descent.image_model(found, shot.observation, fit_cameras(shot.observation))
+    descent.descend(found, model, descent.InverseRenderingSettings())
 
 
 def cost_of(found: ParticleSearch) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from sabench.utils.kernel_cache import stamp_kernels
 from sabench.utils.version import __version__
 
 if TYPE_CHECKING:
@@ -152,8 +151,6 @@ __all__ = [
     "view",
 ]
 
-
-stamp_kernels()
 
 if not TYPE_CHECKING:  # type checkers would take any name for one of the module's
 

@@ -103,7 +103,7 @@ def participate(
     If interrupted, run the same command again to resume.
     """
     from sabench.evaluation.challenge.participant import participate as solve_all
-    from sabench.utils.processes.limited import limits_of
+    from sabench.utils.processes.program import limits_of
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()

@@ -62,7 +62,7 @@ def examine() -> list[Finding]:
 
 def _try(subject: str, name: str, remedy: str) -> Finding:
     """Call `try_<name>` in a child process."""
-    from sabench.utils.processes.child import run_code
+    from sabench.utils.processes.python import run_code
 
     code = f"from sabench.cli.doctor import try_{name}; print(try_{name}())"
     try:

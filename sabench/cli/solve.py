@@ -48,7 +48,7 @@ def solve(
     """Run a solver on a data set and write its result file."""
     from sabench.dataset.hdf5_probe import probe_dataset
     from sabench.tasks.solve_and_score import solve as run_solver
-    from sabench.utils.processes.limited import limits_of
+    from sabench.utils.processes.program import limits_of
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()

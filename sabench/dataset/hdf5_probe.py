@@ -10,8 +10,7 @@ from pathlib import Path
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import walk
 from sabench.utils.files import inside, is_file
-from sabench.utils.processes.isolated import preload
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes.call import preload, read_isolated
 
 preload("sabench.dataset.hdf5")
 

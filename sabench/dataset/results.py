@@ -63,7 +63,7 @@ class Result:
     """Result file: its data set, its solver and the costs.
 
     A cost that the file does not give is None. `seconds` leaves out `compile_s`, the time in which
-    kernels were compiled and modules imported. `isolated` tells whether the solver saw the
+    kernels were compiled or loaded. `isolated` tells whether the solver saw the
     observation side only.
     `whole_process` tells whether the seconds are those of a program's whole process. `cpu_share`
     is the CPU seconds per second of the solver's process while it solved: below one it waited,

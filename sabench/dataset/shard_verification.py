@@ -15,7 +15,7 @@ from sabench.dataset.splits import Shard, plan_shards
 from sabench.dataset.stored_shard import StoredShard
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes.call import read_isolated
 from sabench.utils.progress import progress_bar
 
 Try = Callable[[Callable[[], object]], Iterator[str]]

@@ -19,7 +19,7 @@ from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.external_programs import is_program, solver_name
 from sabench.tasks.solve_and_score import describe_solver
 from sabench.utils.code_hash import code_hash
-from sabench.utils.processes.limited import Limits, limits_of
+from sabench.utils.processes.program import Limits, limits_of
 
 RECORDED = "recorded"  # stands for the renderer of a recording
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system

@@ -13,12 +13,11 @@ from sabench.tasks import NAMES
 from sabench.tasks.solve_and_score import solve
 from sabench.utils import backend
 from sabench.utils.files import clear_abandoned
-from sabench.utils.processes.isolated import call_isolated, preload
+from sabench.utils.processes.call import call_isolated, preload
 
 # Where many solvers are run, it pays to load all that one of them may need.
 preload(
     "sabench.evaluation.timed_solving",
-    "sabench.utils.ready_compiler",
     "tifffile",
     *(f"sabench.tasks.{name}" for name in NAMES),
 )

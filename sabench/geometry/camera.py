@@ -22,7 +22,6 @@ from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor, sens
 from sabench.geometry.wall_records import WallRecord
 from sabench.utils.arrays import F64, Bool, all_in_row, rows_of, triple
 from sabench.utils.fields import TiltAngle
-from sabench.utils.installed import can_compile
 
 if TYPE_CHECKING:
     from sabench.geometry.projection_kernels import Media
@@ -135,7 +134,7 @@ class Camera:
             offset = points - np.asarray(self.center_mm)
             return self.pixels_of(offset, all_in_row(np.isfinite(offset)))
         outside = self.wall.depth_of(np.asarray(self.center_mm)) < 0.0
-        if not (can_compile and outside and isinstance(self.wall, Wall)):
+        if not (outside and isinstance(self.wall, Wall)):
             paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
             return self.pixels_of(paths.leaving, paths.valid)
         pixels = self._ideal_pixels(self.wall, points)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.utils.compiled import njit
+from sabench.utils.compiled import numba
 
 _STEPS = 80
 _SMALLEST = 1e-4  # share of a step below which shorter ones are no longer tried
@@ -21,7 +21,7 @@ _LONGEST = 0.3  # rad: of one step
 _MISS = 1e-12  # of the distance from the pinhole: largest miss of a path that counts as found
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@numba.njit(cache=True, inline="always", error_model="numpy")
 def _cross(
     face: Any, ratio: float, at: Any, along: Any, moved: Any, turned: Any
 ) -> tuple[float, float, float]:
@@ -73,7 +73,7 @@ def _cross(
     return length, cosine, behind
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@numba.njit(cache=True, inline="always", error_model="numpy")
 def _reflected(before: float, behind: float, cosine: float, cosine_behind: float) -> float:
     """Compute the reflected share of unpolarised light by Fresnel's equations."""
     s = (before * cosine - behind * cosine_behind) / (before * cosine + behind * cosine_behind)
@@ -81,7 +81,7 @@ def _reflected(before: float, behind: float, cosine: float, cosine_behind: float
     return 0.5 * (s * s + p * p)
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def follow(
     gap: float, faces: Any, indices: Any, along: Any, ends: Any, length: Any, passed: Any
 ) -> Any:
@@ -118,7 +118,7 @@ def follow(
     return valid
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _aim(
     gap: float, faces: Any, indices: Any, start: Any, point: Any, rays: Any, steps: Any
 ) -> tuple[float, float]:
@@ -182,7 +182,7 @@ def _aim(
     return math.sqrt(square), area
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def find(gap: float, faces: Any, indices: Any, points: Any, leaving: Any, arriving: Any) -> Any:
     """Find light paths from a pinhole to points (n, 3) in the fluid.
 
@@ -206,7 +206,7 @@ def find(gap: float, faces: Any, indices: Any, points: Any, leaving: Any, arrivi
     return valid
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _solve(
     gap: float, faces: Any, indices: Any, point: Any, work: Any, leaving: Any, arriving: Any
 ) -> bool:
@@ -238,7 +238,7 @@ def _solve(
     return best <= _MISS * far and area > 0.0
 
 
-@njit(cache=True, inline="always")
+@numba.njit(cache=True, inline="always")
 def _normalise(vector: Any) -> float:
     length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
     for k in range(3):

@@ -17,11 +17,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
 
 _BLOCK = 256
 _HALLEY, _NEWTON = 6, 100

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
 
 TOLERANCE_PX = 1e-3

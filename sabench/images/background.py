@@ -12,12 +12,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
 from sabench.images.flaws import Flaws
 from sabench.images.widths import dark_noise, measure_images
 from sabench.utils.arrays import F32, I64, Bool
+from sabench.utils.compiled import numba
 
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
 _BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
-
-from sabench.images.gaussian_units import fill_edges, fill_edges_and_slopes
+from sabench.utils.compiled import numba
+from sabench.utils.vector_units import fill_edges, fill_edges_and_slopes
 
 
 @numba.njit(cache=True)
 def fill_shares(center: float, sigma: float, first: int, pixels: int, shares: Any) -> None:
     """Fill in shares of a Gaussian's integral from pixel `first` on, to 1e-8.
 
-    They are (lane,), as `gaussian_units.whole_lanes` says, and 0 after so many pixels.
+    They are (lane,), as `vector_units.whole_lanes` says, and 0 after so many pixels.
     """
     step = 1.0 / (sigma * math.sqrt(2.0))
     fill_edges(shares, (first - 0.5 - center) * step, step, pixels)

@@ -14,7 +14,7 @@ import numpy as np
 from sabench.images.image_files import MOVIES, RAW
 from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes.call import read_isolated
 
 _BATCH = 32  # images that one child process reads
 _EXPANDED = 100  # times a movie's size that its frames may take

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
 
 _CELLS = 4  # of a camera's grid for each particle

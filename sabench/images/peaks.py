@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from sabench.images.dark_noise import FALSE_ALARMS, DarkNoise, measure_dark_noise
 from sabench.utils.arrays import F32, F64, I64, U16, Bool
+from sabench.utils.compiled import numba
 
 _CELL_PX = 4.0  # edge of the square cells into which peaks are sorted
 _CLEAR = 10.0  # standard deviations of noise above which a pixel's surroundings say what it is

@@ -10,7 +10,7 @@ import numpy as np
 
 from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes.call import read_isolated
 
 
 def read_photographs(paths: Sequence[Path], shape: tuple[int, int]) -> list[U16]:

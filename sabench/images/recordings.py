@@ -15,7 +15,7 @@ import numpy as np
 from sabench.images.levels import DEPTHS
 from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes.call import read_isolated
 from sabench.utils.progress import progress_bar
 
 FORMATS = (".tif", ".tiff", ".png", ".bmp")

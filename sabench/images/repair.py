@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.images.flaws import Flaws, Repaired
 from sabench.images.peaks import maxima
 from sabench.utils.arrays import F32, I64, U16, Bool
+from sabench.utils.compiled import numba
 
 _WINDOW = 9  # px: edge of the square whose darkest part is the background
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background

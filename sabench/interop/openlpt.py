@@ -24,7 +24,7 @@ from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.interop.tracks import openlpt_files
 from sabench.utils.arrays import F32, F64
-from sabench.utils.processes import child
+from sabench.utils.processes import python
 
 if TYPE_CHECKING:  # it loads numba, which scores do without
     from sabench.interop.image_statistics import FrameStatistics
@@ -142,7 +142,7 @@ def camera_text(camera: Camera) -> str:
 
 def missing() -> str | None:
     """Say how to install the program, or return None if it is installed."""
-    return child.missing("pyopenlpt", "openlpt")
+    return python.missing("pyopenlpt", "openlpt")
 
 
 def unfit(camera: Camera) -> str | None:
@@ -288,7 +288,7 @@ def solve(folder: Path, frames: int) -> list[FoundParticles]:
 
     With fewer frames than `LEAST_FRAMES` it reconstructs without tracking.
     """
-    child.run_module(
+    python.run_module(
         "sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames
     )
     return read_tracks(folder, frames) if frames >= LEAST_FRAMES else read_particles(folder, frames)

@@ -28,7 +28,7 @@ from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.interop.foreign_world import ForeignWorld
 from sabench.utils.arrays import F32, F64, I64, U8, triple
 from sabench.utils.files import read_json
-from sabench.utils.processes import child
+from sabench.utils.processes import python
 
 if TYPE_CHECKING:  # it loads numba, which scores do without
     from sabench.interop.image_statistics import FrameStatistics
@@ -84,7 +84,7 @@ def derive_settings(
 
 def missing() -> str | None:
     """Say how to install the program, or return None if it is installed."""
-    return child.missing("optv", "optv")
+    return python.missing("optv", "optv")
 
 
 def unfit(camera: Camera) -> str | None:
@@ -253,7 +253,7 @@ def write_project(
 
 def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
     """Run OpenPTV on a project folder; read particles and their trajectories."""
-    child.run_module("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
+    python.run_module("sabench.interop.openptv_process", folder, "OpenPTV", "sabench frame", frames)
     positions = [
         np.array(read_json(folder / f"found_{frame:05d}.json"), dtype=np.float64).reshape(-1, 3)
         for frame in range(frames)

@@ -24,8 +24,8 @@ from sabench.dataset.results import Result, open_result, result_writer
 from sabench.tasks.visible_files import Desk, open_desk, view_of_program
 from sabench.utils.errors import InputError
 from sabench.utils.files import clear_abandoned, is_file, refuse_existing
-from sabench.utils.processes.isolated import call_isolated
-from sabench.utils.processes.limited import Limits, run_limited
+from sabench.utils.processes.call import call_isolated
+from sabench.utils.processes.program import Limits, run_limited
 from sabench.utils.progress import console
 from sabench.utils.validation import printable
 

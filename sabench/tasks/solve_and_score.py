@@ -22,18 +22,23 @@ from sabench.dataset.results import Result, add_identity, open_result, result_wr
 from sabench.tasks.external_programs import Account, adopt_from, is_program, run_program
 from sabench.tasks.visible_files import open_desk, view_of_import, view_of_plugin
 from sabench.utils import backend, memory
-from sabench.utils.compile_clock import compile_s, load_registries
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, refuse_existing
+from sabench.utils.processes.call import call_isolated, preload
 from sabench.utils.processes.confinement import can_confine
-from sabench.utils.processes.isolated import call_isolated, preload
-from sabench.utils.processes.limited import Limits
+from sabench.utils.processes.program import Limits
 
 preload(
     "sabench.tasks.solve_and_score",
     "sabench.algorithms.refocus",
     "sabench.algorithms.tomography.problem",
-    "sabench.utils.loaded_numba",
+    # what solvers import while they solve, which would count in their seconds
+    "cv2",
+    "sabench.geometry.cylinder_kernels",
+    "sabench.geometry.projection_kernels",
+    "scipy.ndimage",
+    "scipy.spatial",
+    "scipy.special",
 )
 
 WORDS: tuple[Literal["truth", "empty"], ...] = ("truth", "empty")
@@ -173,6 +178,8 @@ def solve_at_desk(
     iterations: bool = False,
 ) -> None:
     """Run a plug-in on an observation side, in a process of its own."""
+    from sabench.utils.compiled import compile_s, load_registries  # numba takes half a second
+
     data = open_dataset(observation)
     algorithm = make_algorithm(solver, parameters)
     if algorithm.sees not in data.shows:

@@ -12,23 +12,23 @@ from pathlib import Path
 from typing import Any
 
 from sabench.api import IterativeSolver, Observation, Reconstruction
-from sabench.utils.compile_clock import compile_s, timed_imports
 from sabench.utils.errors import DeclinedError, InputError
 
 
 @dataclass
 class SolverClock:
-    """Seconds in which a solver ran, without compilation and imports."""
+    """Seconds in which a solver ran, without compilation."""
 
     seconds: float = 0.0
 
     @contextmanager
     def running(self, name: str, where: str = "") -> Iterator[None]:
         """Measure a piece of a solver's work; what it raises becomes an InputError."""
+        from sabench.utils.compiled import compile_s  # numba takes half a second to import
+
         start, compiled_s = time.perf_counter(), compile_s()
         try:
-            with timed_imports():
-                yield
+            yield
         except DeclinedError as error:
             raise DeclinedError(f"solver {name} declines this case: {error}") from error
         except InputError as error:
@@ -103,8 +103,7 @@ def call_solver(
 
     Returns
     -------
-    Its answer, and the seconds that it took without those of compiling its kernels and of
-    imports.
+    Its answer, and the seconds that it took without those of compiling its kernels.
 
     Raises
     ------

@@ -91,7 +91,7 @@ COSTS = (
         "s",
         "steady",
         1,
-        "time in which kernels were compiled and modules imported, no part of the seconds",
+        "time in which kernels were compiled or loaded, no part of the seconds",
         hidden=True,
     ),
 )

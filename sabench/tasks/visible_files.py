@@ -22,6 +22,7 @@ from sabench.dataset import schema
 from sabench.dataset.observation_side import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.utils.errors import InputError
+from sabench.utils.kernel_folder import kernel_folder
 from sabench.utils.processes.confinement import View, can_confine
 
 _PACKAGE = Path(plugins.__file__).resolve().parent
@@ -118,8 +119,8 @@ def view_of_plugin(desk: Desk, data: Dataset, solver: str) -> View | None:
 def view_of_import(solver: str) -> View:
     """List the files that the import of a Python plug-in needs.
 
-    Compiled kernels are kept next to their source. sabench's own solvers may write them; what
-    another one writes there is forgotten with it, so that it cannot change what later ones run.
+    sabench's own solvers may write compiled kernels; what another one writes there is forgotten
+    with it, so that it cannot change what later ones run.
     """
     python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
     own = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
@@ -131,9 +132,8 @@ def view_of_import(solver: str) -> View:
 
 
 def _kernel_folders() -> list[Path]:
-    """List the folders of compiled kernels that are not next to their source."""
-    named = os.environ.get("NUMBA_CACHE_DIR")
-    return [Path(named)] if named else [Path.home() / ".cache" / "numba", Path.home() / ".drjit"]
+    """List the folders of compiled kernels, of numba and Dr.Jit."""
+    return [kernel_folder(), Path.home() / ".drjit"]
 
 
 def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:

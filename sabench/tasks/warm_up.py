@@ -14,7 +14,6 @@ from pathlib import Path
 
 from sabench import plugins
 from sabench.tasks.conformance import Verdict, beat_nothing, check_solver
-from sabench.utils.compile_clock import compile_s
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,7 @@ class Warmed:
 
     Attributes
     ----------
-    compile_s : seconds of compilation and imports: nearly none if all kernels were there.
+    compile_s : seconds of compilation and of loading kernels: few if all were there.
     verdict, text : as `conform` gives for a result that is worth something.
     """
 
@@ -41,6 +40,8 @@ def warm_up(solvers: Sequence[str] = ()) -> Iterator[Warmed]:
     InputError
         An unknown solver.
     """
+    from sabench.utils.compiled import compile_s  # numba takes half a second to import
+
     names = solvers or plugins.names("solvers")
     for name in names:
         plugins.load("solvers", name)

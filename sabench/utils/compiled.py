@@ -1,23 +1,66 @@
-"""Decorator of kernels that stay plain Python where numba is not installed.
+"""numba as sabench uses it: the folder of compiled kernels, and a clock of the compiler.
 
-Kernels that a score may call are decorated with this `njit`; what a score needs of whole volumes
-and images is NumPy's in any case. Kernels of solvers and renderers use numba itself.
+All modules with kernels import numba from here, so that the folder is set before the first kernel.
 """
 
 from __future__ import annotations
 
+import threading
+import time
 from typing import Any
 
-from sabench.utils.installed import can_compile
+import numba
+from numba.core import event
+from numba.core.registry import cpu_target
 
-if can_compile:
-    from numba import njit, prange
-else:
-    prange = range
+from sabench.utils.kernel_folder import kernel_folder
 
-    def njit(*function: Any, **options: Any) -> Any:
-        """Leave a kernel as it is."""
-        return function[0] if function else njit
+numba.config.CACHE_DIR = str(kernel_folder())
 
 
-__all__ = ["njit", "prange"]
+class _CompileClock(event.Listener):  # type: ignore[misc]
+    """Time in which at least one thread holds or awaits numba's compiler.
+
+    The compiler also loads kernels from their folder. A solver that starts threads waits for the
+    kernels that they compile.
+    """
+
+    def __init__(self) -> None:
+        self.seconds, self._busy, self._start = 0.0, 0, 0.0
+        self._lock = threading.Lock()
+
+    def on_start(self, event: Any) -> None:
+        """Start with the first one: kernels compile those that they call."""
+        with self._lock:
+            self._busy += 1
+            if self._busy == 1:
+                self._start = time.perf_counter()
+
+    def on_end(self, event: Any) -> None:
+        """Stop with the last one."""
+        with self._lock:
+            if self._busy:  # else it began before the clock was there
+                self._busy -= 1
+                if not self._busy:
+                    self.seconds += time.perf_counter() - self._start
+
+
+_CLOCK = _CompileClock()
+event.register("numba:compiler_lock", _CLOCK)
+
+
+def compile_s() -> float:
+    """Return the seconds in which any thread of this process compiled or loaded kernels.
+
+    This happens once for a kernel and a machine, or a process, and is no part of a solver's time.
+    """
+    return _CLOCK.seconds
+
+
+def load_registries() -> None:
+    """Load all that numba loads with the first kernel of a process: half a second."""
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
+
+
+__all__ = ["compile_s", "load_registries", "numba"]

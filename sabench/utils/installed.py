@@ -1,7 +1,5 @@
 """Packages of the extra `full`, which scoring does without."""
 
-import importlib.util
-
 # by the names of their modules; docs/developing/dependencies.md says what each is for
 FULL = frozenset(
     {
@@ -11,14 +9,12 @@ FULL = frozenset(
         "jinja2",
         "matplotlib",
         "mitsuba",
-        "numba",
         "skimage",
         "threadpoolctl",
         "trimesh",
         "vl_convert",
     }
 )
-can_compile = importlib.util.find_spec("numba") is not None
 
 
 def lacking(error: Exception) -> str | None:

@@ -14,8 +14,6 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from sabench.utils.installed import can_compile
-
 T = TypeVar("T")
 console = Console(stderr=True)
 _REFRESH_S = 0.2
@@ -76,10 +74,9 @@ def announce_compiling() -> None:
 
     It is printed once.
     """
-    if can_compile:
-        from numba.core import event
+    from numba.core import event
 
-        event.register("numba:compile", _compile_listener())
+    event.register("numba:compile", _compile_listener())
 
 
 def _compile_listener() -> Any:

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-import numba
 import numpy as np
+
+from sabench.utils.compiled import numba
 
 Result = TypeVar("Result")
 

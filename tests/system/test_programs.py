@@ -29,7 +29,7 @@ from sabench.scenes import load_scene, parse_scene
 from sabench.tasks import of
 from sabench.tasks.external_programs import is_program, run_program
 from sabench.utils.errors import InputError, UncheckedError
-from sabench.utils.processes.limited import Limits
+from sabench.utils.processes.program import Limits
 from tests.conftest import ROOT, Command
 from tests.system.test_faults import check_sentence
 

@@ -32,8 +32,8 @@ from sabench.tasks.own_calibration import check_finite
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, read_json
-from sabench.utils.processes import isolated_reading
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes import call
+from sabench.utils.processes.call import read_isolated
 from sabench.worlds.advection import advect
 from sabench.worlds.library.field_files import read_arrays
 from sabench.worlds.library.mesh_files import read_mesh
@@ -133,7 +133,7 @@ def test_every_end_of_a_reader_is_a_sentence(
 ) -> None:
     path = tmp_path / "a.vti"
     path.write_bytes(b"x")
-    monkeypatch.setattr(isolated_reading, "_CPU_S", 0.5)
+    monkeypatch.setattr(call, "_CPU_S", 0.5)
     for read, arguments, words in (
         (spin, (), "could not be checked, because reading it takes more than 1 s of CPU time"),
         (abort, (), "reading it: its process ended with signal SIGABRT"),
@@ -142,7 +142,7 @@ def test_every_end_of_a_reader_is_a_sentence(
     ):
         with pytest.raises(InputError, match=f"a.vti: {words}"):
             read_isolated(read, path, *arguments)
-    monkeypatch.setattr(isolated_reading, "_PATIENCE", 0.5)
+    monkeypatch.setattr(call, "_PATIENCE", 0.5)
     with pytest.raises(InputError, match=r"because reading it takes more than 0\.5 s"):
         read_isolated(sleep, path)
 

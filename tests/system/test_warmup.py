@@ -2,38 +2,47 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from sabench.tasks.warm_up import warm_up
 from sabench.utils.errors import InputError
+from sabench.utils.kernel_folder import kernel_folder
+
+PLUGIN = '''"""Compiles."""
+
+import numba
+import numpy as np
+
+from sabench.api import Observation, Reconstruction, Solver
 
 
-def run(cache: Path) -> list[dict[str, Any]]:
-    """Call the command in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-m", "sabench", "warmup", "ray_triangulation", "--json"],
-        env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
-        capture_output=True,
-        check=True,
-    )
-    rows: list[dict[str, Any]] = json.loads(done.stdout)
-    return rows
+@numba.njit(cache=True)
+def fill(volume):
+    volume[:] = 1.0
 
 
-def test_the_second_time_nothing_is_compiled(tmp_path: Path) -> None:
-    (first,), (second,) = run(tmp_path), run(tmp_path)
-    assert first["solver"] == second["solver"] == "ray_triangulation"
-    assert first["verdict"] == second["verdict"] == "obeyed"
-    kernels = list(tmp_path.rglob("*.nbc"))
-    assert kernels
-    assert second["compile_s"] < 0.5 * first["compile_s"]
+class Compiler(Solver):
+    """Compiles a kernel of its own."""
+
+    name = "compiler"
+
+    def solve(self, case: Observation) -> Reconstruction:
+        volume = np.zeros(case.grid.shape, dtype=np.float32)
+        fill(volume)
+        return Reconstruction(volume)
+'''
+
+
+def test_kernels_of_a_solver_are_stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
+    (tmp_path / "solvers").mkdir()
+    (tmp_path / "solvers" / "compiler.py").write_text(PLUGIN)
+    before = set(kernel_folder().rglob("compiler.fill-*.nbc"))
+    (warmed,) = warm_up(["compiler"])
+    assert warmed.compile_s > 0.0
+    assert len(set(kernel_folder().rglob("compiler.fill-*.nbc")) - before) == 1
 
 
 def test_an_unknown_solver_is_refused_before_anything_is_compiled() -> None:

@@ -14,10 +14,10 @@ from __future__ import annotations
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 
 _BIN = 0.5  # px: of minor axes in the accumulator
 _OFF = 0.75  # px: of an edge from the outline that it belongs to

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.bubbles.backlit_profile import LARGEST, REACH, SMALLEST
+from sabench.utils.compiled import numba
 
 DIM = 0.02  # transmission of the darkest model
 _MARGIN = 2.5  # px around a bubble that are looked at

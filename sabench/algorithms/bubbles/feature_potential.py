@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 
 from sabench.algorithms.bubbles.transmission import transmission
@@ -19,6 +18,7 @@ from sabench.algorithms.refocus import refocus_log2
 from sabench.api import Observation
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 
 WINDOW = 7  # voxels: l_x = l_y
 STACK = 50  # planes of a minimum image

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -17,6 +16,7 @@ from sabench.algorithms.bubbles.hough_circles import Votes, peaks
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 
 _PLANE_MM = 0.25  # between positions along a line of sight, at most
 _AGREE = 0.75  # of the cameras that see a position count: those with the most votes

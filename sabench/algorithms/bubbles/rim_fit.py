@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.bubbles.backlit_profile import Profile
@@ -19,6 +18,7 @@ from sabench.algorithms.bubbles.ellipse_shadows import DIM, box_of, shade_at, sl
 from sabench.algorithms.bubbles.spheroids import images_of, linearise
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 
 # of the parameters of a spheroid
 _STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # of differences

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.matching import follow_lines, move_to_pixel
@@ -23,6 +22,7 @@ from sabench.geometry.volume_polynomials import (
 )
 from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 
 _CELL_PX = 1.0  # in which sets are counted
 _SPOT_PX = 0.6  # radius of what belongs together

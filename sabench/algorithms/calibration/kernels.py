@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sabench.utils.compiled import njit
+from sabench.utils.compiled import numba
 
 # rotation 3, centre 3, focal length in px, principal point 2, k1, k2, p1, p2, k3, tilt 2
 CAMERA = 16
@@ -24,7 +24,7 @@ BEND = 3  # of a board: along its X, its twist, along its Y
 _STEPS = 60
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def bend(indices: Any, depths: Any, radius: float) -> float:
     """Solve for the tangent of a path's angle in its rarest medium.
 
@@ -49,7 +49,7 @@ def bend(indices: Any, depths: Any, radius: float) -> float:
     return slope
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def leave(
     indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
 ) -> tuple[float, float]:
@@ -86,7 +86,7 @@ def leave(
     return tangent, curved
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def observe(
     rotation: Any,
     center: Any,
@@ -155,7 +155,7 @@ def observe(
     return focal * du + lens[1], focal * dv + lens[2], True
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
     """Fill in derivatives by the coefficients of distortion.
 
@@ -168,7 +168,7 @@ def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
     row[12] = right * (s + 2.0 * u * u) + down * 2.0 * u * v
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
     """Take distorted coordinates to a tilted sensor.
 
@@ -189,7 +189,7 @@ def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
     return x, y
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _distort(u: float, v: float, lens: Any) -> tuple[float, float, float, float, float]:
     """Distort ideal coordinates by Brown and Conrady's model.
 
@@ -207,7 +207,7 @@ def _distort(u: float, v: float, lens: Any) -> tuple[float, float, float, float,
     return du, dv, uu, uv, vv
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _fill(
     row: Any,
     first: float,

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.calibration.kernels import BEND, BOARD, CAMERA, observe
-from sabench.utils.compiled import njit
+from sabench.utils.compiled import numba
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _rotate(rotation: Any, point: Any, lever: Any) -> None:
     for axis in range(3):
         lever[axis] = (
@@ -21,7 +21,7 @@ def _rotate(rotation: Any, point: Any, lever: Any) -> None:
         )
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
     """Fill in derivatives by the bend, which lifts a point along the normal."""
     for i in range(2):
@@ -34,7 +34,7 @@ def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
             row[i, start + j] = along * lift[j]
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _columns(own: Any, shared: Any) -> Any:
     """List columns of `observe`'s rows for the unknowns.
 
@@ -51,7 +51,7 @@ def _columns(own: Any, shared: Any) -> Any:
     return pick
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> Any:
     """Sum normal equations of all observations, with the boards' unknowns in blocks.
 
@@ -125,7 +125,7 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
     return cost, aa, ab, bb, a, d
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def _scatter(
     part: Any,
     slope: Any,
@@ -155,7 +155,7 @@ def _scatter(
             bb[k, p, q] += part[f + s + p, f + s + q] if q <= p else part[f + s + q, f + s + p]
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def misses(array: Any, boards: Any, seen: Any) -> Any:
     """Subtract computed from observed pixels (M, K, m, 2).
 
@@ -185,7 +185,7 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
     return out
 
 
-@njit(cache=True)
+@numba.njit(cache=True)
 def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> Any:
     """Compute covariances (M, K, m, 3) of computed pixels: column, row and both.
 

@@ -1,7 +1,7 @@
 """Particles in three dimensions.
 
 The package holds triangulation of image peaks, reconstruction of the most probable particles
-(Bayesian IPR) and by inverse rendering, tracking (Shake-The-Box), and linking.
+(Bayesian IPR), tracking (Shake-The-Box), and linking.
 """
 
 from __future__ import annotations
@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     )
     from sabench.algorithms.particles.candidate_search import find_fault
     from sabench.algorithms.particles.defocusing import find_by_defocusing, find_unsuitable
-    from sabench.algorithms.particles.inverse_rendering import (
-        InverseRenderingSettings,
-        reconstruct_by_descent,
-    )
     from sabench.algorithms.particles.linking import link
     from sabench.algorithms.particles.matching import (
         PeakParameters,
@@ -32,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BayesianIprSettings",
-    "InverseRenderingSettings",
     "PeakParameters",
     "ShakeTheBoxSettings",
     "TriangulationSettings",
@@ -41,7 +36,6 @@ __all__ = [
     "find_unsuitable",
     "fit_cameras",
     "link",
-    "reconstruct_by_descent",
     "reconstruct_most_probable",
     "track_particles",
     "triangulate_particles",
@@ -49,7 +43,6 @@ __all__ = [
 
 _HOMES = {
     "BayesianIprSettings": "bayesian_ipr",
-    "InverseRenderingSettings": "inverse_rendering",
     "PeakParameters": "matching",
     "ShakeTheBoxSettings": "shake_the_box",
     "TriangulationSettings": "matching",
@@ -58,7 +51,6 @@ _HOMES = {
     "find_unsuitable": "defocusing",
     "fit_cameras": "matching",
     "link": "linking",
-    "reconstruct_by_descent": "inverse_rendering",
     "reconstruct_most_probable": "bayesian_ipr",
     "track_particles": "shake_the_box",
     "triangulate_particles": "matching",

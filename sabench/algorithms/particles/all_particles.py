@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
@@ -41,6 +40,7 @@ from sabench.algorithms.particles.model_moves import (
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells

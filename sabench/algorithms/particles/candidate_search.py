@@ -16,7 +16,6 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from sabench.api import FoundParticles
@@ -29,6 +28,7 @@ from sabench.geometry.volume_polynomials import (
     project_row,
 )
 from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.utils.compiled import numba
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
 _NARROWEST, _ANY = 0.4, 1e-3  # px: widths of images that a lattice of pixels' steps does not miss

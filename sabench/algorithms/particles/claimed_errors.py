@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.all_particles import leverage
@@ -16,9 +15,9 @@ from sabench.algorithms.particles.image_model import (
     without_margins,
 )
 from sabench.geometry.volume_polynomials import project_with_slopes
-from sabench.images.particle_spots import ParticleSpots
-from sabench.images.position_bounds import position_bounds
+from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each
 
 _LEAST_ERROR_PX = 0.002  # of positions, beside what the images tell

@@ -3,7 +3,7 @@
 All cameras' windows of a particle are placed first, and then looked at, so that kernels pass few
 arrays to each other: a call that hands on the whole model and room costs more than a window's sums.
 
-Sums over windows are taken on vector units (`window_sums`): images have margins that windows
+Sums over windows are taken on vector units (`vector_units`): images have margins that windows
 outside lie in, rows of a window are a whole number of lanes, and what must not count is multiplied
 by zero.
 """
@@ -13,15 +13,19 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
-from sabench.algorithms.particles.window_sums import (
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
+from sabench.images.gaussian_kernels import fill_derivatives, fill_profile
+from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
+from sabench.utils.vector_units import (
     CURVE_SLOPE_Y,
     CURVE_X,
     CURVE_Y,
     FLAT_SLOPE_X,
     FLAT_X,
+    LANES,
     OWN_X,
     OWN_Y,
     PLAIN,
@@ -41,12 +45,8 @@ from sabench.algorithms.particles.window_sums import (
     match_window,
     sum_shaped,
     sum_window,
+    whole_lanes,
 )
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
-from sabench.images.gaussian_kernels import fill_derivatives, fill_profile
-from sabench.images.gaussian_units import whole_lanes
-from sabench.utils.arrays import F32, F64
-from sabench.utils.vector_units import LANES
 
 _REACH, _ROUNDED_PX = 3.1, 0.1  # of a particle's image in widths; that much less is enough
 MARGIN = 24  # pixels around images: the widest window
@@ -133,7 +133,7 @@ class Room(NamedTuple):
     Attributes
     ----------
     window : pixels along columns and rows of windows, an odd number.
-    profiles : (camera, profile, lane), as `window_sums` names them, of the image along columns and
+    profiles : (camera, profile, lane), as `vector_units` names them, of the image along columns and
         rows, for light 1; zeros after the window's end.
     corner : (camera, 2) first column and row in images with margins; in these for windows outside.
     here, width : (camera, 2) centre in images without margins, and widths, px.

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
@@ -31,6 +30,7 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
 )
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
 
 _LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step whose next one is nothing
 _LOW, _HIGH = -6.0, 4.0  # of the logarithms

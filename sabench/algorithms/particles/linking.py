@@ -285,7 +285,7 @@ def _position_errors(
     count = min(_NEIGHBOURS, len(live.position) - 1)
     if count <= 0 or not len(which):
         return np.zeros((len(which), 0))
-    import numba  # takes half a second, and only solvers link
+    from sabench.utils.compiled import numba  # takes half a second, and only solvers link
 
     cores = numba.get_num_threads()
     near = cKDTree(live.position).query(live.position, count + 1, workers=cores)[1][which, 1:]

@@ -14,7 +14,6 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from pydantic import Field
 
@@ -30,6 +29,7 @@ from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.levels import bright_dn
 from sabench.images.peaks import Peaks, detect_peaks, find_near, keep_peaks
 from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.utils.compiled import numba
 from sabench.utils.threads import Deadline
 
 _MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
@@ -36,16 +35,12 @@ from sabench.algorithms.particles.image_model import (
     take_out,
 )
 from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
-from sabench.algorithms.particles.window_sums import (
-    OWN_X,
-    OWN_Y,
-    SLOPE_X,
-    SLOPE_Y,
-)
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.compiled import numba
+from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera

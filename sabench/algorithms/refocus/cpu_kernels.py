@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.refocus.rectification import LINEAR, weights
+from sabench.utils.compiled import numba
 
 TILE_ROWS, TILE_COLUMNS = (
     16,

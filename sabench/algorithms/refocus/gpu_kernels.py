@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.refocus.slabs import Slab
 from sabench.geometry.grid import Grid
 from sabench.utils import backend
 from sabench.utils.arrays import F32
+from sabench.utils.compiled import numba
 
 _AT_ONCE = 1 << 24  # voxels computed at once: bounds the device's memory
 Fold = Callable[

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from sabench.utils.arrays import F32
+from sabench.utils.compiled import numba
 
 LINEAR, CUBIC = (
     (1,),

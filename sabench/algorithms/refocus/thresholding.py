@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-import numba
 import numpy as np
 from pydantic import BeforeValidator, Field
 
@@ -16,6 +15,7 @@ from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
 from sabench.images.gaussians import effective_width
 from sabench.utils.arrays import F32, F64, U16, Bool
+from sabench.utils.compiled import numba
 
 _SHARE = {
     "reduced": 0.85,

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.tomography.kernels import multiply
 from sabench.algorithms.tomography.mart_sweep import mart_sweep
 from sabench.algorithms.tomography.projection_operator import ProjectionOperator
 from sabench.utils.arrays import F32, Bool
+from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
 # of a bright particle's peak: darker pixels are raised to it, since the logarithm of zero is no

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample, scratch
 from sabench.algorithms.tomography.projection_operator import Support
 from sabench.utils.arrays import F32, I64
+from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
 _SLAB = 8_000_000  # voxels whose memory is taken at a time

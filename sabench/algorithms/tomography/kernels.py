@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
 
 _BITS = 10
 STEPS = 1 << _BITS  # places inside a pixel, along either axis, that are distinguished

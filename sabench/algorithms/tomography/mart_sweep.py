@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from sabench.algorithms.tomography.kernels import STEPS, exp2, locate, scratch
 from sabench.algorithms.tomography.projection_operator import ProjectionOperator
 from sabench.utils.arrays import F32, I64, Bool
+from sabench.utils.compiled import numba
 
 STRIP = (
     16  # rows of pixels, more than a footprint has: every other strip shares no voxel with this one

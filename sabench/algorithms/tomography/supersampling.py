@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.algorithms.tomography.projection_operator import Support
@@ -20,6 +19,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.images.gaussians import gaussian_shares
 from sabench.utils.arrays import F32, F64, triple
+from sabench.utils.compiled import numba
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
 _REACH = 3.0  # standard deviations at which a blob ends

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
+
+from sabench.utils.compiled import numba
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)

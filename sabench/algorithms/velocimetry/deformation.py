@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
+
+from sabench.utils.compiled import numba
 
 _TERMS = 14  # of a geometric series that falls to a hundred-millionth: float32 holds no more
 

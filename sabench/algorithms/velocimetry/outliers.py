@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter, median_filter
 
 from sabench.utils.arrays import F64, Bool
+from sabench.utils.compiled import numba
 
 _REACH = 3.0  # standard deviations that a Gaussian reaches
 _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and Scarano (2005)

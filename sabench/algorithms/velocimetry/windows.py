@@ -7,7 +7,6 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import scipy.fft
 
@@ -18,6 +17,7 @@ from sabench.algorithms.velocimetry.correlation_kernels import (
     small_peaks,
 )
 from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 

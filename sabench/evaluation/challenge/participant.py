@@ -16,7 +16,7 @@ from sabench.tasks.external_programs import is_program, solver_name
 from sabench.tasks.solve_and_score import check_result_task, solve
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest, refuse_existing
-from sabench.utils.processes.limited import Limits
+from sabench.utils.processes.program import Limits
 from sabench.utils.progress import console
 
 

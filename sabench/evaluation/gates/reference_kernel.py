@@ -10,8 +10,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
+
+from sabench.utils.compiled import numba
 
 _CELLS = 1 << 20  # 8 MB: more than the second-level cache, so that memory counts, too
 _ROUNDS = 3

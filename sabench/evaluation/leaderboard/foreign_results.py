@@ -18,7 +18,7 @@ from sabench.dataset.verification import verify
 from sabench.tasks.external_programs import adopt
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
-from sabench.utils.processes.isolated import call_isolated
+from sabench.utils.processes.call import call_isolated
 from sabench.utils.validation import printable
 
 _SCORE_S = 3600.0  # for one result

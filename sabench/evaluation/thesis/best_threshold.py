@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-import numba
 import numpy as np
 
 from sabench.algorithms.refocus.thresholding import plane_statistics
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 
 _ALL = (slice(None), slice(None), slice(None))
 _KS = np.linspace(0.0, 40.0, 801)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sabench.simulation.recording.schedule import TRIES, Outcome, Schedule, Task, WorkerPool
 from sabench.utils.errors import InputError
-from sabench.utils.processes.servers import Servers
+from sabench.utils.processes.python import Servers
 from sabench.utils.progress import bar
 
 

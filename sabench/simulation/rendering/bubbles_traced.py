@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.api import Material
@@ -20,6 +19,7 @@ from sabench.simulation.rendering.bubble_stage_builder import Lights, Stager, Ta
 from sabench.simulation.rendering.particle_images import ParticleImages, diffract
 from sabench.simulation.rendering.pass_tally import STREAMS, PassTally
 from sabench.utils.arrays import F64, I64, Bool, in_portions
+from sabench.utils.compiled import numba
 
 _RAYS = 4  # of a pixel in one pass
 _AT_ONCE = 1 << 22  # passes of all pixels whose radiances are held

@@ -16,13 +16,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.geometry.sensor_tilt import UPRIGHT, onto_sensor
 from sabench.utils.arrays import F64, I64, Bool, in_box
+from sabench.utils.compiled import numba
 
 _CHUNK, _BLOCK = 8192, 256  # points at a time: of exact paths, and of polynomials
 _DEGREES = (4, 6, 8, 11)  # of polynomials over a box, tried in this order

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
 from sabench.utils.philox import block
 
 SHOT, READ, _REST = np.uint64(0), np.uint64(1), np.uint64(2)  # purposes of blocks

@@ -11,15 +11,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.images.gaussian_kernels import fill_shares
-from sabench.images.gaussian_units import whole_lanes
 from sabench.simulation.rendering.particle_images import ParticleImages
-from sabench.simulation.rendering.window_units import add_products
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
+from sabench.utils.vector_units import add_products, whole_lanes
 
 # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out
 _REACH = 4.5

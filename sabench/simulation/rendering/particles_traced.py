@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.geometry.camera import Camera
@@ -24,6 +23,7 @@ from sabench.geometry.refraction import AnyWall, Wall
 from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils import backend
 from sabench.utils.arrays import F64, I64, Bool, in_portions
+from sabench.utils.compiled import numba
 
 _BALL = 4.0  # standard deviations from a particle's centre to its ball's surface
 _REACH = 4.5  # to the end of its light; 2e-5 of it lies outside

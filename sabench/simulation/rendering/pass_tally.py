@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.compiled import numba
 
 # lattices of a pixel, whose passes take turns: the scatter of their means is the error
 STREAMS = 4

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.api.truth import BODY, NOTHING, Bubbles, Sight, Solid
@@ -19,6 +18,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import length_to_fluid
 from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.utils.arrays import F32, F64, I32, Bool
+from sabench.utils.compiled import numba
 
 _FINER = (
     5  # lines of sight across a pixel, for shares of bubbles; odd, so that one is the pixel's own

@@ -11,11 +11,11 @@ import functools
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.simulation.rendering.mie import extinction_efficiency, intensities
 from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.compiled import numba
 from sabench.worlds.library.size_lattice import PER_OCTAVE, lattice_diameters_mm, size_numbers
 
 _PER_LOBE = 12  # angles for the narrowest lobe, of a width of wavelength / diameter

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from sabench.scenes.sensor import Sensor
 from sabench.simulation.rendering.noise import READ, SHOT, fill_normals, fill_poisson
 from sabench.utils.arrays import F64, U16
+from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.utils.philox import draw_key, fill_blocks
 

@@ -1,5 +1,1 @@
-"""Child processes.
-
-Isolated function calls, limited external programs, Python modules, workers. `starting` and `ending`
-are shared: the environment of children, Ctrl-C, last words, killing.
-"""
+"""Child processes: calls of functions, external programs, and Python's own modules and servers."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.api.truth import Solid
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.compiled import njit, prange
+from sabench.utils.compiled import numba
 
 
 def contains(body: Solid, points_mm: F64) -> Bool:
@@ -25,10 +25,10 @@ def contains(body: Solid, points_mm: F64) -> Bool:
     return out
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@numba.njit(cache=True, parallel=True, error_model="numpy")
 def _solid_angles(points: Any, vertices: Any, faces: Any, out: Any) -> None:
     """Sum the signed solid angles of all faces as seen from each point."""
-    for n in prange(len(points)):
+    for n in numba.prange(len(points)):
         total = 0.0
         for f in range(len(faces)):
             ax = vertices[faces[f, 0], 0] - points[n, 0]

@@ -11,7 +11,7 @@ import numpy as np
 
 from sabench.utils.errors import InputError
 from sabench.utils.files import file_series
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes.call import read_isolated
 from sabench.worlds.library.field_formats import Array, load_arrays, store_arrays
 
 _LENGTHS = {

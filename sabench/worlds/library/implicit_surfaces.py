@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from sabench.api.truth import Solid
 from sabench.utils.arrays import F32, F64
+from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 
 # of a lattice: a quarter of a gigabyte, and about twice that while its surface is taken

@@ -9,7 +9,7 @@ import numpy as np
 
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes.call import read_isolated
 
 _SUFFIXES = (".stl", ".ply", ".obj", ".glb")
 _VERTICES, _FACES = "vertices.npy", "faces.npy"

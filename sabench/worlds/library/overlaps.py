@@ -12,7 +12,7 @@ import numpy as np
 
 from sabench.api.truth import Bubbles, Solid
 from sabench.utils.arrays import F64, I64, Bool
-from sabench.utils.compiled import njit
+from sabench.utils.compiled import numba
 
 _STEPS = 40  # of the golden section: to 4e-9
 
@@ -71,7 +71,7 @@ def touching(bubbles: Bubbles, solid: Solid) -> Bool:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _touch(centers: Any, to_ball: Any, radius: Any, vertices: Any, faces: Any, out: Any) -> None:
     """Mark bubbles that a triangle touches.
 
@@ -105,7 +105,7 @@ def _touch(centers: Any, to_ball: Any, radius: Any, vertices: Any, faces: Any, o
                 break
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _nearest(t: Any) -> Any:
     """Compute the squared distance of a triangle (3, 3) from the origin."""
     best = np.inf
@@ -142,13 +142,13 @@ def contact(one: F64, first: F64, other: F64, second: F64) -> F64:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _contacts(one: Any, first: Any, other: Any, second: Any, out: Any) -> None:
     for n in range(len(out)):
         out[n] = contact_factor(one[n], first[n], other[n], second[n])
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def contact_factor(one: Any, first: Any, other: Any, second: Any) -> Any:
     """Maximise the contact function over x from 0 to 1.
 
@@ -170,7 +170,7 @@ def contact_factor(one: Any, first: Any, other: Any, second: Any) -> Any:
     return max(fa, fb)
 
 
-@njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy")
 def _at(x: float, one: Any, first: Any, other: Any, second: Any) -> Any:
     """Evaluate the contact function at one x, by Cramer's rule."""
     y, m = 1.0 - x, np.empty(6)

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.worlds.library.overlaps import contact_factor, shapes_of
 

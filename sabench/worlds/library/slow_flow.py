@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from sabench.api.truth import Solid
 from sabench.utils.arrays import F64, Bool
+from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.worlds.library.containment import contains
 

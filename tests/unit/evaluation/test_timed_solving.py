@@ -6,7 +6,7 @@ import sys
 
 import sabench.evaluation.timed_solving  # noqa: F401 - names what the server loads
 from sabench import tasks
-from sabench.utils.processes.isolated import call_isolated
+from sabench.utils.processes.call import call_isolated
 
 
 def loaded() -> list[str]:

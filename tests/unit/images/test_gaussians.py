@@ -12,10 +12,9 @@ from sabench.images.gaussian_kernels import (
     fill_profile,
     fill_shares,
 )
-from sabench.images.gaussian_units import whole_lanes
 from sabench.images.gaussians import gaussian_shares
 from sabench.utils.arrays import F64
-from sabench.utils.vector_units import LANES
+from sabench.utils.vector_units import LANES, whole_lanes
 
 
 def expected_shares(center: float, sigma: float, first: int, pixels: int) -> F64:

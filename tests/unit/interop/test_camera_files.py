@@ -24,7 +24,7 @@ from sabench.interop.openptv_process import parameters
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
-from sabench.utils.processes import child
+from sabench.utils.processes import python
 from tests.conftest import pinholes
 
 NEAR_PX = 1e-3
@@ -188,12 +188,12 @@ def test_a_crash_is_a_sentence(
     with pytest.raises(
         InputError, match=f"the program: expected exit code 0, but it ended with {said}"
     ):
-        child.run_module("crashes", tmp_path, "the program", "x", 1)
+        python.run_module("crashes", tmp_path, "the program", "x", 1)
 
 
 def test_a_missing_package_is_one_sentence() -> None:
-    assert child.missing("sys", "python") is None
+    assert python.missing("sys", "python") is None
     assert (
-        child.missing("no_such_module", "nothing")
+        python.missing("no_such_module", "nothing")
         == "the package nothing is not installed: pip install sabench[competitors]"
     )

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from sabench.utils.errors import InputError
-from sabench.utils.processes.isolated import call_isolated
+from sabench.utils.processes.call import call_isolated
 
 
 def add(one: int, other: int) -> int:

@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 from sabench.utils.errors import InputError
-from sabench.utils.processes.limited import Limits, limits_of, run_limited
+from sabench.utils.processes.program import Limits, limits_of, run_limited
 
 
 def program(folder: Path, body: str, name: str = "program") -> list[str]:

@@ -13,8 +13,8 @@ import pytest
 
 from sabench.dataset.hdf5_probe import probe
 from sabench.utils.errors import InputError, UncheckedError
-from sabench.utils.processes import isolated_reading
-from sabench.utils.processes.isolated_reading import read_isolated
+from sabench.utils.processes import call
+from sabench.utils.processes.call import read_isolated
 from tests.conftest import ROOT
 
 SLOW_START = """
@@ -23,10 +23,10 @@ import sys
 
 os.environ["PARENT"] = str(os.getpid())
 from sabench.dataset.hdf5_probe import probe
-from sabench.utils.processes import isolated_reading
+from sabench.utils.processes import call
 from slow_to_import import SlowPath
 
-isolated_reading._CPU_S = 0.5
+call._CPU_S = 0.5
 probe(SlowPath(sys.argv[1]))
 """
 SLOW_MODULE = """
@@ -64,7 +64,7 @@ def file(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def one_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(isolated_reading, "_CPU_S", 0.5)
+    monkeypatch.setattr(call, "_CPU_S", 0.5)
 
 
 def test_a_process_that_starts_slowly_makes_no_file_damaged(file: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_file_that_sends_a_library_round_in_circles_is_not_called_damaged(file
 def test_a_reader_that_sleeps_is_killed_in_the_end(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(isolated_reading, "_PATIENCE", 0.5)
+    monkeypatch.setattr(call, "_PATIENCE", 0.5)
     with pytest.raises(UncheckedError, match=r"could not be checked.* 0\.5 s$"):
         read_isolated(wait, file, 60.0)
 

@@ -16,10 +16,8 @@ import psutil
 import pytest
 
 from sabench.utils.errors import InputError
-from sabench.utils.processes.child import run_code
-from sabench.utils.processes.ending import check_end, describe_end, kill_tree, last_line
-from sabench.utils.processes.servers import Reply, Servers
-from sabench.utils.processes.starting import start_python
+from sabench.utils.processes.program import check_end, describe_end, kill_tree, last_line
+from sabench.utils.processes.python import Reply, Servers, run_code, start_python
 
 DOUBLE = """
 import json, os, sys

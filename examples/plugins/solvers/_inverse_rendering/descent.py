@@ -1,7 +1,7 @@
 """Particles whose rendered images fit best, by automatic derivatives.
 
 The start is the most probable particles that a search finds (`bayesian_ipr`). A descent moves all
-of them and all of their lights until the cost of `differentiable_images` is least. In its
+of them and all of their lights until the cost of `images` is least. In its
 coordinates each particle's own Gauss-Newton matrix is the unit matrix, so that only overlaps are
 left for the quasi-Newton method to learn, and a slope of 1 is a standard deviation.
 
@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from sabench.plugins.solvers._inverse_rendering.images import DifferentiableImages, ImageModel
 
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, search_frame
-from sabench.algorithms.particles.differentiable_images import DifferentiableImages, ImageModel
 from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.camera import Camera

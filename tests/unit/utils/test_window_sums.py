@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.particles.image_model import GIVEN, PULL, WEIGHT, XX, XY, YY, X, Y
-from sabench.algorithms.particles.window_sums import (
+from sabench.utils.vector_units import (
+    LANES,
     PLAIN,
     PLAIN_BY_X,
     PLAIN_BY_Y,
@@ -23,7 +24,6 @@ from sabench.algorithms.particles.window_sums import (
     sum_shaped,
     sum_window,
 )
-from sabench.utils.vector_units import LANES
 
 CAMERA, TOP, START, LIGHT = 1, 5, 9, np.float32(3.0)
 ALL_PLAIN, ALL_SHAPED = (PLAIN, PLAIN_BY_X, PLAIN_BY_Y), (SHAPED, SHAPED_BY_X, SHAPED_BY_Y)

@@ -1,6 +1,6 @@
-"""External programs under time, memory and output limits.
+"""External programs under time, memory and output limits, and how processes end.
 
-Their whole process tree is killed at the end.
+The whole process tree of a program is killed at the end.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ import subprocess
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+import psutil
+
 from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.processes.confinement import View, start_input, start_words
-from sabench.utils.processes.ending import check_end, kill_running, last_line, last_words, overdue
-from sabench.utils.processes.usage import family, find_marked, held_mb, size_mb
+from sabench.utils.validation import printable
 
 _KEPT = (
     "PATH",
@@ -37,6 +38,7 @@ _TOKEN = "SABENCH_PROGRAM"  # variable that marks every process below a program,
 _TAIL = 1 << 14  # bytes of output that are kept
 _WAITS = (0.01, 0.25)  # shortest and longest time between two looks (s)
 _OUTPUT_EVERY = 1.0  # time between two looks at the files (s)
+_LONGEST = 300  # characters of a process's last line that an error repeats
 _MEMORY_SHARE = 0.9  # of the free memory, where no limit is given
 
 
@@ -186,7 +188,7 @@ def _watch(
     """Return peak memory (MB) at a program's end or first breach, and the breach."""
     allowed_mb, peak_mb, looked = limits.memory_mb or _free_mb(), 0.0, start
     while True:
-        now, held = time.monotonic(), held_mb(process)
+        now, held = time.monotonic(), _held_mb(process)
         peak_mb = max(peak_mb, held)
         if process.poll() is not None:
             return peak_mb, ""
@@ -196,7 +198,7 @@ def _watch(
         if now - start > limits.time_s:
             return peak_mb, overdue(limits.time_s)
         if now - looked > _OUTPUT_EVERY:
-            looked, written = now, size_mb(folder)
+            looked, written = now, _size_mb(folder)
             if written > limits.output_mb:
                 found = f"it wrote {written:.0f} MB"
                 return peak_mb, f"expected at most {limits.output_mb:.0f} MB of files, but {found}"
@@ -229,9 +231,140 @@ def _end(process: subprocess.Popen[bytes], token: str) -> None:
     for _ in range(20):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
-        left = kill_running((*family(process), *find_marked(_TOKEN, token)))
+        left = kill_running((*_family(process), *_find_marked(_TOKEN, token)))
         process.poll()
         if not left:
             break
         time.sleep(0.02)
     process.wait()
+
+
+def _held_mb(process: subprocess.Popen[bytes]) -> float:
+    """Return the resident memory of a program's processes together, in MB.
+
+    1 MB is 10^6 bytes.
+    """
+    held = 0
+    for member in _family(process):
+        with contextlib.suppress(psutil.Error):
+            held += member.memory_info().rss
+    return held / 1e6
+
+
+def _family(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
+    """Return a program's process, all below it, and all of its session."""
+    found = {}
+    # once its end is known, the system may give the number to another process
+    if process.returncode is None:
+        with contextlib.suppress(psutil.Error):
+            head = psutil.Process(process.pid)
+            found = {one.pid: one for one in (head, *head.children(recursive=True))}
+    for other in psutil.pids():
+        if other not in found:
+            with contextlib.suppress(psutil.Error, OSError):
+                if os.getsid(other) == process.pid:
+                    found[other] = psutil.Process(other)
+    return list(found.values())
+
+
+def _find_marked(variable: str, token: str) -> list[psutil.Process]:
+    """Return the processes with a token in their environment, wherever they are."""
+    found = []
+    for one in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):
+            if one.environ().get(variable) == token:
+                found.append(one)
+    return found
+
+
+def _size_mb(folder: Path) -> float:
+    """Return the disk space of all files below a folder, in MB.
+
+    Links are not followed.
+    """
+    blocks = 0
+    for path, _, files in os.walk(folder):
+        for name in files:
+            with contextlib.suppress(OSError):
+                # a path object for each of many files is slow
+                blocks += os.lstat(os.path.join(path, name)).st_blocks  # noqa: PTH118
+    return blocks * 512 / 1e6
+
+
+def describe_end(code: int | None) -> str:
+    """Return "exit code 3" or "signal SIGABRT"."""
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {signal.Signals(-code).name}"
+    except ValueError:
+        return f"signal {-code}"
+
+
+def last_line(output: bytes) -> str:
+    """Return the last line that is not empty, fit for printing."""
+    lines = output.decode("utf-8", "replace").splitlines()
+    return printable(next((line.strip() for line in reversed(lines) if line.strip()), ""), _LONGEST)
+
+
+def last_words(line: str) -> str:
+    """Return the clause of an error that quotes a process's last line, if any."""
+    return f"; its last words: {line}" if line else ""
+
+
+def check_end(name: str, code: int, line: str) -> None:
+    """Raise an InputError with the last line of output unless the exit code is 0."""
+    if code:
+        end = f"expected exit code 0, but it ended with {describe_end(code)}"
+        raise InputError(f"{name}: {end}{last_words(line)}")
+
+
+def overdue(time_s: float) -> str:
+    """Return the clause of an error about a process that exceeds its time limit."""
+    return f"expected an end within {time_s:g} s, but it was still running"
+
+
+@contextlib.contextmanager
+def kill_if_left(process: subprocess.Popen[bytes]) -> Iterator[None]:
+    """Kill a process and all below it if the block ends first.
+
+    Its pipes are closed, too.
+    """
+    try:
+        yield
+    finally:
+        if process.poll() is None:
+            kill_tree(process.pid)
+        reap(process)
+
+
+def reap(process: subprocess.Popen[bytes]) -> int:
+    """Wait for a process that ends, close its pipes, and return its exit code."""
+    code = process.wait()
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        if pipe is not None:
+            with contextlib.suppress(OSError):
+                pipe.close()
+    return code
+
+
+def kill_tree(pid: int) -> None:
+    """Kill a process and all below it."""
+    with contextlib.suppress(psutil.Error):
+        head = psutil.Process(pid)
+        kill_running([head, *head.children(recursive=True)])
+
+
+def kill_running(processes: Iterable[psutil.Process]) -> int:
+    """Kill those processes that still run, but not this one; returns their number."""
+    left = [one for one in processes if one.pid != os.getpid() and _runs(one)]
+    for one in left:
+        with contextlib.suppress(psutil.Error):
+            one.kill()
+    return len(left)
+
+
+def _runs(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error):
+        return bool(process.status() != psutil.STATUS_ZOMBIE)
+    return False

@@ -2,6 +2,8 @@
 
 A crash, a hang or a leak there does not affect this one. The child may be confined, too: then it
 sees only given files, no other process and no network, and what it answers is data, never code.
+Files of others are read in a child with limits of memory and CPU time, because libraries that read
+them may crash, loop for ever or fill the memory.
 """
 
 from __future__ import annotations
@@ -9,29 +11,39 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import math
 import multiprocessing
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from sabench.utils import errors
-from sabench.utils.errors import InputError
+from sabench.utils.errors import InputError, UncheckedError
+from sabench.utils.kernel_folder import kernel_folder
 from sabench.utils.processes.confinement import View, confine, die_with_parent
-from sabench.utils.processes.ending import describe_end, kill_tree, overdue
-from sabench.utils.processes.starting import ignored_interrupts
+from sabench.utils.processes.program import describe_end, kill_tree, overdue
+from sabench.utils.processes.python import ignored_interrupts
 
 _PRELOADED: list[str] = []
-_LAST_PRELOADED = "sabench.utils.processes.server_end"
+_LAST_PRELOADED = "sabench.utils.processes.server"
 _KEPT = (  # variables that a confined process gets; and those that begin so
     ("PATH", "LANG", "TZ", "TERM", "COLUMNS", "NO_COLOR", "FORCE_COLOR", "CUDA_VISIBLE_DEVICES"),
     ("LC_", "LD_", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_", "DRJIT_", "MI_", "SABENCH_", "PYTHON"),
 )
 _MOST_FILES = 1 << 16  # numbers of open files that are closed
+_CPU_S = 4.0  # seconds of CPU time for the structure of a file
+_RATE = 2e7  # bytes of a file for each further second
+_MEMORY_MB = 1000.0  # of the child, besides what it shares with its server
+_EXPANSION = 50.0  # times a file's size that its values may take in addition
+_PATIENCE = 30.0  # seconds for each of CPU time, after which a sleeping child is killed
+_OVERDUE = describe_end(-24)  # SIGXCPU
 
 
 def call_isolated(
@@ -96,7 +108,8 @@ def _choose_environment(view: View) -> dict[str, str]:
         for name, value in os.environ.items()
         if name in names or name.startswith(beginnings)
     }
-    return kept | {"HOME": view.home, "TMPDIR": "/tmp"}
+    kernels = str(kernel_folder().parent)  # which is not found from another HOME
+    return kept | {"HOME": view.home, "TMPDIR": "/tmp", "NUMBA_CACHE_DIR": kernels}
 
 
 def _receive(
@@ -170,3 +183,110 @@ def _forget_parent(sender: Connection) -> None:
     os.closerange(3, sender.fileno())
     os.closerange(sender.fileno() + 1, _MOST_FILES)
     resource_tracker._resource_tracker._fd = None  # type: ignore[attr-defined] # one of its own
+
+
+def read_isolated(
+    read: Callable[..., None], path: Path, *arguments: Any, size_bytes: int | None = None
+) -> None:
+    """Call `read(path, *arguments)`, a module's function, in a limited child process.
+
+    The limit of time is CPU time of the reading alone: the start of the process and other programs
+    on the machine do not count.
+
+    A worker that may have no child processes (Dask's) calls it directly: the process that hands out
+    the tasks has read the same file before.
+
+    Parameters
+    ----------
+    size_bytes : size of all that it reads; None: that of the file.
+
+    Raises
+    ------
+    InputError
+        The function raises an exception, the process crashes, or takes more memory than the file's
+        size justifies.
+    UncheckedError
+        The reading took more than its CPU time, so the file may be intact.
+    """
+    if multiprocessing.current_process().daemon:
+        read(path, *arguments)
+        return
+    size = path.stat().st_size if size_bytes is None else size_bytes
+    cpu_s = math.ceil(_CPU_S + size / _RATE)
+    memory_mb = _MEMORY_MB + _EXPANSION * size / 1e6
+    limits, time_s = (memory_mb, cpu_s), _PATIENCE * max(cpu_s, 1)
+    doing = f"{path}: reading it"
+    try:
+        call_isolated(_read, read, limits, path, arguments, doing=doing, time_s=time_s)
+    except InputError as error:
+        spent, late = str(error).endswith(_OVERDUE), str(error).endswith(overdue(time_s))
+        if spent or late:
+            limit = f"{cpu_s} s of CPU time" if spent else f"{time_s:g} s"
+            raise UncheckedError(
+                f"{path}: could not be checked, because reading it takes more than {limit}"
+            ) from error
+        raise
+
+
+def _read(
+    read: Callable[..., None],
+    limits: tuple[float, float],
+    path: Path,
+    arguments: tuple[Any, ...],
+) -> None:
+    _limit_self(*limits)
+    _silence()
+    try:
+        read(path, *arguments)
+    except InputError:
+        raise
+    except MemoryError as error:
+        raise InputError(
+            f"{path}: expected a file that can be read with {limits[0]:.0f} MB of memory"
+        ) from error
+    except Exception as error:  # libraries raise what their parsers raise
+        name = type(error).__name__
+        raise InputError(f"{path}: expected an intact file, got {name}: {error}") from error
+
+
+def _silence() -> None:
+    """Send what libraries print about damaged files nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)
+
+
+def _limit_self(memory_mb: float, cpu_s: float) -> None:
+    """Limit the memory and the CPU time that this process may still take.
+
+    A request for more memory fails; more CPU time ends the process by SIGXCPU. Only for child
+    processes: the limits stay. Without effect where the system has no such limits (Windows), and
+    without a limit of memory where the system does not report how much is in use (macOS).
+    """
+    try:
+        import resource
+    except ImportError:
+        return
+    _lower_limit(resource.RLIMIT_CORE, 0)
+    _lower_limit(resource.RLIMIT_CPU, math.ceil(time.process_time() + cpu_s))
+    held = _address_space_bytes()
+    if held is not None:
+        _lower_limit(resource.RLIMIT_AS, int(held + 1e6 * memory_mb))
+
+
+def _lower_limit(kind: int, value: int) -> None:
+    import resource
+
+    soft, hard = resource.getrlimit(kind)
+    bounds = [one for one in (value, soft, hard) if one != resource.RLIM_INFINITY]
+    resource.setrlimit(kind, (min(bounds), hard))
+
+
+def _address_space_bytes() -> int | None:
+    sizes = Path("/proc/self/statm")
+    if not sizes.exists():
+        return None
+    import resource
+
+    return int(sizes.read_text().split()[0]) * resource.getpagesize()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pydantic import Field
-
-from sabench.algorithms.particles import (
+from sabench.plugins.solvers._inverse_rendering.descent import (
     InverseRenderingSettings,
-    fit_cameras,
     reconstruct_by_descent,
 )
+
+from sabench.algorithms.particles import fit_cameras
 from sabench.api import (
     Camera,
     CameraModel,

@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-
-from sabench.algorithms.particles.differentiable_projection import (
+from sabench.plugins.solvers._inverse_rendering.projection import (
     DifferentiableCamera,
     aligned,
     constants,
 )
+
 from sabench.algorithms.particles.image_model import MOST_FLAT
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64, I64

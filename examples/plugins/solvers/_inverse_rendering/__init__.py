@@ -1,0 +1,1 @@
+"""Parts of the solver `inverse_rendering`: the descent, rendered images, and projections."""

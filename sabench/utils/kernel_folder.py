@@ -1,0 +1,93 @@
+"""Folder of compiled kernels, named by the hash of the sources that they are compiled from.
+
+numba compiles a kernel again when its own file has changed, but not when another file has changed
+whose kernels or constants it uses. Other sources therefore have another folder.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import re
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_IMPORT = re.compile(r"^\s*from (sabench[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+_KEPT, _KEPT_S = 4, 7 * 86400.0  # folders of other sources that stay, and time since their last use
+
+
+def folder_of_folders() -> Path:
+    """Return NUMBA_CACHE_DIR, or else sabench's folder among the user's caches."""
+    if named := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(named)
+    if sys.platform == "win32":
+        caches = os.environ.get("LOCALAPPDATA")
+    else:
+        caches = os.environ.get("XDG_CACHE_HOME")
+    usual = "~/Library/Caches" if sys.platform == "darwin" else "~/.cache"
+    return Path(caches or Path(usual).expanduser()) / "sabench"
+
+
+@functools.cache
+def kernel_folder() -> Path:
+    """Return the folder of the kernels of these sources, which is made if it is missing.
+
+    It is in the temporary folder if the usual one cannot be written. Folders of other sources are
+    removed when a new one is made, but for the last few and those that were used within a week.
+    """
+    name = f"kernels-{hash_sources(_PACKAGE)[:16]}"
+    user = os.getuid() if hasattr(os, "getuid") else ""
+    spare = Path(tempfile.gettempdir()) / f"sabench-{user}"
+    for parent in (folder_of_folders(), spare):
+        folder = parent / name
+        try:
+            parent.mkdir(parents=True, mode=0o700, exist_ok=True)
+            if parent == spare and user not in ("", parent.stat().st_uid):
+                continue  # another user made it, who could have put kernels there
+            if not folder.exists():
+                folder.mkdir(exist_ok=True)
+                _remove_old(parent)
+            os.utime(folder)  # the time of its last use
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix="sabench-kernels-"))
+
+
+def _remove_old(parent: Path) -> None:
+    others = sorted(parent.glob("kernels-*"), key=lambda one: one.stat().st_mtime, reverse=True)
+    for other in others[1 + _KEPT :]:
+        if time.time() - other.stat().st_mtime > _KEPT_S:
+            shutil.rmtree(other, ignore_errors=True)
+
+
+def hash_sources(package: Path) -> str:
+    """Compute the SHA-256 of a package's files with kernels and of all files that they import."""
+    files = [one for one in package.rglob("*.py") if "_plugins" not in one.parts]
+    contents = {one: one.read_bytes() for one in files}
+    kernels = [one for one, content in contents.items() if b"numba" in content]
+    found, left = set(kernels), kernels
+    while left:
+        new = _imported(package, contents[left.pop()].decode()) & contents.keys() - found
+        found |= new
+        left += new
+    whole = hashlib.sha256()
+    for one in sorted(found):
+        name = one.relative_to(package).as_posix()
+        whole.update(f"{name}\0{len(contents[one])}\0".encode() + contents[one])
+    return whole.hexdigest()
+
+
+def _imported(package: Path, text: str) -> set[Path]:
+    """List the files that a text may import of the package, directly."""
+    places = set()
+    for module, names in _IMPORT.findall(text):
+        folder = package.joinpath(*module.split(".")[1:])
+        places |= {folder, *(folder / name for name in re.findall(r"\w+", names))}
+    return {place.with_suffix(".py") for place in places}

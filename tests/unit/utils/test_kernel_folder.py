@@ -1,0 +1,120 @@
+"""Kernels are compiled again when one that they call has changed in another file."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import sabench
+from sabench.utils import kernel_folder
+from sabench.utils.compiled import numba
+from sabench.utils.kernel_folder import hash_sources
+
+UTILS = ("compiled.py", "kernel_folder.py", "version.py")
+CALLEE = '''"""Callee."""
+
+from sabench.utils.compiled import numba
+
+
+@numba.njit(cache=True)
+def callee() -> int:
+    """Return a number."""
+    return {number}
+'''
+CALLER = '''"""Caller."""
+
+from sabench.callee import callee
+from sabench.utils.compiled import numba
+
+
+@numba.njit(cache=True)
+def caller() -> int:
+    """Call the other one."""
+    return 10 * callee()
+'''
+
+
+def write_package(folder: Path) -> Path:
+    """Copy what stores kernels, with a kernel that calls another one."""
+    source, own = Path(sabench.__file__).parent, folder / "sabench"
+    (own / "utils").mkdir(parents=True)
+    for name in UTILS:
+        shutil.copy(source / "utils" / name, own / "utils")
+    shutil.copy(source / "__init__.py", own)
+    (own / "caller.py").write_text(CALLER)
+    (own / "callee.py").write_text(CALLEE.format(number=1))
+    (own / "other.py").write_text("NUMBER = 1\n")
+    return own
+
+
+def test_a_changed_callee_in_another_file_is_not_overlooked(tmp_path: Path) -> None:
+    own = write_package(tmp_path)
+    environment = os.environ | {
+        "PYTHONPATH": str(tmp_path),
+        "NUMBA_CACHE_DIR": str(tmp_path / "kernels"),
+    }
+    for number in (1, 2):
+        (own / "callee.py").write_text(CALLEE.format(number=number))
+        words = [sys.executable, "-c", "from sabench.caller import caller; print(caller())"]
+        done = subprocess.run(words, env=environment, cwd=tmp_path, capture_output=True, check=True)
+        assert int(done.stdout) == 10 * number
+    assert len(list((tmp_path / "kernels").rglob("caller.caller-*.nbc"))) == 2
+
+
+def test_the_hash_is_that_of_kernels_and_of_all_that_they_import(tmp_path: Path) -> None:
+    own = write_package(tmp_path)
+    before = hash_sources(own)
+    (own / "other.py").write_text("NUMBER = 2\n")  # which no kernel imports
+    assert hash_sources(own) == before
+    (own / "callee.py").write_text(CALLEE.format(number="1\n\n\nfrom sabench import other"))
+    after = hash_sources(own)
+    (own / "other.py").write_text("NUMBER = 3\n")
+    assert len({before, after, hash_sources(own)}) == 3
+
+
+def test_numba_stores_kernels_there() -> None:
+    folder = kernel_folder.kernel_folder()
+    assert str(folder) == numba.config.CACHE_DIR
+    assert folder.name.startswith("kernels-")
+
+
+def test_old_folders_of_other_sources_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    old = [tmp_path / f"kernels-{number}" for number in range(8)]
+    for number, folder in enumerate(old):
+        folder.mkdir()
+        used = time.time() - (number > 0) * 86400.0 * (30 - number)
+        os.utime(folder, (used, used))
+    (tmp_path / "other").mkdir()
+    made = kernel_folder.kernel_folder.__wrapped__()
+    assert made.parent == tmp_path
+    left = {folder.name for folder in tmp_path.iterdir()}
+    assert left == {made.name, "other", "kernels-0", "kernels-5", "kernels-6", "kernels-7"}
+
+
+def test_a_folder_that_cannot_be_made_is_replaced_by_a_temporary_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    made = kernel_folder.kernel_folder.__wrapped__()
+    assert made.is_dir()
+    assert tmp_path / "temporary" in made.parents
+
+
+def test_all_kernels_are_stored_there() -> None:
+    package = Path(sabench.__file__).parent
+    own = re.compile(r"^\s*import numba|^\s*from numba import .*(njit|prange)", re.MULTILINE)
+    files = {one.name for one in package.rglob("*.py") if own.search(one.read_text("utf-8"))}
+    assert files == {"compiled.py"}
