@@ -134,7 +134,7 @@ def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
     return count
 
 
-def detect_peaks(
+def detect_particle_peaks(
     grey: U16,
     unknown: Bool | None = None,
     *,

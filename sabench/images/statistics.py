@@ -17,8 +17,8 @@ from sabench.images.repair import above_background, find_points
 from sabench.images.widths import PIXEL
 from sabench.utils.arrays import F32, F64, I64, U16
 
-WHITE = 255.0  # grey value to which a saturated pixel is scaled
-LEAST_FRAMES = 3  # for the noise of a stack
+SCALED_WHITE = 255.0  # grey value to which a saturated pixel is scaled
+NOISE_FRAMES = 3  # for the noise of a stack
 _DIM = 50.0  # percentile of the pixels' medians below which they are dim
 _MIDDLE = 1.2  # variance of the mean of the middle half of n normal numbers, times n
 _FAR, _ROUNDS = 4.0, 3  # standard deviations at which values are clipped, and how often
@@ -75,9 +75,9 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
     white_dn : grey value of a saturated pixel.
     """
     stack = np.stack(frames)
-    scale = WHITE / white_dn
+    scale = SCALED_WHITE / white_dn
     low = np.stack([local_background(frame) for frame in frames])
-    fixed, near, temporal = measure_noise(stack) if len(stack) >= LEAST_FRAMES else [np.nan] * 3
+    fixed, near, temporal = measure_noise(stack) if len(stack) >= NOISE_FRAMES else [np.nan] * 3
     fits = [fit_particle_images(frame, white_dn) for frame in frames]
     width, flux, height = (
         np.concatenate([getattr(one, name) for one in fits])
@@ -177,7 +177,7 @@ def flux_ratio_spread(flux: F64) -> RatioSpread:
     )
 
 
-class ParticleImages(NamedTuple):
+class FittedImages(NamedTuple):
     """Gaussians that fit the particle images of one image.
 
     Attributes
@@ -211,7 +211,7 @@ def image_noise(grey: U16) -> float:
     return max(0.5, _FROM_MAD * float(middle))
 
 
-def fit_particle_images(grey: U16, white_dn: float) -> ParticleImages:
+def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
     """Fit a Gaussian at any angle to each peak of an image (row, column).
 
     Peaks exceed all of their 5 x 5 surroundings, and the local background by 8 standard deviations
@@ -238,7 +238,7 @@ def fit_particle_images(grey: U16, white_dn: float) -> ParticleImages:
     valid = fit[:, 0] < _WIDEST_PX
     pixel = np.stack([column[good], row[good]], axis=1) + fit[:, 2:]
     height = windows[good, _HALF, _HALF]
-    return ParticleImages(pixel[valid], fit[valid, 0], fit[valid, 1], height[valid], int(top.sum()))
+    return FittedImages(pixel[valid], fit[valid, 0], fit[valid, 1], height[valid], int(top.sum()))
 
 
 def _windows(light: F32, least: float) -> tuple[I64, I64, F64]:
@@ -292,7 +292,7 @@ def _gaussians_of(c: F64) -> F64:
     return np.stack([width, flux, x, y], axis=1)
 
 
-def flux_near(images: ParticleImages, pixels: F64, reach_px: float, apart_px: float) -> F64:
+def flux_near(images: FittedImages, pixels: F64, reach_px: float, apart_px: float) -> F64:
     """Look up the flux (n,) of the particle image nearest to each pixel (n, 2).
 
     NaN where none is within `reach_px`, where another one is within `apart_px` of the pixel, or

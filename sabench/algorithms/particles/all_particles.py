@@ -23,16 +23,16 @@ from sabench.algorithms.particles.image_model import (
     XX,
     YY,
     ImageModel,
-    Particles,
+    ModelParticles,
     Room,
     fill_image,
     fill_slopes,
     make_room,
     paint_all,
-    place,
+    place_windows,
     sum_up,
 )
-from sabench.algorithms.particles.joint_fit import factorise, fill_inverse_diagonal
+from sabench.algorithms.particles.joint_fit import factorise_cholesky, fill_inverse_diagonal
 from sabench.algorithms.particles.model_moves import (
     measure_earnings,
     measure_misfit,
@@ -182,7 +182,7 @@ def _overlap(low: Any, high: Any, one: int, other: int) -> bool:
     return False
 
 
-def paint_particles(model: ImageModel, sigma: F64, particles: Particles, sign: float) -> None:
+def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, sign: float) -> None:
     """Add the light of particles times a sign to what is left of the images."""
 
     def paint(camera: int) -> None:
@@ -192,7 +192,7 @@ def paint_particles(model: ImageModel, sigma: F64, particles: Particles, sign: f
     for_each(paint, len(sigma))
 
 
-def misfits(model: ImageModel, sigma: F64, particles: Particles) -> F64:
+def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Measure how far squares left around particles exceed those of noise.
 
     The result (n,) has the standard deviation of their sum as its unit.
@@ -206,7 +206,7 @@ def misfits(model: ImageModel, sigma: F64, particles: Particles) -> F64:
     return out
 
 
-def split_gains(model: ImageModel, sigma: F64, particles: Particles, steps: F64) -> F64:
+def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
     """Measure how much cost a split promises to save.
 
     The result (n,) is that along the best of some steps (k, 3).
@@ -220,7 +220,7 @@ def split_gains(model: ImageModel, sigma: F64, particles: Particles, steps: F64)
     return out
 
 
-def earnings(model: ImageModel, sigma: F64, particles: Particles) -> F64:
+def earnings(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Measure how much cost particles' light saves in each camera (n, camera)."""
     out = np.zeros(particles.light.shape)
 
@@ -231,7 +231,7 @@ def earnings(model: ImageModel, sigma: F64, particles: Particles) -> F64:
     return out
 
 
-def leverage(model: ImageModel, sigma: F64, particles: Particles) -> F64:
+def leverage(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Compute how much of each pixel the fit of particles takes for itself.
 
     The result (camera, row, column) has margins.
@@ -267,14 +267,14 @@ def _of_camera(model: ImageModel, sigma: F64, camera: int) -> tuple[ImageModel, 
     return view, make_room(np.full((1, 2), sigma.max()))
 
 
-def _in_camera(particles: Particles, camera: int) -> Particles:
+def _in_camera(particles: ModelParticles, camera: int) -> ModelParticles:
     light = np.ascontiguousarray(particles.light[:, camera : camera + 1])
     return particles._replace(light=light)
 
 
-def some_rows(particles: Particles, rows: slice) -> Particles:
+def some_rows(particles: ModelParticles, rows: slice) -> ModelParticles:
     """Return a view of some of the particles."""
-    return Particles(particles.position[rows], particles.light[rows], particles.alive[rows])
+    return ModelParticles(particles.position[rows], particles.light[rows], particles.alive[rows])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -292,7 +292,7 @@ def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
         room.bend[:] = model.precision
         for c in range(cameras):
             room.bend[c, c] += particles.light[n, c] ** 2 * room.sums[c, WEIGHT]
-        factorise(room.bend)
+        factorise_cholesky(room.bend)
         fill_inverse_diagonal(room.bend, room.pull, room.logs)
         for c in range(cameras):
             weight, slopes = room.sums[c, WEIGHT], room.sums[c, XX] + room.sums[c, YY]
@@ -313,7 +313,7 @@ def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: An
     for n in range(len(particles.position)):
         if not taken[n, 1] > 0.0:
             continue
-        place(model, room, particles.position[n])
+        place_windows(model, room, particles.position[n])
         fill_image(model, room, 0, own)
         fill_slopes(model, room, 0, by_x, by_y)
         for i in range(room.window):

@@ -11,7 +11,7 @@ from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.image_model import (
     MOST_FLAT,
     ImageModel,
-    Particles,
+    ModelParticles,
     without_margins,
 )
 from sabench.geometry.volume_polynomials import project_with_slopes
@@ -26,7 +26,9 @@ _LEAST = 1e-100  # variance of images without noise
 _STEPS, _LEAST_FREE = 4, 0.2  # of fits of the variance, and least share of a pixel that is free
 
 
-def claimed_covariances(model: ImageModel, sigma: F64, particles: Particles, noise: F64) -> F64:
+def claimed_covariances(
+    model: ImageModel, sigma: F64, particles: ModelParticles, noise: F64
+) -> F64:
     """Estimate the covariances (n, 3, 3) of the positions' errors, mm2.
 
     They are the Cramer-Rao bounds with neighbours that are fitted, too, where the noise of pixels
@@ -53,7 +55,9 @@ def claimed_covariances(model: ImageModel, sigma: F64, particles: Particles, noi
     return np.asarray(bounds + least * np.eye(3))
 
 
-def _spots(model: ImageModel, particles: Particles, camera: int, variance: F64) -> ParticleSpots:
+def _spots(
+    model: ImageModel, particles: ModelParticles, camera: int, variance: F64
+) -> ParticleSpots:
     """Make the images of the particles in a camera, with the variance of its pixels.
 
     They are round ones of the same area, whose centres move so much more or less with the position

@@ -34,7 +34,7 @@ from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64
 
-WINDOW = 6  # frames that are searched together
+WINDOW_FRAMES = 6  # frames that are searched together
 _PASSES = 4  # the most
 _GROWTH = 1.1  # of the number of confirmed particles in a pass: after less comes the last pass
 _ERROR_PX = 0.25  # of positions where images overlap, far more than they claim
@@ -212,7 +212,7 @@ def _continue(tracks: KalmanTracks, frame: Finds) -> tuple[I64, I64]:
     return assign(i[good], j[good], cost[good], (len(tracks.number), len(frame.position)))
 
 
-class Votes(NamedTuple):
+class LinkVotes(NamedTuple):
     """Links between frames.
 
     Attributes
@@ -228,7 +228,7 @@ class Votes(NamedTuple):
     longest: float
 
 
-def collect_votes(position: Sequence[F64], times_s: Sequence[float]) -> Votes:
+def collect_votes(position: Sequence[F64], times_s: Sequence[float]) -> LinkVotes:
     """Link the particles (n, 3) of each frame to those of the next one."""
     votes = []
     for one, other, start, end in zip(position, position[1:], times_s, times_s[1:], strict=False):
@@ -239,10 +239,12 @@ def collect_votes(position: Sequence[F64], times_s: Sequence[float]) -> Votes:
         votes.append((middle, shift / (end - start), time))
     places, velocities, times = (np.concatenate(parts) for parts in zip(*votes, strict=True))
     between = np.diff(times_s)
-    return Votes(places, velocities, times, float(np.median(between)), float(between.max()))
+    return LinkVotes(places, velocities, times, float(np.median(between)), float(between.max()))
 
 
-def estimate_velocity(votes: Votes, position: F64, time: float, spacing: float) -> tuple[F64, F64]:
+def estimate_velocity(
+    votes: LinkVotes, position: F64, time: float, spacing: float
+) -> tuple[F64, F64]:
     """Estimate velocities (n, 3) at positions (n, 3), and their variances.
 
     Parameters

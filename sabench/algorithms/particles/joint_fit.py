@@ -136,7 +136,7 @@ def find_light(
             square = light * light * weight[c]
             slope[c] = square - light * signal[c] + pull
             bend[c, c] += max(2.0 * square - light * signal[c], 0.5 * square)
-        factorise(bend)
+        factorise_cholesky(bend)
         _substitute(bend, slope)
         largest = 0.0
         for c in range(cameras):
@@ -150,7 +150,7 @@ def find_light(
 
 
 @numba.njit(cache=True)
-def factorise(matrix: Any) -> None:
+def factorise_cholesky(matrix: Any) -> None:
     """Replace a positive definite matrix by its Cholesky factor."""
     for i in range(len(matrix)):
         for j in range(i + 1):
@@ -305,7 +305,7 @@ def _fits_already(model: Any, room: Any, light: Any) -> bool:
 
 
 @numba.njit(cache=True)
-def adjust(model: Any, room: Any, particles: Any, n: int) -> float:
+def fit_particle(model: Any, room: Any, particles: Any, n: int) -> float:
     """Fit a particle to the images less all others; returns the change of the cost.
 
     A step that raises the cost is not taken, nor one that hardly lowers it.
@@ -339,11 +339,11 @@ def adjust(model: Any, room: Any, particles: Any, n: int) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def refine(model: Any, room: Any, particles: Any, rows: Any) -> float:
+def fit_particles(model: Any, room: Any, particles: Any, rows: Any) -> float:
     """Fit particles (rows) one after the other; returns the change of the cost."""
     total = 0.0
     for n in rows:
-        total += adjust(model, room, particles, n)
+        total += fit_particle(model, room, particles, n)
     return total
 
 
@@ -373,7 +373,7 @@ def price(model: Any, room: Any, position: Any, light: Any) -> float:
             room.bend[c, k] = model.precision[c, k]
         room.bend[c, c] += light[c] * light[c] * room.sums[c, WEIGHT]
         _add_to_matrix(room.matrix, room.slope[c], room.sums[c], light[c])
-    factorise(room.bend)
+    factorise_cholesky(room.bend)
     known = 0.5 * (log_determinant(room.bend) - model.log_precision)
     determinant = solve_three(room.matrix, room.right, room.trial)
     known += 0.5 * math.log(max(determinant, 1e-300)) - 1.5 * math.log(2.0 * math.pi)

@@ -13,18 +13,18 @@ import numpy as np
 from sabench.algorithms.particles.all_particles import misfits, some_rows
 from sabench.algorithms.particles.claimed_errors import fit_line
 from sabench.algorithms.particles.image_model import (
-    MARGIN,
+    MARGIN_PX,
     MOST_FLAT,
     SHAPES,
     UNSEEN,
     XX,
     ImageModel,
-    Particles,
+    ModelParticles,
     counting,
     fill_image,
     is_plain,
     make_room,
-    place,
+    place_windows,
     sum_up,
 )
 from sabench.algorithms.particles.joint_fit import learn_covariance
@@ -287,7 +287,7 @@ def add_shape_misses(
     changes = np.zeros((SHAPES, room.window, room.window), dtype=np.float32)
     for n in rows:
         terms[1:] = particles.position[n]
-        place(model, room, particles.position[n])
+        place_windows(model, room, particles.position[n])
         for c in range(len(model.typical)):
             column, row = room.corner[c, 0], room.corner[c, 1]
             fill_image(model, room, c, image)
@@ -324,7 +324,7 @@ def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
     width is the second by its centre, times the width.
     """
     own, width = room.profiles[c], room.width[c]
-    higher, first = np.zeros((2, 4, room.window)), room.corner[c] - MARGIN
+    higher, first = np.zeros((2, 4, room.window)), room.corner[c] - MARGIN_PX
     for k in range(2):
         fill_derivatives(room.here[c, k], width[k], first[k], higher[k])
     across, down, plain = width[0] * width[0], width[1] * width[1], is_plain(model.shapes, c)
@@ -339,7 +339,7 @@ def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
             changes[3, i, j] = -(x4 * y + 2.0 * x2 * y2 + x * y4)
 
 
-def camera_misses(model: ImageModel, sigma: F64, particles: Particles) -> F64:
+def camera_misses(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Sum up (camera, 5) what each camera alone says of a common shift of its images.
 
     The columns are those of `add_camera_misses`.

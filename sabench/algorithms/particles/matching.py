@@ -27,7 +27,7 @@ from sabench.geometry.volume_polynomials import (
 )
 from sabench.images.dark_noise import FALSE_ALARMS
 from sabench.images.levels import bright_dn
-from sabench.images.peaks import Peaks, detect_peaks, find_near, keep_peaks
+from sabench.images.peaks import Peaks, detect_particle_peaks, find_near, keep_peaks
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.threads import Deadline
@@ -71,7 +71,7 @@ def detect_in_cameras(
     """
     good, black = case.repaired, case.black_dn
     return tuple(
-        detect_peaks(
+        detect_particle_peaks(
             grey,
             unknown,
             least_dn=black + floor * bright_dn(grey, black, unknown),
@@ -142,7 +142,7 @@ def triangulate_particles(
     peaks = detect_in_cameras(case, settings.floor, settings.false_alarms)
     peaks = _thin_out(case, maps, peaks, images, settings.reach_px)
     order = np.argsort(-heights(peaks[0], images[0]), kind="stable")
-    every = find_candidates(
+    every = find_peak_sets(
         maps, peaks, settings.reach_px, case.repaired.flaws.covered, order, deadline
     )
     if deadline.over:
@@ -191,7 +191,7 @@ def _brightest(heights: F32, share: float) -> I64:
     return np.sort(np.argsort(-heights, kind="stable")[:count])
 
 
-class Candidates(NamedTuple):
+class PeakSets(NamedTuple):
     """Sets of particle images that may be one particle's.
 
     Attributes
@@ -206,14 +206,14 @@ class Candidates(NamedTuple):
     error_px: F64
 
 
-def find_candidates(
+def find_peak_sets(
     maps: VolumePolynomials,
     peaks: tuple[Peaks, ...],
     reach_px: float,
     covered: Bool,
     order: I64 | None = None,
     deadline: Deadline | None = None,
-) -> Candidates:
+) -> PeakSets:
     """Find all sets of peaks that agree on a position within `reach_px`.
 
     Every camera that has the position on its sensor must show a peak there. At the deadline, the
@@ -237,20 +237,20 @@ def find_candidates(
         room = _empty(_ROOM * len(own), len(peaks))
         count = _follow(maps, peaks, reach_px, covered, along, steps, own, *room)
         found.append(select_rows(room, np.arange(count)))
-    return Candidates(
+    return PeakSets(
         np.concatenate([one.position for one in found]),
         np.concatenate([one.hit for one in found]),
         np.concatenate([one.error_px for one in found]),
     )
 
 
-def select_rows(found: Candidates, rows: I64) -> Candidates:
+def select_rows(found: PeakSets, rows: I64) -> PeakSets:
     """Copy some of the candidates."""
-    return Candidates(found.position[rows], found.hit[rows], found.error_px[rows])
+    return PeakSets(found.position[rows], found.hit[rows], found.error_px[rows])
 
 
-def _empty(count: int, cameras: int) -> Candidates:
-    return Candidates(
+def _empty(count: int, cameras: int) -> PeakSets:
+    return PeakSets(
         np.zeros((count, 3)), np.full((count, cameras), -1, dtype=np.int64), np.zeros(count)
     )
 
@@ -269,7 +269,7 @@ def count_by_chance(
     return float(line * np.prod(1.0 - np.exp(-density[1:] * np.pi * near**2)))
 
 
-def select_best(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
+def select_best(found: PeakSets, peaks: tuple[Peaks, ...]) -> I64:
     """Select candidates so that each peak belongs to one only.
 
     Complete sets come before others, and those that fit best first; returns rows.

@@ -22,19 +22,19 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
-    MARGIN,
+    MARGIN_PX,
     PULL,
     UNSEEN,
     WEIGHT,
     counting,
     fill_image,
     look,
-    place,
+    place_windows,
     put_in,
     sum_up,
     take_out,
 )
-from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
+from sabench.algorithms.particles.joint_fit import cost_of, fit_particle, price
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
@@ -118,7 +118,7 @@ def remove_ghosts(
                 break
             for j in neighbours:
                 if loss > least and particles.alive[j]:
-                    loss += adjust(model, room, particles, j)
+                    loss += fit_particle(model, room, particles, j)
         sure[n], odds[n] = loss > _SURE * without_best, loss - least
         if loss <= least:
             removed += 1
@@ -231,7 +231,7 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
     """
     for n in range(len(misfit)):
         squares, count = 0.0, 0
-        place(model, room, particles.position[n])
+        place_windows(model, room, particles.position[n])
         for c in range(len(model.typical)):
             left, weights, corner = model.left[c], model.weight[c], room.corner[c]
             for i in range(corner[1], corner[1] + room.window):
@@ -266,10 +266,10 @@ def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains
     bent, pull, square = np.zeros((2, size)), np.zeros((cameras, 3)), np.zeros((cameras, 3, 3))
     image = np.zeros((size, size), dtype=np.float32)
     for n in range(len(gains)):
-        place(model, room, particles.position[n])
+        place_windows(model, room, particles.position[n])
         for c in range(cameras):
             for k in range(2):
-                first = room.corner[c, k] - MARGIN
+                first = room.corner[c, k] - MARGIN_PX
                 fill_bend(room.here[c, k], room.width[c, k], first, bent[k])
             _match_bends(model, room, c, bent, image, pull[c], square[c])
         gains[n] = 0.0
@@ -344,7 +344,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
     steps : (k, 3) half distances of the two, in the box's coordinates, that are tried.
     """
     cameras = particles.light.shape[1]
-    place, own, places, lights = (
+    middle, own, places, lights = (
         np.zeros(3),
         np.zeros(cameras),
         np.zeros((2, 3)),
@@ -352,7 +352,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
     )
     for n in order:
         count = spare[n]
-        place[:], own[:] = particles.position[n], particles.light[n]
+        middle[:], own[:] = particles.position[n], particles.light[n]
         best = 0.0
         for s in range(len(steps)):
             cost = _try_split(model, room, particles, n, count, steps[s])
@@ -362,10 +362,10 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
                 lights[0], lights[1] = particles.light[n], particles.light[count]
             take_out(model, room, particles.position[n], particles.light[n])
             take_out(model, room, particles.position[count], particles.light[count])
-            particles.position[n], particles.light[n] = place, own
-            put_in(model, room, place, own)
+            particles.position[n], particles.light[n] = middle, own
+            put_in(model, room, middle, own)
         if best < 0.0 and _are_apart(model, room, places):
-            take_out(model, room, place, own)
+            take_out(model, room, middle, own)
             for k in range(2):
                 put_in(model, room, places[k], lights[k])
             dearer = max(
@@ -378,7 +378,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
             else:
                 for k in range(2):
                     take_out(model, room, places[k], lights[k])
-                put_in(model, room, place, own)
+                put_in(model, room, middle, own)
 
 
 @numba.njit(cache=True)
@@ -418,8 +418,8 @@ def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: An
         cost += cost_of(model, room, particles.light[k])
         put_in(model, room, particles.position[k], particles.light[k])
     for fit in range(_SETTLE):
-        cost += adjust(model, room, particles, n)
-        cost += adjust(model, room, particles, new)
+        cost += fit_particle(model, room, particles, n)
+        cost += fit_particle(model, room, particles, new)
         if fit == _DOUBTFUL and cost > 0.0:
             break
     return float(cost)

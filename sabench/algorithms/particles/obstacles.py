@@ -24,7 +24,7 @@ import numpy as np
 
 from sabench.algorithms.particles.all_particles import earnings, paint_particles
 from sabench.algorithms.particles.candidate_search import shared_views
-from sabench.algorithms.particles.image_model import Particles, without_margins
+from sabench.algorithms.particles.image_model import ModelParticles, without_margins
 from sabench.algorithms.particles.joint_fit import scatter_between
 from sabench.algorithms.particles.particle_search import MOST_TILT, ParticleSearch
 from sabench.images.background import ClearImages
@@ -50,7 +50,7 @@ _SCATTER, _LITTLE = 0.7, 0.03  # of light between cameras; with less left, it is
 _CLEAR = 6.0  # standard deviations of noise: light
 _WORST = 2.0  # times the median camera's: what a camera leaves that contradicts the others
 
-Cameras = tuple[int, ...]
+_Cameras = tuple[int, ...]
 
 
 def find_dark_views(search: ParticleSearch, clear: ClearImages, shares: F64) -> Bool:
@@ -122,7 +122,7 @@ def _expected_images(search: ParticleSearch) -> F32:
     model = search.model()
     blank = model._replace(left=np.zeros_like(model.left))
     alive = np.ones(len(light), dtype=np.bool_)
-    paint_particles(blank, search.widest, Particles(search.position, light, alive), 1.0)
+    paint_particles(blank, search.widest, ModelParticles(search.position, light, alive), 1.0)
     expected: F32 = without_margins(blank.left)
     return expected
 
@@ -164,7 +164,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
     from its images. Returns one search for the particles that the same cameras see.
     """
     found: list[ParticleSearch] = []
-    hidden: dict[Cameras, int] = {(): 1}  # how many particles sets of cameras hide
+    hidden: dict[_Cameras, int] = {(): 1}  # how many particles sets of cameras hide
     number = len(search.typical)
     most = min((number + 1) // 3, number - _FEWEST, _DEEPEST)
     for _ in range(most):
@@ -190,12 +190,12 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
     return found
 
 
-def _promising(number: int, before: dict[Cameras, int]) -> list[Cameras]:
+def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
     """List sets of cameras that contain one which hides particles.
 
     Those come first whose smaller sets hide most; no more than can be tried.
     """
-    promise: dict[Cameras, int] = {}
+    promise: dict[_Cameras, int] = {}
     for smaller, many in before.items():
         for camera in set(range(number)).difference(smaller):
             blind = tuple(sorted((*smaller, camera)))
@@ -203,14 +203,14 @@ def _promising(number: int, before: dict[Cameras, int]) -> list[Cameras]:
     return sorted(promise, key=lambda blind: (-promise[blind], blind))[:_TRIED]
 
 
-def _take_denied(search: ParticleSearch, most: int) -> dict[Cameras, tuple[F64, F64]]:
+def _take_denied(search: ParticleSearch, most: int) -> dict[_Cameras, tuple[F64, F64]]:
     """Take out particles that up to `most` cameras deny.
 
     Returns positions (n, 3) and light (n, camera) of those that the same cameras deny.
     """
     denied = earnings(search.model(), search.widest, search.particles()) < _DENIED
     count = denied.sum(axis=1)
-    rows: dict[Cameras, list[int]] = {}
+    rows: dict[_Cameras, list[int]] = {}
     for n in np.flatnonzero((count > 0) & (count <= most)).tolist():
         rows.setdefault(tuple(np.flatnonzero(denied[n]).tolist()), []).append(n)
     out = {blind: (search.position[own], search.light[own]) for blind, own in rows.items()}
@@ -218,7 +218,7 @@ def _take_denied(search: ParticleSearch, most: int) -> dict[Cameras, tuple[F64, 
     return out
 
 
-def _without(search: ParticleSearch, blind: Cameras) -> ParticleSearch:
+def _without(search: ParticleSearch, blind: _Cameras) -> ParticleSearch:
     """Make a search without particles of what is left in all cameras but some."""
     part = copy.copy(search)
     seeing = np.setdiff1d(np.arange(len(search.typical)), blind)

@@ -32,7 +32,7 @@ from sabench.algorithms.particles.image_model import (
     MOST_FLAT,
     SHAPES,
     ImageModel,
-    Particles,
+    ModelParticles,
     Room,
     fill_weights,
     make_room,
@@ -41,7 +41,7 @@ from sabench.algorithms.particles.image_model import (
 )
 from sabench.algorithms.particles.joint_fit import (
     even_covariance,
-    refine,
+    fit_particles,
     scatter_between,
     start_light,
 )
@@ -273,9 +273,11 @@ class ParticleSearch:
             math.log(self.number / _BOX),
         )
 
-    def particles(self) -> Particles:
+    def particles(self) -> ModelParticles:
         """Make the kernels' view of the particles, all alive."""
-        return Particles(self.position, self.light, np.ones(len(self.position), dtype=np.bool_))
+        return ModelParticles(
+            self.position, self.light, np.ones(len(self.position), dtype=np.bool_)
+        )
 
     def squares_left(self) -> F64:
         """Sum up the squares (camera,) of what is left of the images, over the variance."""
@@ -327,7 +329,7 @@ class ParticleSearch:
 
     def keep(self, good: Bool) -> None:
         """Drop the other particles, and give their light back."""
-        dropped = Particles(self.position[~good], self.light[~good], ~good[~good])
+        dropped = ModelParticles(self.position[~good], self.light[~good], ~good[~good])
         paint_particles(self.model(), self.widest, dropped, 1.0)
         self.select(good)
 
@@ -356,7 +358,7 @@ class ParticleSearch:
         turns = self._turns(rows, portions=1)
 
         def fit(some: I64) -> None:
-            changes.append(refine(model, self.room, particles, some))
+            changes.append(fit_particles(model, self.room, particles, some))
 
         for _ in range(rounds):
             changes.clear()

@@ -33,7 +33,7 @@ from sabench.algorithms.particles.candidate_search import (
 )
 from sabench.algorithms.particles.dense_start import (
     CONFIRMED,
-    WINDOW,
+    WINDOW_FRAMES,
     are_mostly_wrong,
     search_window,
 )
@@ -145,7 +145,7 @@ class _Tracker:
         """Find the particles of the next frame, or hold it; so many others are coming."""
         if self.held:
             self.held.append((case, time))
-            if len(self.held) == WINDOW or not coming:
+            if len(self.held) == WINDOW_FRAMES or not coming:
                 self._begin_together()
         elif self.search is not None and self.tracks is not None and len(self.tracks.number):
             self._follow(case, time, self.tracks, self.search)

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 from scipy.stats import multivariate_normal
 
-from sabench.algorithms.particles.image_model import MARGIN, make_room
+from sabench.algorithms.particles.image_model import MARGIN_PX, make_room
 from sabench.images.peaks import find_peaks
 from sabench.images.widths import dark_noise, image_widths, measure_images
 from sabench.utils.arrays import F64
@@ -122,7 +122,7 @@ def test_windows_of_long_streaks_fit_in_the_margins() -> None:
         shown += 40.0 * y.T @ x
     found = measure_images(shown[None], np.ones((1, ROWS, COLUMNS), dtype=bool))
     assert found.tilt[0] > 0.7
-    assert make_room(1.3 * found.sigma).profiles.shape[2] <= MARGIN
+    assert make_room(1.3 * found.sigma).profiles.shape[2] <= MARGIN_PX
 
 
 @pytest.mark.parametrize("per_pixel", [0.05, 0.5])

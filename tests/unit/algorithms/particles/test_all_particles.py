@@ -19,8 +19,8 @@ from sabench.algorithms.particles.all_particles import (
     split_gains,
 )
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.image_model import ImageModel, Particles, paint_all
-from sabench.algorithms.particles.joint_fit import refine
+from sabench.algorithms.particles.image_model import ImageModel, ModelParticles, paint_all
+from sabench.algorithms.particles.joint_fit import fit_particles
 from sabench.algorithms.particles.learned_model import add_camera_misses, camera_misses
 from sabench.algorithms.particles.model_moves import find_neighbours, measure_misfit
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
@@ -37,7 +37,7 @@ COUNT, SIGMAS = 120, np.tile(np.array(SIGMA), (4, 1))
 MOST = numba.config.NUMBA_NUM_THREADS
 
 
-def case(maps: VolumePolynomials) -> tuple[ImageModel, Particles]:
+def case(maps: VolumePolynomials) -> tuple[ImageModel, ModelParticles]:
     """A model of noisy images, and particles that are a little off."""
     rng = np.random.default_rng(2)
     points = unit_points(COUNT)
@@ -145,7 +145,9 @@ def fitted(maps: VolumePolynomials, points: F64, turns: list[list[I64]], threads
     before = numba.get_num_threads()
     numba.set_num_threads(threads)
     try:
-        side_by_side(lambda rows: refine(model, room_of(maps), particles, rows) and None, 3 * turns)
+        side_by_side(
+            lambda rows: fit_particles(model, room_of(maps), particles, rows) and None, 3 * turns
+        )
     finally:
         numba.set_num_threads(before)
     return [particles.position, particles.light, model.left.astype(np.float64)]

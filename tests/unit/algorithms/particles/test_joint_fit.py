@@ -13,18 +13,18 @@ from scipy.optimize import minimize
 
 from sabench.algorithms.particles.image_model import (
     ImageModel,
-    Particles,
+    ModelParticles,
     look,
     paint_all,
     without_margins,
 )
 from sabench.algorithms.particles.joint_fit import (
-    adjust,
     cost_of,
     even_covariance,
-    factorise,
+    factorise_cholesky,
     fill_inverse_diagonal,
     find_light,
+    fit_particle,
     guess_light,
     learn_covariance,
     light_cost,
@@ -65,7 +65,7 @@ COUNT = 30
 LIGHT = TYPICAL * np.exp(0.3 * RNG.standard_normal((COUNT, 1)) + 0.1 * RNG.standard_normal((30, 4)))
 
 
-def whole_cost(model: ImageModel, particles: Particles, images: F64) -> float:
+def whole_cost(model: ImageModel, particles: ModelParticles, images: F64) -> float:
     """Minus the logarithm of the probability of images and lights, from its definition."""
     left = images - paint(model.maps, particles.position, particles.light, ROWS, COLUMNS)
     logs = np.log(particles.light / model.typical)
@@ -81,7 +81,7 @@ def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) 
     particles = particles_of(points + 0.004 * RNG.standard_normal(points.shape), LIGHT)
     paint_all(model, room, particles, -1.0)
     before = whole_cost(model, particles, images)
-    changes = [adjust(model, room, particles, n) for n in range(COUNT)]
+    changes = [fit_particle(model, room, particles, n) for n in range(COUNT)]
     assert max(changes) <= 0.0
     after = whole_cost(model, particles, images)
     assert sum(changes) == pytest.approx(after - before, rel=1e-3)
@@ -245,7 +245,7 @@ def test_scatter_between_cameras_leaves_out_what_they_share() -> None:
 def test_factors_give_the_determinant() -> None:
     matrix = even_covariance(6, 0.3, 0.4)
     factor = matrix.copy()
-    factorise(factor)
+    factorise_cholesky(factor)
     assert log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
     np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
 
@@ -254,6 +254,6 @@ def test_the_inverse_of_a_factorised_matrix_has_this_diagonal() -> None:
     matrix = np.random.default_rng(6).standard_normal((5, 5))
     matrix = matrix @ matrix.T + np.eye(5)
     factor, diagonal = matrix.copy(), np.zeros(5)
-    factorise(factor)
+    factorise_cholesky(factor)
     fill_inverse_diagonal(factor, diagonal, np.zeros(5))
     np.testing.assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))

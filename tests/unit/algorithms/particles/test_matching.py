@@ -15,10 +15,10 @@ import pytest
 from sabench.algorithms.calibration.disparity import match, pair_up
 from sabench.algorithms.particles import matching as module
 from sabench.algorithms.particles.matching import (
-    Candidates,
+    PeakSets,
     TriangulationSettings,
     count_by_chance,
-    find_candidates,
+    find_peak_sets,
     fit_cameras,
     move_to_pixel,
     select_best,
@@ -120,7 +120,7 @@ def open_sensors(cameras: int) -> Bool:
 def test_all_particles_are_found_where_they_are(maps: VolumePolynomials, cameras: int) -> None:
     points = unit_points(30)
     peaks = peaks_of(images_of(points, maps, cameras))
-    found = find_candidates(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
+    found = find_peak_sets(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
     assert distances(found.position, points, maps).max() < 2e-3
     assert found.error_px.max() < 0.1
     best = select_best(found, peaks)
@@ -133,7 +133,7 @@ def test_a_single_particle_is_found_by_all_cameras(maps: VolumePolynomials) -> N
     point = np.array([[0.2, -0.4, 0.9]])
     for cameras in (3, 4):
         peaks = peaks_of(images_of(point, maps, cameras))
-        found = find_candidates(first(maps, cameras), peaks, 0.5, open_sensors(cameras))
+        found = find_peak_sets(first(maps, cameras), peaks, 0.5, open_sensors(cameras))
         assert found.hit.tolist() == [[0] * cameras]
         assert distances(found.position, point, maps)[0] < 2e-3
 
@@ -148,7 +148,7 @@ def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
     covered = open_sensors(4)
     covered[2, row, column] = True
     strict, tolerant = (
-        find_candidates(maps, peaks, 0.1, area) for area in (open_sensors(4), covered)
+        find_peak_sets(maps, peaks, 0.1, area) for area in (open_sensors(4), covered)
     )
     assert distances(strict.position, points, maps)[0] > 0.1
     assert distances(strict.position, points[1:], maps).max() < 2e-3
@@ -156,7 +156,7 @@ def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
     lost = np.argmin(np.linalg.norm(tolerant.position - points[0], axis=1))
     assert np.flatnonzero(tolerant.hit[lost] < 0).tolist() == [2]
     # a sensor that ends before the particle's image misses nothing
-    cut = find_candidates(maps, peaks, 0.1, open_sensors(4)[:, :, : int(pixels[2][0, 0])])
+    cut = find_peak_sets(maps, peaks, 0.1, open_sensors(4)[:, :, : int(pixels[2][0, 0])])
     assert distances(cut.position, points[:1], maps)[0] < 2e-3
 
 
@@ -164,7 +164,7 @@ def test_each_peak_goes_to_the_complete_set_that_fits_best() -> None:
     hit = np.array([[0, 0, 0], [0, 1, 1], [1, 1, -1], [1, 2, 2], [2, 0, -1]])
     error = np.array([0.3, 0.1, 0.0, 0.2, 0.0])
     peaks = tuple(Peaks(np.zeros((3, 2)), np.zeros(2, dtype=np.int64), 1, 1) for _ in range(3))
-    kept = select_best(Candidates(np.zeros((5, 3)), hit, error), peaks)
+    kept = select_best(PeakSets(np.zeros((5, 3)), hit, error), peaks)
     assert kept.tolist() == [1, 3, 4]
 
 
@@ -244,7 +244,7 @@ def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_de
     points = np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)])
     for point in points:
         peaks = peaks_of(tuple(project_points(maps, number, point[None]) for number in range(3)))
-        found = find_candidates(maps, peaks, 0.5, open_sensors(3))
+        found = find_peak_sets(maps, peaks, 0.5, open_sensors(3))
         assert len(found.position) == 1
         np.testing.assert_allclose(found.position[0], point, atol=1e-6)
 
@@ -321,7 +321,7 @@ def test_the_number_of_sets_by_chance_is_about_right() -> None:
         for _ in case.cameras
     )
     covered = np.zeros(case.images.shape, dtype=np.bool_)
-    found = find_candidates(maps, peaks, 0.8, covered)
+    found = find_peak_sets(maps, peaks, 0.8, covered)
     expected = count_by_chance(maps, peaks, 0.8, rows * columns)
     assert 0.2 < len(found.position) / 400.0 / expected < 1.5
 

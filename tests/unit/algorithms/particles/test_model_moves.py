@@ -12,7 +12,7 @@ from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.image_model import (
     SHAPES,
     ImageModel,
-    Particles,
+    ModelParticles,
     paint_all,
     without_margins,
 )
@@ -95,7 +95,7 @@ def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(
     assert sure.tolist() == [True] * 4 + [False]
     assert (odds > 10.0).tolist() == [True] * 4 + [False]
     assert particles.alive.tolist() == [True] * 4 + [False]
-    kept = Particles(particles.position[:4], particles.light[:4], particles.alive[:4])
+    kept = ModelParticles(particles.position[:4], particles.light[:4], particles.alive[:4])
     refine_all(model, room, kept, 10)
     assert np.abs(kept.light / light - 1.0).max() < 0.1
 
@@ -239,7 +239,7 @@ def test_a_shift_of_a_camera_shows_in_its_equations(maps: VolumePolynomials) -> 
         np.testing.assert_allclose(shift, expected, atol=3e-3)
 
 
-def gains_of(model: ImageModel, maps: VolumePolynomials, particles: Particles) -> F64:
+def gains_of(model: ImageModel, maps: VolumePolynomials, particles: ModelParticles) -> F64:
     """Gains that splits along the axes promise each particle that is in the model."""
     steps = 0.7 * pixel_mm(maps) / maps.half_mm * np.diag([1.0, 1.0, 3.0])
     gains = np.zeros(len(particles.position))
@@ -323,8 +323,8 @@ def test_two_particles_that_look_like_one_are_split(
     images = noisy(maps, pair, np.full((2, 4), TYPICAL))
     model, room = model_of(maps, images), room_of(maps)
     rows, lights = np.zeros((2, 3)), np.full((2, 4), 2.0 * TYPICAL)
-    particles = Particles(rows, lights, np.array([True, False]))
-    single = Particles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
+    particles = ModelParticles(rows, lights, np.array([True, False]))
+    single = ModelParticles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
     paint_all(model, room, single, -1.0)
     refine_all(model, room, single, 10)
     steps = 0.7 * size * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
@@ -342,7 +342,7 @@ def test_two_particles_that_look_like_one_are_split(
 def test_a_single_particle_is_not_split(maps: VolumePolynomials) -> None:
     point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
     model, room = model_of(maps, noisy(maps, point, light)), room_of(maps)
-    particles = Particles(np.zeros((2, 3)), np.full((2, 4), TYPICAL), np.array([True, False]))
+    particles = ModelParticles(np.zeros((2, 3)), np.full((2, 4), TYPICAL), np.array([True, False]))
     paint_all(model, room, particles_of(point, light), -1.0)
     left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
     steps = 0.7 * size * np.eye(3)
@@ -360,8 +360,8 @@ def test_a_wide_particle_is_not_split(maps: VolumePolynomials) -> None:
     images = noisy(maps, pair, np.full((2, 4), 50.0 * TYPICAL))
     model, room = model_of(maps, images), room_of(maps)
     light = np.full((2, 4), 100.0 * TYPICAL)
-    particles = Particles(np.zeros((2, 3)), light, np.array([True, False]))
-    single = Particles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
+    particles = ModelParticles(np.zeros((2, 3)), light, np.array([True, False]))
+    single = ModelParticles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
     paint_all(model, room, single, -1.0)
     order = np.zeros(1, dtype=np.int64)
     steps = 0.15 * size * np.ones((1, 3))
