@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from sabench.images.flaws import Flaws
-from sabench.images.widths import dark_noise, measure_images
+from sabench.images.widths import measure_images, noise_below_black
 from sabench.utils.arrays import F32, I64, Bool
 from sabench.utils.compiled import numba
 
@@ -112,7 +112,7 @@ def find_patches(image: F32, known: Bool) -> F32:
     The result (row, column) is by how much, and 0 elsewhere. Particles that leave few pixels dark
     are less even than a patch, and where they leave none, no dimmer elsewhere.
     """
-    noise = dark_noise(image[known])
+    noise = noise_below_black(image[known])
     dark = known & (image <= (_RAISED - _BELOW) * noise)
     if min(image.shape) < _PATCH:
         return np.zeros_like(image)

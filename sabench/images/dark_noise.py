@@ -4,6 +4,12 @@ Between particles an image shows its dark level and noise. Both may differ from 
 distribution of grey values in a tile is compared with a normal one, quantile by quantile (M. B.
 Wilk and R. Gnanadesikan, Biometrika 55, 1-17, 1968), at the borders between whole grey values: it
 may so be rounded, and cut at black. Its skewness, that of few photons, comes from all tiles.
+
+Other modules measure one noise of an image, faster and coarser, and with other digits, on which
+thresholds rest: `repair.above_background` (median distance to the median of 3 x 3 pixels),
+`statistics.image_noise` (the same of the darker half, to fractions of a grey value),
+`widths.noise_below_black` (values below black, where the background is subtracted), and
+`interop.image_statistics.background_noise` (median distance of dark pixels to the median).
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """Peaks of images to fractions of a pixel, also those above the noise alone.
 
-The module also has a quick search for peaks near a pixel.
+The module also has a quick search for peaks near a pixel. Maxima of volumes are found elsewhere,
+since they break ties in other ways: `metrics.local_maxima` joins plateaus, the lattice of
+`particles.candidate_search` keeps the first of equal points.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
         tilt.append(tilted)
         flat.append(flattened)
         light.append(own)
-        noise.append(dark_noise(image[there]))
+        noise.append(noise_below_black(image[there]))
         shown.append(clear)
         if clear:
             number.append(max(float(image[there].sum()) / own, 1.0))
@@ -126,7 +126,7 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
     )
 
 
-def dark_noise(values: F64 | F32) -> float:
+def noise_below_black(values: F64 | F32) -> float:
     """Estimate the standard deviation of dark pixels from the values below black."""
     below = values[values < 0.0]
     return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, _LEAST_NOISE)
@@ -142,7 +142,7 @@ def _without_brightest(image: F64, known: Bool) -> Bool:
     squares = np.where(known, image, 0.0) ** 2
     inside = cv2.boxFilter(squares, -1, (_BLOB, _BLOB), normalize=False)
     rest: Bool = known & (inside <= _OUTSHINES * squares.sum())
-    left = _peaks(np.where(rest, image, 0.0), dark_noise(image[known])).sum()
+    left = _peaks(np.where(rest, image, 0.0), noise_below_black(image[known])).sum()
     return known if left < _FEW_PEAKS else rest
 
 
@@ -177,7 +177,7 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     mean = float(light.sum() / max(count.sum(), 1.0))
     own = 0.5 * sum(at_zero) * area
     own = own / mean if mean > 0.0 else math.inf
-    own = min(own, _OVER_PEAKS * _light_of_peaks(light, dark_noise(image[known])))
+    own = min(own, _OVER_PEAKS * _light_of_peaks(light, noise_below_black(image[known])))
     widths = math.sqrt(squares[0] - PIXEL), math.sqrt(squares[1] - PIXEL)
     values = image[known]
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0

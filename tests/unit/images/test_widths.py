@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.image_model import MARGIN_PX, make_room
 from sabench.images.peaks import find_peaks
-from sabench.images.widths import dark_noise, image_widths, measure_images
+from sabench.images.widths import image_widths, measure_images, noise_below_black
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import profile
 
@@ -153,8 +153,8 @@ def test_unknown_pixels_do_not_count() -> None:
 
 def test_dark_noise_comes_from_below_black_and_light_does_not_change_it() -> None:
     images = image(0.02, (0.7, 0.7), 6)
-    assert dark_noise(images) == pytest.approx(2.0, rel=0.05)
-    assert dark_noise(np.abs(images)) == 0.5  # values cut at black: of rounding
+    assert noise_below_black(images) == pytest.approx(2.0, rel=0.05)
+    assert noise_below_black(np.abs(images)) == 0.5  # values cut at black: of rounding
 
 
 def test_images_of_noise_or_of_nothing_have_finite_statistics() -> None:
