@@ -16,7 +16,7 @@ settings were chosen. Parts:
     alignment       cameras stay where their calibration says
     widths          images are as wide everywhere as statistics of pixels say
     background      no background is taken away, no bright spot covered, no area hidden
-    best camera     what a particle earns in its best camera counts
+    best camera     what a particle gains in its best camera counts
 
 Prints one line a measurement, and writes one JSON value: case, part, and for each seed recall and
 ghosts in percent of the true particles, F1, the RMS distance in the images, and CPU seconds. What

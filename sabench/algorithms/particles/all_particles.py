@@ -34,7 +34,7 @@ from sabench.algorithms.particles.image_model import (
 )
 from sabench.algorithms.particles.joint_fit import factorise_cholesky, fill_inverse_diagonal
 from sabench.algorithms.particles.model_moves import (
-    measure_earnings,
+    measure_light_gains,
     measure_misfit,
     measure_split_gains,
 )
@@ -220,12 +220,12 @@ def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps:
     return out
 
 
-def earnings(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
+def light_gains(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Measure how much cost particles' light saves in each camera (n, camera)."""
     out = np.zeros(particles.light.shape)
 
     def measure(rows: slice) -> None:
-        measure_earnings(model, make_room(sigma), some_rows(particles, rows), out[rows])
+        measure_light_gains(model, make_room(sigma), some_rows(particles, rows), out[rows])
 
     share_rows(measure, len(out))
     return out

@@ -1,10 +1,11 @@
 """Particles of one frame as the most probable explanation of the images.
 
 Iterative particle reconstruction (B. Wieneke, Meas. Sci. Technol. 24, 024008, 2013) with a
-probability in place of its thresholds. A particle has a place, light with a prior that is learned
-from the images, and a price. First all candidates share the light, and the darkest go, slowly. Then
-particles that do not earn their price go, others are found in what is left, and pairs that look
-like one are split. Widths, light, noise and shifts of the cameras come from the images.
+probability in place of its thresholds. A particle has a position, light with a prior that is
+learned from the images, and a penalty. First all candidates share the light, and the darkest go,
+slowly. Then particles that gain less than their penalty go, others are found in what is left, and
+pairs that look like one are split. Widths, light, noise and shifts of the cameras come from the
+images.
 """
 
 from __future__ import annotations
@@ -148,7 +149,7 @@ def _flatten(search: ParticleSearch) -> None:
     """Take images for as flat as they were measured, where less of them is left then.
 
     All particles are tried again: those that are halves of one whose images were taken for
-    Gaussians earn nothing now.
+    Gaussians gain nothing now.
     """
     plain, before = search.shapes.copy(), search.squares_left()
     search.flatten()
@@ -241,7 +242,7 @@ def _put_known(search: ParticleSearch, known: Known) -> None:
 
 
 def split_and_find(search: ParticleSearch) -> int:
-    """Try to split particles, add what is left, and remove what does not earn.
+    """Try to split particles, add what is left, and remove what gains too little.
 
     Returns how many were added.
     """

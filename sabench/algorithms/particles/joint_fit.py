@@ -2,8 +2,8 @@
 
 A particle takes a Gauss-Newton step against the images less all others, its light is the most
 probable one under its prior, and the step counts only if the cost falls. The cost is minus the
-logarithm of the probability of images and lights. What a particle must earn to exist is its price:
-the other side of the same probability, by Laplace's approximation.
+logarithm of the probability of images and lights. What a particle must gain to be kept is its
+penalty: the other side of the same probability, by Laplace's approximation.
 
 The prior of light: the logarithms of a particle's light over a typical particle's follow a normal
 distribution of all cameras. Particles differ (their size), and each differs between cameras (its
@@ -359,8 +359,8 @@ def start_light(model: Any, room: Any, particles: Any, rows: Any) -> None:
 
 
 @numba.njit(cache=True)
-def price(model: Any, room: Any, position: Any, light: Any) -> float:
-    """Compute what a particle must earn to be probable, in units of the cost.
+def penalty(model: Any, room: Any, position: Any, light: Any) -> float:
+    """Compute what a particle must gain to be probable, in units of the cost.
 
     It is minus the logarithm of the particles expected in the volume that its place is known to,
     and of how much narrower the images make its light than the prior: the better they tell both,

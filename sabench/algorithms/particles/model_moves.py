@@ -2,7 +2,7 @@
 
 A ghost shares the light of true particles' images with them. It fits as well as they do, but when
 it is taken out, its neighbours fit as well without it. So every particle is taken out for trial,
-its neighbours are fitted again, and it comes back only if its absence costs more than its price.
+its neighbours are fitted again, and it comes back only if its absence costs more than its penalty.
 
 Two particles closer than two pixels look like one. Whether one is two is first asked of what is
 left of the images, by the score test of C. R. Rao (Proc. Camb. Phil. Soc. 44, 50-57, 1948): halves
@@ -34,7 +34,7 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
     take_out,
 )
-from sabench.algorithms.particles.joint_fit import cost_of, fit_particle, price
+from sabench.algorithms.particles.joint_fit import cost_of, fit_particle, penalty
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
@@ -44,8 +44,8 @@ from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera
-_SURE = 4.0  # prices that a particle earns which is not tried again
-_CERTAIN = 2.0  # prices that it earns alone, without a trial
+_SURE = 4.0  # times its penalty: a particle that gains so much is not tried again
+_CERTAIN = 2.0  # times its penalty: gained alone, it needs no trial
 _SHARED = 0.1  # of a particle's light in a pixel: more from others, and they may take it over
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
@@ -84,20 +84,20 @@ def remove_ghosts(
     order : rows, in the order of the trials.
     starts, near : from `find_neighbours`.
     fits : rounds of fitting the neighbours without a particle.
-    lone : whether what a particle earns in the camera where it earns most does not count: light in
+    lone : whether what a particle gains in the camera where it gains most does not count: light in
         one camera alone is no particle.
-    sure : (n,) set for the rows of `order`: whether a particle earns several times its price
+    sure : (n,) set for the rows of `order`: whether a particle gains several times its penalty
         without that camera.
-    odds : (n,) set for the same rows: what it earns less its price, the logarithm of the odds that
-        it is real; trials end where they are high enough.
+    odds : (n,) set for the same rows: what it gains less its penalty, the logarithm of the odds
+        that it is real; trials end where they are high enough.
     """
     cameras = particles.light.shape[1]
     positions, lights = np.zeros((_NEIGHBOURS, 3)), np.zeros((_NEIGHBOURS, cameras))
     image, removed = np.zeros((room.window, room.window), dtype=np.float32), 0
     for n in order:
         position, light = particles.position[n], particles.light[n]
-        least = price(model, room, position, light)
-        alone = _earned_alone(model, room, light, image)
+        least = penalty(model, room, position, light)
+        alone = _gain_alone(model, room, light, image)
         if alone > _CERTAIN * least:
             sure[n], odds[n] = True, alone - least
             continue
@@ -143,8 +143,8 @@ def _put_back(
 
 
 @numba.njit(cache=True)
-def _earned_alone(model: Any, room: Any, light: Any, image: Any) -> float:
-    """Compute the least that a particle earns, where `price` was just asked for.
+def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
+    """Compute the least that a particle gains, after `penalty`.
 
     That is in pixels where others leave hardly any light, so that none of them can take over its
     own; without the camera in which this is most, and less the cost of its light's prior.
@@ -154,7 +154,7 @@ def _earned_alone(model: Any, room: Any, light: Any, image: Any) -> float:
         room.logs[c] = math.log(light[c] / model.typical[c])
     for c in range(len(light)):
         fill_image(model, room, c, image)
-        earned = _earned_in(
+        gained = _gain_in(
             model.images[c],
             model.left[c],
             model.weight[c],
@@ -162,21 +162,21 @@ def _earned_alone(model: Any, room: Any, light: Any, image: Any) -> float:
             room.corner[c],
             light[c],
         )
-        most, total = max(most, earned), total + max(earned, 0.0)
+        most, total = max(most, gained), total + max(gained, 0.0)
         for k in range(len(light)):
             prior += 0.5 * room.logs[c] * model.precision[c, k] * room.logs[k]
     return float(total - most - prior)
 
 
 @numba.njit(cache=True)
-def _earned_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light: float) -> float:
-    earned = 0.0
+def _gain_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light: float) -> float:
+    gained = 0.0
     for i in range(len(share)):
         for j in range(len(share)):
             row, column, own = corner[1] + i, corner[0] + j, light * share[i, j]
             if image[row, column] - left[row, column] - own <= _SHARED * own:
-                earned += _saved(weights[row, column], left[row, column], own)
-    return earned
+                gained += _saved(weights[row, column], left[row, column], own)
+    return gained
 
 
 @numba.njit(cache=True)
@@ -215,11 +215,11 @@ def _count_meetings(
 
 @numba.njit(cache=True)
 def _largest_share(room: Any, light: Any) -> float:
-    """Compute the share of a particle's earnings, after `look`, in its best camera."""
+    """Compute the share of a particle's gains, after `look`, in its best camera."""
     most, total = 0.0, 1e-300
     for c in range(len(light)):
-        earned = max(light[c] * (room.signal[c] - 0.5 * light[c] * room.weight[c]), 0.0)
-        most, total = max(most, earned), total + earned
+        gained = max(light[c] * (room.signal[c] - 0.5 * light[c] * room.weight[c]), 0.0)
+        most, total = max(most, gained), total + gained
     return float(most / total)
 
 
@@ -243,16 +243,16 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def measure_earnings(model: Any, room: Any, particles: Any, earned: Any) -> None:
+def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> None:
     """Fill in (n, camera) how much cost a particle's light saves in each camera.
 
     It is negative where a camera does not show the particle.
     """
-    for n in range(len(earned)):
+    for n in range(len(gained)):
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
             light = particles.light[n, c]
-            earned[n, c] = light * (room.sums[c, PULL] + 0.5 * light * room.sums[c, WEIGHT])
+            gained[n, c] = light * (room.sums[c, PULL] + 0.5 * light * room.sums[c, WEIGHT])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -368,10 +368,11 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
             take_out(model, room, middle, own)
             for k in range(2):
                 put_in(model, room, places[k], lights[k])
-            dearer = max(
-                price(model, room, places[0], lights[0]), price(model, room, places[1], lights[1])
+            larger = max(
+                penalty(model, room, places[0], lights[0]),
+                penalty(model, room, places[1], lights[1]),
             )
-            if best + dearer < 0.0:
+            if best + larger < 0.0:
                 particles.position[n], particles.light[n] = places[0], lights[0]
                 particles.position[count], particles.light[count] = places[1], lights[1]
                 particles.alive[count] = True

@@ -22,7 +22,7 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from sabench.algorithms.particles.all_particles import earnings, paint_particles
+from sabench.algorithms.particles.all_particles import light_gains, paint_particles
 from sabench.algorithms.particles.candidate_search import shared_views
 from sabench.algorithms.particles.image_model import ModelParticles, without_margins
 from sabench.algorithms.particles.joint_fit import scatter_between
@@ -208,7 +208,7 @@ def _take_denied(search: ParticleSearch, most: int) -> dict[_Cameras, tuple[F64,
 
     Returns positions (n, 3) and light (n, camera) of those that the same cameras deny.
     """
-    denied = earnings(search.model(), search.widest, search.particles()) < _DENIED
+    denied = light_gains(search.model(), search.widest, search.particles()) < _DENIED
     count = denied.sum(axis=1)
     rows: dict[_Cameras, list[int]] = {}
     for n in np.flatnonzero((count > 0) & (count <= most)).tolist():

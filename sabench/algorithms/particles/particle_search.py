@@ -2,7 +2,7 @@
 
 The state is the images of the frame, what the particles so far leave of them, and what is known of
 cameras, light and noise. A particle has a position, light with a prior that is learned from the
-images, and a price.
+images, and a penalty.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ _MORE = 0.5  # of the particles so far: candidates beside them
 _CROWDED, _EACH, _TAKEN = 1.25, 0.095, 0.2
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
-_CONTESTED = 0.25  # of the cameras: meetings with others that have just earned their price
+_CONTESTED = 0.25  # of the cameras: meetings with others that have just gained their penalty
 _TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
 # units of the cost, and times what the median particle promises (images that are a little wider
 # than the model's promise something everywhere): particles of which a split promises more are tried
@@ -116,7 +116,7 @@ class ParticleSearch:
     left, variance : the images less all particles, and the variance of each pixel.
     position, light : (n, 3) in the box of the maps, (n, camera).
     hidden : (all cameras, row, column) areas that something hides from a camera in every frame.
-    sure : (n,) whether a particle earned several times its price.
+    sure : (n,) whether a particle gained several times its penalty.
     trusted : (n,) whether a caller has other reasons to take a particle for real: it is not tried.
     odds : (n,) logarithm of the odds that it is real.
     tag : (n,) numbers that a caller gave particles, -1 for those found here.
@@ -416,12 +416,12 @@ class ParticleSearch:
         self.select(order_in_memory(self.maps, self.position, pixel_mm(self.maps)))
 
     def remove(self, lone: bool) -> None:
-        """Remove particles that do not earn their price, the darkest first.
+        """Remove particles that gain less than their penalty, the darkest first.
 
         All are fitted before, or what neighbours gain by their own fits would count against a
-        particle that is taken out. Those that earn several times their price are tried again only
+        particle that is taken out. Those that gain several times their penalty are tried again only
         where others that newly do meet them in a share of the cameras: what they share with fewer
-        is not all that they earn.
+        is not all that they gain.
         """
         self.refine(self.fits)
         starts, near = find_neighbours(self.maps, self.sigma, self.position)

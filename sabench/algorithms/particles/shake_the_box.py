@@ -1,7 +1,7 @@
 """Particles followed over time, by predictions that are fitted to the images.
 
 Shake-The-Box (D. Schanz, S. Gesemann and A. Schroeder, Exp. Fluids 57, 70, 2016) with the fits and
-prices of `bayesian_ipr`. The first two frames are searched on their own and linked. From then on
+penalties of `bayesian_ipr`. The first two frames are searched on their own and linked. From then on
 known particles start where a Kalman filter expects them and are fitted to the images, so that few
 are left to be found. What is seen once only, where it had to be seen before or afterwards, is a
 ghost; where a track misses a frame between others, its position is interpolated.

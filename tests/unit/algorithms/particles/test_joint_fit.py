@@ -29,7 +29,7 @@ from sabench.algorithms.particles.joint_fit import (
     learn_covariance,
     light_cost,
     log_determinant,
-    price,
+    penalty,
     scatter_between,
     solve_three,
     start_light,
@@ -155,15 +155,17 @@ def test_light_beyond_saturation_costs_nothing_and_less_does(maps: VolumePolynom
 
 
 def test_errors_of_places_are_as_large_as_the_price_says(maps: VolumePolynomials) -> None:
-    """A price grows by the logarithm of how much better places are known."""
+    """A penalty grows by the logarithm of how much better places are known."""
     point, light = np.zeros(3), np.full(4, TYPICAL)
     images = np.zeros((4, ROWS, COLUMNS))
     model, room = model_of(maps, images), room_of(maps)
     sharp = model._replace(weight=100.0 * model.weight)
-    gain = price(sharp, room, point, light) - price(model, room, point, light)
+    gain = penalty(sharp, room, point, light) - penalty(model, room, point, light)
     assert gain == pytest.approx(3.0 * np.log(10.0) + 4.0 * np.log(10.0), abs=3.0)
     rare = model._replace(log_rate=model.log_rate - 2.0)
-    assert price(rare, room, point, light) - price(model, room, point, light) == pytest.approx(2.0)
+    assert penalty(rare, room, point, light) - penalty(model, room, point, light) == pytest.approx(
+        2.0
+    )
 
 
 def test_three_equations_are_solved_unless_they_say_too_little() -> None:
