@@ -28,7 +28,7 @@ from sabench.utils.backend import choose, drjit
 from tests.conftest import ROOT
 from tests.helpers.image_model import SIGMA, TYPICAL, profile
 from tests.system.test_bayesian_ipr import make_shot
-from tests.unit.algorithms.particles.test_triangulation import (
+from tests.unit.algorithms.particles.test_matching import (
     CAMERAS,
     COLUMNS,
     HIGH,
