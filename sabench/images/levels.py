@@ -13,6 +13,7 @@ import numpy as np
 
 from sabench.utils.arrays import F32, I64, U16, Bool
 
+# Black and white:
 DEPTHS = (8, 10, 12, 14, 16)
 _VALUES = 1 << 16
 _DARKEST = 1e-4  # of the pixels of a backlit image
@@ -20,6 +21,8 @@ _TAIL = 0.02  # of the pixels: darker than nearly all
 _NEAR = 0.02  # of the highest grey value: saturated pixels are that near to it
 _CLIPPED = 5.0  # times as many pixels near the highest value as just below: saturation
 _FEWEST = 20  # pixels that saturate
+
+# Bright particles:
 _BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
 _ILLUMINATED = 0.1  # of the brightest pixel
 _PEAKS = 4.0  # typical peaks that the brightest pixel counts at most

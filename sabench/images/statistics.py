@@ -17,12 +17,15 @@ from sabench.images.repair import above_background, find_points
 from sabench.images.widths import PIXEL
 from sabench.utils.arrays import F32, F64, I64, U16
 
+# Light and noise:
 SCALED_WHITE = 255.0  # grey value to which a saturated pixel is scaled
 NOISE_FRAMES = 3  # for the noise of a stack
 _DIM = 50.0  # percentile of the pixels' medians below which they are dim
 _MIDDLE = 1.2  # variance of the mean of the middle half of n normal numbers, times n
 _FAR, _ROUNDS = 4.0, 3  # standard deviations at which values are clipped, and how often
 _FROM_MAD = 1.4826  # standard deviation of normal numbers, over their median absolute deviation
+
+# Fits of particle images:
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
 _HALF = 2  # px: half the window in which a particle image is fitted
 _NARROW_PX, _WIDEST_PX = 1.0, 10.0  # widths of fits by 3 x 3 pixels, and of those that fail

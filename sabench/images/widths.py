@@ -21,6 +21,7 @@ import numpy as np
 
 from sabench.utils.arrays import F32, F64, Bool
 
+# Statistics of all pixels:
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
 _LEAST_TILT, LEAST_TILTED = 0.1, 0.45  # less is chance; px: width of images whose tilt shows
 _MOST_TILT = 0.95  # of long streaks
@@ -34,6 +35,8 @@ _PEAK, _AROUND = 5, 7  # px: squares of which a peak is the brightest pixel, and
 _BLOB, _OUTSHINES = 15, 0.1  # px: a square around a glint; share of an image's squared light
 _OVER_PEAKS = 3.0  # of the light around a middle peak: the most that is typical
 PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
+
+# Flatness:
 _FLATNESS = np.linspace(0.0, 0.08, 33)  # tried
 _SQUARES = np.geomspace(1.0, 9.0, 120)  # px2: tried; narrower images hardly differ from Gaussians
 _LEAST = 0.012  # as little does not

@@ -49,6 +49,8 @@ _STEPS = np.array(  # across, across and along the depth, in their units
 )
 _DARK = np.float32(-1e9)
 _FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too often
+
+# Axes of the rig, shares of the volume, and faults of cameras:
 _VECTORS = {"position_mm", "velocity_mm_s", "acceleration_mm_s2"}
 _SQUARES = {"covariance_mm2", "velocity_covariance", "acceleration_covariance"}
 # points that tell shares, and which cameras see a pixel's part of the box, and those in a block of

@@ -34,6 +34,7 @@ from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64
 
+# Passes over the first frames:
 WINDOW_FRAMES = 6  # frames that are searched together
 _PASSES = 4  # the most
 _GROWTH = 1.1  # of the number of confirmed particles in a pass: after less comes the last pass
@@ -41,12 +42,16 @@ _ERROR_PX = 0.25  # of positions where images overlap, far more than they claim
 _NEIGHBOURS = 8
 _ALIKE = 0.4  # of the distance between neighbours: right links differ by less from those around
 _SOLVED = 0.85  # of links: as many are right if few particles are ghosts
+
+# Tracks through them:
 CONFIRMED = 4  # frames in which a real particle was seen
 _GAP = 1  # frames in a row that a track may miss
 _NEAR = 9.0  # sum of squared misses over the expected ones of what continues a track
 _FEW = 6  # particles that may continue a track
 _LEAST = 0.1  # of a position's error: the least that accelerations move a particle in an interval
 _KNOWN = 2.0  # error of a position that is worth taking, over that of one found
+
+# Velocity of the flow:
 _NEAREST = 60  # links that vote
 _FRAMES = 2.6  # longest time between a link and where its vote counts, over that between frames
 _WIDTH = 0.15  # scatter of right votes in an interval, over the distance between particles

@@ -32,12 +32,15 @@ from sabench.algorithms.particles.image_model import (
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 
+# Light:
 _LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step whose next one is nothing
 _LOW, _HIGH = -6.0, 4.0  # of the logarithms
 _SPREAD = 0.2  # squared scatter between cameras, for the first guess
 _CLIP = 0.97  # share of the particles that the covariance comes from
 _OWN = 0.05  # error of the model of images, of a particle's light
 _SHRINK = 20.0  # particles for each camera from which a covariance counts more than its average
+
+# Positions:
 _FARTHEST_PX = 0.5  # that a particle moves in one step
 _STILL = 1e-4  # fall of the cost that is not worth a step
 

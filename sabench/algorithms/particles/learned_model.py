@@ -49,9 +49,13 @@ _SHAPE_ERRORS = np.array(
 )
 _SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE], [_FLAT_CHANGE]])
 _WIDTH_STEPS = 2
+
+# Variance of pixels:
 _CLIP = 30.0  # mean squares: more of one pixel says nothing of the others
 _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
+
+# Lone particles:
 _OVERLAP = 4.8  # widths of images: distance of those that overlap
 _ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
 _BORDER = 4.8  # widths: distance from the border where images are not complete

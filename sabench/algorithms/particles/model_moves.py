@@ -42,11 +42,14 @@ from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 
+# Removals:
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera
 _SURE = 4.0  # times its penalty: a particle that gains so much is not tried again
 _CERTAIN = 2.0  # times its penalty: gained alone, it needs no trial
 _SHARED = 0.1  # of a particle's light in a pixel: more from others, and they may take it over
+
+# Splits:
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
 _DOUBTFUL = 2  # of them, after which a split that does not pay is given up

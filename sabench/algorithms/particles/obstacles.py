@@ -31,6 +31,7 @@ from sabench.images.background import ClearImages
 from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, Bool
 
+# Hidden areas:
 _LEAST = 0.02  # of the pixels in which a camera sees the volume: less is chance
 _DOUBTFUL = 0.8  # of the light expected in an area: less may be hidden, or ghosts are expected
 _HIDDEN = 0.5  # the same, of particles that are found without the area
@@ -38,11 +39,15 @@ _FEWEST = 3  # cameras without a hidden area, that show a particle, or that agre
 _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of the light that is expected there
 _THIN = 0.75  # of the mean number of particles in a window: fewer do not tell
+
+# Partly hidden particles:
 _HIDDEN_SHARE = 0.1  # of the particles: expected to be hidden from a camera, and from each more
 _SOME = 3e-4  # of the particles: fewer that a set of cameras hides are no reason to try larger ones
 _DEEPEST, _TRIED = 4, 100  # cameras that may be blind, and sets of each number that are tried
 _FLOORS = (0.35, 0.2)  # of candidates' light over a typical particle's
 _DENIED = -10.0  # cost that a particle's light saves in a camera that does not see it
+
+# Cameras that contradict the others:
 _MANY = 50  # particles that tell of their images
 _LEFT = 0.1  # of the squared light of an image: more that is left has a reason
 _CHANCE = 1.0  # over the square root of the particles' number: share that few leave by chance
