@@ -22,12 +22,12 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from sabench.images.brightness import background_noise, normalise
 from sabench.images.dark_noise import FALSE_ALARMS
-from sabench.images.peak_detection import detect_peaks
-from sabench.images.peaks import find_peaks
+from sabench.images.levels import normalise
+from sabench.images.peaks import detect_particle_peaks, find_peaks
 from sabench.images.preprocessing import preprocess, read_steps
 from sabench.images.repair import find_points, repair
+from sabench.interop.image_statistics import background_noise
 from sabench.utils.arrays import F64, U16
 
 RECORD = Path(__file__).with_name("records") / "false-alarms.json"
@@ -113,7 +113,7 @@ def find_before(image: U16, black: float) -> F64:
 
 def find_after(image: U16) -> F64:
     """Detect peaks as solvers do, without pixels that repair takes for hot."""
-    return detect_peaks(image, find_points(image, float(np.median(image)))).pixels
+    return detect_particle_peaks(image, find_points(image, float(np.median(image)))).pixels
 
 
 def measure_sensor(draw: Callable[[Rng], U16], frames: int) -> dict[str, float]:

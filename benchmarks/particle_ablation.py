@@ -16,7 +16,7 @@ settings were chosen. Parts:
     alignment       cameras stay where their calibration says
     widths          images are as wide everywhere as statistics of pixels say
     background      no background is taken away, no bright spot covered, no area hidden
-    best camera     what a particle earns in its best camera counts
+    best camera     what a particle gains in its best camera counts
 
 Prints one line a measurement, and writes one JSON value: case, part, and for each seed recall and
 ghosts in percent of the true particles, F1, the RMS distance in the images, and CPU seconds. What
@@ -48,11 +48,11 @@ from benchmarks.particle_density import (  # noqa: E402
 )
 from sabench.algorithms.particles import (  # noqa: E402
     bayesian_ipr,
-    hidden_areas,
+    obstacles,
     particle_search,
 )
+from sabench.algorithms.particles.joint_fit import even_covariance  # noqa: E402
 from sabench.algorithms.particles.learned_model import learn_light  # noqa: E402
-from sabench.algorithms.particles.light_prior import even_covariance  # noqa: E402
 from sabench.algorithms.particles.particle_search import ParticleSearch  # noqa: E402
 from sabench.simulation.in_memory import simulate  # noqa: E402
 from sabench.utils.arrays import F32, Bool  # noqa: E402
@@ -124,7 +124,7 @@ PARTS: dict[str, tuple[dict[str, Any], Patches]] = {
         {},
         [
             (bayesian_ipr, "clear_images", _not_cleared),
-            (hidden_areas, "find_dark_areas", _none_hidden),
+            (obstacles, "find_dark_areas", _none_hidden),
         ],
     ),
     "best camera": ({}, [(ParticleSearch, "remove", _remove_with_best_camera)]),

@@ -75,7 +75,7 @@ BUGS = (
     ),
     Bug(
         "black level not subtracted",
-        "sabench/images/brightness.py",
+        "sabench/images/levels.py",
         "_scale(grey, float(black_dn), 1.0",
         "_scale(grey, 0.0, 1.0",
         case="particles",
@@ -330,7 +330,7 @@ BUGS = (
     ),
     Bug(
         "the brightest pixel alone sets the brightness scale",
-        "sabench/images/brightness.py",
+        "sabench/images/levels.py",
         "min(levels[-1], _PEAKS * peak) if peak else levels[-1]",
         "levels[-1]",
         tests="tests/unit/images/test_repair.py",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.particles.defocusing import Apertures, match_triangles
-from sabench.algorithms.particles.triangulation import select_best, select_rows
+from sabench.algorithms.particles.matching import select_best, select_rows
 from sabench.api import Camera, ImageSequence
 from sabench.api.make import make_algorithm, make_solver
 from sabench.evaluation.reproduction import Row

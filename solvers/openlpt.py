@@ -17,7 +17,7 @@ from sabench.api import (
     ParticleSolver,
     progress_bar,
 )
-from sabench.interop.image_statistics import ImageStatistics, measure_statistics
+from sabench.interop.image_statistics import FrameStatistics, measure_frame
 from sabench.interop.openlpt import (
     Settings,
     derive_settings,
@@ -97,13 +97,13 @@ class OpenLpt(ParticleSolver):
             folder = Path(name)
             for number, frame in enumerate(progress_bar(case, "images for OpenLPT")):
                 write_frame(folder, number, frame.normalised_images())
-            seen = measure_statistics(case[0])
+            seen = measure_frame(case[0])
             if not seen.particles:
                 return [FoundParticles(np.zeros((0, 3))) for _ in range(len(case))]
             write_project(folder, cameras, case.grid, len(case), self._settings(seen))
             return solve(folder, len(case))
 
-    def _settings(self, seen: ImageStatistics) -> Settings:
+    def _settings(self, seen: FrameStatistics) -> Settings:
         """Derive settings from the first frame."""
         chosen = self.parameters
         return replace(

@@ -15,7 +15,7 @@ from sabench.api import (
     ParticleSolver,
     progress_bar,
 )
-from sabench.interop.image_statistics import measure_statistics
+from sabench.interop.image_statistics import measure_frame
 from sabench.interop.openptv import (
     MOST_CAMERAS,
     derive_settings,
@@ -83,7 +83,7 @@ class Optv(ParticleSolver):
         """Write its files, run it, read what it found."""
         chosen = self.parameters
         cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
-        seen = measure_statistics(case[0])
+        seen = measure_frame(case[0])
         settings = derive_settings(
             seen,
             chosen.displacement_px,

@@ -64,9 +64,9 @@ class Observation:
         """Scale each camera's images to the peak of a bright particle in it.
 
         Black becomes 0. Flaws have been repaired: see `repaired`, and
-        `sabench.images.brightness.normalise`.
+        `sabench.images.levels.normalise`.
         """
-        from sabench.images.brightness import normalise  # numba is loaded at the first use
+        from sabench.images.levels import normalise
 
         good = self.repaired
         return normalise(good.images, self.black_dn, good.flaws.unknown)

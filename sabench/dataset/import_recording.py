@@ -18,9 +18,9 @@ from sabench.dataset.references import ReferenceList, extended
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import grid_of_box, pixel_size_mm, propose_box, share_in_view
 from sabench.geometry.grid import Grid
-from sabench.images.grey_levels import GreyLevels, GreyValues
 from sabench.images.image_files import Files, find_image_files
 from sabench.images.image_reading import RawLayout, read_images
+from sabench.images.levels import GreyLevels, GreyValues
 from sabench.images.preprocessing import Step, step_faults
 from sabench.utils.arrays import U16, Bool
 from sabench.utils.errors import InputError

@@ -11,10 +11,10 @@ import numpy as np
 
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.images.dark_noise import FALSE_ALARMS, DarkNoise, measure_dark_noise
-from sabench.images.grey_levels import GreyValues
 from sabench.images.image_files import MOVIES, RAW
 from sabench.images.image_reading import image_size, read_page
-from sabench.images.peak_detection import find_above
+from sabench.images.levels import GreyValues
+from sabench.images.peaks import find_above
 from sabench.images.preprocessing import MatchHistograms, Step, preprocess, step_faults
 from sabench.plotting.charts import Figure, Panel, Picture
 from sabench.utils.arrays import F64, U16, Bool

@@ -16,14 +16,15 @@ from sabench.algorithms.particles import (
 )
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import MANIFEST
-from sabench.images.particle_fits import fit_particle_images, flux_near
-from sabench.images.recording_statistics import (
+from sabench.images.recordings import read_recordings
+from sabench.images.statistics import (
     CameraStatistics,
     RatioSpread,
+    fit_particle_images,
+    flux_near,
     flux_ratio_spread,
     measure_camera,
 )
-from sabench.images.recordings import read_recordings
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar

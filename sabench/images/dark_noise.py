@@ -4,6 +4,12 @@ Between particles an image shows its dark level and noise. Both may differ from 
 distribution of grey values in a tile is compared with a normal one, quantile by quantile (M. B.
 Wilk and R. Gnanadesikan, Biometrika 55, 1-17, 1968), at the borders between whole grey values: it
 may so be rounded, and cut at black. Its skewness, that of few photons, comes from all tiles.
+
+Other modules measure one noise of an image, faster and coarser, and with other digits, on which
+thresholds rest: `repair.above_background` (median distance to the median of 3 x 3 pixels),
+`statistics.image_noise` (the same of the darker half, to fractions of a grey value),
+`widths.noise_below_black` (values below black, where the background is subtracted), and
+`interop.image_statistics.background_noise` (median distance of dark pixels to the median).
 """
 
 from __future__ import annotations
@@ -107,7 +113,7 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
     """
     if images.ndim != 3 or not images.size:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
-    counts = np.ones(images.shape, np.bool_) if known is None else _stretch(known, images.shape)
+    counts = np.array(np.broadcast_to(True if known is None else known, images.shape))
     step = _grey_step(images[counts])
     around = _light_around(images)
     found = _measure_calm(images, counts, around, step, _CALM)
@@ -189,10 +195,6 @@ def _are_alike(one: DarkNoise, other: DarkNoise) -> bool:
     """Say whether thresholds are about as far above their levels."""
     reach, far = (float(np.median(each.threshold() - each.level)) for each in (one, other))
     return reach <= _LIGHT * far and far <= _LIGHT * reach
-
-
-def _stretch(known: Bool, shape: tuple[int, ...]) -> Bool:
-    return np.array(np.broadcast_to(known, shape))
 
 
 def _grey_step(values: U16) -> float:

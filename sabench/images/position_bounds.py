@@ -10,27 +10,54 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sabench.images.gaussian_kernels import fill_profile
 from sabench.images.near_images import near_images
-from sabench.images.particle_spots import (
-    IMAGE_REACH,
-    KNOWN,
-    OVERLAP,
-    SINGULAR,
-    UNKNOWNS,
-    ParticleSpots,
-    where_seen,
-)
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import share_rows
 from sabench.utils.vector_units import add_product, whole_lanes
 
+_REACH = 4.0  # standard deviations from the centre of an image to its window's edge
+_OVERLAP = 2.0  # standard deviations of both: distance of images that overlap
+_WIDEST = 32  # px: half a window
+_UNKNOWNS = 4  # logarithm of the light, and position
+# share of its information by which each unknown of a neighbour is known before, so that neighbours
+# that one camera alone sees make no matrix singular
+_KNOWN = 1e-9
+_SINGULAR = 1e-9  # least eigenvalue of information in units of each unknown's own
 _STEPS, _EXACT = 100, 1e-4  # of conjugate gradients, and the share of a rest they may still take
+
+
+@dataclass(frozen=True)
+class ParticleSpots:
+    """Images of n particles in one camera.
+
+    Attributes
+    ----------
+    pixel : (n, 2) column, row of the centres; NaN where there is none.
+    slope : (n, 2, 3) derivatives of the centre by the position, px/mm.
+    light : (n,) integral of the image; 0 where the camera does not see the particle.
+    sigma_px : (n,) standard deviation.
+    variance : (row, column) of the pixels' noise, in the square of the unit of the light; infinite
+        where a pixel tells nothing.
+    """
+
+    pixel: F64
+    slope: F64
+    light: F64
+    sigma_px: F64
+    variance: F64
+
+
+def _where_seen(camera: ParticleSpots) -> F64:
+    """Return the centres (n, 2) of images; NaN where none, or too wide a one, is."""
+    seen = (camera.light > 0.0) & (_REACH * camera.sigma_px + 1.0 < _WIDEST)
+    return np.where(seen[:, None], camera.pixel, np.nan)
 
 
 def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
@@ -39,15 +66,15 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     NaN where the images do not fix the position. Source: Cramer-Rao inequality with the Fisher
     information of normal noise of known variance.
     """
-    pixels = np.stack([where_seen(camera) for camera in cameras])
+    pixels = np.stack([_where_seen(camera) for camera in cameras])
     widest = np.array([float(camera.sigma_px.max(initial=0.0)) for camera in cameras])
-    starts, near = near_images(pixels, 2.0 * OVERLAP * widest)
-    own = np.zeros((pixels.shape[1], UNKNOWNS, UNKNOWNS))
-    both = np.zeros((len(near), UNKNOWNS, UNKNOWNS))
+    starts, near = near_images(pixels, 2.0 * _OVERLAP * widest)
+    own = np.zeros((pixels.shape[1], _UNKNOWNS, _UNKNOWNS))
+    both = np.zeros((len(near), _UNKNOWNS, _UNKNOWNS))
     for camera, pixel in zip(cameras, pixels, strict=True):
         _add_information(camera, pixel, starts, near, own, both)
     bounds = np.full((len(rows), 3, 3), np.nan)
-    known = own + np.eye(UNKNOWNS) * (KNOWN * own + np.finfo(float).tiny)
+    known = own + np.eye(_UNKNOWNS) * (_KNOWN * own + np.finfo(float).tiny)
     inverse = np.linalg.inv(known)
 
     def invert(part: slice) -> None:
@@ -69,7 +96,7 @@ def _add_information(
     own, both : (n, 4, 4) and (pair, 4, 4) blocks of logarithm of the light and position.
     """
     count = len(pixel)
-    half = np.where(np.isfinite(pixel[:, 0]), np.ceil(IMAGE_REACH * camera.sigma_px + 0.5), 0)
+    half = np.where(np.isfinite(pixel[:, 0]), np.ceil(_REACH * camera.sigma_px + 0.5), 0)
     half = half.astype(np.int64)
     size = whole_lanes(2 * int(half.max(initial=0)) + 1)
     first = np.zeros((count, 2), dtype=np.int64)
@@ -126,7 +153,7 @@ def _add_pairs(
     both: Any,
 ) -> None:  # pragma: no cover
     """Add the information of some particles' images, and of pairs with later ones."""
-    inner, block = np.zeros((3, 3)), np.zeros((UNKNOWNS, UNKNOWNS))
+    inner, block = np.zeros((3, 3)), np.zeros((_UNKNOWNS, _UNKNOWNS))
     for i in rows:
         if np.isnan(pixel[i, 0]):
             continue
@@ -138,7 +165,7 @@ def _add_pairs(
             if j < i or np.isnan(pixel[j, 0]):
                 continue
             x, y = pixel[i, 0] - pixel[j, 0], pixel[i, 1] - pixel[j, 1]
-            if math.hypot(x, y) < OVERLAP * (sigma[i] + sigma[j]):
+            if math.hypot(x, y) < _OVERLAP * (sigma[i] + sigma[j]):
                 _overlap(i, j, light, shapes, weight, inner)
                 _chain(inner, slope[i], slope[j], block)
                 both[place] += block
@@ -260,7 +287,7 @@ def _rest(
     Natl. Bur. Stand. 49, 409-436, 1952) for each unknown, with the partners' own blocks (partner,
     4, 4) as a preconditioner. Its error is of the second order in that of the solutions.
     """
-    shape, k = (len(shared), UNKNOWNS, UNKNOWNS), UNKNOWNS
+    shape, k = (len(shared), _UNKNOWNS, _UNKNOWNS), _UNKNOWNS
     right, x = np.ascontiguousarray(shared.transpose(0, 2, 1)), np.zeros(shape)
     left, better, pull = right.copy(), np.zeros(shape), np.zeros(shape)
     _times_blocks(inverse, left, better)
@@ -313,10 +340,10 @@ def _add_links(
 @numba.njit(cache=True)
 def _product(one: Any, other: Any) -> Any:  # pragma: no cover
     """Return the scalar products (4,) of vectors."""
-    total = np.zeros(UNKNOWNS)
+    total = np.zeros(_UNKNOWNS)
     for n in range(len(one)):
-        for a in range(UNKNOWNS):
-            for r in range(UNKNOWNS):
+        for a in range(_UNKNOWNS):
+            for r in range(_UNKNOWNS):
                 total[r] += one[n, a, r] * other[n, a, r]
     return total
 
@@ -328,7 +355,7 @@ def _inverse_of_rest(rest: Any) -> Any:
     if not scale.min() > 0.0:
         return np.full((3, 3), np.nan)
     even = rest / scale.reshape(-1, 1) / scale
-    if not np.linalg.eigvalsh(even)[0] > SINGULAR:
+    if not np.linalg.eigvalsh(even)[0] > _SINGULAR:
         return np.full((3, 3), np.nan)
     inverse = np.linalg.inv(even) / scale.reshape(-1, 1) / scale
     return np.ascontiguousarray(inverse[1:, 1:])

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sabench.images.levels import DEPTHS
 from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
 from sabench.utils.processes.call import read_isolated
@@ -19,7 +20,6 @@ from sabench.utils.progress import progress_bar
 
 FORMATS = (".tif", ".tiff", ".png", ".bmp")
 _NUMBER = re.compile(r"\d+(?=\D*$)")  # the last one of a name
-_DEPTHS = (8, 10, 12, 14, 16)
 _SMALLEST = 16  # px: side of an image
 _ALONE = "camera"  # name of a camera whose files do not give it one
 
@@ -106,7 +106,7 @@ def guess_white(frames: Sequence[U16]) -> float:
     low_bits = (step & -step).bit_length() - 1 if step else 0
     if highest >= 1 << 12 and low_bits in (2, 4, 6, 8):
         return float((1 << 16) - (1 << low_bits))
-    return float(next((1 << depth) - 1 for depth in _DEPTHS if highest < 1 << depth))
+    return float(next((1 << depth) - 1 for depth in DEPTHS if highest < 1 << depth))
 
 
 def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:

@@ -22,7 +22,7 @@ from sabench.images.tiff_exr import write_tiff
 from sabench.interop import coco, openlpt, openptv, vtkhdf
 from sabench.interop.cameras import check_writable, openptv_project, read_cameras, write_into
 from sabench.interop.foreign_world import ForeignWorld, note
-from sabench.interop.image_statistics import measure_statistics
+from sabench.interop.image_statistics import measure_frame
 from sabench.interop.paraview_state import write_state
 from sabench.interop.tracks import TrackFormat, write_tracks
 from sabench.interop.tracks.openptv_files import FIRST
@@ -157,7 +157,7 @@ def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:
         images = openptv.to_8_bits(data.observation(frame).normalised_images())
         for number, image in enumerate(images, 1):
             openptv.write_image(root / "img" / f"cam{number}.{FIRST + frame}", image)
-    settings = openptv.derive_settings(measure_statistics(data.observation(0)))
+    settings = openptv.derive_settings(measure_frame(data.observation(0)))
     setup = data.setup
     span = (FIRST, FIRST + setup.frames - 1)
     cameras = tuple(camera for camera in setup.cameras if isinstance(camera, Camera))
@@ -169,7 +169,7 @@ def _write_for_openlpt(root: Path, data: Dataset, home: Path) -> None:
     setup = data.setup
     for frame in progress_bar(range(setup.frames), "images"):
         openlpt.write_frame(root, frame, data.observation(frame).normalised_images())
-    settings = openlpt.derive_settings(measure_statistics(data.observation(0)))
+    settings = openlpt.derive_settings(measure_frame(data.observation(0)))
     cameras = tuple(camera for camera in setup.cameras if isinstance(camera, Camera))
     openlpt.write_project(root, cameras, setup.grid, setup.frames, settings, home)
 

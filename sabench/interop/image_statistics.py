@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.api import Observation
-from sabench.images.brightness import background_noise
-from sabench.images.particle_widths import image_widths
 from sabench.images.peaks import find_peaks
+from sabench.images.widths import image_widths
+from sabench.utils.arrays import F32
 
 # smallest peak, relative to a bright particle's and to the background's standard deviation: the
 # larger of both holds
@@ -17,7 +17,7 @@ _FLOOR, _NOISE = 0.05, 5.0
 
 
 @dataclass(frozen=True)
-class ImageStatistics:
+class FrameStatistics:
     """Statistics of one frame's particle images.
 
     Attributes
@@ -36,7 +36,7 @@ class ImageStatistics:
     spacing_mm: float
 
 
-def measure_statistics(frame: Observation) -> ImageStatistics:
+def measure_frame(frame: Observation) -> FrameStatistics:
     """Measure a frame's particle images."""
     images = frame.normalised_images()
     floor = max(_FLOOR, *(_NOISE * background_noise(image) for image in images))
@@ -54,10 +54,20 @@ def measure_statistics(frame: Observation) -> ImageStatistics:
         for camera in frame.cameras
     ]
     spacing = float(np.cbrt(np.prod(voxel * shape) / max(count, 1)))
-    return ImageStatistics(
+    return FrameStatistics(
         floor,
         count,
         float(np.median(image_widths(images, peaks))),
         float(2.0 * voxel[0] / np.median(shift)),
         spacing,
     )
+
+
+def background_noise(image: F32) -> float:
+    """Estimate the standard deviation of an image's dark part.
+
+    It follows from the median distance of the dark pixels to the image's median.
+    """
+    middle = np.median(image)
+    dark = image[image <= 2.0 * middle] if middle > 0.0 else image
+    return float(1.4826 * np.median(np.abs(dark - middle)))

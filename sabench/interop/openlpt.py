@@ -27,7 +27,7 @@ from sabench.utils.arrays import F32, F64
 from sabench.utils.processes import python
 
 if TYPE_CHECKING:  # it loads numba, which scores do without
-    from sabench.interop.image_statistics import ImageStatistics
+    from sabench.interop.image_statistics import FrameStatistics
 
 LEAST_FRAMES = 5  # needed to estimate the optical transfer function
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
@@ -68,7 +68,7 @@ class Settings:
 
 
 def derive_settings(
-    seen: ImageStatistics,
+    seen: FrameStatistics,
     displacement_px: float = 10.0,
     tolerance_px: float = 0.8,
     floor: float = 0.2,

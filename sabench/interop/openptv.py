@@ -31,7 +31,7 @@ from sabench.utils.files import read_json
 from sabench.utils.processes import python
 
 if TYPE_CHECKING:  # it loads numba, which scores do without
-    from sabench.interop.image_statistics import ImageStatistics
+    from sabench.interop.image_statistics import FrameStatistics
 
 MOST_CAMERAS = 4
 _AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # of OpenPTV's world in ours
@@ -62,7 +62,7 @@ class Settings:
 
 
 def derive_settings(
-    seen: ImageStatistics,
+    seen: FrameStatistics,
     displacement_px: float = 10.0,
     tolerance_px: float = 1.0,
     discontinuity: int = 5,

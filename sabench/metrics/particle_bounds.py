@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.api.truth import View
 from sabench.geometry.camera import Camera
-from sabench.images.particle_spots import ParticleSpots
+from sabench.images.position_bounds import ParticleSpots
 from sabench.scenes.sensor import Sensor
 from sabench.utils.arrays import F64, U16
 

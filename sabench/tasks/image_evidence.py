@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sabench.algorithms.particles.bayesian_ipr import dark_images
-from sabench.algorithms.particles.image_statistics import ImageStatistics, measure_images
 from sabench.api import Observation
+from sabench.images.widths import ImageStatistics, measure_images
 from sabench.metrics.reprojection import (
     LightFit,
     Patches,

@@ -18,7 +18,6 @@ from sabench.dataset.schema import frame_group
 from sabench.geometry.grid import synthesise
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
 from sabench.metrics.claimed_accuracy import brier_score, coverage, rms_over_bound
-from sabench.metrics.particle_bounds import true_spots
 from sabench.metrics.particle_detection import (
     MATCHING_DISTANCES,
     challenge_pairs,
@@ -315,7 +314,9 @@ def _claims(estimate: FoundParticles, error: F64, i: I64, ghosts: Bool) -> Figur
 
 def _bounds(data: Dataset, frame: int, rows: I64) -> F64:
     """Compute the bounds (k, 3, 3) of the positions of some of a frame's particles."""
-    from sabench.images.position_bounds import position_bounds  # with kernels, which take time
+    # both have kernels, which take time to load
+    from sabench.images.position_bounds import position_bounds
+    from sabench.metrics.particle_bounds import true_spots
 
     cameras = range(len(data.true_cameras))
     spots = true_spots(

@@ -1,8 +1,10 @@
-"""Work on all cores."""
+"""Work on all cores, and within a time budget."""
 
 from __future__ import annotations
 
 import itertools
+import math
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -31,3 +33,15 @@ def share_rows(
     ends = np.linspace(0, count, (parts or numba.get_num_threads()) + 1).astype(int)
     slices = [slice(*pair) for pair in itertools.pairwise(ends)]
     return for_each(lambda part: work(slices[part]), len(slices))
+
+
+class Deadline:
+    """End of a time budget in seconds, which starts now; None is no end."""
+
+    def __init__(self, budget_s: float | None = None) -> None:
+        self._end_s = math.inf if budget_s is None else time.monotonic() + budget_s
+
+    @property
+    def over(self) -> bool:
+        """Say whether the budget is spent."""
+        return time.monotonic() >= self._end_s

@@ -9,13 +9,12 @@ from scipy.special import erf
 
 from sabench.algorithms.particles.image_model import (
     ImageModel,
-    Particles,
+    ModelParticles,
     Room,
     make_room,
     with_margins,
 )
-from sabench.algorithms.particles.joint_fit import refine
-from sabench.algorithms.particles.light_prior import even_covariance
+from sabench.algorithms.particles.joint_fit import even_covariance, fit_particles
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64
 
@@ -56,9 +55,9 @@ def model_of(maps: VolumePolynomials, images: F64, between: float = 0.1) -> Imag
     )
 
 
-def particles_of(points: F64, light: F64) -> Particles:
+def particles_of(points: F64, light: F64) -> ModelParticles:
     """Particles of copies of the arrays."""
-    return Particles(points.copy(), light.copy(), np.ones(len(points), dtype=np.bool_))
+    return ModelParticles(points.copy(), light.copy(), np.ones(len(points), dtype=np.bool_))
 
 
 def room_of(maps: VolumePolynomials) -> Room:
@@ -66,7 +65,7 @@ def room_of(maps: VolumePolynomials) -> Room:
     return make_room(np.tile(np.array(SIGMA), (len(maps.coefficients), 1)))
 
 
-def refine_all(model: ImageModel, room: Room, particles: Particles, rounds: int) -> float:
+def refine_all(model: ImageModel, room: Room, particles: ModelParticles, rounds: int) -> float:
     """Fit all particles in several rounds; the change of the cost."""
     rows = np.arange(len(particles.position))
-    return float(sum(refine(model, room, particles, rows) for _ in range(rounds)))
+    return float(sum(fit_particles(model, room, particles, rows) for _ in range(rounds)))

@@ -34,7 +34,7 @@ solvers = [{ name = "dimmest" }]
 SOLVER = '''"""The dimmest camera."""
 
 from sabench.api import Reconstruction, Solver
-from sabench.images.brightness import normalise
+from sabench.images.levels import normalise
 from sabench.algorithms.refocus import refocus_log2
 
 

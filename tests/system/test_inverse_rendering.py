@@ -14,7 +14,7 @@ from sabench import plugins
 from sabench.algorithms.particles import fit_cameras
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, search_frame
 from sabench.algorithms.particles.image_model import MOST_FLAT
-from sabench.algorithms.particles.light_prior import even_covariance
+from sabench.algorithms.particles.joint_fit import even_covariance
 from sabench.api import Camera, CameraModel, ImageSequence, Observation
 from sabench.api.make import make_algorithm
 from sabench.geometry.camera import aim, aimed_rotation
@@ -28,7 +28,7 @@ from sabench.utils.backend import choose, drjit
 from tests.conftest import ROOT
 from tests.helpers.image_model import SIGMA, TYPICAL, profile
 from tests.system.test_bayesian_ipr import make_shot
-from tests.unit.algorithms.particles.test_triangulation import (
+from tests.unit.algorithms.particles.test_matching import (
     CAMERAS,
     COLUMNS,
     HIGH,

@@ -11,7 +11,7 @@ from sabench.algorithms.particles import (
     fit_cameras,
     reconstruct_most_probable,
 )
-from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps
+from sabench.algorithms.particles.candidate_search import rig_axes, turn_maps
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.rotations import rotation_matrices
 from sabench.geometry.volume_polynomials import project_points

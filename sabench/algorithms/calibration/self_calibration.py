@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, refine, residuals
-from sabench.algorithms.calibration.disparity import Sets, correct, find_sets
+from sabench.algorithms.calibration.disparity import Sets, correct, find_sets, pair_up
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.robust import median_noise
-from sabench.algorithms.particles.correspondence import pair_up
-from sabench.algorithms.particles.peak_detection import detect_in_cameras
-from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps
+from sabench.algorithms.particles.candidate_search import rig_axes, turn_maps
+from sabench.algorithms.particles.matching import detect_in_cameras
 from sabench.api import Observation
 from sabench.geometry.camera import Camera
 from sabench.geometry.volume_polynomials import (

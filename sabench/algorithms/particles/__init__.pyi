@@ -2,11 +2,11 @@ from .bayesian_ipr import (
     BayesianIprSettings as BayesianIprSettings,
     reconstruct_most_probable as reconstruct_most_probable,
 )
-from .common_view import find_fault as find_fault
+from .candidate_search import find_fault as find_fault
 from .defocusing import find_by_defocusing as find_by_defocusing, find_unsuitable as find_unsuitable
 from .linking import link as link
-from .peak_detection import PeakParameters as PeakParameters
-from .ray_triangulation import (
+from .matching import (
+    PeakParameters as PeakParameters,
     TriangulationSettings as TriangulationSettings,
     fit_cameras as fit_cameras,
     triangulate_particles as triangulate_particles,

@@ -1,34 +1,188 @@
 """Passes over all particles of a model, on all cores.
 
-Cameras' images do not notice each other while particles are painted, nor do particles that only
-look at them. The results are the same for any number of cores.
+The results are the same for any number of cores. Painting particles in one camera does not change
+another camera's images, and measuring particles changes nothing. A fit of a particle reads and
+changes the pixels of its images, and those of its neighbours if they are fitted, too: threads fit
+particles of cells whose images share no pixel in any camera. The order of rows counts, as the first
+take most light, so that rows of one portion are fitted before those of the next.
+
+The leverage of a fit is how much of each pixel it takes for itself.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
+    UNSEEN,
+    WEIGHT,
+    XX,
+    YY,
     ImageModel,
-    Particles,
+    ModelParticles,
     Room,
+    fill_image,
+    fill_slopes,
     make_room,
     paint_all,
+    place_windows,
+    sum_up,
 )
-from sabench.algorithms.particles.leverage import add_leverage, tell_taken
+from sabench.algorithms.particles.joint_fit import factorise_cholesky, fill_inverse_diagonal
 from sabench.algorithms.particles.model_moves import (
-    add_camera_misses,
-    measure_earnings,
+    measure_light_gains,
     measure_misfit,
+    measure_split_gains,
 )
-from sabench.algorithms.particles.particle_splits import measure_split_gains
-from sabench.utils.arrays import F64
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.utils.arrays import F64, I64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 
-_PARTS = 16  # whose sums are added up, whatever the number of cores
+_CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
+_FEW = 20_000  # rows: fewer are fitted in their order, whose effect is larger than the time saved
+_MOVE_PX = 3.0  # by which fits move images, at most
+
+Groups = Sequence[I64]
 
 
-def paint_particles(model: ImageModel, sigma: F64, particles: Particles, sign: float) -> None:
+def side_by_side(work: Callable[[I64], None], turns: Iterable[Groups]) -> None:
+    """Work on one turn after the other.
+
+    The groups of a turn do not notice each other: all cores share them.
+    """
+    threads = numba.get_num_threads()
+    with ThreadPoolExecutor(threads) as pool:
+        for groups in turns:
+            shares: list[list[I64]] = [[] for _ in range(threads)]
+            for group in sorted(groups, key=len, reverse=True):
+                min(shares, key=lambda share: sum(map(len, share))).append(group)
+            list(pool.map(work, [np.concatenate(share) for share in shares if share]))
+
+
+def disjoint_groups(
+    maps: VolumePolynomials,
+    position: F64,
+    rows: I64,
+    window: int,
+    pixel: float,
+    portions: int,
+    neighbours: tuple[I64, I64] | None = None,
+) -> list[list[I64]]:
+    """Divide rows into groups, and list those that share no pixel together.
+
+    Rows keep their order within groups, and few rows in one group all of theirs.
+
+    Parameters
+    ----------
+    position : (n, 3) of all particles in the box of the maps.
+    rows : particles that are fitted.
+    window : pixels along a row of a particle's image.
+    pixel : mm in the box.
+    portions : of the rows; the rows of one come before those of the next.
+    neighbours : where each particle's neighbours start in a list (n + 1,), and the list, if they
+        are fitted, too.
+    """
+    if len(rows) < _FEW:
+        return [[rows]]
+    cell = _cells(maps, position[rows], pixel)
+    order = np.argsort(cell, kind="stable")
+    starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    ends = _ends(maps, position, rows, neighbours)[order]
+    low = np.minimum.reduceat(ends[:, :, 0], starts) - window - _MOVE_PX
+    high = np.maximum.reduceat(ends[:, :, 1], starts) + window + _MOVE_PX
+    colours = _colours(low, high)
+    colour = np.zeros(len(rows), dtype=np.int64)
+    colour[order] = np.repeat(colours, np.diff(starts, append=len(rows)))
+    turns = int(colours.max()) + 1
+    turn = np.arange(len(rows)) * portions // len(rows) * turns + colour
+    order = np.lexsort((cell, turn))
+    cuts = np.flatnonzero(np.diff(cell[order]) | np.diff(turn[order])) + 1
+    groups: list[list[I64]] = [[] for _ in range(portions * turns)]
+    for group in np.split(order, cuts):
+        groups[turn[group[0]]].append(rows[group])
+    return [one for one in groups if one]
+
+
+def order_in_memory(maps: VolumePolynomials, position: F64, pixel: float) -> I64:
+    """Return the rows (n,) of many particles cell by cell; of few as they are.
+
+    Each cell's particles and pixels then stay in the processor's cache.
+    """
+    if len(position) < _FEW:
+        return np.arange(len(position))
+    return np.argsort(_cells(maps, position, pixel), kind="stable")
+
+
+def _cells(maps: VolumePolynomials, position: F64, pixel: float) -> I64:
+    """Find the numbers (n,) of the cubes of the box that positions lie in."""
+    size = 2.0 * maps.half_mm
+    edge = max(_CELL_PX * pixel, float((np.prod(size) / _CELLS) ** (1.0 / 3.0)))
+    counts = np.maximum(size / edge, 1.0).astype(np.int64)
+    index = np.minimum(0.5 * (position + 1.0) * counts, counts - 1).astype(np.int64)
+    return np.asarray((index[:, 2] * counts[1] + index[:, 1]) * counts[0] + index[:, 0])
+
+
+def _ends(
+    maps: VolumePolynomials, position: F64, rows: I64, neighbours: tuple[I64, I64] | None
+) -> F64:
+    """Return the first and last pixels (k, camera, 2, 2) that fits touch."""
+    cameras = range(len(maps.coefficients))
+    if neighbours is None:
+        pixels = [project_points(maps, camera, position[rows]) for camera in cameras]
+        return np.repeat(np.stack(pixels, axis=1)[:, :, None], 2, axis=2)
+    pixels = [project_points(maps, camera, position) for camera in cameras]
+    out = np.zeros((len(rows), len(pixels), 2, 2))
+    stacked = np.stack(pixels, axis=1)
+    share_rows(lambda part: _fill_ends(stacked, rows[part], *neighbours, out[part]), len(rows))
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _fill_ends(pixels: Any, rows: Any, starts: Any, near: Any, out: Any) -> None:
+    for k in range(len(rows)):
+        n = rows[k]
+        out[k, :, 0], out[k, :, 1] = pixels[n], pixels[n]
+        for slot in range(starts[n], starts[n + 1]):
+            for c in range(pixels.shape[1]):
+                for a in range(2):
+                    value = pixels[near[slot], c, a]
+                    out[k, c, 0, a] = min(out[k, c, 0, a], value)
+                    out[k, c, 1, a] = max(out[k, c, 1, a], value)
+
+
+@numba.njit(cache=True)
+def _colours(low: Any, high: Any) -> Any:
+    """Give rectangles (group, camera, 2) the least number that none they overlap has."""
+    count = len(low)
+    colour, taken = np.zeros(count, dtype=np.int64), np.full(count + 1, -1)
+    for g in range(count):
+        for other in range(g):
+            if taken[colour[other]] < g and _overlap(low, high, g, other):
+                taken[colour[other]] = g
+        while taken[colour[g]] == g:
+            colour[g] += 1
+    return colour
+
+
+@numba.njit(cache=True)
+def _overlap(low: Any, high: Any, one: int, other: int) -> bool:
+    for c in range(low.shape[1]):
+        if (
+            low[one, c, 0] <= high[other, c, 0]
+            and low[other, c, 0] <= high[one, c, 0]
+            and low[one, c, 1] <= high[other, c, 1]
+            and low[other, c, 1] <= high[one, c, 1]
+        ):
+            return True
+    return False
+
+
+def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, sign: float) -> None:
     """Add the light of particles times a sign to what is left of the images."""
 
     def paint(camera: int) -> None:
@@ -38,7 +192,7 @@ def paint_particles(model: ImageModel, sigma: F64, particles: Particles, sign: f
     for_each(paint, len(sigma))
 
 
-def misfits(model: ImageModel, sigma: F64, particles: Particles) -> F64:
+def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Measure how far squares left around particles exceed those of noise.
 
     The result (n,) has the standard deviation of their sum as its unit.
@@ -46,13 +200,13 @@ def misfits(model: ImageModel, sigma: F64, particles: Particles) -> F64:
     out = np.zeros(len(particles.position))
 
     def measure(rows: slice) -> None:
-        measure_misfit(model, make_room(sigma), _some(particles, rows), out[rows])
+        measure_misfit(model, make_room(sigma), some_rows(particles, rows), out[rows])
 
     share_rows(measure, len(out))
     return out
 
 
-def split_gains(model: ImageModel, sigma: F64, particles: Particles, steps: F64) -> F64:
+def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
     """Measure how much cost a split promises to save.
 
     The result (n,) is that along the best of some steps (k, 3).
@@ -60,38 +214,24 @@ def split_gains(model: ImageModel, sigma: F64, particles: Particles, steps: F64)
     out = np.zeros(len(particles.position))
 
     def measure(rows: slice) -> None:
-        measure_split_gains(model, make_room(sigma), _some(particles, rows), steps, out[rows])
+        measure_split_gains(model, make_room(sigma), some_rows(particles, rows), steps, out[rows])
 
     share_rows(measure, len(out))
     return out
 
 
-def earnings(model: ImageModel, sigma: F64, particles: Particles) -> F64:
+def light_gains(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Measure how much cost particles' light saves in each camera (n, camera)."""
     out = np.zeros(particles.light.shape)
 
     def measure(rows: slice) -> None:
-        measure_earnings(model, make_room(sigma), _some(particles, rows), out[rows])
+        measure_light_gains(model, make_room(sigma), some_rows(particles, rows), out[rows])
 
     share_rows(measure, len(out))
     return out
 
 
-def camera_misses(model: ImageModel, sigma: F64, particles: Particles) -> F64:
-    """Sum up (camera, 5) what each camera alone says of a common shift of its images.
-
-    The columns are those of `add_camera_misses`.
-    """
-
-    def add(rows: slice) -> F64:
-        sums = np.zeros((len(sigma), 5))
-        add_camera_misses(model, make_room(sigma), _some(particles, rows), sums)
-        return sums
-
-    return np.asarray(np.sum(share_rows(add, len(particles.position), _PARTS), axis=0))
-
-
-def leverage(model: ImageModel, sigma: F64, particles: Particles) -> F64:
+def leverage(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Compute how much of each pixel the fit of particles takes for itself.
 
     The result (camera, row, column) has margins.
@@ -100,7 +240,7 @@ def leverage(model: ImageModel, sigma: F64, particles: Particles) -> F64:
     out = np.zeros(model.images.shape)
 
     def tell(rows: slice) -> None:
-        tell_taken(model, make_room(sigma), _some(particles, rows), taken[rows])
+        tell_taken(model, make_room(sigma), some_rows(particles, rows), taken[rows])
 
     def add(camera: int) -> None:
         one, room = _of_camera(model, sigma, camera)
@@ -127,10 +267,58 @@ def _of_camera(model: ImageModel, sigma: F64, camera: int) -> tuple[ImageModel, 
     return view, make_room(np.full((1, 2), sigma.max()))
 
 
-def _in_camera(particles: Particles, camera: int) -> Particles:
+def _in_camera(particles: ModelParticles, camera: int) -> ModelParticles:
     light = np.ascontiguousarray(particles.light[:, camera : camera + 1])
     return particles._replace(light=light)
 
 
-def _some(particles: Particles, rows: slice) -> Particles:
-    return Particles(particles.position[rows], particles.light[rows], particles.alive[rows])
+def some_rows(particles: ModelParticles, rows: slice) -> ModelParticles:
+    """Return a view of some of the particles."""
+    return ModelParticles(particles.position[rows], particles.light[rows], particles.alive[rows])
+
+
+@numba.njit(cache=True, nogil=True)
+def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
+    """Fill in what the fit of particles takes of each camera's pixels (n, camera, 2).
+
+    The first is the factor of the image's square: the light takes as much of one pixel as the image
+    tells more of it than its prior and the other cameras. The second is that of the squares of the
+    image's derivatives: the position takes as much of three as the camera has a share in. Both are
+    0 where a camera does not see the particle. Neighbours count as known.
+    """
+    cameras = len(model.typical)
+    for n in range(len(particles.position)):
+        sum_up(model, room, particles.position[n], particles.light[n])
+        room.bend[:] = model.precision
+        for c in range(cameras):
+            room.bend[c, c] += particles.light[n, c] ** 2 * room.sums[c, WEIGHT]
+        factorise_cholesky(room.bend)
+        fill_inverse_diagonal(room.bend, room.pull, room.logs)
+        for c in range(cameras):
+            weight, slopes = room.sums[c, WEIGHT], room.sums[c, XX] + room.sums[c, YY]
+            taken[n, c] = 0.0
+            if min(weight, slopes) > UNSEEN:
+                taken[n, c, 0] = room.pull[c] * particles.light[n, c] ** 2
+                taken[n, c, 1] = 3.0 / cameras / slopes
+
+
+@numba.njit(cache=True, nogil=True)
+def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: Any) -> None:
+    """Add up what particles take of each pixel of the model's one camera.
+
+    Taken (n, 2) is its column of `tell_taken`. Leverage has margins.
+    """
+    own, by_x, by_y = np.zeros((3, room.window, room.window), dtype=np.float32)
+    weights, corner = model.weight[0], room.corner[0]
+    for n in range(len(particles.position)):
+        if not taken[n, 1] > 0.0:
+            continue
+        place_windows(model, room, particles.position[n])
+        fill_image(model, room, 0, own)
+        fill_slopes(model, room, 0, by_x, by_y)
+        for i in range(room.window):
+            for j in range(room.window):
+                slopes = by_x[i, j] * by_x[i, j] + by_y[i, j] * by_y[i, j]
+                share = taken[n, 0] * own[i, j] * own[i, j] + taken[n, 1] * slopes
+                row, column = corner[1] + i, corner[0] + j
+                leverage[row, column] += share * abs(weights[row, column])

@@ -1,10 +1,11 @@
 """Particles of one frame as the most probable explanation of the images.
 
 Iterative particle reconstruction (B. Wieneke, Meas. Sci. Technol. 24, 024008, 2013) with a
-probability in place of its thresholds. A particle has a place, light with a prior that is learned
-from the images, and a price. First all candidates share the light, and the darkest go, slowly. Then
-particles that do not earn their price go, others are found in what is left, and pairs that look
-like one are split. Widths, light, noise and shifts of the cameras come from the images.
+probability in place of its thresholds. A particle has a position, light with a prior that is
+learned from the images, and a penalty. First all candidates share the light, and the darkest go,
+slowly. Then particles that gain less than their penalty go, others are found in what is left, and
+pairs that look like one are split. Widths, light, noise and shifts of the cameras come from the
+images.
 """
 
 from __future__ import annotations
@@ -15,25 +16,33 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sabench.algorithms.particles.background import ClearImages, clear_images
-from sabench.algorithms.particles.camera_check import warn_of_tilt, without_wrong_cameras
-from sabench.algorithms.particles.hidden_areas import are_doubtful, find_dark_views, keep_hidden
-from sabench.algorithms.particles.image_statistics import measure_images
+from sabench.algorithms.particles.candidate_search import (
+    rig_axes,
+    turn_maps,
+    turn_to_world,
+    volume_shares,
+)
 from sabench.algorithms.particles.learned_model import (
     align_cameras,
     learn_light,
     learn_widths,
     weigh_pixels,
 )
-from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.partly_hidden import find_partly_hidden
-from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
-from sabench.algorithms.particles.search_state import joined, no_particles
-from sabench.algorithms.particles.time_budget import Deadline
-from sabench.algorithms.particles.volume_shares import volume_shares
+from sabench.algorithms.particles.obstacles import (
+    are_doubtful,
+    find_dark_views,
+    find_partly_hidden,
+    keep_hidden,
+    warn_of_tilt,
+    without_wrong_cameras,
+)
+from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
+from sabench.images.background import ClearImages, clear_images
+from sabench.images.widths import measure_images
 from sabench.utils.arrays import F64, Bool
+from sabench.utils.threads import Deadline
 
 _FEWEST = 3  # cameras that must show particles
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior
@@ -140,7 +149,7 @@ def _flatten(search: ParticleSearch) -> None:
     """Take images for as flat as they were measured, where less of them is left then.
 
     All particles are tried again: those that are halves of one whose images were taken for
-    Gaussians earn nothing now.
+    Gaussians gain nothing now.
     """
     plain, before = search.shapes.copy(), search.squares_left()
     search.flatten()
@@ -233,7 +242,7 @@ def _put_known(search: ParticleSearch, known: Known) -> None:
 
 
 def split_and_find(search: ParticleSearch) -> int:
-    """Try to split particles, add what is left, and remove what does not earn.
+    """Try to split particles, add what is left, and remove what gains too little.
 
     Returns how many were added.
     """

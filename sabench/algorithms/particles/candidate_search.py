@@ -1,20 +1,33 @@
-"""Search of the volume for places where all cameras see light.
+"""Search of the volume for positions where all cameras see light.
 
 At every point of a lattice the images are looked up where the cameras see it. Local maxima of a
 mean over cameras are candidates for particles. The mean is that of logarithms, so that a particle
 may be dim in one camera, and not more above the darkest camera than particles' scatter explains.
 Where images are crowded, some cameras may be darker: neighbours have taken their light there.
+
+Lattices, orders of equal candidates and directions of splits follow the axes of the box that is
+searched. Its axes are the world's, but images decide which of them is x, y and z, and in which
+direction: a rig that is rotated together with its grid, axes onto axes, gives the same particles.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_row
-from sabench.utils.arrays import F32, F64
+from sabench.api import FoundParticles
+from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    project_point,
+    project_points,
+    project_row,
+)
+from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
 
 BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up for another's lack
@@ -35,7 +48,19 @@ _STEPS = np.array(  # across, across and along the depth, in their units
     ]
 )
 _DARK = np.float32(-1e9)
-_FEWEST = 3  # cameras that have a place on their sensors
+_FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too often
+
+# Axes of the rig, shares of the volume, and faults of cameras:
+_VECTORS = {"position_mm", "velocity_mm_s", "acceleration_mm_s2"}
+_SQUARES = {"covariance_mm2", "velocity_covariance", "acceleration_covariance"}
+# points that tell shares, and which cameras see a pixel's part of the box, and those in a block of
+# pixels on average
+_FOR_SHARES, _FOR_VIEWS, _EACH = 140_000, 400_000, 16
+_LONELY = 0.05  # of a pixel's part of the box, which few cameras see
+# powers of the root of x^4 = x + 1: points that fill a cube evenly (M. Roberts, The unreasonable
+# effectiveness of quasirandom sequences, 2018)
+_STEP = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+_NODES, _INSIDE = 17, 0.98  # of the lattice along each axis, and its edge over the grid's
 
 
 def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
@@ -70,6 +95,11 @@ def lattice_shape(maps: VolumePolynomials) -> tuple[int, int, int]:
 def pixel_mm(maps: VolumePolynomials) -> float:
     """Compute the size in the volume of the best camera's pixel, in the middle."""
     return float(1.0 / np.linalg.norm(slopes_per_mm(maps), ord=2, axis=(1, 2)).max())
+
+
+def mean_spacing(maps: VolumePolynomials, count: float) -> float:
+    """Compute the edge of the cube that holds one of some particles on average, mm."""
+    return float((np.prod(2.0 * maps.half_mm) / max(count, 1.0)) ** (1.0 / 3.0))
 
 
 def split_directions(maps: VolumePolynomials) -> F64:
@@ -263,3 +293,118 @@ def _is_maximum(means: Any, z: int, y: int, x: int) -> bool:
                 if other > here or (other == here and (k * rows + j) * columns + i < number):
                     return False
     return True
+
+
+def rig_axes(maps: VolumePolynomials) -> F64:
+    """Choose directions (3, 3) of the box's axes as x, y and z, one a row.
+
+    Along x the columns of all cameras' images grow the most, along y, of the other two, the rows;
+    x, y and z are right-handed.
+    """
+    growth = slopes_per_mm(maps).sum(axis=0)
+    x = int(np.argmax(np.abs(growth[0])))
+    y = int(np.argmax(np.where(np.arange(3) == x, -1.0, np.abs(growth[1]))))
+    axes = np.zeros((3, 3))
+    axes[0, x] = 1.0 if growth[0, x] >= 0.0 else -1.0
+    axes[1, y] = 1.0 if growth[1, y] >= 0.0 else -1.0
+    axes[2] = np.cross(axes[0], axes[1])
+    return axes
+
+
+def turn_maps(maps: VolumePolynomials, axes: F64) -> VolumePolynomials:
+    """Rewrite polynomials for coordinates along other axes (3, 3) of the same box."""
+    order = np.abs(axes).argmax(axis=1)
+    there = {tuple(power): row for row, power in enumerate(maps.powers[:, order].tolist())}
+    rows = [there[tuple(power)] for power in maps.powers.tolist()]
+    signs = np.prod(axes.sum(axis=1) ** maps.powers, axis=1)
+    turned = np.ascontiguousarray(maps.coefficients[:, rows] * signs[:, None])
+    return VolumePolynomials(
+        turned, maps.powers, axes @ maps.middle_mm, np.ascontiguousarray(maps.half_mm[order])
+    )
+
+
+def turn_to_world(found: FoundParticles, axes: F64) -> FoundParticles:
+    """Convert particles from coordinates along axes (3, 3) to the world's."""
+    turned: dict[str, Any] = {declared.name: value for declared, value in found.arrays()}
+    for name in turned.keys() & _VECTORS:
+        turned[name] = turned[name] @ axes
+    for name in turned.keys() & _SQUARES:
+        turned[name] = axes.T @ turned[name] @ axes
+    return FoundParticles(**turned)
+
+
+def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
+    """Compute the shares (camera, row, column) of the maps' box that the pixels show.
+
+    They are counts of points that fill the box evenly, in blocks of pixels, interpolated.
+    """
+    import cv2  # takes long to load
+
+    out = np.zeros((len(maps.coefficients), *shape))
+    for block, share in zip(_blocks(maps, shape, _FOR_SHARES), out, strict=True):
+        counts = np.bincount(block.of[block.shown], minlength=block.rows * block.columns)
+        blocks = counts.reshape(block.rows, block.columns) / (_FOR_SHARES * block.edge**2)
+        size = block.columns * block.edge, block.rows * block.edge
+        fine = cv2.resize(blocks, size, interpolation=cv2.INTER_LINEAR)
+        share[:] = fine[: shape[0], : shape[1]]
+    return out
+
+
+def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
+    """Mark pixels (camera, row, column) whose part of the box enough cameras see.
+
+    At least `fewest` of them, that one included, see nearly all of it. Pixels that show nothing of
+    the box are marked, too.
+    """
+    blocks = list(_blocks(maps, shape, _FOR_VIEWS))
+    lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
+    out = np.zeros((len(blocks), *shape), dtype=np.bool_)
+    for block, marked in zip(blocks, out, strict=True):
+        size = block.rows * block.columns
+        all_points = np.bincount(block.of[block.shown], minlength=size)
+        few = np.bincount(block.of[block.shown & lonely], minlength=size)
+        shared = few <= _LONELY * all_points
+        fine = shared.reshape(block.rows, block.columns).repeat(block.edge, 0).repeat(block.edge, 1)
+        marked[:] = fine[: shape[0], : shape[1]]
+    return out
+
+
+class _Blocks(NamedTuple):
+    """Blocks of `edge` pixels of a camera, and the one `of` each point shown (n,)."""
+
+    edge: int
+    rows: int
+    columns: int
+    of: I64
+    shown: Bool
+
+
+def _blocks(maps: VolumePolynomials, shape: tuple[int, ...], count: int) -> Iterator[_Blocks]:
+    """Find the blocks of each camera's pixels that hold `count` points in the box."""
+    points = 2.0 * ((np.arange(count)[:, None] * _STEP) % 1.0) - 1.0
+    edge = math.ceil(math.sqrt(_EACH * math.prod(shape) / count))
+    rows, columns = (math.ceil(size / edge) for size in shape)
+    for camera in range(len(maps.coefficients)):
+        pixels = project_points(maps, camera, points)
+        column, row = np.floor((pixels + 0.5) / edge).astype(np.int64).T
+        shown = (column >= 0) & (row >= 0) & (column < columns) & (row < rows)
+        yield _Blocks(edge, rows, columns, row * columns + column, shown)
+
+
+def find_fault(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
+    """Say why particles cannot be looked for with these cameras; None if they can."""
+    if len(cameras) < _FEWEST:
+        return "it needs three cameras"
+    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
+    shares = 0.5 + _INSIDE * (np.arange(_NODES) / (_NODES - 1) - 0.5)
+    lattice = np.stack(np.meshgrid(shares, shares, shares), axis=-1).reshape(-1, 3)
+    points = low + voxel * (np.array(grid.shape[::-1]) - 1) * lattice
+    count = np.zeros(len(points), dtype=np.int64)
+    for camera in cameras:
+        pixels, valid = camera.project(points)
+        if not valid.all():
+            return f"it needs a light path from all of the grid to {camera.name}"
+        count += camera.contains(pixels)
+    if count.max() < _FEWEST:
+        return f"it needs three cameras that see the same part of the grid, got {count.max()}"
+    return None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sabench.algorithms.particles.all_particles import leverage
@@ -9,21 +11,24 @@ from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.image_model import (
     MOST_FLAT,
     ImageModel,
-    Particles,
+    ModelParticles,
     without_margins,
 )
-from sabench.algorithms.particles.pixel_variance import fill_noise
 from sabench.geometry.volume_polynomials import project_with_slopes
-from sabench.images.particle_spots import ParticleSpots
-from sabench.images.position_bounds import position_bounds
+from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F64
+from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each
 
 _LEAST_ERROR_PX = 0.002  # of positions, beside what the images tell
 _NARROWEST_PX = 0.1  # axis of an image
+_LEAST = 1e-100  # variance of images without noise
+_STEPS, _LEAST_FREE = 4, 0.2  # of fits of the variance, and least share of a pixel that is free
 
 
-def claimed_covariances(model: ImageModel, sigma: F64, particles: Particles, noise: F64) -> F64:
+def claimed_covariances(
+    model: ImageModel, sigma: F64, particles: ModelParticles, noise: F64
+) -> F64:
     """Estimate the covariances (n, 3, 3) of the positions' errors, mm2.
 
     They are the Cramer-Rao bounds with neighbours that are fitted, too, where the noise of pixels
@@ -50,7 +55,9 @@ def claimed_covariances(model: ImageModel, sigma: F64, particles: Particles, noi
     return np.asarray(bounds + least * np.eye(3))
 
 
-def _spots(model: ImageModel, particles: Particles, camera: int, variance: F64) -> ParticleSpots:
+def _spots(
+    model: ImageModel, particles: ModelParticles, camera: int, variance: F64
+) -> ParticleSpots:
     """Make the images of the particles in a camera, with the variance of its pixels.
 
     They are round ones of the same area, whose centres move so much more or less with the position
@@ -70,3 +77,43 @@ def _spots(model: ImageModel, particles: Particles, camera: int, variance: F64) 
     slope = scaled @ axes.transpose(0, 2, 1) @ slope
     light = particles.light[:, camera]
     return ParticleSpots(pixel, slope / model.maps.half_mm, light, width, variance)
+
+
+@numba.njit(cache=True)
+def fit_line(total: float, x: float, y: float, xx: float, xy: float) -> tuple[float, float]:
+    """Fit a line to sums of weights, x, y, x^2, x y; returns value at 0 and slope."""
+    if not total > 0.0:
+        return 0.0, 0.0
+    bend = xx - x * x / total
+    slope = (xy - x * y / total) / bend if bend > 1e-12 * xx else 0.0
+    return (y - slope * x) / total, slope
+
+
+@numba.njit(cache=True, nogil=True)
+def fill_noise(
+    shown: Any, left: Any, weight: Any, leverage: Any, noise: float, variance: Any
+) -> None:
+    """Fill in the variance of a camera's pixels around particles.
+
+    It is estimated from what is left there, and grows with the light. What fits have taken from it,
+    the leverage, is given back. Unknown and saturated pixels tell nothing, and have an infinite
+    variance. All arrays are (row, column).
+    """
+    rows, columns = shown.shape
+    even, slope = noise * noise, 0.0
+    for _ in range(_STEPS):
+        total = x = y = xx = xy = 0.0
+        for i in range(rows):
+            for j in range(columns):
+                light = shown[i, j] - left[i, j]
+                if weight[i, j] > 0.0 and light > noise:
+                    square = left[i, j] ** 2 / max(1.0 - leverage[i, j], _LEAST_FREE)
+                    each = 1.0 / max(even + slope * light, _LEAST) ** 2
+                    total, x, y = total + each, x + each * light, y + each * square
+                    xx, xy = xx + each * light * light, xy + each * light * square
+        even, slope = fit_line(total, x, y, xx, xy)
+        even, slope = max(even, noise * noise), max(slope, 0.0)
+    for i in range(rows):
+        for j in range(columns):
+            light = max(shown[i, j] - left[i, j], 0.0)
+            variance[i, j] = even + slope * light if weight[i, j] > 0.0 else np.inf

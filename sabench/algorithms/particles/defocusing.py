@@ -17,8 +17,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.peak_detection import detect_in_cameras, heights_of
-from sabench.algorithms.particles.triangulation import Candidates, select_best, select_rows
+from sabench.algorithms.particles.matching import (
+    PeakSets,
+    detect_in_cameras,
+    heights_of,
+    select_best,
+    select_rows,
+)
 from sabench.api import Camera, FoundParticles, Observation
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
@@ -156,7 +161,7 @@ def match_triangles(
     peaks: tuple[Peaks, ...],
     grid: Grid,
     reach_px: float,
-) -> Candidates:
+) -> PeakSets:
     """Match peaks of three cameras that form triangles of particles in a grid.
 
     The side from the first camera's image to the second's has a known direction, and a length
@@ -169,7 +174,7 @@ def match_triangles(
         apertures.superimpose(camera, own.pixels)
         for camera, own in zip(cameras, peaks, strict=True)
     ]
-    found = [Candidates(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
+    found = [PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
     if all(map(len, images)):
         for hit in _triples(apertures, images, apertures.sizes(grid), reach_px):
             triangles = np.stack(
@@ -180,8 +185,8 @@ def match_triangles(
             last = np.asarray(grid.shape[::-1]) - 1.0
             inside = ((voxels >= -_MARGIN) & (voxels <= last + _MARGIN)).all(axis=1)
             good = inside & (off <= reach_px)
-            found.append(Candidates(position[good], hit[good], off[good]))
-    return Candidates(
+            found.append(PeakSets(position[good], hit[good], off[good]))
+    return PeakSets(
         np.concatenate([one.position for one in found]),
         np.concatenate([one.hit for one in found]),
         np.concatenate([one.error_px for one in found]),

@@ -3,30 +3,62 @@
 Where images overlap too much, many particles of a frame are ghosts, and as many are missing. What
 is seen in several frames and moves as the flow does is real. What these particles leave of the
 images is searched again, in each of the first frames, until no more of them are found.
+
+A ghost does not move as particles around it do, and not for several frames. Each track starts with
+the velocity of the flow there, and a Kalman filter predicts it from frame to frame. The velocity
+comes from links of which many are wrong: wrong ones scatter over all displacements, right ones
+gather where neighbours move. The densest place among the velocities of the nearest links (mean
+shift, D. Comaniciu and P. Meer, IEEE Trans. Pattern Anal. Mach. Intell. 24, 603-619, 2002) is that
+of the flow. A weighted fit takes out the velocity gradient.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, search_frame
-from sabench.algorithms.particles.candidate_search import pixel_mm
+from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, Known, search_frame
+from sabench.algorithms.particles.candidate_search import mean_spacing, pixel_mm
+from sabench.algorithms.particles.kalman_tracks import (
+    ANY_SPEED,
+    KalmanTracks,
+    most_probable_motion,
+    start_tracks,
+)
+from sabench.algorithms.particles.linking import assign, link
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.window_tracks import Finds, confirm_tracks
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, I64
 
-WINDOW = 6  # frames that are searched together
+# Passes over the first frames:
+WINDOW_FRAMES = 6  # frames that are searched together
 _PASSES = 4  # the most
 _GROWTH = 1.1  # of the number of confirmed particles in a pass: after less comes the last pass
 _ERROR_PX = 0.25  # of positions where images overlap, far more than they claim
 _NEIGHBOURS = 8
 _ALIKE = 0.4  # of the distance between neighbours: right links differ by less from those around
 _SOLVED = 0.85  # of links: as many are right if few particles are ghosts
+
+# Tracks through them:
+CONFIRMED = 4  # frames in which a real particle was seen
+_GAP = 1  # frames in a row that a track may miss
+_NEAR = 9.0  # sum of squared misses over the expected ones of what continues a track
+_FEW = 6  # particles that may continue a track
+_LEAST = 0.1  # of a position's error: the least that accelerations move a particle in an interval
+_KNOWN = 2.0  # error of a position that is worth taking, over that of one found
+
+# Velocity of the flow:
+_NEAREST = 60  # links that vote
+_FRAMES = 2.6  # longest time between a link and where its vote counts, over that between frames
+_WIDTH = 0.15  # scatter of right votes in an interval, over the distance between particles
+_LEAST_SPREAD = 0.2  # of that scatter: the least of a velocity
+_SHIFTS, _FITS = 5, 3
+_EVEN = 1e-3, 0.5  # what is known of velocity and its gradient beforehand, in votes
+_PORTION = 4096  # positions in one step, for the memory
 
 
 def are_mostly_wrong(position: F64, shift: F64) -> bool:
@@ -67,7 +99,9 @@ def search_window(
         if len(found) < len(cases) or min(len(one.position_mm) for one in found) <= _NEIGHBOURS:
             return list(alone)
         finds = [_finds(one, time, maps) for one, time in zip(found, times_s, strict=True)]
-        known = confirm_tracks(finds, _spacing(found, maps))
+        known = confirm_tracks(
+            finds, mean_spacing(maps, np.mean([len(one.position_mm) for one in found]))
+        )
         before, confirmed = confirmed, sum(len(one.position) for one in known)
         if not confirmed:
             return list(alone)
@@ -83,12 +117,6 @@ def search_window(
     return first if len(first) == len(alone) else list(alone)
 
 
-def _spacing(found: Sequence[FoundParticles], maps: VolumePolynomials) -> float:
-    """Compute the edge of the cube that holds one particle on average, mm."""
-    count = np.mean([len(one.position_mm) for one in found])
-    return float((np.prod(2.0 * maps.half_mm) / count) ** (1.0 / 3.0))
-
-
 def _finds(found: FoundParticles, time: float, maps: VolumePolynomials) -> Finds:
     """Write down what a frame shows, with errors as large as where images overlap."""
     variance = np.asarray(found.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
@@ -96,3 +124,179 @@ def _finds(found: FoundParticles, time: float, maps: VolumePolynomials) -> Finds
     usual *= (_ERROR_PX * pixel_mm(maps)) ** 2 / usual.min()
     light = np.asarray(found.light)
     return Finds(time, found.position_mm, np.broadcast_to(usual, variance.shape), light)
+
+
+class Finds(NamedTuple):
+    """Particles of a frame: time, s, positions, variances (n, 3), light (n, camera)."""
+
+    time: float
+    position: F64
+    variance: F64
+    light: F64
+
+
+def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
+    """Find out which particles are real, and where they are in each frame.
+
+    Parameters
+    ----------
+    frames : at least as many as confirm a track.
+    spacing : distance between particles, mm.
+    """
+    votes = collect_votes([one.position for one in frames], [one.time for one in frames])
+    flow = [estimate_velocity(votes, one.position, one.time, spacing) for one in frames]
+    least = _LEAST * float(np.sqrt(frames[0].variance.min())) / votes.interval**2
+    tracks = start_tracks(frames[0].position, flow[0][0], votes.longest, least)
+    motion = tracks.acceleration, tracks.jerk
+    number = _number_tracks(frames, flow, tracks)
+    real = np.flatnonzero(np.bincount(np.concatenate(number)) >= CONFIRMED)
+    position, variance, light, velocity, spread = (
+        _table(real, number, values)
+        for values in zip(
+            *((*one[1:], *moves) for one, moves in zip(frames, flow, strict=True)), strict=True
+        )
+    )
+    expected = np.nanmean(velocity, axis=1), np.nanmean(spread, axis=1)
+    typical = np.nanmedian(light, axis=1)
+    known = []
+    for frame in frames:
+        times = np.array([one.time - frame.time for one in frames])
+        state, errors = most_probable_motion(times, position, variance, *expected, *motion)
+        usual = np.sqrt(np.median(frame.variance, axis=0))
+        good = np.median(np.sqrt(errors[:, :, 0, 0]) / usual, axis=1) < _KNOWN
+        known.append(Known(state[good, 0], typical[good]))
+    return known
+
+
+def _table(real: I64, number: Sequence[I64], values: Sequence[F64]) -> F64:
+    """Collect values (n, k) of tracks (m,): (m, frame, k), NaN for nothing."""
+    table = np.full((len(real), len(number), values[0].shape[1]), np.nan)
+    for slot, (numbers, rows) in enumerate(zip(number, values, strict=True)):
+        _, i, j = np.intersect1d(real, numbers, return_indices=True)
+        table[i, slot] = rows[j]
+    return table
+
+
+def _number_tracks(
+    frames: Sequence[Finds], flow: Sequence[tuple[F64, F64]], tracks: KalmanTracks
+) -> list[I64]:
+    """Follow particles through the frames, and return the track (n,) of each.
+
+    Tracks start with the velocities of the flow and their variances. What few of them tell does not
+    change how strongly particles accelerate.
+    """
+    motion, numbers = (tracks.acceleration, tracks.jerk), []
+    born, last = 0, frames[0].time
+    for frame, (velocity, spread) in zip(frames, flow, strict=True):
+        number = np.full(len(frame.position), -1)
+        if len(tracks.number):
+            tracks.predict(frame.time - last)
+            rows, seen = _continue(tracks, frame)
+            number[seen] = tracks.number[rows]
+            tracks.update(rows, frame.position[seen], frame.variance[seen], frame.light[seen])
+            tracks.acceleration, tracks.jerk = motion
+            tracks.select((tracks.missed <= _GAP) & ((tracks.seen > 1) | (tracks.missed == 0)))
+        new = np.flatnonzero(number < 0)
+        number[new] = born + np.arange(len(new))
+        begun = frame.position[new], frame.variance[new], frame.light[new]
+        tracks.add(number[new], *begun, velocity[new], spread[new], 1)
+        born, last = born + len(new), frame.time
+        numbers.append(number)
+    return numbers
+
+
+def _continue(tracks: KalmanTracks, frame: Finds) -> tuple[I64, I64]:
+    """Pair tracks with the particles of a frame."""
+    count = min(_FEW, len(frame.position))
+    if not count:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    _, slot = cKDTree(frame.position).query(tracks.state[:, 0], range(1, count + 1))
+    i, j = np.repeat(np.arange(len(tracks.number)), count), slot.ravel()
+    cost = tracks.off(i, frame.position[j], frame.variance[j]).sum(axis=1)
+    good = cost < _NEAR
+    return assign(i[good], j[good], cost[good], (len(tracks.number), len(frame.position)))
+
+
+class LinkVotes(NamedTuple):
+    """Links between frames.
+
+    Attributes
+    ----------
+    position, velocity, time : middle (n, 3) of each, mm, velocity (n, 3), mm/s, and time (n,), s.
+    interval, longest : between two frames, s: the usual and the longest one.
+    """
+
+    position: F64
+    velocity: F64
+    time: F64
+    interval: float
+    longest: float
+
+
+def collect_votes(position: Sequence[F64], times_s: Sequence[float]) -> LinkVotes:
+    """Link the particles (n, 3) of each frame to those of the next one."""
+    votes = []
+    for one, other, start, end in zip(position, position[1:], times_s, times_s[1:], strict=False):
+        numbers = link([one, other], [np.ones(len(one)), np.ones(len(other))], [start, end])
+        _, i, j = np.intersect1d(numbers[0], numbers[1], return_indices=True)
+        middle, shift = (one[i] + other[j]) / 2.0, other[j] - one[i]
+        time = np.full(len(i), (start + end) / 2.0)
+        votes.append((middle, shift / (end - start), time))
+    places, velocities, times = (np.concatenate(parts) for parts in zip(*votes, strict=True))
+    between = np.diff(times_s)
+    return LinkVotes(places, velocities, times, float(np.median(between)), float(between.max()))
+
+
+def estimate_velocity(
+    votes: LinkVotes, position: F64, time: float, spacing: float
+) -> tuple[F64, F64]:
+    """Estimate velocities (n, 3) at positions (n, 3), and their variances.
+
+    Parameters
+    ----------
+    time : of the positions, s.
+    spacing : distance between particles, mm.
+    """
+    near = np.abs(votes.time - time) <= _FRAMES * votes.longest
+    place, velocity = votes.position[near], votes.velocity[near]
+    if not len(place):
+        return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
+    count = min(_NEAREST, len(place))
+    _, rows = cKDTree(place).query(position, range(1, count + 1))
+    width = _WIDTH * spacing / votes.interval
+    parts = [
+        _fit(velocity[part], (place[part] - here[:, None]) / spacing, width)
+        for part, here in (
+            (rows[first : first + _PORTION], position[first : first + _PORTION])
+            for first in range(0, len(position), _PORTION)
+        )
+    ]
+    none = np.zeros((0, 3))
+    means, spreads = zip((none, none), *parts, strict=True)
+    return np.concatenate(means), np.maximum(np.concatenate(spreads), (_LEAST_SPREAD * width) ** 2)
+
+
+def _fit(velocity: F64, away: F64, width: float) -> tuple[F64, F64]:
+    """Find the densest velocity (n, 3) of votes (n, k, 3) that are away (n, k, 3)."""
+    squares = np.sum(np.square(velocity), axis=2)
+    apart = squares[:, :, None] + squares[:, None] - 2.0 * velocity @ velocity.transpose(0, 2, 1)
+    densest = np.exp(-0.5 * apart / width**2).sum(axis=2).argmax(axis=1)
+    middle = velocity[np.arange(len(velocity)), densest]
+    for _ in range(_SHIFTS):
+        weight = _weigh(velocity - middle[:, None], width)
+        middle = np.einsum("nk,nka->na", weight, velocity) / weight.sum(axis=1)[:, None]
+    terms = np.concatenate([np.ones((*away.shape[:2], 1)), away], axis=2)
+    known = np.diag([_EVEN[0], *[_EVEN[1]] * 3])
+    fitted = np.repeat(middle[:, None], velocity.shape[1], axis=1)
+    for _ in range(_FITS):
+        weight = _weigh(velocity - fitted, width)
+        matrix = np.einsum("nkp,nk,nkq->npq", terms, weight, terms) + known
+        right = np.einsum("nkp,nk,nka->npa", terms, weight, velocity - middle[:, None])
+        change = np.linalg.solve(matrix, right)
+        fitted = middle[:, None] + terms @ change
+    spread = np.einsum("nk,nka->na", weight, np.square(velocity - fitted))
+    return middle + change[:, 0], spread / weight.sum(axis=1)[:, None]
+
+
+def _weigh(misses: F64, width: float) -> F64:
+    return np.asarray(np.exp(-0.5 * np.sum(np.square(misses), axis=2) / width**2)) + 1e-12

@@ -49,7 +49,7 @@ from sabench.utils.vector_units import (
 )
 
 _REACH, _ROUNDED_PX = 3.1, 0.1  # of a particle's image in widths; that much less is enough
-MARGIN = 24  # pixels around images: the widest window
+MARGIN_PX = 24  # pixels around images: the widest window
 UNSEEN = 1e-12  # weight of an image that a camera does not see
 WEIGHT, PULL, XX, XY, YY, X, Y, GIVEN = range(8)  # of `sum_up`
 SUMS = 8
@@ -61,12 +61,12 @@ _NONE = np.float32(0.0)
 
 def with_margins(images: F32) -> F32:
     """Copy images (camera, row, column) into frames of zeros."""
-    return np.pad(images, ((0, 0), (MARGIN, MARGIN), (MARGIN, MARGIN)))
+    return np.pad(images, ((0, 0), (MARGIN_PX, MARGIN_PX), (MARGIN_PX, MARGIN_PX)))
 
 
 def without_margins(images: Any) -> Any:
     """Return the images within their frames: a view, of a camera or all."""
-    return images[..., MARGIN:-MARGIN, MARGIN:-MARGIN]
+    return images[..., MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -77,7 +77,7 @@ def fill_weights(known: Any, saturated: Any, variance: Any, weight: Any) -> None
         for j in range(columns):
             if known[i, j]:
                 each = np.float32(1.0) / variance[i, j]
-                weight[MARGIN + i, MARGIN + j] = -each if saturated[i, j] else each
+                weight[MARGIN_PX + i, MARGIN_PX + j] = -each if saturated[i, j] else each
 
 
 class ImageModel(NamedTuple):
@@ -112,7 +112,7 @@ class ImageModel(NamedTuple):
     log_rate: float
 
 
-class Particles(NamedTuple):
+class ModelParticles(NamedTuple):
     """Particles of a model.
 
     Attributes
@@ -189,7 +189,7 @@ def make_room(sigma: F64) -> Room:
 
 
 @numba.njit(cache=True)
-def place(model: Any, room: Any, position: Any) -> None:
+def place_windows(model: Any, room: Any, position: Any) -> None:
     """Place a particle's windows in all cameras, with its images' profiles."""
     half, lanes = room.window // 2, room.profiles.shape[2]
     for c in range(len(room.here)):
@@ -201,7 +201,7 @@ def place(model: Any, room: Any, position: Any) -> None:
             room.width[c, k] = width
             first = math.floor(room.here[c, k] + 0.5) - half
             last = model.left.shape[2 - k] - lanes
-            room.corner[c, k] = min(max(first + MARGIN, 0), last)
+            room.corner[c, k] = min(max(first + MARGIN_PX, 0), last)
             own, slope = (OWN_X, SLOPE_X) if k == 0 else (OWN_Y, SLOPE_Y)
             shares, slopes = room.profiles[c, own], room.profiles[c, slope]
             fill_profile(room.here[c, k], width, first, room.window, shares, slopes)
@@ -239,7 +239,7 @@ def _shape_profiles(
     column, row = -flat * across * across, -flat * down * down
     for k in range(2):
         start = CURVE_X if k == 0 else WHOLE_Y  # of rows that have room for four derivatives
-        fill_derivatives(here[k], width[k], corner[k] - MARGIN, own[start : start + 4])
+        fill_derivatives(here[k], width[k], corner[k] - MARGIN_PX, own[start : start + 4])
     for i in range(own.shape[1]):
         own[FLAT_X, i] = column * own[CURVE_X + 2, i]
         own[FLAT_SLOPE_X, i] = column * own[CURVE_X + 3, i]
@@ -253,7 +253,7 @@ def _shape_profiles(
 
 @numba.njit(cache=True)
 def fill_image(model: Any, room: Any, c: int, image: Any) -> None:
-    """Fill in a camera's image (row, column), for light 1, after `place`."""
+    """Fill in a camera's image (row, column), for light 1, after `place_windows`."""
     if is_plain(model.shapes, c):
         _fill_products(room, c, PLAIN, image)
     else:
@@ -306,7 +306,7 @@ def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) ->
 
 @numba.njit(cache=True)
 def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
-    """Add light (camera,) times a sign to the images, where `place` was last."""
+    """Add light (camera,) times a sign to the images, where `place_windows` was last."""
     for c in range(len(light)):
         own, image, amount = room.profiles[c], model.left[c], sign * light[c]
         first, pairs = (OWN_X, 1) if is_plain(model.shapes, c) else (FLAT_X, 4)  # as in SHAPED
@@ -317,14 +317,14 @@ def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
 @numba.njit(cache=True)
 def take_out(model: Any, room: Any, position: Any, light: Any) -> None:
     """Give the light of a particle back to what is left of the images."""
-    place(model, room, position)
+    place_windows(model, room, position)
     paint_here(model, room, light, 1.0)
 
 
 @numba.njit(cache=True)
 def put_in(model: Any, room: Any, position: Any, light: Any) -> None:
     """Subtract the light of a particle from what is left of the images."""
-    place(model, room, position)
+    place_windows(model, room, position)
     paint_here(model, room, light, -1.0)
 
 
@@ -332,7 +332,7 @@ def put_in(model: Any, room: Any, position: Any, light: Any) -> None:
 def paint_all(model: Any, room: Any, particles: Any, sign: float) -> None:
     """Add the light of all particles times a sign to what is left of the images."""
     for n in range(len(particles.position)):
-        place(model, room, particles.position[n])
+        place_windows(model, room, particles.position[n])
         paint_here(model, room, particles.light[n], sign)
 
 
@@ -342,13 +342,13 @@ def look(model: Any, room: Any, position: Any, light: Any) -> None:
 
     Light (camera,) tells which saturated pixels have enough.
     """
-    place(model, room, position)
+    place_windows(model, room, position)
     match_here(model, room, light)
 
 
 @numba.njit(cache=True)
 def match_here(model: Any, room: Any, light: Any) -> None:
-    """Sum up as `look` does, where `place` was last."""
+    """Sum up as `look` does, where `place_windows` was last."""
     room.given[0] = 0.0
     for c in range(len(room.signal)):
         left, weights, row, column = model.left, model.weight, room.corner[c, 1], room.corner[c, 0]
@@ -374,7 +374,7 @@ def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
     in saturated pixels that have enough with it. The first two and the last fill in what `look`
     would without the particle.
     """
-    place(model, room, position)
+    place_windows(model, room, position)
     room.given[0] = 0.0
     for c in range(len(room.sums)):
         left, weights, row, column = model.left, model.weight, room.corner[c, 1], room.corner[c, 0]

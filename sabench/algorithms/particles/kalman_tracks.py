@@ -1,18 +1,25 @@
-"""Tracks of particles: where they are expected next, and how well that is known.
+"""Tracks of particles: predictions, and the most probable motion in each frame.
 
-A Kalman filter for each particle and axis with position, velocity and acceleration, which a random
+A Kalman filter for each particle and axis has position, velocity and acceleration, which a random
 jerk changes (Y. Bar-Shalom et al., Estimation with applications to tracking and navigation, Wiley
 2001, section 6.2). The errors of positions come from the images; the strength of the jerk, and how
 much particles accelerate at first, come from the misses of the predictions themselves.
+
+The motion in a frame follows from a track's positions before and after by generalised least
+squares, as a fixed-lag smoother would find it (sections 6.2 and 8.6 there): the positions are those
+of a body whose jerk is white noise, each with an error of its own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sabench.algorithms.particles.particle_search import joined, no_particles
+from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
@@ -29,6 +36,7 @@ ANY_SPEED = 1e6  # mm/s
 # and the most that an acceleration changes from frame to frame
 _ACCELERATION, _CHANGE, _MOST_CHANGE = 1.4, 3.5, 1.4
 _MAD = 1.4826  # standard deviation over the median of distances from the median
+_ABSENT = 1e12  # variance of a position that is not there, over the largest other one
 
 
 @dataclass
@@ -204,3 +212,147 @@ def velocity_near(position: F64, known: F64, velocity: F64) -> tuple[F64, F64]:
 def _change(off: F64) -> float:
     ratio = float(np.quantile(off, _WITHIN))
     return min(max(ratio, 1.0 / _FASTEST), _FASTEST)
+
+
+def most_probable_motion(
+    times: F64,
+    position: F64,
+    variance: F64,
+    velocity: F64,
+    spread: F64,
+    acceleration: float,
+    jerk: float,
+) -> tuple[F64, F64]:
+    """Estimate the motion at time 0, along each axis on its own.
+
+    Parameters
+    ----------
+    times : (m,) s.
+    position, variance : (n, m, 3) mm, mm2; NaN where a track has no position.
+    velocity, spread : (n, 3) what is known of velocities without the positions, mm/s, and its
+        variance.
+    acceleration : variance of accelerations, mm2/s4, around 0.
+    jerk : power of the jerk, mm2/s5.
+
+    Returns
+    -------
+    (n, 3, 3) the three along each axis, orders before axes; their covariances (n, 3, 3, 3), axes
+    first.
+    """
+    unit = float(np.abs(times).max(initial=0.0)) or 1.0  # of time, so that nothing is lost
+    times, jerk = times / unit, jerk * unit**5
+    there = np.isfinite(position) & np.isfinite(variance)
+    largest = float(variance[there].max(initial=0.0)) + jerk
+    noise = np.where(there, variance, _ABSENT * max(largest, 1e-300)).transpose(0, 2, 1)
+    terms = np.stack([np.ones_like(times), times, times**2 / 2.0], axis=1)
+    covariance = jerk * _jerk_covariance(times) + noise[:, :, :, None] * np.eye(len(times))
+    weighed = np.linalg.solve(covariance, np.broadcast_to(terms, (*noise.shape[:2], *terms.shape)))
+    matrix = np.einsum("mp,namq->napq", terms, weighed)
+    right = np.einsum("namp,nam->nap", weighed, np.nan_to_num(position).transpose(0, 2, 1))
+    matrix[:, :, 1, 1] += 1.0 / (spread * unit**2)
+    right[:, :, 1] += velocity / (spread * unit)
+    matrix[:, :, 2, 2] += 1.0 / (acceleration * unit**4)
+    known = np.linalg.inv(matrix)
+    state = np.einsum("napq,naq->npa", known, right)
+    back = unit ** -np.arange(3.0)
+    return state * back[:, None], known * np.outer(back, back)
+
+
+def _jerk_covariance(times: F64) -> F64:
+    """Compute the covariance (m, m) of positions by a jerk of power 1 since time 0.
+
+    Jerks before and after are independent. Between them and a time t the position grows with
+    (t - s)^2 / 2, so that two times on one side share the integral of both such squares.
+    """
+    one, other = np.abs(times)[:, None], np.abs(times)[None, :]
+    least, rest = np.minimum(one, other), np.abs(one - other)
+    both = least**5 / 20.0 + rest * least**4 / 8.0 + rest**2 * least**3 / 12.0
+    return np.where(times[:, None] * times[None, :] > 0.0, both, 0.0)
+
+
+@dataclass
+class TrackedFrame:
+    """Particles of a frame, their trajectories (n,), and whether they were seen."""
+
+    time: float
+    found: FoundParticles
+    number: I64
+    seen: Bool
+
+    @property
+    def position(self) -> F64:
+        """Positions (n, 3), mm."""
+        return self.found.position_mm
+
+    @property
+    def variance(self) -> F64:
+        """Variances (n, 3) of positions, mm2."""
+        return np.asarray(self.found.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
+
+    def add(self, more: FoundParticles, number: I64) -> None:
+        """Add particles that were not seen."""
+        self.found = joined(self.found, more)
+        self.number = np.concatenate([self.number, number])
+        self.seen = np.concatenate([self.seen, np.zeros(len(number), dtype=np.bool_)])
+
+    def drop(self, ghosts: I64) -> None:
+        """Drop some trajectories."""
+        kept = ~np.isin(self.number, ghosts)
+        self.found, self.number = self.found.rows(kept), self.number[kept]
+        self.seen = self.seen[kept]
+
+
+def no_frame(time: float, cameras: int) -> TrackedFrame:
+    """Return a frame without particles."""
+    return TrackedFrame(
+        time, no_particles(cameras), np.zeros(0, dtype=np.int64), np.zeros(0, np.bool_)
+    )
+
+
+def with_motion(
+    frames: Sequence[TrackedFrame], frame: TrackedFrame, motion: tuple[float, float] | None
+) -> FoundParticles:
+    """Add velocities and accelerations to a frame, from it and those around it.
+
+    Particles that were not seen get their positions, too.
+    """
+    found = replace(frame.found, trajectory=frame.number)
+    if motion is None or not len(frame.number):
+        return found
+    times = np.array([one.time - frame.time for one in frames])
+    positions = _positions(frames, frame.number)
+    moving = np.isfinite(positions[0][:, :, 0]).sum(axis=1) > 1
+    still = np.zeros_like(frame.position), np.full_like(frame.position, ANY_SPEED**2)
+    state, _ = most_probable_motion(times, *positions, *still, *motion)
+    expected = velocity_near(frame.position, frame.position[moving], state[moving, 1])
+    state, covariance = most_probable_motion(times, *positions, *expected, *motion)
+    seen = frame.seen[:, None]
+    place = np.where(seen, frame.position, state[:, 0])
+    error = np.where(seen[:, None], np.asarray(found.covariance_mm2), _diagonal(covariance, 0))
+    return replace(
+        found,
+        position_mm=place,
+        covariance_mm2=error,
+        velocity_mm_s=state[:, 1],
+        velocity_covariance=_diagonal(covariance, 1),
+        acceleration_mm_s2=state[:, 2],
+        acceleration_covariance=_diagonal(covariance, 2),
+    )
+
+
+def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:
+    """Collect places of trajectories in some frames, and variances: (n, frame, 3).
+
+    NaN where they were not seen.
+    """
+    position, variance = (np.full((len(number), len(frames), 3), np.nan) for _ in range(2))
+    for slot, one in enumerate(frames):
+        _, i, j = np.intersect1d(number, one.number[one.seen], return_indices=True)
+        position[i, slot] = one.position[one.seen][j]
+        variance[i, slot] = one.variance[one.seen][j]
+    return position, variance
+
+
+def _diagonal(covariance: F64, order: int) -> F64:
+    """Make covariances (n, 3, 3) over axes of one order of the motion."""
+    return np.asarray(covariance[:, :, order, order, None] * np.eye(3))

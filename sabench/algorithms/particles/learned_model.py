@@ -1,19 +1,42 @@
-"""Noise, light, widths and shifts of cameras, learned from a search's particles."""
+"""Noise, light, shapes and shifts of cameras, learned from a search's particles.
+
+Light and shapes come from particles that stand alone in the images.
+"""
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
-from sabench.algorithms.particles.all_particles import camera_misses, misfits
-from sabench.algorithms.particles.image_model import MOST_FLAT, SHAPES
-from sabench.algorithms.particles.image_statistics import LEAST_TILTED
-from sabench.algorithms.particles.light_prior import learn_covariance
-from sabench.algorithms.particles.lone_particles import find_lone
-from sabench.algorithms.particles.model_moves import add_shape_misses
+from sabench.algorithms.particles.all_particles import misfits, some_rows
+from sabench.algorithms.particles.claimed_errors import fit_line
+from sabench.algorithms.particles.image_model import (
+    MARGIN_PX,
+    MOST_FLAT,
+    SHAPES,
+    UNSEEN,
+    XX,
+    ImageModel,
+    ModelParticles,
+    counting,
+    fill_image,
+    is_plain,
+    make_room,
+    place_windows,
+    sum_up,
+)
+from sabench.algorithms.particles.joint_fit import learn_covariance
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.pixel_variance import fill_variance
+from sabench.geometry.volume_polynomials import project_points
+from sabench.images.gaussian_kernels import fill_derivatives
+from sabench.images.near_images import near_images
+from sabench.images.widths import LEAST_TILTED
 from sabench.utils.arrays import F64, I64
-from sabench.utils.threads import for_each
+from sabench.utils.compiled import numba
+from sabench.utils.threads import for_each, share_rows
+from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, TILT_SLOPE_Y
 
 _FEW = 30  # particles that tell nothing of all
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
@@ -26,6 +49,17 @@ _SHAPE_ERRORS = np.array(
 )
 _SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE], [_FLAT_CHANGE]])
 _WIDTH_STEPS = 2
+
+# Variance of pixels:
+_CLIP = 30.0  # mean squares: more of one pixel says nothing of the others
+_OWN_ERROR = 0.03  # of a particle's image: particles differ
+_UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
+
+# Lone particles:
+_OVERLAP = 4.8  # widths of images: distance of those that overlap
+_ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
+_BORDER = 4.8  # widths: distance from the border where images are not complete
+_PARTS = 16  # of the particles, whose sums are added up, whatever the number of cores
 
 
 def weigh_pixels(search: ParticleSearch, cap: float) -> None:
@@ -54,7 +88,7 @@ def weigh_pixels(search: ParticleSearch, cap: float) -> None:
 
 def learn_light(search: ParticleSearch) -> None:
     """Learn typical light and its covariance from the particles that stand alone."""
-    lone = _lone(search)
+    lone = _find_lone(search)
     if len(lone) < _FEW:
         return
     logs = np.log(search.light[lone] / search.typical)
@@ -68,7 +102,7 @@ def learn_widths(search: ParticleSearch) -> None:
     Half of them count, those that leave least of their images: others may be two. Few must be
     missing yet, because what they leave makes others wider.
     """
-    lone = _lone(search)
+    lone = _find_lone(search)
     if len(lone) < _FEW:
         return
     model, particles, cameras = search.model(), search.particles(), len(search.images)
@@ -129,7 +163,195 @@ def align_cameras(search: ParticleSearch) -> None:
         search.refine(1)
 
 
-def _lone(search: ParticleSearch) -> I64:
-    return find_lone(
-        search.maps, search.position, search.light, search.sigma, search.images.shape[1:]
-    )
+@numba.njit(cache=True)
+def _miss(left: float, saturated: bool) -> float:
+    """Return what is left of a pixel; 0 where a saturated one has enough."""
+    return 0.0 if saturated and left < 0.0 else left
+
+
+@numba.njit(cache=True)
+def _modelled(image: float, left: float) -> float:
+    """Return the particles' light in a pixel.
+
+    It is no more than the image shows, or particles that are too bright would hide it.
+    """
+    return min(max(image - left, 0.0), max(image, 0.0))
+
+
+@numba.njit(cache=True, nogil=True)
+def fill_variance(
+    image: Any, left: Any, known: Any, saturated: Any, dark: float, most: float, variance: Any
+) -> None:
+    """Fill in the variance of a camera's pixels for the fit of particles.
+
+    A line over the model's light, of which the part above the dark noise is at most `most`, and
+    shares of the model and of what is left. All arrays are (row, column), `dark` is a variance.
+    """
+    rows, columns = image.shape
+    squares, count = 0.0, 0
+    for i in range(rows):
+        for j in range(columns):
+            if known[i, j]:
+                squares += _miss(left[i, j], saturated[i, j]) ** 2
+                count += 1
+    clip = _CLIP * squares / max(count, 1)
+    x = y = xx = xy = 0.0
+    for i in range(rows):
+        for j in range(columns):
+            if known[i, j]:
+                light = _modelled(image[i, j], left[i, j])
+                square = min(_miss(left[i, j], saturated[i, j]) ** 2, clip)
+                x, y, xx, xy = x + light, y + square, xx + light * light, xy + light * square
+    even, slope = fit_line(float(count), x, y, xx, xy)
+    even, slope = max(even, dark), max(slope, 0.0)
+    for i in range(rows):
+        for j in range(columns):
+            light, miss = _modelled(image[i, j], left[i, j]), _miss(left[i, j], saturated[i, j])
+            least = (_OWN_ERROR * light) ** 2 + (_UNKNOWN * miss) ** 2
+            variance[i, j] = max(min(even + slope * light, dark + most), dark + least)
+
+
+def _find_lone(search: ParticleSearch) -> I64:
+    """Find particles whose images overlap with others' the least, and are complete."""
+    maps, position, light, sigma = search.maps, search.position, search.light, search.sigma
+    if len(position) < _FEW:
+        return np.zeros(0, dtype=np.int64)
+    pixels = np.stack([project_points(maps, camera, position) for camera in range(len(sigma))])
+    border = (_BORDER * sigma.max(axis=1))[:, None, None]
+    last = np.array(search.images.shape[:0:-1]) - 1.0
+    inside = ((pixels > border) & (pixels < last - border)).all(axis=(0, 2))
+    reach = _OVERLAP * sigma.max(axis=1)
+    starts, near = near_images(pixels, reach)
+    overlap = np.zeros(len(position))
+
+    def add(rows: slice) -> None:
+        _add_overlap(rows.start, pixels, light, sigma, reach, starts, near, overlap[rows])
+
+    share_rows(add, len(position))
+    least = np.sort(np.where(inside, overlap, np.inf))
+    rank = min(max(_LEAST_ALONE, int(_ALONE * len(overlap))), len(overlap) - 1)
+    most = max(least[rank], _HARDLY * len(sigma))
+    return np.flatnonzero(inside & (overlap <= most))
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_overlap(
+    first: int,
+    pixels: Any,
+    light: Any,
+    sigma: Any,
+    reach: Any,
+    starts: Any,
+    near: Any,
+    overlap: Any,
+) -> None:
+    """Add up the light of near images over the particles' own, from the first row on."""
+    for k in range(len(overlap)):
+        n = first + k
+        for other in near[starts[n] : starts[n + 1]]:
+            for c in range(len(sigma)):
+                x = pixels[c, n, 0] - pixels[c, other, 0]
+                y = pixels[c, n, 1] - pixels[c, other, 1]
+                if x * x + y * y <= reach[c] ** 2:
+                    apart = 0.25 * ((x / sigma[c, 0]) ** 2 + (y / sigma[c, 1]) ** 2)
+                    overlap[k] += math.exp(-apart) * light[other, c] / light[n, c]
+
+
+@numba.njit(cache=True, nogil=True)
+def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
+    """Add up (camera, 5) what each camera alone says of a common shift of its images.
+
+    The columns are the sums xx, xy, yy of the normal equations, and their right sides x and y.
+    """
+    for n in range(len(particles.position)):
+        sum_up(model, room, particles.position[n], particles.light[n])
+        for c in range(len(model.typical)):
+            light = particles.light[n, c]
+            for k in range(3):
+                equations[c, k] += light * light * room.sums[c, XX + k]
+            for k in range(3, 5):
+                equations[c, k] += light * room.sums[c, XX + k]
+
+
+@numba.njit(cache=True)
+def add_shape_misses(
+    model: Any, room: Any, particles: Any, rows: Any, matrices: Any, right: Any
+) -> None:
+    """Add up what some particles say of images' shapes, with light as it fits best.
+
+    The unknowns of a camera are those of `ImageModel.shapes`.
+
+    Parameters
+    ----------
+    rows : (k,) particles.
+    matrices, right : (camera, 4 SHAPES, 4 SHAPES) and (camera, 4 SHAPES) normal equations.
+    """
+    (own, slopes), both, terms = np.zeros((2, SHAPES)), np.zeros((SHAPES, SHAPES)), np.ones(4)
+    image = np.zeros((room.window, room.window), dtype=np.float32)
+    changes = np.zeros((SHAPES, room.window, room.window), dtype=np.float32)
+    for n in rows:
+        terms[1:] = particles.position[n]
+        place_windows(model, room, particles.position[n])
+        for c in range(len(model.typical)):
+            column, row = room.corner[c, 0], room.corner[c, 1]
+            fill_image(model, room, c, image)
+            _fill_changes(model, room, c, changes)
+            left, weights, light = model.left[c], model.weight[c], particles.light[n, c]
+            own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 0.0, 0.0
+            for i in range(room.window):
+                for j in range(room.window):
+                    each = counting(weights[row + i, column + j], left[row + i, column + j])
+                    share, off = image[i, j], each * left[row + i, column + j]
+                    whole, pull = whole + each * share * share, pull + off * share
+                    for a in range(SHAPES):
+                        own[a] += each * share * changes[a, i, j]
+                        slopes[a] += off * changes[a, i, j]
+                        for b in range(SHAPES):
+                            both[a, b] += each * changes[a, i, j] * changes[b, i, j]
+            if not whole > UNSEEN:
+                continue
+            for k in range(4 * SHAPES):
+                a, p = k // 4, k % 4
+                right[c, k] += light * terms[p] * (slopes[a] - own[a] * pull / whole)
+                for m in range(4 * SHAPES):
+                    b, q = m // 4, m % 4
+                    matrices[c, k, m] += (
+                        light * light * terms[p] * terms[q] * (both[a, b] - own[a] * own[b] / whole)
+                    )
+
+
+@numba.njit(cache=True)
+def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
+    """Fill in (shape, row, column) an image's derivatives by its shape.
+
+    They are a plain image's, near enough to step along. A Gaussian's derivative by its
+    width is the second by its centre, times the width.
+    """
+    own, width = room.profiles[c], room.width[c]
+    higher, first = np.zeros((2, 4, room.window)), room.corner[c] - MARGIN_PX
+    for k in range(2):
+        fill_derivatives(room.here[c, k], width[k], first[k], higher[k])
+    across, down, plain = width[0] * width[0], width[1] * width[1], is_plain(model.shapes, c)
+    for i in range(room.window):
+        y, y2, y4 = own[OWN_Y, i], down * higher[1, 0, i], down * down * higher[1, 2, i]
+        for j in range(room.window):
+            x, x2, x4 = own[OWN_X, j], across * higher[0, 0, j], across * across * higher[0, 2, j]
+            changes[0, i, j], changes[1, i, j] = x2 * y / width[0], x * y2 / width[1]
+            changes[2, i, j] = own[SLOPE_Y, i] * own[SLOPE_X, j]
+            if not plain:
+                changes[2, i, j] += own[TILT_SLOPE_Y, i] * own[CURVE_X, j]
+            changes[3, i, j] = -(x4 * y + 2.0 * x2 * y2 + x * y4)
+
+
+def camera_misses(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
+    """Sum up (camera, 5) what each camera alone says of a common shift of its images.
+
+    The columns are those of `add_camera_misses`.
+    """
+
+    def add(rows: slice) -> F64:
+        sums = np.zeros((len(sigma), 5))
+        add_camera_misses(model, make_room(sigma), some_rows(particles, rows), sums)
+        return sums
+
+    return np.asarray(np.sum(share_rows(add, len(particles.position), _PARTS), axis=0))

@@ -1,10 +1,17 @@
-"""Removals of particles that images do not ask for, and sums about cameras.
+"""Moves of particles that make a model more probable: removals and splits.
 
 A ghost shares the light of true particles' images with them. It fits as well as they do, but when
 it is taken out, its neighbours fit as well without it. So every particle is taken out for trial,
-its neighbours are fitted again, and it comes back only if its absence costs more than its price.
-It is a move of P. J. Green, Reversible jump Markov chain Monte Carlo computation and Bayesian model
-determination, Biometrika 82, 711-732, 1995, taken where it raises the probability.
+its neighbours are fitted again, and it comes back only if its absence costs more than its penalty.
+
+Two particles closer than two pixels look like one. Whether one is two is first asked of what is
+left of the images, by the score test of C. R. Rao (Proc. Camb. Phil. Soc. 44, 50-57, 1948): halves
+that move apart by s change an image by half its second derivative along s, and how well that
+matches what is left gives what a split would gain. Two particles are fitted only where it promises
+enough.
+
+Both are moves of P. J. Green, Reversible jump Markov chain Monte Carlo computation and Bayesian
+model determination, Biometrika 82, 711-732, 1995, taken where they raise the probability.
 """
 
 from __future__ import annotations
@@ -15,44 +22,37 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.particles.image_model import (
-    MARGIN,
+    MARGIN_PX,
     PULL,
-    SHAPES,
     UNSEEN,
     WEIGHT,
-    XX,
     counting,
     fill_image,
-    is_plain,
     look,
-    place,
+    place_windows,
     put_in,
     sum_up,
     take_out,
 )
-from sabench.algorithms.particles.joint_fit import adjust, cost_of, price
-from sabench.geometry.volume_polynomials import (
-    VolumePolynomials,
-    project_points,
-)
-from sabench.images.gaussian_kernels import fill_derivatives
+from sabench.algorithms.particles.joint_fit import cost_of, fit_particle, penalty
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
+from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.compiled import numba
-from sabench.utils.vector_units import (
-    CURVE_X,
-    OWN_X,
-    OWN_Y,
-    SLOPE_X,
-    SLOPE_Y,
-    TILT_SLOPE_Y,
-)
+from sabench.utils.vector_units import OWN_X, OWN_Y, SLOPE_X, SLOPE_Y
 
+# Removals:
 _NEIGHBOURS = 512  # that are fitted again around one particle
 _NEAR = 3.6  # widths of images: distance of a neighbour's image in some camera
-_SURE = 4.0  # prices that a particle earns which is not tried again
-_CERTAIN = 2.0  # prices that it earns alone, without a trial
+_SURE = 4.0  # times its penalty: a particle that gains so much is not tried again
+_CERTAIN = 2.0  # times its penalty: gained alone, it needs no trial
 _SHARED = 0.1  # of a particle's light in a pixel: more from others, and they may take it over
+
+# Splits:
+_SAME = 0.8  # widths: distance of images of the two of a split that are one
+_SETTLE = 6  # fits of the two particles of a split
+_DOUBTFUL = 2  # of them, after which a split that does not pay is given up
 
 
 def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
@@ -87,20 +87,20 @@ def remove_ghosts(
     order : rows, in the order of the trials.
     starts, near : from `find_neighbours`.
     fits : rounds of fitting the neighbours without a particle.
-    lone : whether what a particle earns in the camera where it earns most does not count: light in
+    lone : whether what a particle gains in the camera where it gains most does not count: light in
         one camera alone is no particle.
-    sure : (n,) set for the rows of `order`: whether a particle earns several times its price
+    sure : (n,) set for the rows of `order`: whether a particle gains several times its penalty
         without that camera.
-    odds : (n,) set for the same rows: what it earns less its price, the logarithm of the odds that
-        it is real; trials end where they are high enough.
+    odds : (n,) set for the same rows: what it gains less its penalty, the logarithm of the odds
+        that it is real; trials end where they are high enough.
     """
     cameras = particles.light.shape[1]
     positions, lights = np.zeros((_NEIGHBOURS, 3)), np.zeros((_NEIGHBOURS, cameras))
     image, removed = np.zeros((room.window, room.window), dtype=np.float32), 0
     for n in order:
         position, light = particles.position[n], particles.light[n]
-        least = price(model, room, position, light)
-        alone = _earned_alone(model, room, light, image)
+        least = penalty(model, room, position, light)
+        alone = _gain_alone(model, room, light, image)
         if alone > _CERTAIN * least:
             sure[n], odds[n] = True, alone - least
             continue
@@ -121,7 +121,7 @@ def remove_ghosts(
                 break
             for j in neighbours:
                 if loss > least and particles.alive[j]:
-                    loss += adjust(model, room, particles, j)
+                    loss += fit_particle(model, room, particles, j)
         sure[n], odds[n] = loss > _SURE * without_best, loss - least
         if loss <= least:
             removed += 1
@@ -146,8 +146,8 @@ def _put_back(
 
 
 @numba.njit(cache=True)
-def _earned_alone(model: Any, room: Any, light: Any, image: Any) -> float:
-    """Compute the least that a particle earns, where `price` was just asked for.
+def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
+    """Compute the least that a particle gains, after `penalty`.
 
     That is in pixels where others leave hardly any light, so that none of them can take over its
     own; without the camera in which this is most, and less the cost of its light's prior.
@@ -157,7 +157,7 @@ def _earned_alone(model: Any, room: Any, light: Any, image: Any) -> float:
         room.logs[c] = math.log(light[c] / model.typical[c])
     for c in range(len(light)):
         fill_image(model, room, c, image)
-        earned = _earned_in(
+        gained = _gain_in(
             model.images[c],
             model.left[c],
             model.weight[c],
@@ -165,21 +165,21 @@ def _earned_alone(model: Any, room: Any, light: Any, image: Any) -> float:
             room.corner[c],
             light[c],
         )
-        most, total = max(most, earned), total + max(earned, 0.0)
+        most, total = max(most, gained), total + max(gained, 0.0)
         for k in range(len(light)):
             prior += 0.5 * room.logs[c] * model.precision[c, k] * room.logs[k]
     return float(total - most - prior)
 
 
 @numba.njit(cache=True)
-def _earned_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light: float) -> float:
-    earned = 0.0
+def _gain_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light: float) -> float:
+    gained = 0.0
     for i in range(len(share)):
         for j in range(len(share)):
             row, column, own = corner[1] + i, corner[0] + j, light * share[i, j]
             if image[row, column] - left[row, column] - own <= _SHARED * own:
-                earned += _saved(weights[row, column], left[row, column], own)
-    return earned
+                gained += _saved(weights[row, column], left[row, column], own)
+    return gained
 
 
 @numba.njit(cache=True)
@@ -218,11 +218,11 @@ def _count_meetings(
 
 @numba.njit(cache=True)
 def _largest_share(room: Any, light: Any) -> float:
-    """Compute the share of a particle's earnings, after `look`, in its best camera."""
+    """Compute the share of a particle's gains, after `look`, in its best camera."""
     most, total = 0.0, 1e-300
     for c in range(len(light)):
-        earned = max(light[c] * (room.signal[c] - 0.5 * light[c] * room.weight[c]), 0.0)
-        most, total = max(most, earned), total + earned
+        gained = max(light[c] * (room.signal[c] - 0.5 * light[c] * room.weight[c]), 0.0)
+        most, total = max(most, gained), total + gained
     return float(most / total)
 
 
@@ -234,7 +234,7 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
     """
     for n in range(len(misfit)):
         squares, count = 0.0, 0
-        place(model, room, particles.position[n])
+        place_windows(model, room, particles.position[n])
         for c in range(len(model.typical)):
             left, weights, corner = model.left[c], model.weight[c], room.corner[c]
             for i in range(corner[1], corner[1] + room.window):
@@ -246,99 +246,184 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
 
 
 @numba.njit(cache=True, nogil=True)
-def measure_earnings(model: Any, room: Any, particles: Any, earned: Any) -> None:
+def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> None:
     """Fill in (n, camera) how much cost a particle's light saves in each camera.
 
     It is negative where a camera does not show the particle.
     """
-    for n in range(len(earned)):
+    for n in range(len(gained)):
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
             light = particles.light[n, c]
-            earned[n, c] = light * (room.sums[c, PULL] + 0.5 * light * room.sums[c, WEIGHT])
+            gained[n, c] = light * (room.sums[c, PULL] + 0.5 * light * room.sums[c, WEIGHT])
 
 
 @numba.njit(cache=True, nogil=True)
-def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
-    """Add up (camera, 5) what each camera alone says of a common shift of its images.
+def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains: Any) -> None:
+    """Fill in (n,) how much cost a split promises to save.
 
-    The columns are the sums xx, xy, yy of the normal equations, and their right sides x and y.
+    It is that along the best of some steps (k, 3). Light is free in each camera, or a peak that is
+    lower than the model's would promise as much.
     """
-    for n in range(len(particles.position)):
-        sum_up(model, room, particles.position[n], particles.light[n])
-        for c in range(len(model.typical)):
-            light = particles.light[n, c]
-            for k in range(3):
-                equations[c, k] += light * light * room.sums[c, XX + k]
-            for k in range(3, 5):
-                equations[c, k] += light * room.sums[c, XX + k]
+    cameras, size = len(model.typical), room.window
+    bent, pull, square = np.zeros((2, size)), np.zeros((cameras, 3)), np.zeros((cameras, 3, 3))
+    image = np.zeros((size, size), dtype=np.float32)
+    for n in range(len(gains)):
+        place_windows(model, room, particles.position[n])
+        for c in range(cameras):
+            for k in range(2):
+                first = room.corner[c, k] - MARGIN_PX
+                fill_bend(room.here[c, k], room.width[c, k], first, bent[k])
+            _match_bends(model, room, c, bent, image, pull[c], square[c])
+        gains[n] = 0.0
+        for s in range(len(steps)):
+            gain = _promise(room, particles.light[n], steps[s], pull, square)
+            gains[n] = max(gains[n], gain)
 
 
 @numba.njit(cache=True)
-def add_shape_misses(
-    model: Any, room: Any, particles: Any, rows: Any, matrices: Any, right: Any
+def _match_bends(
+    model: Any, room: Any, c: int, bent: Any, image: Any, pull: Any, square: Any
 ) -> None:
-    """Add up what some particles say of images' shapes, with light as it fits best.
+    """Match second derivatives of a particle's image in a camera with what is left.
 
-    The unknowns of a camera are those of `ImageModel.shapes`.
+    Fills in their sums (3,) and products (3, 3), by columns, by both, and by rows, less what free
+    light explains. Those of the profiles are `bent` (2, pixel); there is room for an image.
+    """
+    left, weights, bends, shares = model.left[c], model.weight[c], np.zeros(3), np.zeros(3)
+    column, row, whole, rest = room.corner[c, 0], room.corner[c, 1], 0.0, 0.0
+    by_x, by_y = room.profiles[c, SLOPE_X], room.profiles[c, SLOPE_Y]
+    x, y = room.profiles[c, OWN_X], room.profiles[c, OWN_Y]
+    fill_image(model, room, c, image)
+    pull[:], square[:] = 0.0, 0.0
+    for i in range(room.window):
+        for j in range(room.window):
+            off = left[row + i, column + j]
+            each = counting(weights[row + i, column + j], off)
+            own = image[i, j]
+            bends[0], bends[2] = y[i] * bent[0, j], bent[1, i] * x[j]
+            bends[1] = by_y[i] * by_x[j]
+            whole, rest = whole + each * own * own, rest + each * off * own
+            for k in range(3):
+                pull[k] += each * off * bends[k]
+                shares[k] += each * own * bends[k]
+                for m in range(k + 1):
+                    square[k, m] += each * bends[k] * bends[m]
+    for k in range(3):
+        share = shares[k] / whole if whole > UNSEEN else 0.0
+        pull[k] -= share * rest
+        for m in range(k + 1):
+            square[k, m] -= share * shares[m]
+            square[m, k] = square[k, m]
+
+
+@numba.njit(cache=True)
+def _promise(room: Any, light: Any, step: Any, pull: Any, square: Any) -> float:
+    """Compute how much cost halves save that move a step (3,) apart.
+
+    To the second order of the step.
+    """
+    slope, bend, terms = 0.0, 0.0, np.zeros(3)
+    for c in range(len(light)):
+        x, y = 0.0, 0.0
+        for p in range(3):
+            x, y = x + room.slope[c, 0, p] * step[p], y + room.slope[c, 1, p] * step[p]
+        terms[0], terms[1], terms[2] = 0.5 * x * x, x * y, 0.5 * y * y
+        for k in range(3):
+            slope += light[c] * terms[k] * pull[c, k]
+            for m in range(3):
+                bend += light[c] * light[c] * terms[k] * terms[m] * square[c, k, m]
+    return 0.5 * slope * slope / bend if slope > 0.0 and bend > 0.0 else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, steps: Any) -> None:
+    """Replace particles by two each where that is more probable.
 
     Parameters
     ----------
-    rows : (k,) particles.
-    matrices, right : (camera, 4 SHAPES, 4 SHAPES) and (camera, 4 SHAPES) normal equations.
+    order : rows, in the order of the trials.
+    spare : (n,) the row that is free for the second of two, for the rows of `order`.
+    steps : (k, 3) half distances of the two, in the box's coordinates, that are tried.
     """
-    (own, slopes), both, terms = np.zeros((2, SHAPES)), np.zeros((SHAPES, SHAPES)), np.ones(4)
-    image = np.zeros((room.window, room.window), dtype=np.float32)
-    changes = np.zeros((SHAPES, room.window, room.window), dtype=np.float32)
-    for n in rows:
-        terms[1:] = particles.position[n]
-        place(model, room, particles.position[n])
-        for c in range(len(model.typical)):
-            column, row = room.corner[c, 0], room.corner[c, 1]
-            fill_image(model, room, c, image)
-            _fill_changes(model, room, c, changes)
-            left, weights, light = model.left[c], model.weight[c], particles.light[n, c]
-            own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(room.window):
-                for j in range(room.window):
-                    each = counting(weights[row + i, column + j], left[row + i, column + j])
-                    share, off = image[i, j], each * left[row + i, column + j]
-                    whole, pull = whole + each * share * share, pull + off * share
-                    for a in range(SHAPES):
-                        own[a] += each * share * changes[a, i, j]
-                        slopes[a] += off * changes[a, i, j]
-                        for b in range(SHAPES):
-                            both[a, b] += each * changes[a, i, j] * changes[b, i, j]
-            if not whole > UNSEEN:
-                continue
-            for k in range(4 * SHAPES):
-                a, p = k // 4, k % 4
-                right[c, k] += light * terms[p] * (slopes[a] - own[a] * pull / whole)
-                for m in range(4 * SHAPES):
-                    b, q = m // 4, m % 4
-                    matrices[c, k, m] += (
-                        light * light * terms[p] * terms[q] * (both[a, b] - own[a] * own[b] / whole)
-                    )
+    cameras = particles.light.shape[1]
+    middle, own, places, lights = (
+        np.zeros(3),
+        np.zeros(cameras),
+        np.zeros((2, 3)),
+        np.zeros((2, cameras)),
+    )
+    for n in order:
+        count = spare[n]
+        middle[:], own[:] = particles.position[n], particles.light[n]
+        best = 0.0
+        for s in range(len(steps)):
+            cost = _try_split(model, room, particles, n, count, steps[s])
+            if cost < best:
+                best = cost
+                places[0], places[1] = particles.position[n], particles.position[count]
+                lights[0], lights[1] = particles.light[n], particles.light[count]
+            take_out(model, room, particles.position[n], particles.light[n])
+            take_out(model, room, particles.position[count], particles.light[count])
+            particles.position[n], particles.light[n] = middle, own
+            put_in(model, room, middle, own)
+        if best < 0.0 and _are_apart(model, room, places):
+            take_out(model, room, middle, own)
+            for k in range(2):
+                put_in(model, room, places[k], lights[k])
+            larger = max(
+                penalty(model, room, places[0], lights[0]),
+                penalty(model, room, places[1], lights[1]),
+            )
+            if best + larger < 0.0:
+                particles.position[n], particles.light[n] = places[0], lights[0]
+                particles.position[count], particles.light[count] = places[1], lights[1]
+                particles.alive[count] = True
+            else:
+                for k in range(2):
+                    take_out(model, room, places[k], lights[k])
+                put_in(model, room, middle, own)
 
 
 @numba.njit(cache=True)
-def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
-    """Fill in (shape, row, column) an image's derivatives by its shape.
+def _are_apart(model: Any, room: Any, places: Any) -> bool:
+    """Say whether some camera sees two positions apart.
 
-    They are a plain image's, near enough to step along. A Gaussian's derivative by its
-    width is the second by its centre, times the width.
+    If not, one particle with a wider image than others looks the same, and is more probable.
     """
-    own, width = room.profiles[c], room.width[c]
-    higher, first = np.zeros((2, 4, room.window)), room.corner[c] - MARGIN
-    for k in range(2):
-        fill_derivatives(room.here[c, k], width[k], first[k], higher[k])
-    across, down, plain = width[0] * width[0], width[1] * width[1], is_plain(model.shapes, c)
-    for i in range(room.window):
-        y, y2, y4 = own[OWN_Y, i], down * higher[1, 0, i], down * down * higher[1, 2, i]
-        for j in range(room.window):
-            x, x2, x4 = own[OWN_X, j], across * higher[0, 0, j], across * across * higher[0, 2, j]
-            changes[0, i, j], changes[1, i, j] = x2 * y / width[0], x * y2 / width[1]
-            changes[2, i, j] = own[SLOPE_Y, i] * own[SLOPE_X, j]
-            if not plain:
-                changes[2, i, j] += own[TILT_SLOPE_Y, i] * own[CURVE_X, j]
-            changes[3, i, j] = -(x4 * y + 2.0 * x2 * y2 + x * y4)
+    here, slopes = np.zeros((2, 2)), np.zeros((2, 3))
+    for c in range(len(model.typical)):
+        for k in range(2):
+            project_point(model.maps, c, places[k], here[k], slopes)
+        apart = math.hypot(here[0, 0] - here[1, 0], here[0, 1] - here[1, 1])
+        if apart > _SAME * max(model.shapes[c, 0, 0], model.shapes[c, 1, 0]):
+            return True
+    return False
+
+
+@numba.njit(cache=True)
+def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: Any) -> float:
+    """Replace a particle by two of half its light, and fit both.
+
+    Returns the change of the cost.
+    """
+    take_out(model, room, particles.position[n], particles.light[n])
+    look(model, room, particles.position[n], particles.light[n])
+    cost = -cost_of(model, room, particles.light[n])
+    for p in range(3):
+        middle = particles.position[n, p]
+        particles.position[n, p] = min(max(middle + step[p], -1.0), 1.0)
+        particles.position[new, p] = min(max(middle - step[p], -1.0), 1.0)
+    for c in range(len(model.typical)):
+        particles.light[n, c] *= 0.5
+        particles.light[new, c] = particles.light[n, c]
+    for k in (n, new):
+        look(model, room, particles.position[k], particles.light[k])
+        cost += cost_of(model, room, particles.light[k])
+        put_in(model, room, particles.position[k], particles.light[k])
+    for fit in range(_SETTLE):
+        cost += fit_particle(model, room, particles, n)
+        cost += fit_particle(model, room, particles, new)
+        if fit == _DOUBTFUL and cost > 0.0:
+            break
+    return float(cost)

@@ -1,6 +1,8 @@
-"""Moves of a search for the most probable particles of one frame.
+"""Search for the most probable particles of one frame: its state and its moves.
 
-A particle has a place, light with a prior that is learned from the images, and a price.
+The state is the images of the frame, what the particles so far leave of them, and what is known of
+cameras, light and noise. A particle has a position, light with a prior that is learned from the
+images, and a penalty.
 """
 
 from __future__ import annotations
@@ -11,7 +13,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sabench.algorithms.particles.all_particles import split_gains
+from sabench.algorithms.particles.all_particles import (
+    disjoint_groups,
+    order_in_memory,
+    paint_particles,
+    side_by_side,
+    split_gains,
+)
 from sabench.algorithms.particles.candidate_search import (
     BRIGHTEST,
     find_candidates,
@@ -19,23 +27,41 @@ from sabench.algorithms.particles.candidate_search import (
     split_directions,
     wide_enough,
 )
-from sabench.algorithms.particles.disjoint_groups import (
-    disjoint_groups,
-    order_in_memory,
-    side_by_side,
+from sabench.algorithms.particles.claimed_errors import claimed_covariances
+from sabench.algorithms.particles.image_model import (
+    MOST_FLAT,
+    SHAPES,
+    ImageModel,
+    ModelParticles,
+    Room,
+    fill_weights,
+    make_room,
+    with_margins,
+    without_margins,
 )
-from sabench.algorithms.particles.image_model import make_room
-from sabench.algorithms.particles.joint_fit import refine, start_light
-from sabench.algorithms.particles.light_prior import scatter_between
+from sabench.algorithms.particles.joint_fit import (
+    even_covariance,
+    fit_particles,
+    scatter_between,
+    start_light,
+)
 from sabench.algorithms.particles.model_moves import (
     count_meetings,
     find_neighbours,
     remove_ghosts,
+    split_pairs,
 )
-from sabench.algorithms.particles.particle_splits import split_pairs
-from sabench.algorithms.particles.search_state import SearchState
-from sabench.utils.arrays import I64
+from sabench.api import FoundParticles
+from sabench.geometry.volume_polynomials import VolumePolynomials, points_in_mm
+from sabench.images.background import ClearImages
+from sabench.images.widths import PIXEL, ImageStatistics, peak_brightness
+from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.utils.threads import Deadline, for_each
 
+_BOX = 8.0  # volume of the box in its coordinates
+_BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
+MOST_TILT = 0.7  # correlation of columns and rows in images: more is not two terms' Gaussian
+_CERTAIN = 30.0  # logarithm of the highest odds
 _PORTIONS = 8  # of many rows whose order counts: the first are fitted before the next
 # standard deviations of noise: the least floor of candidates; of faint particles, which would all
 # be below it, just above the noise, or this share of a typical particle's light
@@ -47,16 +73,280 @@ _MORE = 0.5  # of the particles so far: candidates beside them
 _CROWDED, _EACH, _TAKEN = 1.25, 0.095, 0.2
 _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
-_CONTESTED = 0.25  # of the cameras: meetings with others that have just earned their price
+_CONTESTED = 0.25  # of the cameras: meetings with others that have just gained their penalty
 _TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
 # units of the cost, and times what the median particle promises (images that are a little wider
 # than the model's promise something everywhere): particles of which a split promises more are tried
-_PROMISING, _COMMON = 3.0, 2.0
+_PROMISING, _TYPICAL = 3.0, 2.0
 _APART = 1.1  # widths: distance of the two of a split from their middle
 
 
-class ParticleSearch(SearchState):
-    """Search that adds, fits, removes and splits particles."""
+def no_particles(cameras: int) -> FoundParticles:
+    """Return no particles, with all that a search tells of them."""
+    none = np.zeros(0)
+    return FoundParticles(
+        np.zeros((0, 3)),
+        none,
+        light=np.zeros((0, cameras)),
+        covariance_mm2=np.zeros((0, 3, 3)),
+        probability=none,
+    )
+
+
+def joined(one: FoundParticles, other: FoundParticles) -> FoundParticles:
+    """Join particles of which the same is known."""
+    more = {declared.name: value for declared, value in other.arrays()}
+    return FoundParticles(
+        **{
+            declared.name: np.concatenate([value, more[declared.name]])
+            for declared, value in one.arrays()
+        }
+    )
+
+
+class ParticleSearch:
+    """Search that adds, fits, removes and splits particles of a frame's images.
+
+    Cameras that show no particles are left out.
+
+    Attributes
+    ----------
+    images, known, covered, saturated : (camera, row, column) less black; which pixels count; which
+        tell nothing of what is behind them; which show less light than there is.
+    left, variance : the images less all particles, and the variance of each pixel.
+    position, light : (n, 3) in the box of the maps, (n, camera).
+    hidden : (all cameras, row, column) areas that something hides from a camera in every frame.
+    sure : (n,) whether a particle gained several times its penalty.
+    trusted : (n,) whether a caller has other reasons to take a particle for real: it is not tried.
+    odds : (n,) logarithm of the odds that it is real.
+    tag : (n,) numbers that a caller gave particles, -1 for those found here.
+    deadline : after it, particles are no longer found, fitted, removed or split.
+    """
+
+    images: F32
+    known: Bool
+    covered: Bool
+    saturated: Bool
+    left: F32
+    variance: F32
+    position: F64
+    light: F64
+    sure: Bool
+    trusted: Bool
+    odds: F64
+    tag: I64
+    deadline: Deadline = Deadline()
+
+    def __init__(
+        self,
+        clear: ClearImages,
+        maps: VolumePolynomials,
+        statistics: ImageStatistics,
+        fits: int,
+    ) -> None:
+        """Start without particles; all are fitted `fits` times before removals, at most."""
+        self.shown, self.fits = statistics.shown, fits
+        self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
+        self.number, self.noise = statistics.number, statistics.noise[self.shown]
+        self.typical, self.tilt = statistics.light[self.shown], statistics.tilt[self.shown]
+        self.flat = statistics.flat[self.shown]
+        self.hidden: Bool | None = None
+        self.reset_covariance()
+        self.show(clear)
+        self.set_width(statistics.sigma[self.shown])
+
+    def show(self, clear: ClearImages) -> None:
+        """Take the images of a frame, with all cameras, and no particles."""
+        images, flaws, saturated = clear
+        self.images, self.saturated = images[self.shown], saturated[self.shown]
+        self.covered, self.known = flaws.covered[self.shown], ~flaws.unknown[self.shown]
+        if self.hidden is not None:
+            self.hide(self.hidden)
+        self.framed, self.framed_left = with_margins(self.images), with_margins(self.images)
+        self.images = without_margins(self.framed)
+        self.left, self.variance = without_margins(self.framed_left), np.ones_like(self.images)
+        self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
+        self.sure, self.trusted = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
+        self.tag = np.zeros(0, dtype=np.int64)
+        self.odds = np.zeros(0)
+
+    def hide(self, areas: Bool) -> None:
+        """Hide areas (all cameras, row, column) of the images."""
+        self.hidden = areas
+        self.covered |= areas[self.shown]
+        self.known &= ~areas[self.shown]
+
+    def set_width(self, sigma: F64) -> None:
+        """Set the widths (camera, 2) of the particles' images, the same everywhere.
+
+        With the tilt that was measured, or the most that the model has, and as Gaussians.
+        """
+        tilt = np.clip(self.tilt, -MOST_TILT, MOST_TILT)
+        shapes = np.zeros((len(sigma), SHAPES, 4))
+        shapes[:, :2, 0], shapes[:, 2, 0] = sigma, tilt * sigma.prod(axis=1)
+        self.set_shapes(shapes)
+
+    def set_shapes(self, shapes: F64) -> None:
+        """Set the shapes of images, before more is learned of them."""
+        self.shapes, self.first_shapes = shapes, shapes.copy()
+        self.subtract_all()
+
+    def flatten(self) -> None:
+        """Give the images of cameras where they are flat that shape, as it was measured.
+
+        Not before most particles are found: flat images tell less of what is missing.
+        """
+        shapes = self.shapes.copy()
+        for camera in np.flatnonzero(self.flat[:, 2]):
+            sigma, shape = self.flat[camera, :2], shapes[camera]
+            shape[2, 0] *= sigma.prod() / shape[:2, 0].prod()
+            shape[:2, 0], shape[3, 0] = sigma, min(self.flat[camera, 2], MOST_FLAT)
+        self.set_shapes(shapes)
+
+    @property
+    def sigma(self) -> F64:
+        """Widths (camera, 2) of the particles' images in the middle of the box, px."""
+        return self.shapes[:, :2, 0]
+
+    @property
+    def room(self) -> Room:
+        """Room for one thread to work in."""
+        return make_room(self.sigma)
+
+    @property
+    def widest(self) -> F64:
+        """Widths (camera, 2), px, for windows that hold images of any width so far."""
+        return np.asarray(np.maximum(self.first_shapes[:, :2, 0], self.sigma))
+
+    def reset_covariance(self, between: float = _BETWEEN, common: float = _COMMON) -> None:
+        """Forget the covariance of light that was learned."""
+        self.covariance = even_covariance(len(self.typical), between, common)
+
+    def found(self) -> FoundParticles:
+        """Return the particles."""
+        brightness = self._lowered() * peak_brightness(self.light, self.sigma.mean(axis=1))
+        light = np.zeros((len(self.light), len(self.shown)))
+        light[:, self.shown] = self.light
+        return FoundParticles(
+            points_in_mm(self.maps, self.position),
+            brightness.mean(axis=1),
+            light=light,
+            covariance_mm2=claimed_covariances(
+                self.model(), self.widest, self.particles(), self.noise
+            ),
+            probability=1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN))),
+        )
+
+    def put(self, position: F64, light: F64, tag: I64) -> None:
+        """Put in particles, whatever the images show."""
+        first = len(self.position)
+        self.append(len(position), 1.0)
+        self.position[first:], self.light[first:], self.tag[first:] = position, light, tag
+        self.odds[first:] = _CERTAIN
+        self.subtract_all()
+
+    def miss(self, camera: int) -> F32:
+        """Return what is left of an image; 0 where a saturated pixel has enough."""
+        left, enough = self.left[camera], self.saturated[camera] & (self.left[camera] < 0.0)
+        return np.where(enough, np.float32(0.0), left)
+
+    def model(self) -> ImageModel:
+        """Make the kernels' view of images and what is left of them."""
+        precision: F64 = np.linalg.inv(self.covariance).astype(np.float64)
+        weight = np.zeros_like(self.framed)
+
+        def fill(camera: int) -> None:
+            known, saturated = self.known[camera], self.saturated[camera]
+            fill_weights(known, saturated, self.variance[camera], weight[camera])
+
+        for_each(fill, len(weight))
+        return ImageModel(
+            self.maps,
+            self.shapes,
+            self.typical,
+            precision,
+            float(np.linalg.slogdet(precision)[1]),
+            float(np.linalg.eigvalsh(precision)[0]),
+            self.framed,
+            weight,
+            self.framed_left,
+            math.log(self.number / _BOX),
+        )
+
+    def particles(self) -> ModelParticles:
+        """Make the kernels' view of the particles, all alive."""
+        return ModelParticles(
+            self.position, self.light, np.ones(len(self.position), dtype=np.bool_)
+        )
+
+    def squares_left(self) -> F64:
+        """Sum up the squares (camera,) of what is left of the images, over the variance."""
+        return np.array(
+            [
+                float((self.miss(camera)[known] ** 2 / self.variance[camera][known]).sum())
+                for camera, known in enumerate(self.known)
+            ]
+        )
+
+    def unexplained(self) -> float:
+        """Compute the share of the light that is left; the median over the cameras."""
+        shares = [
+            float(self.miss(camera)[known].sum() / max(image[known].sum(), 1e-6))
+            for camera, (image, known) in enumerate(zip(self.images, self.known, strict=True))
+        ]
+        return float(np.median(shares))
+
+    def common_light(self) -> F64:
+        """Compute the mean light (n,) over cameras, in a typical particle's."""
+        return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
+
+    def overlap(self) -> float:
+        """Estimate how many particles' images share a pixel.
+
+        An image's area is 4 pi times its squared width.
+        """
+        area = 4.0 * math.pi * float(np.median(self.sigma.prod(axis=1)))
+        return float(self.number * area / self.images[0].size)
+
+    def peaks(self, sigma: F64 | None = None) -> F64:
+        """Compute the brightest pixel (camera,) of a typical particle.
+
+        With the present widths (camera, 2) of images, or others.
+        """
+        widths = self.sigma if sigma is None else sigma
+        erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in widths])
+        return np.asarray(self.typical * erf.prod(axis=1) * self._lowered())
+
+    def _lowered(self) -> F64:
+        """Estimate the peaks (camera,) of images over those of Gaussians."""
+        area = self.sigma.prod(axis=1)
+        return np.asarray(1.0 - 8.0 * self.shapes[:, 3, 0] * (area / (area + PIXEL)) ** 2)
+
+    def subtract_all(self) -> None:
+        """Compute anew what all particles leave of the images."""
+        self.framed_left[:] = self.framed
+        paint_particles(self.model(), self.widest, self.particles(), -1.0)
+
+    def keep(self, good: Bool) -> None:
+        """Drop the other particles, and give their light back."""
+        dropped = ModelParticles(self.position[~good], self.light[~good], ~good[~good])
+        paint_particles(self.model(), self.widest, dropped, 1.0)
+        self.select(good)
+
+    def select(self, good: Bool | I64) -> None:
+        """Keep these rows, in this order, whatever the images show."""
+        self.position, self.light = self.position[good], self.light[good]
+        self.sure, self.tag, self.odds = self.sure[good], self.tag[good], self.odds[good]
+        self.trusted = self.trusted[good]
+
+    def append(self, count: int, light: float) -> None:
+        """Add rows for new particles."""
+        self.position = np.concatenate([self.position, np.zeros((count, 3))])
+        self.light = np.concatenate([self.light, np.full((count, self.light.shape[1]), light)])
+        self.sure = np.concatenate([self.sure, np.zeros(count, dtype=np.bool_)])
+        self.trusted = np.concatenate([self.trusted, np.zeros(count, dtype=np.bool_)])
+        self.tag = np.concatenate([self.tag, np.full(count, -1)])
+        self.odds = np.concatenate([self.odds, np.zeros(count)])
 
     def refine(self, rounds: int) -> None:
         """Fit all particles, one after the other, in several rounds, as time allows.
@@ -68,7 +358,7 @@ class ParticleSearch(SearchState):
         turns = self._turns(rows, portions=1)
 
         def fit(some: I64) -> None:
-            changes.append(refine(model, self.room, particles, some))
+            changes.append(fit_particles(model, self.room, particles, some))
 
         for _ in range(rounds):
             changes.clear()
@@ -126,12 +416,12 @@ class ParticleSearch(SearchState):
         self.select(order_in_memory(self.maps, self.position, pixel_mm(self.maps)))
 
     def remove(self, lone: bool) -> None:
-        """Remove particles that do not earn their price, the darkest first.
+        """Remove particles that gain less than their penalty, the darkest first.
 
         All are fitted before, or what neighbours gain by their own fits would count against a
-        particle that is taken out. Those that earn several times their price are tried again only
+        particle that is taken out. Those that gain several times their penalty are tried again only
         where others that newly do meet them in a share of the cameras: what they share with fewer
-        is not all that they earn.
+        is not all that they gain.
         """
         self.refine(self.fits)
         starts, near = find_neighbours(self.maps, self.sigma, self.position)
@@ -161,7 +451,7 @@ class ParticleSearch(SearchState):
         width = float(self.sigma.max())
         steps = _APART * width / self.maps.half_mm * split_directions(self.maps)
         gains = split_gains(model, self.widest, self.particles(), steps)
-        least = _PROMISING + _COMMON * float(np.median(gains)) if count else 0.0
+        least = _PROMISING + _TYPICAL * float(np.median(gains)) if count else 0.0
         order = np.argsort(-gains, kind="stable")
         order = order[gains[order] > least]
         self.sure[order] = False

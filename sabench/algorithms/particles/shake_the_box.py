@@ -1,7 +1,7 @@
 """Particles followed over time, by predictions that are fitted to the images.
 
 Shake-The-Box (D. Schanz, S. Gesemann and A. Schroeder, Exp. Fluids 57, 70, 2016) with the fits and
-prices of `bayesian_ipr`. The first two frames are searched on their own and linked. From then on
+penalties of `bayesian_ipr`. The first two frames are searched on their own and linked. From then on
 known particles start where a Kalman filter expects them and are fitted to the images, so that few
 are left to be found. What is seen once only, where it had to be seen before or afterwards, is a
 ghost; where a track misses a frame between others, its position is interpolated.
@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.background import ClearImages
 from sabench.algorithms.particles.bayesian_ipr import (
     CAPS,
     FLOORS,
@@ -24,25 +23,37 @@ from sabench.algorithms.particles.bayesian_ipr import (
     search_frame,
     split_and_find,
 )
-from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.dense_start import WINDOW, are_mostly_wrong, search_window
-from sabench.algorithms.particles.hidden_areas import hide_unseen
+from sabench.algorithms.particles.candidate_search import (
+    mean_spacing,
+    pixel_mm,
+    rig_axes,
+    turn_maps,
+    turn_to_world,
+    volume_shares,
+)
+from sabench.algorithms.particles.dense_start import (
+    CONFIRMED,
+    WINDOW_FRAMES,
+    are_mostly_wrong,
+    search_window,
+)
 from sabench.algorithms.particles.kalman_tracks import (
     MATURE,
     KalmanTracks,
+    TrackedFrame,
+    no_frame,
     start_tracks,
+    with_motion,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
 from sabench.algorithms.particles.linking import GATE, assign, link
+from sabench.algorithms.particles.obstacles import hide_unseen
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.rig_axes import rig_axes, turn_maps, turn_to_world
-from sabench.algorithms.particles.time_budget import Deadline
-from sabench.algorithms.particles.tracked_frames import TrackedFrame, no_frame, with_motion
-from sabench.algorithms.particles.volume_shares import volume_shares
-from sabench.algorithms.particles.window_tracks import CONFIRMED
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
+from sabench.images.background import ClearImages
 from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.threads import Deadline
 
 _SHAKES = 3  # rounds of fits of the predicted particles before others are looked for
 _SLACK = 0.04  # of the distance between particles: misses, beside those expected, of the same one
@@ -134,7 +145,7 @@ class _Tracker:
         """Find the particles of the next frame, or hold it; so many others are coming."""
         if self.held:
             self.held.append((case, time))
-            if len(self.held) == WINDOW or not coming:
+            if len(self.held) == WINDOW_FRAMES or not coming:
                 self._begin_together()
         elif self.search is not None and self.tracks is not None and len(self.tracks.number):
             self._follow(case, time, self.tracks, self.search)
@@ -296,7 +307,7 @@ class _Tracker:
         """Return the track (n,) of each particle found, -1 for new ones."""
         row = search.tag.copy()
         known = np.flatnonzero(row >= 0)
-        slack = (_SLACK * self._spacing(len(position))) ** 2
+        slack = (_SLACK * mean_spacing(self.maps, len(position))) ** 2
         off = tracks.off(row[known], position[known], variance[known] + slack)
         row[known[off.sum(axis=1) > GATE]] = -1
         lost = np.setdiff1d(np.arange(len(tracks.number)), row)
@@ -310,10 +321,6 @@ class _Tracker:
             i, j = assign(i[good], j[good], cost[good], (len(lost), len(new)))
             row[new[j]] = lost[i]
         return row
-
-    def _spacing(self, count: int) -> float:
-        """Compute the edge of the cube that holds one particle on average, mm."""
-        return float((np.prod(2.0 * self.maps.half_mm) / max(count, 1)) ** (1.0 / 3.0))
 
     def _fill_gaps(self, tracks: KalmanTracks, rows: I64, found: FoundParticles) -> None:
         """Add tracks to the frames which they missed, as they are found now."""

@@ -23,7 +23,7 @@ from sabench.utils.compiled import numba
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
 _REACH = 3.0  # standard deviations at which a blob ends
-_BRIGHT, _LIT = 95.0, 0.1  # as `images.brightness.normalise` scales images
+_BRIGHT, _LIT = 95.0, 0.1  # as `images.levels.normalise` scales images
 _FAINTEST = 0.01
 _MOST = 20.0  # typical voxels that the brightest one counts at most
 _BITS = 18  # of a float32 that are left out of its class: 32 classes an octave

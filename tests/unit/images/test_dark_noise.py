@@ -17,7 +17,7 @@ from benchmarks.false_alarms import (
 )
 from sabench.images.dark_noise import measure_dark_noise
 from sabench.images.gaussians import gaussian_shares
-from sabench.images.peak_detection import detect_peaks
+from sabench.images.peaks import detect_particle_peaks
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
 
@@ -114,7 +114,7 @@ def test_forty_particles_of_a_recording_cut_at_black_are_forty_peaks() -> None:
     place, light = particles(40)
     image = grey(normal(np.random.default_rng(7), 0.0, 0.8) + 60.0 * light, 8)
     assert len(find_before(image, 0.0)) > 200
-    assert 39 <= len(detect_peaks(image).pixels) <= 42
+    assert 39 <= len(detect_particle_peaks(image).pixels) <= 42
     assert len(place) == 40
 
 
@@ -142,11 +142,11 @@ def test_pixels_that_do_not_count_change_nothing() -> None:
     image[:200] = 4000
     found = measure_dark_noise(image[None], known)
     assert found.noise[300:].max() < 2.6
-    assert len(detect_peaks(image, ~known).pixels) < 12
+    assert len(detect_particle_peaks(image, ~known).pixels) < 12
 
 
 def test_hot_pixels_are_no_peaks() -> None:
-    peaks = detect_peaks(hot_pixels(np.random.default_rng(11))).pixels
+    peaks = detect_particle_peaks(hot_pixels(np.random.default_rng(11))).pixels
     assert len(peaks) < 25  # of 52, those below 10 sigma remain
 
 
@@ -160,14 +160,14 @@ def test_sharp_particle_images_are_no_hot_pixels(sigma_px: float) -> None:
     light = np.zeros((512, 512))
     for (column, row), x, y in zip(place, across, down, strict=True):
         light[row - 4 : row + 5, column - 4 : column + 5] += 400.0 * y[:, None] * x
-    peaks = detect_peaks(grey(normal(rng, 64.0, 2.0) + light)).pixels
+    peaks = detect_particle_peaks(grey(normal(rng, 64.0, 2.0) + light)).pixels
     assert len(peaks) > 560
 
 
 @pytest.mark.parametrize("value", [0, 7, 65535])
 def test_images_of_one_value_have_no_peaks(value: int) -> None:
     image: U16 = np.full((40, 50), value, dtype=np.uint16)
-    assert len(detect_peaks(image).pixels) == 0
+    assert len(detect_particle_peaks(image).pixels) == 0
     assert measure_dark_noise(image[None]).threshold().min() > value
 
 
@@ -179,7 +179,7 @@ def test_small_images_are_measured(shape: tuple[int, int]) -> None:
 
 def test_all_pixels_unknown_end_without_peaks() -> None:
     image = grey(normal(np.random.default_rng(13), 64.0, 2.0))
-    assert len(detect_peaks(image, np.ones(image.shape, dtype=np.bool_)).pixels) < 20
+    assert len(detect_particle_peaks(image, np.ones(image.shape, dtype=np.bool_)).pixels) < 20
 
 
 def test_grey_values_in_steps_count_as_steps() -> None:

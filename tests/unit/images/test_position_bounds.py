@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from sabench.images.particle_spots import ParticleSpots
-from sabench.images.position_bounds import position_bounds
+from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.metrics.claimed_accuracy import rms_over_bound
 from sabench.utils.arrays import F64
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.images.brightness import bright_dn, normalise
 from sabench.images.flaws import Flaws
 from sabench.images.gaussians import gaussian_shares
+from sabench.images.levels import bright_dn, normalise
 from sabench.images.repair import find_points, find_reflections, repair
 from sabench.utils.arrays import U16
 

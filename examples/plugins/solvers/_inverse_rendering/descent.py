@@ -17,8 +17,7 @@ import numpy as np
 from sabench.plugins.solvers._inverse_rendering.images import DifferentiableImages, ImageModel
 
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, search_frame
-from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.algorithms.particles.search_state import no_particles
+from sabench.algorithms.particles.particle_search import ParticleSearch, no_particles
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.camera import Camera
 from sabench.geometry.volume_polynomials import VolumePolynomials

@@ -11,7 +11,7 @@ from sabench.algorithms.bubbles.search import Limits, search_bubbles
 from sabench.algorithms.bubbles.spheroids import start_of
 from sabench.utils.arrays import F32
 from tests.unit.algorithms.bubbles.test_rim_fit import PROFILE, SHAPE, model_of
-from tests.unit.algorithms.particles.test_triangulation import CAMERAS
+from tests.unit.algorithms.particles.test_matching import CAMERAS
 
 LIMITS = Limits(0.2, 4.5, 0.5)
 

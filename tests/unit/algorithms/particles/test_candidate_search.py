@@ -1,4 +1,4 @@
-"""Places where all cameras see light."""
+"""Candidates for particles, and shares of the volume."""
 
 from __future__ import annotations
 
@@ -11,11 +11,17 @@ from sabench.algorithms.particles.candidate_search import (
     find_candidates,
     lattice_shape,
     pixel_mm,
+    shared_views,
+    volume_shares,
 )
-from sabench.geometry.volume_polynomials import VolumePolynomials, fit_volume_polynomials
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    fit_volume_polynomials,
+    project_points,
+)
 from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import TYPICAL, paint
-from tests.unit.algorithms.particles.test_triangulation import (
+from tests.unit.algorithms.particles.test_matching import (
     CAMERAS,
     COLUMNS,
     HIGH,
@@ -103,3 +109,37 @@ def test_the_lattice_turns_with_the_axes() -> None:
     long = fit_volume_polynomials(CAMERAS, middle - half, middle + half)
     ratio = np.array(lattice_shape(long)) / np.array(lattice_shape(short))
     np.testing.assert_allclose(ratio, 2.0, rtol=0.06)
+
+
+_BLOCK = 20  # px
+
+
+def test_shares_are_those_of_random_points(maps: VolumePolynomials) -> None:
+    shares = volume_shares(maps, (ROWS, COLUMNS))
+    count = 1_000_000
+    points = np.random.default_rng(3).uniform(-1.0, 1.0, (count, 3))
+    for camera, share in enumerate(shares):
+        column, row = project_points(maps, camera, points).T
+        edges = np.arange(0, ROWS + 1, _BLOCK) - 0.5, np.arange(0, COLUMNS + 1, _BLOCK) - 0.5
+        expected = np.histogram2d(row, column, edges)[0]
+        blocks = share.reshape(ROWS // _BLOCK, _BLOCK, COLUMNS // _BLOCK, _BLOCK).sum(axis=(1, 3))
+        off = blocks * count - expected
+        assert np.abs(off).max() < 6.0 * np.sqrt(expected.max())
+
+
+def test_shared_views_are_what_enough_cameras_see_all_of(maps: VolumePolynomials) -> None:
+    shape = (ROWS // 2, COLUMNS)  # half of the images: some points have left some cameras
+    count = len(maps.coefficients)
+    points = np.random.default_rng(4).uniform(-1.0, 1.0, (200_000, 3))
+    pixels = [project_points(maps, camera, points) for camera in range(count)]
+    last = np.array(shape[::-1]) - 1.0
+    inside = [np.all((one >= 0.0) & (one <= last), axis=1) for one in pixels]
+    for fewest in (1, count):
+        marked = shared_views(maps, shape, fewest)
+        enough = np.sum(inside, axis=0) >= fewest
+        for camera in range(count):
+            column, row = np.rint(pixels[camera][inside[camera]]).astype(int).T
+            here = marked[camera, row, column]
+            assert np.mean(enough[inside[camera]][here]) > 0.97
+            assert 0.0 < here.mean() <= 1.0
+        assert fewest > 1 or here.mean() > 0.999

@@ -7,16 +7,16 @@ import pytest
 
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
 from sabench.algorithms.particles.image_model import (
-    MARGIN,
+    MARGIN_PX,
     ImageModel,
     fill_image,
     make_room,
-    place,
+    place_windows,
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import model_of, particles_of
-from tests.unit.algorithms.particles.test_triangulation import COLUMNS, ROWS, maps
+from tests.unit.algorithms.particles.test_matching import COLUMNS, ROWS, maps
 
 __all__ = ["maps"]
 
@@ -28,10 +28,10 @@ def all_images(model: ImageModel, position: F64) -> F64:
     """Images (camera, pixel) of a particle, where its windows lie."""
     room = make_room(np.tile(SIGMA, (4, 1)))
     shown = np.zeros((4, ROWS, COLUMNS))
-    place(model, room, position)
+    place_windows(model, room, position)
     for camera in range(4):
         fill_image(model, room, camera, image := np.zeros((room.window, room.window)))
-        column, row = room.corner[camera] - MARGIN
+        column, row = room.corner[camera] - MARGIN_PX
         shown[camera, row : row + room.window, column : column + room.window] = image
     return LIGHT * shown.reshape(4, -1)
 

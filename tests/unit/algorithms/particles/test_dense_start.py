@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.particles.dense_start import are_mostly_wrong
-from sabench.algorithms.particles.local_velocity import Votes, estimate_velocity
-from sabench.algorithms.particles.window_tracks import Finds, confirm_tracks
+from sabench.algorithms.particles.dense_start import (
+    Finds,
+    LinkVotes,
+    are_mostly_wrong,
+    confirm_tracks,
+    estimate_velocity,
+)
 from sabench.utils.arrays import F64
 
 COUNT, FRAMES, INTERVAL, ERROR = 800, 6, 0.01, 0.01
@@ -35,7 +39,7 @@ def test_the_flow_is_found_among_wrong_links() -> None:
     velocity = flow(position)
     wrong = rng.random(len(position)) < 0.6
     velocity[wrong] = rng.uniform(-150.0, 150.0, (wrong.sum(), 3))
-    votes = Votes(position, velocity, np.zeros(len(position)), INTERVAL, INTERVAL)
+    votes = LinkVotes(position, velocity, np.zeros(len(position)), INTERVAL, INTERVAL)
     here = rng.uniform(2.0, 8.0, (100, 3))
     found, variance = estimate_velocity(votes, here, 0.0, SPACING)
     off = np.linalg.norm(found - flow(here), axis=1)

@@ -1,21 +1,36 @@
-"""Fits of particles to images: costs against their definition, places and light against truth."""
+"""Fits of particles to images: costs against their definition, results against truth.
+
+The most probable light against a general optimiser.
+"""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from sabench.algorithms.particles.image_model import (
     ImageModel,
-    Particles,
+    ModelParticles,
     look,
     paint_all,
     without_margins,
 )
 from sabench.algorithms.particles.joint_fit import (
-    adjust,
     cost_of,
-    price,
+    even_covariance,
+    factorise_cholesky,
+    fill_inverse_diagonal,
+    find_light,
+    fit_particle,
+    guess_light,
+    learn_covariance,
+    light_cost,
+    log_determinant,
+    penalty,
+    scatter_between,
     solve_three,
     start_light,
 )
@@ -30,7 +45,7 @@ from tests.helpers.image_model import (
     refine_all,
     room_of,
 )
-from tests.unit.algorithms.particles.test_triangulation import (
+from tests.unit.algorithms.particles.test_matching import (
     COLUMNS,
     ROWS,
     distances,
@@ -39,12 +54,18 @@ from tests.unit.algorithms.particles.test_triangulation import (
 )
 
 __all__ = ["maps"]
+
+
 RNG = np.random.default_rng(8)
+
+
 COUNT = 30
+
+
 LIGHT = TYPICAL * np.exp(0.3 * RNG.standard_normal((COUNT, 1)) + 0.1 * RNG.standard_normal((30, 4)))
 
 
-def whole_cost(model: ImageModel, particles: Particles, images: F64) -> float:
+def whole_cost(model: ImageModel, particles: ModelParticles, images: F64) -> float:
     """Minus the logarithm of the probability of images and lights, from its definition."""
     left = images - paint(model.maps, particles.position, particles.light, ROWS, COLUMNS)
     logs = np.log(particles.light / model.typical)
@@ -60,7 +81,7 @@ def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) 
     particles = particles_of(points + 0.004 * RNG.standard_normal(points.shape), LIGHT)
     paint_all(model, room, particles, -1.0)
     before = whole_cost(model, particles, images)
-    changes = [adjust(model, room, particles, n) for n in range(COUNT)]
+    changes = [fit_particle(model, room, particles, n) for n in range(COUNT)]
     assert max(changes) <= 0.0
     after = whole_cost(model, particles, images)
     assert sum(changes) == pytest.approx(after - before, rel=1e-3)
@@ -134,15 +155,17 @@ def test_light_beyond_saturation_costs_nothing_and_less_does(maps: VolumePolynom
 
 
 def test_errors_of_places_are_as_large_as_the_price_says(maps: VolumePolynomials) -> None:
-    """A price grows by the logarithm of how much better places are known."""
+    """A penalty grows by the logarithm of how much better places are known."""
     point, light = np.zeros(3), np.full(4, TYPICAL)
     images = np.zeros((4, ROWS, COLUMNS))
     model, room = model_of(maps, images), room_of(maps)
     sharp = model._replace(weight=100.0 * model.weight)
-    gain = price(sharp, room, point, light) - price(model, room, point, light)
+    gain = penalty(sharp, room, point, light) - penalty(model, room, point, light)
     assert gain == pytest.approx(3.0 * np.log(10.0) + 4.0 * np.log(10.0), abs=3.0)
     rare = model._replace(log_rate=model.log_rate - 2.0)
-    assert price(rare, room, point, light) - price(model, room, point, light) == pytest.approx(2.0)
+    assert penalty(rare, room, point, light) - penalty(model, room, point, light) == pytest.approx(
+        2.0
+    )
 
 
 def test_three_equations_are_solved_unless_they_say_too_little() -> None:
@@ -154,3 +177,85 @@ def test_three_equations_are_solved_unless_they_say_too_little() -> None:
     assert determinant == pytest.approx(np.linalg.det(matrix))
     assert solve_three(np.ones((3, 3)), right, step) == 0.0
     assert solve_three(np.zeros((3, 3)), right, step) == 0.0
+
+
+TYPICAL = np.array([100.0, 120.0, 80.0, 100.0])
+
+
+def best(signal: F64, weight: F64, precision: F64) -> tuple[F64, float]:
+    logs = np.zeros(4)
+    guess_light(signal, weight, TYPICAL, logs)
+    cost = find_light(signal, weight, TYPICAL, precision, logs, np.zeros(4), np.zeros((4, 4)))
+    return logs, cost
+
+
+@pytest.mark.parametrize("scatter", [0.05, 0.4])
+@pytest.mark.parametrize("noise", [2.0, 60.0])
+def test_the_light_found_is_the_most_probable(scatter: float, noise: float) -> None:
+    precision: F64 = np.linalg.inv(even_covariance(4, scatter, 0.5)).astype(np.float64)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        light = TYPICAL * np.exp(rng.multivariate_normal(np.zeros(4), np.linalg.inv(precision)))
+        weight = np.full(4, 1.0 / noise**2)
+        signal = weight * (light + noise * rng.standard_normal(4))
+
+        def cost(logs: F64, signal: F64 = signal, weight: F64 = weight) -> float:
+            return float(light_cost(signal, weight, TYPICAL, precision, logs))
+
+        logs, least = best(signal, weight, precision)
+        starts = [minimize(cost, start * np.ones(4)).fun for start in (-1.0, 0.0, 0.5)]
+        assert least <= min(starts) + 1e-3
+        assert least == pytest.approx(cost(logs))
+
+
+def test_a_camera_that_sees_nothing_gets_the_light_that_the_others_suggest() -> None:
+    precision: F64 = np.linalg.inv(even_covariance(4, 0.05, 0.5)).astype(np.float64)
+    weight = np.array([1.0, 1.0, 1.0, 0.0])
+    logs, _ = best(1.5 * TYPICAL * weight, weight, precision)
+    np.testing.assert_allclose(logs, math.log(1.5), atol=0.02)
+
+
+def test_the_cost_is_a_log_probability() -> None:
+    """Against the normal densities of data and lights, relative to no light."""
+    covariance = even_covariance(4, 0.3, 0.4)
+    weight, data = np.array([0.2, 0.3, 0.1, 0.4]), np.array([90.0, 130.0, 70.0, 20.0])
+    logs = np.array([0.1, -0.2, 0.3, -0.4])
+    light = TYPICAL * np.exp(logs)
+    squares = weight * ((data - light) ** 2 - data**2)
+    expected = 0.5 * squares.sum() + 0.5 * logs @ np.linalg.solve(covariance, logs)
+    cost = light_cost(weight * data, weight, TYPICAL, np.linalg.inv(covariance), logs)
+    assert cost == pytest.approx(expected)
+
+
+def test_covariances_are_learned_in_spite_of_outliers() -> None:
+    true = even_covariance(4, 0.3, 0.4)
+    true[0, 2] = true[2, 0] = 0.24  # two cameras that see much the same lobe
+    rng = np.random.default_rng(2)
+    logs = 0.7 + rng.multivariate_normal(np.zeros(4), true, 2000)
+    logs[:40] = rng.uniform(-4.0, 4.0, (40, 4))
+    found = learn_covariance(logs)
+    np.testing.assert_allclose(found, true, atol=0.05)
+    few = learn_covariance(logs[40:70])  # few tell little more than the average
+    assert few[0, 2] == pytest.approx(few[0, 1], abs=0.05)
+
+
+def test_scatter_between_cameras_leaves_out_what_they_share() -> None:
+    assert scatter_between(even_covariance(5, 0.3, 2.0)) == pytest.approx(0.3)
+    assert scatter_between(np.array([[0.2]])) == pytest.approx(math.sqrt(0.2))
+
+
+def test_factors_give_the_determinant() -> None:
+    matrix = even_covariance(6, 0.3, 0.4)
+    factor = matrix.copy()
+    factorise_cholesky(factor)
+    assert log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
+    np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
+
+
+def test_the_inverse_of_a_factorised_matrix_has_this_diagonal() -> None:
+    matrix = np.random.default_rng(6).standard_normal((5, 5))
+    matrix = matrix @ matrix.T + np.eye(5)
+    factor, diagonal = matrix.copy(), np.zeros(5)
+    factorise_cholesky(factor)
+    fill_inverse_diagonal(factor, diagonal, np.zeros(5))
+    np.testing.assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))

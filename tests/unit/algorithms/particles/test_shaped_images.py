@@ -7,19 +7,19 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.image_model import (
-    MARGIN,
+    MARGIN_PX,
     MOST_FLAT,
     ImageModel,
     Room,
     fill_image,
     fill_slopes,
     paint_here,
-    place,
+    place_windows,
 )
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import SIGMA, model_of, room_of
-from tests.unit.algorithms.particles.test_triangulation import COLUMNS, ROWS, maps
+from tests.unit.algorithms.particles.test_matching import COLUMNS, ROWS, maps
 
 __all__ = ["maps"]
 
@@ -43,7 +43,7 @@ def shaped(
 
 def image_of(model: ImageModel, room: Room, position: F64) -> F64:
     """Fill in the image (row, column) of a particle in the shaped camera."""
-    place(model, room, position)
+    place_windows(model, room, position)
     fill_image(model, room, CAMERA, image := np.zeros((room.window, room.window)))
     return image
 
@@ -52,7 +52,7 @@ def points_in_pixels(room: Room) -> F64:
     """Places (row, column, 2) as (column, row) within pixels of the window, px."""
     fine = (np.arange(FINE) + 0.5) / FINE - 0.5
     column, row = (
-        (room.corner[CAMERA, k] - MARGIN + np.arange(room.window)[:, None] + fine).ravel()
+        (room.corner[CAMERA, k] - MARGIN_PX + np.arange(room.window)[:, None] + fine).ravel()
         for k in range(2)
     )
     return np.stack(np.meshgrid(column, row), axis=-1)
@@ -117,13 +117,13 @@ def test_slopes_are_the_images(
     """
     model, room = shaped(maps, correlation, flatness)
     step = 1e-3
-    place(model, room, PLACE)
+    place_windows(model, room, PLACE)
     by_x, by_y = np.zeros((2, room.window, room.window))
     fill_slopes(model, room, CAMERA, by_x, by_y)
     for axis in range(3):
         along = room.slope[CAMERA, :, axis].copy()
         moved = [image_of(model, room, PLACE + sign * step * np.eye(3)[axis]) for sign in (-1, 1)]
-        place(model, room, PLACE)
+        place_windows(model, room, PLACE)
         expected = (moved[1] - moved[0]) / (2.0 * step)
         found = along[0] * by_x + along[1] * by_y
         assert np.abs(found - expected).max() < 0.005 * np.abs(expected).max()
@@ -132,7 +132,7 @@ def test_slopes_are_the_images(
 def test_what_is_painted_is_the_image(maps: VolumePolynomials) -> None:
     model, room = shaped(maps, 0.3, 0.04)
     light = np.array([10.0, 20.0, 30.0, 40.0])
-    place(model, room, PLACE)
+    place_windows(model, room, PLACE)
     paint_here(model, room, light, 1.0)
     expected = light[CAMERA] * image_of(model, room, PLACE)
     column, row = room.corner[CAMERA]

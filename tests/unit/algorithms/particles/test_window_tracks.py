@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.dense_start import are_mostly_wrong
-from sabench.algorithms.particles.local_velocity import collect_votes, estimate_velocity
-from sabench.algorithms.particles.window_tracks import Finds, confirm_tracks
+from sabench.algorithms.particles.dense_start import (
+    Finds,
+    are_mostly_wrong,
+    collect_votes,
+    confirm_tracks,
+    estimate_velocity,
+)
 from sabench.utils.arrays import F64
 
 BOX, COUNT, STEP = 6.0, 2000, 0.01  # mm, particles, s

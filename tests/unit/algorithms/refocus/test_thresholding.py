@@ -25,8 +25,8 @@ from sabench.algorithms.refocus.thresholding import (
 )
 from sabench.api import Observation
 from sabench.geometry.grid import synthesise
-from sabench.images.brightness import bright_dn, normalise
 from sabench.images.gaussians import effective_width
+from sabench.images.levels import bright_dn, normalise
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import true_field
 from sabench.scenes import parse_scene

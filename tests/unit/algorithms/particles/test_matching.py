@@ -1,15 +1,30 @@
-"""Positions from particle images, and maps of a box, against cameras' own projection."""
+"""Positions from particle images, and maps of a box, against cameras' own projection.
+
+Triangulation within a time budget, and of more peaks than can be told apart.
+"""
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.correspondence import match, move_to_pixel, pair_up
-from sabench.algorithms.particles.ray_triangulation import fit_cameras
-from sabench.algorithms.particles.triangulation import Candidates, find_candidates, select_best
+from sabench.algorithms.calibration.disparity import match, pair_up
+from sabench.algorithms.particles import matching as module
+from sabench.algorithms.particles.matching import (
+    PeakSets,
+    TriangulationSettings,
+    count_by_chance,
+    find_peak_sets,
+    fit_cameras,
+    move_to_pixel,
+    select_best,
+    triangulate_particles,
+)
+from sabench.api import Observation
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
@@ -19,13 +34,18 @@ from sabench.geometry.volume_polynomials import (
     project_point,
     project_points,
 )
-from sabench.images.peaks import Peaks, sort_peaks
+from sabench.images.peaks import Peaks, find_near, keep_peaks, sort_peaks
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64, Bool
 from tests.helpers.particle_scenes import make_scene
+from tests.helpers.small_particles import count_found, make_small
 
 WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
+
+
 LOW, HIGH = np.array([-7.0, -5.0, 30.0]), np.array([7.0, 5.0, 42.0])
+
+
 ROWS, COLUMNS = 160, 200
 
 
@@ -100,7 +120,7 @@ def open_sensors(cameras: int) -> Bool:
 def test_all_particles_are_found_where_they_are(maps: VolumePolynomials, cameras: int) -> None:
     points = unit_points(30)
     peaks = peaks_of(images_of(points, maps, cameras))
-    found = find_candidates(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
+    found = find_peak_sets(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
     assert distances(found.position, points, maps).max() < 2e-3
     assert found.error_px.max() < 0.1
     best = select_best(found, peaks)
@@ -113,7 +133,7 @@ def test_a_single_particle_is_found_by_all_cameras(maps: VolumePolynomials) -> N
     point = np.array([[0.2, -0.4, 0.9]])
     for cameras in (3, 4):
         peaks = peaks_of(images_of(point, maps, cameras))
-        found = find_candidates(first(maps, cameras), peaks, 0.5, open_sensors(cameras))
+        found = find_peak_sets(first(maps, cameras), peaks, 0.5, open_sensors(cameras))
         assert found.hit.tolist() == [[0] * cameras]
         assert distances(found.position, point, maps)[0] < 2e-3
 
@@ -128,7 +148,7 @@ def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
     covered = open_sensors(4)
     covered[2, row, column] = True
     strict, tolerant = (
-        find_candidates(maps, peaks, 0.1, area) for area in (open_sensors(4), covered)
+        find_peak_sets(maps, peaks, 0.1, area) for area in (open_sensors(4), covered)
     )
     assert distances(strict.position, points, maps)[0] > 0.1
     assert distances(strict.position, points[1:], maps).max() < 2e-3
@@ -136,7 +156,7 @@ def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
     lost = np.argmin(np.linalg.norm(tolerant.position - points[0], axis=1))
     assert np.flatnonzero(tolerant.hit[lost] < 0).tolist() == [2]
     # a sensor that ends before the particle's image misses nothing
-    cut = find_candidates(maps, peaks, 0.1, open_sensors(4)[:, :, : int(pixels[2][0, 0])])
+    cut = find_peak_sets(maps, peaks, 0.1, open_sensors(4)[:, :, : int(pixels[2][0, 0])])
     assert distances(cut.position, points[:1], maps)[0] < 2e-3
 
 
@@ -144,7 +164,7 @@ def test_each_peak_goes_to_the_complete_set_that_fits_best() -> None:
     hit = np.array([[0, 0, 0], [0, 1, 1], [1, 1, -1], [1, 2, 2], [2, 0, -1]])
     error = np.array([0.3, 0.1, 0.0, 0.2, 0.0])
     peaks = tuple(Peaks(np.zeros((3, 2)), np.zeros(2, dtype=np.int64), 1, 1) for _ in range(3))
-    kept = select_best(Candidates(np.zeros((5, 3)), hit, error), peaks)
+    kept = select_best(PeakSets(np.zeros((5, 3)), hit, error), peaks)
     assert kept.tolist() == [1, 3, 4]
 
 
@@ -224,7 +244,7 @@ def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_de
     points = np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)])
     for point in points:
         peaks = peaks_of(tuple(project_points(maps, number, point[None]) for number in range(3)))
-        found = find_candidates(maps, peaks, 0.5, open_sensors(3))
+        found = find_peak_sets(maps, peaks, 0.5, open_sensors(3))
         assert len(found.position) == 1
         np.testing.assert_allclose(found.position[0], point, atol=1e-6)
 
@@ -239,3 +259,82 @@ def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back()
         hits, order = np.zeros((5, 4), dtype=np.int64), np.arange(1)
         assert match(maps, peaks, order, 0.5, 2, 3, positions, hits, errors) == 1
         np.testing.assert_allclose(positions[0], point, atol=1e-6)
+
+
+CLOCK = "sabench.utils.threads.time.monotonic"
+
+
+def solve(case: Observation, **changes: Any) -> Any:
+    return triangulate_particles(case, fit_cameras(case), TriangulationSettings(**changes))
+
+
+def noisy(case: Observation, black: float = 0.0) -> Observation:
+    """The same cameras with noise that is cut at black, and no particles."""
+    rng = np.random.default_rng(1)
+    images = np.clip(np.rint(rng.normal(black, 0.8, case.images.shape)), 0, 255).astype(np.uint16)
+    return replace(case, images=images, black_dn=black, white_dn=255.0)
+
+
+def test_a_long_budget_changes_nothing() -> None:
+    case = make_small(3).observation
+    found, limited = solve(case), solve(case, budget_s=1e6)
+    assert len(found.position_mm) > 10
+    assert np.array_equal(found.position_mm, limited.position_mm)
+
+
+def test_a_spent_budget_is_said_and_gives_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    shot = make_small(3)
+    counts = []
+    monkeypatch.setattr("sabench.algorithms.particles.matching._BATCH", 8)
+    for ticks in (1.0, 8.0):
+        monkeypatch.setattr(CLOCK, itertools.count().__next__)
+        with pytest.warns(UserWarning, match=rf"the time budget of {ticks:g} s a frame is spent"):
+            found = solve(shot.observation, budget_s=ticks)
+        counts.append(len(found.position_mm))
+        if len(found.position_mm):
+            assert count_found(shot, found).precision > 0.9
+    assert counts[0] == 0 < counts[1] < len(solve(shot.observation).position_mm)
+
+
+def test_noise_without_particles_makes_none() -> None:
+    case = noisy(make_small(3).observation)
+    assert len(solve(case, floor=1e-6).position_mm) == 0
+
+
+def test_peaks_that_agree_by_chance_are_thinned_with_a_sentence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    case = noisy(make_small(3).observation, black=20.0)
+    monkeypatch.setattr(module, "_MOST_BY_CHANCE", 0.01)
+    with pytest.warns(UserWarning, match=r"at most 0.01 sets .* by chance .* \d+ of \d+ in camera"):
+        many = solve(case, floor=1e-6, false_alarms=0.3)
+    monkeypatch.undo()
+    assert len(many.position_mm) < len(solve(case, floor=1e-6, false_alarms=0.3).position_mm)
+
+
+def test_the_number_of_sets_by_chance_is_about_right() -> None:
+    case = make_small(3).observation
+    rng, maps = np.random.default_rng(2), fit_cameras(case)
+    rows, columns = case.images.shape[1:]
+    peaks = tuple(
+        sort_peaks(rng.uniform([1.0, 1.0], [columns - 2.0, rows - 2.0], (400, 2)), (rows, columns))
+        for _ in case.cameras
+    )
+    covered = np.zeros(case.images.shape, dtype=np.bool_)
+    found = find_peak_sets(maps, peaks, 0.8, covered)
+    expected = count_by_chance(maps, peaks, 0.8, rows * columns)
+    assert 0.2 < len(found.position) / 400.0 / expected < 1.5
+
+
+def test_peaks_that_are_kept_are_found_near() -> None:
+    rng = np.random.default_rng(3)
+    peaks = sort_peaks(rng.uniform(0.0, 60.0, (200, 2)), (60, 60))
+    numbers = np.flatnonzero(rng.random(200) < 0.3)
+    kept = keep_peaks(peaks, numbers)
+    assert np.array_equal(kept.pixels, peaks.pixels[numbers])
+    room = np.zeros(64, dtype=np.int64)
+    for number, pixel in enumerate(kept.pixels):
+        count = find_near(kept, pixel, 0.01, room)
+        assert room[:count].tolist() == [number]
+    none: Peaks = keep_peaks(peaks, np.zeros(0, dtype=np.int64))
+    assert find_near(none, np.array([30.0, 30.0]), 20.0, room) == 0

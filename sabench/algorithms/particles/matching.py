@@ -1,25 +1,39 @@
-"""Triangulation of positions that particle images of several cameras agree on.
+"""Matching of particle images between cameras, and their triangulation.
 
 The line of sight of a camera's particle image is followed through the volume and intersected with
 those of nearby images of a second camera. The other cameras must have an image where they see the
 intersection. Source: Maas, Gruen and Papantoniou, Particle tracking velocimetry in
 three-dimensional flows, Part 1, Exp. Fluids 15, 133-146, 1993. Unlike there, polynomials
-approximate the refracted lines of sight, and there are no pairs of candidate lists.
+approximate the refracted lines of sight, and there are no pairs of candidate lists. Points whose
+images are known to match are triangulated by `geometry.triangulation`.
 """
 
 from __future__ import annotations
 
+import warnings
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
-from sabench.algorithms.particles.correspondence import follow_lines, move_to_pixel
-from sabench.algorithms.particles.time_budget import Deadline
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
-from sabench.images.peaks import Peaks, find_near
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.api import FoundParticles, Observation, Parameters
+from sabench.geometry.volume_polynomials import (
+    VolumePolynomials,
+    fit_volume_polynomials,
+    points_in_mm,
+    project_point,
+    project_with_slopes,
+)
+from sabench.images.dark_noise import FALSE_ALARMS
+from sabench.images.levels import bright_dn
+from sabench.images.peaks import Peaks, detect_particle_peaks, find_near, keep_peaks
+from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
+from sabench.utils.threads import Deadline
 
+_MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
+_MOST_BY_CHANCE = 5.0  # sets of particle images with each one: beyond, nearly all are ghosts
 _NEAR = 64  # particle images looked at around one position
 _ROOM = 50  # sets of each of the first camera's images for which memory is allocated
 _STEPS = 2  # of the least-squares fit of a position
@@ -27,7 +41,157 @@ _BATCH = 64  # of the first camera's images between two looks at the clock
 _SEARCHED = 1.5  # times the reach: radius in which images are looked for
 
 
-class Candidates(NamedTuple):
+class PeakParameters(Parameters):
+    """Thresholds of particle images."""
+
+    floor: float = Field(
+        0.05,
+        gt=0.0,
+        lt=1.0,
+        description="smallest peak of a particle image, over that of a bright particle",
+    )
+    false_alarms: float = Field(
+        FALSE_ALARMS,
+        gt=0.0,
+        lt=0.5,
+        description="probability that noise makes a particle image of a pixel; the larger of both "
+        "thresholds holds",
+    )
+
+
+def detect_in_cameras(
+    case: Observation, floor: float, false_alarms: float = FALSE_ALARMS
+) -> tuple[Peaks, ...]:
+    """Detect peaks of particle images in each camera's image.
+
+    Parameters
+    ----------
+    floor : smallest peak, over that of a bright particle.
+    false_alarms : probability that noise makes a peak of a pixel.
+    """
+    good, black = case.repaired, case.black_dn
+    return tuple(
+        detect_particle_peaks(
+            grey,
+            unknown,
+            least_dn=black + floor * bright_dn(grey, black, unknown),
+            false_alarms=false_alarms,
+        )
+        for grey, unknown in zip(good.images, good.flaws.unknown, strict=True)
+    )
+
+
+def heights(peaks: Peaks, image: F32) -> F32:
+    """Return the image (n,) at the pixels of peaks."""
+    column, row = np.rint(peaks.pixels).astype(np.int64).T
+    return np.asarray(image[row, column])
+
+
+def heights_of(hit: I64, peaks: tuple[Peaks, ...], images: F32) -> F64:
+    """Return the brightest pixels (n, camera) of candidates' particle images.
+
+    0 where a camera shows none.
+
+    Parameters
+    ----------
+    hit : (n, camera) numbers of the peaks; -1 where a camera shows none.
+    """
+    out = np.zeros(hit.shape)
+    for camera, (one, image) in enumerate(zip(peaks, images, strict=True)):
+        there = hit[:, camera] >= 0
+        out[there, camera] = heights(one, image)[hit[there, camera]]
+    return out
+
+
+@dataclass(frozen=True)
+class TriangulationSettings:
+    """Settings of the search for particle images and of their agreement.
+
+    Attributes
+    ----------
+    floor : smallest peak that counts as a particle image, over a bright particle's.
+    false_alarms : probability that noise makes a particle image of a pixel; the larger of both
+        thresholds holds.
+    reach_px : largest distance of a particle image from where its camera sees the particle.
+    budget_s : seconds for a frame, after which the particles so far are the result; None is no end.
+    """
+
+    floor: float = 0.05
+    false_alarms: float = FALSE_ALARMS
+    reach_px: float = 0.8
+    budget_s: float | None = None
+
+
+def fit_cameras(case: Observation) -> VolumePolynomials:
+    """Fit the cameras by polynomials over the grid and a margin."""
+    low, voxel = np.asarray(case.grid.low_mm), np.asarray(case.grid.voxel_mm)
+    high = low + voxel * (np.asarray(case.grid.shape[::-1]) - 1)
+    return fit_volume_polynomials(case.cameras, low - _MARGIN * voxel, high + _MARGIN * voxel)
+
+
+def triangulate_particles(
+    case: Observation, maps: VolumePolynomials, settings: TriangulationSettings
+) -> FoundParticles:
+    """Triangulate the particles that particle images agree on, each image used once.
+
+    Bright images come first. A warning says where the time budget leaves some out, and where there
+    are so many that most agree by chance: the brightest of them are used.
+    """
+    deadline = Deadline(settings.budget_s)
+    images = case.normalised_images()
+    peaks = detect_in_cameras(case, settings.floor, settings.false_alarms)
+    peaks = _thin_out(case, maps, peaks, images, settings.reach_px)
+    order = np.argsort(-heights(peaks[0], images[0]), kind="stable")
+    every = find_peak_sets(
+        maps, peaks, settings.reach_px, case.repaired.flaws.covered, order, deadline
+    )
+    if deadline.over:
+        warnings.warn(
+            f"ray_triangulation: the time budget of {settings.budget_s:g} s a frame is spent: the "
+            "result holds the particles found so far, the brightest ones first",
+            stacklevel=1,
+        )
+    found = select_rows(every, select_best(every, peaks))
+    brightness = heights_of(found.hit, peaks, images).mean(axis=1)
+    return FoundParticles(points_in_mm(maps, found.position), brightness)
+
+
+def _thin_out(
+    case: Observation,
+    maps: VolumePolynomials,
+    peaks: tuple[Peaks, ...],
+    images: F32,
+    reach_px: float,
+) -> tuple[Peaks, ...]:
+    """Keep the brightest peaks where nearly all sets of them would agree by chance."""
+    chance = count_by_chance(maps, peaks, reach_px, images[0].size)
+    if chance <= _MOST_BY_CHANCE:
+        return peaks
+    share = (_MOST_BY_CHANCE / chance) ** (1.0 / (len(peaks) - 1))
+    kept = tuple(
+        keep_peaks(own, _brightest(heights(own, image), share))
+        for own, image in zip(peaks, images, strict=True)
+    )
+    counts = ", ".join(
+        f"{len(few.pixels)} of {len(own.pixels)} in {camera.name}"
+        for camera, few, own in zip(case.cameras, kept, peaks, strict=True)
+    )
+    warnings.warn(
+        f"ray_triangulation: expected at most {_MOST_BY_CHANCE:g} sets of particle images that "
+        f"agree by chance with each one, got {chance:.0f}: the brightest images are used "
+        f"({counts}); raise floor, or lower false_alarms or reach_px",
+        stacklevel=1,
+    )
+    return kept
+
+
+def _brightest(heights: F32, share: float) -> I64:
+    """Select the numbers of the highest peaks, in their order."""
+    count = int(share * len(heights))
+    return np.sort(np.argsort(-heights, kind="stable")[:count])
+
+
+class PeakSets(NamedTuple):
     """Sets of particle images that may be one particle's.
 
     Attributes
@@ -42,14 +206,14 @@ class Candidates(NamedTuple):
     error_px: F64
 
 
-def find_candidates(
+def find_peak_sets(
     maps: VolumePolynomials,
     peaks: tuple[Peaks, ...],
     reach_px: float,
     covered: Bool,
     order: I64 | None = None,
     deadline: Deadline | None = None,
-) -> Candidates:
+) -> PeakSets:
     """Find all sets of peaks that agree on a position within `reach_px`.
 
     Every camera that has the position on its sensor must show a peak there. At the deadline, the
@@ -73,20 +237,20 @@ def find_candidates(
         room = _empty(_ROOM * len(own), len(peaks))
         count = _follow(maps, peaks, reach_px, covered, along, steps, own, *room)
         found.append(select_rows(room, np.arange(count)))
-    return Candidates(
+    return PeakSets(
         np.concatenate([one.position for one in found]),
         np.concatenate([one.hit for one in found]),
         np.concatenate([one.error_px for one in found]),
     )
 
 
-def select_rows(found: Candidates, rows: I64) -> Candidates:
+def select_rows(found: PeakSets, rows: I64) -> PeakSets:
     """Copy some of the candidates."""
-    return Candidates(found.position[rows], found.hit[rows], found.error_px[rows])
+    return PeakSets(found.position[rows], found.hit[rows], found.error_px[rows])
 
 
-def _empty(count: int, cameras: int) -> Candidates:
-    return Candidates(
+def _empty(count: int, cameras: int) -> PeakSets:
+    return PeakSets(
         np.zeros((count, 3)), np.full((count, cameras), -1, dtype=np.int64), np.zeros(count)
     )
 
@@ -105,7 +269,7 @@ def count_by_chance(
     return float(line * np.prod(1.0 - np.exp(-density[1:] * np.pi * near**2)))
 
 
-def select_best(found: Candidates, peaks: tuple[Peaks, ...]) -> I64:
+def select_best(found: PeakSets, peaks: tuple[Peaks, ...]) -> I64:
     """Select candidates so that each peak belongs to one only.
 
     Complete sets come before others, and those that fit best first; returns rows.
@@ -290,3 +454,32 @@ def _error(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
             miss = peaks[c].pixels[chosen[c]] - here
             total, seen = total + miss[0] ** 2 + miss[1] ** 2, seen + 1
     return float(np.sqrt(total / seen))
+
+
+def follow_lines(maps: VolumePolynomials, cameras: range, step_px: float) -> tuple[int, int]:
+    """Choose how the first camera's lines of sight are followed through the box.
+
+    Returns the axis of the box along which the one in its middle runs the most, and how many
+    positions along it are at most a step apart in the images of these cameras.
+    """
+    slopes = [project_with_slopes(maps, camera, np.zeros((1, 3)))[1][0] for camera in (0, *cameras)]
+    line = np.linalg.svd(slopes[0])[2][2]
+    along = int(np.argmax(np.abs(line)))
+    through = 2.0 * line / abs(line[along])
+    longest = max(float(np.linalg.norm(slope @ through)) for slope in slopes)
+    return along, max(2, int(longest / step_px) + 2)
+
+
+@numba.njit(cache=True)
+def move_to_pixel(maps: Any, pixel: Any, position: Any, along: int, here: Any, slope: Any) -> bool:
+    """Move a position across an axis to where the first camera sees a pixel."""
+    a, b = (along + 1) % 3, (along + 2) % 3
+    for _ in range(10):
+        project_point(maps, 0, position, here, slope)
+        du, dv = pixel[0] - here[0], pixel[1] - here[1]
+        determinant = slope[0, a] * slope[1, b] - slope[0, b] * slope[1, a]
+        position[a] += (slope[1, b] * du - slope[0, b] * dv) / determinant
+        position[b] += (slope[0, a] * dv - slope[1, a] * du) / determinant
+        if abs(du) + abs(dv) < 1e-3:
+            break
+    return bool(abs(position[a]) <= 1.0 and abs(position[b]) <= 1.0)

@@ -1,20 +1,31 @@
-"""Grey values of no light and of saturation, estimated from images."""
+"""Grey values of no light, of saturation and of bright particles.
+
+`GreyValues` estimates black and white from a histogram of raw images; `bright_dn` gives the scale
+that makes all cameras count alike. The dark level and noise at each pixel are in `dark_noise`.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from sabench.utils.arrays import I64, U16, Bool
+from sabench.utils.arrays import F32, I64, U16, Bool
 
-_DEPTHS = (8, 10, 12, 14, 16)
+# Black and white:
+DEPTHS = (8, 10, 12, 14, 16)
 _VALUES = 1 << 16
 _DARKEST = 1e-4  # of the pixels of a backlit image
 _TAIL = 0.02  # of the pixels: darker than nearly all
 _NEAR = 0.02  # of the highest grey value: saturated pixels are that near to it
 _CLIPPED = 5.0  # times as many pixels near the highest value as just below: saturation
 _FEWEST = 20  # pixels that saturate
+
+# Bright particles:
+_BRIGHT = 95.0  # percentile of the illuminated pixels that becomes 1
+_ILLUMINATED = 0.1  # of the brightest pixel
+_PEAKS = 4.0  # typical peaks that the brightest pixel counts at most
 
 
 @dataclass(frozen=True)
@@ -48,7 +59,7 @@ class GreyValues:
     @property
     def bit_depth(self) -> int:
         """Least of 8, 10, 12, 14 and 16 bits that hold all grey values."""
-        return next(depth for depth in _DEPTHS if self._highest < 1 << depth)
+        return next(depth for depth in DEPTHS if self._highest < 1 << depth)
 
     def levels(self, bit_depth: int, *, backlit: bool = False) -> GreyLevels:
         """Estimate the levels of a sensor of so many bits.
@@ -96,3 +107,58 @@ class GreyValues:
             return float(largest)
         middle = np.searchsorted(np.cumsum(top), 0.5 * top.sum())
         return float(highest - near + 1 + middle)
+
+
+def normalise(images: U16, black_dn: float, unknown: Bool | None = None) -> F32:
+    """Scale images to a bright particle's peak in the same camera.
+
+    Cameras record particles at different scattering angles and so at very different brightness; a
+    common scale makes them count alike (the thesis matches histograms to the same end, section
+    2.3). The scale is `bright_dn`, which is the same kind of pixel in a sparse and in a dense
+    image.
+
+    Parameters
+    ----------
+    images : (camera, row, column) grey values.
+    black_dn : grey value without light.
+    unknown : (camera, row, column) pixels that do not count for the scale.
+
+    Returns
+    -------
+    (camera, row, column) fractions of the bright level, black level subtracted.
+    """
+    scaled: F32 = np.empty(images.shape, dtype=np.float32)
+    for number, (grey, image) in enumerate(zip(images, scaled, strict=True)):
+        level = bright_dn(grey, black_dn, None if unknown is None else unknown[number])
+        image[:] = np.maximum(grey.astype(np.float64) - black_dn, 0.0) * (1.0 / max(level, 1.0))
+    return scaled
+
+
+def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
+    """Compute the bright level of an image: a percentile of its illuminated pixels.
+
+    It is the 95th percentile, interpolated linearly, of grey values less black of the pixels that
+    exceed a tenth of the brightest; 0 without any. Pixels brighter than four typical peaks
+    (`repair.peak_light`) count as four: a few of them may be anything.
+
+    Parameters
+    ----------
+    unknown : pixels (row, column) that do not count.
+    """
+    from sabench.images.repair import above_background, peak_light  # loads numba
+
+    peak = peak_light(*above_background(grey))
+    known = grey.ravel() if unknown is None else grey[~unknown]
+    counts = np.bincount(known, minlength=1)
+    levels = np.maximum(np.arange(len(counts)) - black_dn, 0.0)
+    brightest = min(levels[-1], _PEAKS * peak) if peak else levels[-1]
+    counts[levels <= _ILLUMINATED * brightest] = 0
+    up_to = np.cumsum(counts)
+    if up_to[-1] == 0:
+        return 0.0
+    rank = _BRIGHT / 100.0 * (up_to[-1] - 1)
+    low, high = (
+        levels[np.searchsorted(up_to, math.floor(rank) + step, side="right")]
+        for step in (0, min(1, math.ceil(rank) - math.floor(rank)))
+    )
+    return float(low + (rank - math.floor(rank)) * (high - low))

@@ -1,4 +1,4 @@
-"""Widths, light and noise of particle images, from images of known ones."""
+"""Widths and light of particle images."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 from scipy.stats import multivariate_normal
 
-from sabench.algorithms.particles.image_model import MARGIN, make_room
-from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
+from sabench.algorithms.particles.image_model import MARGIN_PX, make_room
+from sabench.images.peaks import find_peaks
+from sabench.images.widths import image_widths, measure_images, noise_below_black
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import profile
 
 ROWS, COLUMNS = 400, 500
+
+
 FINE = 5  # points to a pixel's edge
 
 
@@ -119,7 +122,7 @@ def test_windows_of_long_streaks_fit_in_the_margins() -> None:
         shown += 40.0 * y.T @ x
     found = measure_images(shown[None], np.ones((1, ROWS, COLUMNS), dtype=bool))
     assert found.tilt[0] > 0.7
-    assert make_room(1.3 * found.sigma).profiles.shape[2] <= MARGIN
+    assert make_room(1.3 * found.sigma).profiles.shape[2] <= MARGIN_PX
 
 
 @pytest.mark.parametrize("per_pixel", [0.05, 0.5])
@@ -150,8 +153,8 @@ def test_unknown_pixels_do_not_count() -> None:
 
 def test_dark_noise_comes_from_below_black_and_light_does_not_change_it() -> None:
     images = image(0.02, (0.7, 0.7), 6)
-    assert dark_noise(images) == pytest.approx(2.0, rel=0.05)
-    assert dark_noise(np.abs(images)) == 0.5  # values cut at black: of rounding
+    assert noise_below_black(images) == pytest.approx(2.0, rel=0.05)
+    assert noise_below_black(np.abs(images)) == 0.5  # values cut at black: of rounding
 
 
 def test_images_of_noise_or_of_nothing_have_finite_statistics() -> None:
@@ -191,3 +194,14 @@ def test_a_small_glint_does_not_change_the_width_of_few_particles(peak: float) -
     plain, with_glint = measure_images(both, np.ones(both.shape, dtype=bool)).sigma
     np.testing.assert_allclose(plain, (0.6, 0.5), rtol=0.06)
     np.testing.assert_allclose(with_glint, plain, rtol=0.08)
+
+
+def test_widths_at_the_border_read_no_pixel_beyond_it() -> None:
+    row, column = np.indices((105, 33), dtype=np.float64)
+    image = np.exp(-((row - 103.5) ** 2 + (column - 16.0) ** 2) / (2.0 * 0.8**2))
+    image[102] *= 0.9  # the vertex lies beyond 103.5, where it is cut off: rounded to the last row
+    pixels = find_peaks(image.astype(np.float32), 0.1).pixels
+    assert pixels[0, 1] == 103.5
+    assert np.rint(pixels[0, 1]) == len(image) - 1
+    widths = image_widths(image[None].astype(np.float32), [pixels])
+    assert widths[0] == pytest.approx(np.sqrt(0.8**2 - 1.0 / 12.0), rel=0.1)

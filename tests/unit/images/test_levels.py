@@ -1,11 +1,11 @@
-"""Levels estimated from a camera's own images."""
+"""Grey values of no light and of saturation."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from sabench.images.grey_levels import GreyLevels, GreyValues
+from sabench.images.levels import GreyLevels, GreyValues
 from sabench.utils.arrays import F64
 
 

@@ -1,4 +1,4 @@
-"""Background of images, bright things that are no particles, and hidden areas.
+"""Background of images, and bright things that are no particles.
 
 Images may be brighter than black between particles, differently from place to place: scattered
 light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by
@@ -9,15 +9,14 @@ bodies are lit. They are found where hardly any pixel is dark.
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from sabench.algorithms.particles.image_statistics import dark_noise, measure_images
 from sabench.images.flaws import Flaws
-from sabench.utils.arrays import F32, F64, I64, Bool
+from sabench.images.widths import measure_images, noise_below_black
+from sabench.utils.arrays import F32, I64, Bool
 from sabench.utils.compiled import numba
 
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
@@ -32,9 +31,6 @@ _SPOT_LIGHT = 0.5  # of bright pixels, in all of a square: no particle
 _MANY, _CHANCE = 8.0, 6.0  # typical particles, and standard deviations of overlapping ones
 _LIT = 0.5  # typical particles in a square: less is noise
 _SEARCHES = 4  # for bright spots, as each makes typical light a little too large
-_EXPECTED = 8.0  # particles in a window that may be dark for a reason
-_DARK = 0.05  # of the light that is expected there
-_THIN = 0.75  # of the mean number of particles in a window: fewer do not tell
 _HALO = 6  # px around bright spots
 _PATCH = 12  # px: edge of a square that tells a patch
 _DIMMEST, _BELOW = 0.1, 1.2816  # share of its pixels, and how far dark noise has them below zero
@@ -116,7 +112,7 @@ def find_patches(image: F32, known: Bool) -> F32:
     The result (row, column) is by how much, and 0 elsewhere. Particles that leave few pixels dark
     are less even than a patch, and where they leave none, no dimmer elsewhere.
     """
-    noise = dark_noise(image[known])
+    noise = noise_below_black(image[known])
     dark = known & (image <= (_RAISED - _BELOW) * noise)
     if min(image.shape) < _PATCH:
         return np.zeros_like(image)
@@ -289,33 +285,3 @@ def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
         spots |= sums > middle + _MANY * light + _CHANCE * scatter
     halo = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _HALO + 1, 2 * _HALO + 1))
     return np.asarray(cv2.dilate(spots.astype(np.uint8), halo) > 0)
-
-
-def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bool:
-    """Mark areas without light in which several particles are expected.
-
-    They are (camera, row, column). Something may hide the volume there. Each image holds `number`
-    particles, distributed over the pixels as the shares of the volume that these show. Where they
-    show little of it, nothing tells, unless it belongs to a larger area.
-    """
-    dark = np.zeros(images.shape, dtype=np.bool_)
-    for camera, share in enumerate(shares):
-        lit = share > 0.0
-        edge = math.ceil(math.sqrt(_EXPECTED / _THIN * lit.sum() / max(number, 1.0)))
-        if not 0 < 2 * edge <= min(lit.shape):
-            continue
-        known = lit & ~flaws.unknown[camera]
-        expected = np.where(known, number / share.sum() * share, 0.0)
-        light = np.where(known, images[camera], 0.0)
-        each = float(light.sum()) / max(float(expected.sum()), 1.0)
-        sums, counts = (
-            cv2.boxFilter(one.astype(np.float32), -1, (edge, edge), normalize=False)
-            for one in (light, expected)
-        )
-        empty = lit & (sums < _DARK * each * np.maximum(counts, 1.0))
-        window = np.ones((edge, edge), np.uint8)
-        wide = cv2.dilate(empty.astype(np.uint8), window)
-        sure = cv2.dilate((empty & (counts > _EXPECTED)).astype(np.uint8), window)
-        _, area = cv2.connectedComponents(wide)
-        dark[camera] = (wide > 0) & np.isin(area, area[sure > 0])
-    return dark

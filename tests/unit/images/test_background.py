@@ -1,15 +1,15 @@
-"""Backgrounds, glints and hidden areas of images of known particles."""
+"""Background of images, and bright things that are no particles."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from sabench.algorithms.particles.background import (
+from sabench.algorithms.particles.obstacles import find_dark_areas
+from sabench.images.background import (
     clear_images,
     estimate_background,
     find_bright_spots,
-    find_dark_areas,
     find_patches,
 )
 from sabench.images.flaws import Flaws
@@ -17,6 +17,8 @@ from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import profile
 
 ROWS, COLUMNS = 240, 320
+
+
 NOISE, LIGHT = 2.0, 200.0
 
 

@@ -1,0 +1,377 @@
+"""Hidden areas, partly hidden particles, and cameras that contradict the others.
+
+A large dark area of an image, where other cameras' particles should be seen, is hidden by something
+in front of it.
+
+A body hides what is behind it and shows what is in front, so that no area of an image tells which
+particles a camera misses. They are searched for in the light that the others leave: in all cameras
+but one, in all but two, and so on. Of larger sets of cameras, those are tried that contain one
+which hides particles, the most promising first.
+
+A camera whose calibration is wrong by many pixels, or is another camera's, shows little where the
+particles of the others are. What the search leaves of its image tells.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import warnings
+from collections.abc import Callable, Sequence
+
+import cv2
+import numpy as np
+
+from sabench.algorithms.particles.all_particles import light_gains, paint_particles
+from sabench.algorithms.particles.candidate_search import shared_views
+from sabench.algorithms.particles.image_model import ModelParticles, without_margins
+from sabench.algorithms.particles.joint_fit import scatter_between
+from sabench.algorithms.particles.particle_search import MOST_TILT, ParticleSearch
+from sabench.images.background import ClearImages
+from sabench.images.flaws import Flaws
+from sabench.utils.arrays import F32, F64, Bool
+
+# Hidden areas:
+_LEAST = 0.02  # of the pixels in which a camera sees the volume: less is chance
+_DOUBTFUL = 0.8  # of the light expected in an area: less may be hidden, or ghosts are expected
+_HIDDEN = 0.5  # the same, of particles that are found without the area
+_FEWEST = 3  # cameras without a hidden area, that show a particle, or that agree with others
+_EXPECTED = 8.0  # particles in a window that may be dark for a reason
+_DARK = 0.05  # of the light that is expected there
+_THIN = 0.75  # of the mean number of particles in a window: fewer do not tell
+
+# Partly hidden particles:
+_HIDDEN_SHARE = 0.1  # of the particles: expected to be hidden from a camera, and from each more
+_SOME = 3e-4  # of the particles: fewer that a set of cameras hides are no reason to try larger ones
+_DEEPEST, _TRIED = 4, 100  # cameras that may be blind, and sets of each number that are tried
+_FLOORS = (0.35, 0.2)  # of candidates' light over a typical particle's
+_DENIED = -10.0  # cost that a particle's light saves in a camera that does not see it
+
+# Cameras that contradict the others:
+_MANY = 50  # particles that tell of their images
+_LEFT = 0.1  # of the squared light of an image: more that is left has a reason
+_CHANCE = 1.0  # over the square root of the particles' number: share that few leave by chance
+_SCATTER, _LITTLE = 0.7, 0.03  # of light between cameras; with less left, it is particles' own
+_CLEAR = 6.0  # standard deviations of noise: light
+_WORST = 2.0  # times the median camera's: what a camera leaves that contradicts the others
+
+_Cameras = tuple[int, ...]
+
+
+def find_dark_views(search: ParticleSearch, clear: ClearImages, shares: F64) -> Bool:
+    """Mark large dark areas (camera, row, column) of a search's cameras.
+
+    Parameters
+    ----------
+    clear : images of all cameras, also those that the search leaves out.
+    shares : (camera, row, column) of the volume that pixels show (`volume_shares`).
+    """
+    dark = find_dark_areas(clear.images, clear.flaws, shares, search.number)
+    large = dark.sum(axis=(1, 2)) > _LEAST * (shares > 0.0).sum(axis=(1, 2))
+    dark[~(large & search.shown)] = False
+    return dark & ~clear.flaws.unknown
+
+
+def are_doubtful(search: ParticleSearch, dark: Bool) -> bool:
+    """Say whether a search's particles should be seen in a dark area, but are not."""
+    return bool((_seen_shares(search, dark) < _DOUBTFUL).any())
+
+
+def keep_hidden(search: ParticleSearch, dark: Bool) -> Bool:
+    """Keep the areas that hide the particles of a search that did without them.
+
+    There are hardly any particles in other dark areas, and what other cameras show of them is seen.
+    None is kept if fewer than three cameras are left: then nothing was lit, or a frame is missing.
+    """
+    hidden = _seen_shares(search, dark) < _HIDDEN
+    few = search.shown.sum() - hidden.sum() < _FEWEST
+    return np.zeros_like(dark) if few else dark & hidden[:, None, None]
+
+
+def hide_unseen(
+    search: ParticleSearch, clear: ClearImages, shares: F64, before: Bool | None
+) -> None:
+    """Hide dark areas in which a search's particles should be seen, but are not.
+
+    An area that is dark and was hidden `before` is hidden, too.
+    """
+    dark = find_dark_views(search, clear, shares)
+    if not dark.any():
+        return
+    hidden = keep_hidden(search, dark)
+    if before is not None:
+        hidden |= dark & before
+    if hidden.any():
+        search.hide(hidden)
+
+
+def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
+    """Compute the share (camera,) of the light expected in dark areas that is there.
+
+    It is 1 where none is expected.
+    """
+    seen, expected = np.ones(len(dark)), _expected_images(search)
+    for own, camera in enumerate(np.flatnonzero(search.shown)):
+        area = dark[camera]
+        light = expected[own][area].astype(np.float64)
+        if light.any():
+            seen[camera] = light @ search.images[own][area] / (light @ light)
+    return seen
+
+
+def _expected_images(search: ParticleSearch) -> F32:
+    """Render the images that particles have with the mean light of all other cameras."""
+    logs = np.log(search.light / search.typical)
+    others = (logs.sum(axis=1, keepdims=True) - logs) / (logs.shape[1] - 1)
+    light = search.typical * np.exp(others)
+    model = search.model()
+    blank = model._replace(left=np.zeros_like(model.left))
+    alive = np.ones(len(light), dtype=np.bool_)
+    paint_particles(blank, search.widest, ModelParticles(search.position, light, alive), 1.0)
+    expected: F32 = without_margins(blank.left)
+    return expected
+
+
+def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bool:
+    """Mark areas without light in which several particles are expected.
+
+    They are (camera, row, column). Something may hide the volume there. Each image holds `number`
+    particles, distributed over the pixels as the shares of the volume that these show. Where they
+    show little of it, nothing tells, unless it belongs to a larger area.
+    """
+    dark = np.zeros(images.shape, dtype=np.bool_)
+    for camera, share in enumerate(shares):
+        lit = share > 0.0
+        edge = math.ceil(math.sqrt(_EXPECTED / _THIN * lit.sum() / max(number, 1.0)))
+        if not 0 < 2 * edge <= min(lit.shape):
+            continue
+        known = lit & ~flaws.unknown[camera]
+        expected = np.where(known, number / share.sum() * share, 0.0)
+        light = np.where(known, images[camera], 0.0)
+        each = float(light.sum()) / max(float(expected.sum()), 1.0)
+        sums, counts = (
+            cv2.boxFilter(one.astype(np.float32), -1, (edge, edge), normalize=False)
+            for one in (light, expected)
+        )
+        empty = lit & (sums < _DARK * each * np.maximum(counts, 1.0))
+        window = np.ones((edge, edge), np.uint8)
+        wide = cv2.dilate(empty.astype(np.uint8), window)
+        sure = cv2.dilate((empty & (counts > _EXPECTED)).astype(np.uint8), window)
+        _, area = cv2.connectedComponents(wide)
+        dark[camera] = (wide > 0) & np.isin(area, area[sure > 0])
+    return dark
+
+
+def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
+    """Find particles that up to a third of the cameras, rounded, do not see.
+
+    They are found in what a search leaves of the images, or among its particles, and subtracted
+    from its images. Returns one search for the particles that the same cameras see.
+    """
+    found: list[ParticleSearch] = []
+    hidden: dict[_Cameras, int] = {(): 1}  # how many particles sets of cameras hide
+    number = len(search.typical)
+    most = min((number + 1) // 3, number - _FEWEST, _DEEPEST)
+    for _ in range(most):
+        before, hidden = hidden, {}
+        for blind in _promising(number, before):
+            if search.deadline.over:
+                break
+            part = _without(search, blind)
+            if _find(part):
+                found.append(part)
+                _subtract(search, part)
+            if len(part.position) > _SOME * search.number:
+                hidden[blind] = len(part.position)
+    for blind, (position, light) in _take_denied(search, most).items():
+        part = _without(search, blind)
+        part.put(position, np.delete(light, blind, axis=1), np.full(len(light), -1))
+        part.refine(part.fits)
+        part.remove(lone=True)
+        if len(part.position):
+            found.append(part)
+            _subtract(search, part)
+    search.refine(search.fits)
+    return found
+
+
+def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
+    """List sets of cameras that contain one which hides particles.
+
+    Those come first whose smaller sets hide most; no more than can be tried.
+    """
+    promise: dict[_Cameras, int] = {}
+    for smaller, many in before.items():
+        for camera in set(range(number)).difference(smaller):
+            blind = tuple(sorted((*smaller, camera)))
+            promise[blind] = promise.get(blind, 0) + many
+    return sorted(promise, key=lambda blind: (-promise[blind], blind))[:_TRIED]
+
+
+def _take_denied(search: ParticleSearch, most: int) -> dict[_Cameras, tuple[F64, F64]]:
+    """Take out particles that up to `most` cameras deny.
+
+    Returns positions (n, 3) and light (n, camera) of those that the same cameras deny.
+    """
+    denied = light_gains(search.model(), search.widest, search.particles()) < _DENIED
+    count = denied.sum(axis=1)
+    rows: dict[_Cameras, list[int]] = {}
+    for n in np.flatnonzero((count > 0) & (count <= most)).tolist():
+        rows.setdefault(tuple(np.flatnonzero(denied[n]).tolist()), []).append(n)
+    out = {blind: (search.position[own], search.light[own]) for blind, own in rows.items()}
+    search.keep((count == 0) | (count > most))
+    return out
+
+
+def _without(search: ParticleSearch, blind: _Cameras) -> ParticleSearch:
+    """Make a search without particles of what is left in all cameras but some."""
+    part = copy.copy(search)
+    seeing = np.setdiff1d(np.arange(len(search.typical)), blind)
+    part.shown = np.zeros_like(search.shown)
+    part.shown[np.flatnonzero(search.shown)[seeing]] = True
+    part.maps = search.maps._replace(coefficients=search.maps.coefficients[seeing])
+    part.number = search.number * _HIDDEN_SHARE ** len(blind)
+    part.covariance = search.covariance[np.ix_(seeing, seeing)]
+    for name in (
+        *("noise", "typical", "variance", "known", "covered", "saturated"),
+        *("tilt", "flat", "shapes", "first_shapes", "framed_left"),
+    ):
+        setattr(part, name, getattr(search, name)[seeing])
+    part.framed = part.framed_left.copy()
+    part.images, part.left = without_margins(part.framed), without_margins(part.framed_left)
+    part.light = search.light[:, seeing]
+    part.select(np.zeros(len(search.position), dtype=np.bool_))
+    return part
+
+
+def _find(part: ParticleSearch) -> bool:
+    """Find particles, and tell whether there are any."""
+    for floor in _FLOORS:
+        part.find(floor)
+        part.refine(part.fits)
+        part.remove(lone=True)
+        if not len(part.position):
+            return False
+    part.refine(part.fits)
+    return True
+
+
+def _subtract(search: ParticleSearch, part: ParticleSearch) -> None:
+    """Take the light of particles out of the images of another search."""
+    seeing = np.flatnonzero(part.shown[search.shown])
+    search.framed[seeing] -= part.framed - part.framed_left
+    search.framed_left[seeing] = part.framed_left
+
+
+def without_wrong_cameras(
+    search: ParticleSearch,
+    names: Sequence[str],
+    search_without: Callable[[Bool], ParticleSearch | None],
+) -> ParticleSearch:
+    """Search again without the cameras that contradict the others.
+
+    A warning names each. If no choice of cameras explains the images, one warning says so, and the
+    search stays.
+
+    Parameters
+    ----------
+    names : of all cameras.
+    search_without : searches the frame without the cameras (all cameras,) that are marked.
+    """
+    wrong = np.zeros(len(search.shown), dtype=np.bool_)
+    now: ParticleSearch | None = search
+    while now is not None and not explains(now):
+        left, worst = left_of_images(now), _worst(now)
+        if now.shown.sum() <= _FEWEST or left.max() < _WORST * np.median(left):
+            now = None
+        else:
+            wrong[worst] = True
+            now = search_without(wrong)
+    if now is None:
+        warnings.warn(
+            f"{names[_worst(search)]}: expected light of particles in the grid, got light that "
+            "they do not explain, as in other cameras; check the calibration, and that the grid "
+            "holds all particles that the cameras see",
+            stacklevel=1,
+        )
+        return search
+    for camera in np.flatnonzero(wrong).tolist():
+        warnings.warn(
+            f"{names[camera]}: expected light where the other cameras' particles are, got it "
+            "elsewhere; the camera is left out: check its calibration",
+            stacklevel=1,
+        )
+    return now
+
+
+def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
+    """Warn of cameras whose particle images are longer streaks than the model's.
+
+    Few particles tell nothing.
+    """
+    if search.number < _MANY:
+        return
+    for camera, tilt in zip(np.flatnonzero(search.shown).tolist(), search.tilt, strict=True):
+        if abs(tilt) > MOST_TILT:
+            warnings.warn(
+                f"{names[camera]}: expected particle images that are spots, got streaks across "
+                f"rows and columns (correlation {tilt:+.2f}, up to {MOST_TILT} is fitted); some "
+                "particles may be missed or found as two: check the focus, the camera's angle to "
+                "the wall, and that particles do not move while they are lit",
+                stacklevel=1,
+            )
+
+
+def explains(search: ParticleSearch) -> bool:
+    """Say whether the particles explain the images, with light as particles have it."""
+    left = float(left_of_images(search).max())
+    most = _LEFT + _CHANCE / math.sqrt(max(len(search.position), 1))
+    return left < _LITTLE or (left < most and scatter_between(search.covariance) < _SCATTER)
+
+
+def left_of_images(search: ParticleSearch) -> F64:
+    """Compute the share (camera,) of each image's squared light that is left.
+
+    Light that is not clear of noise does not count, nor that of a pixel alone, which may be hot.
+    Where much is left, pixels count alone of whose part of the box enough cameras see all. Without
+    particles, noise is the scatter of all pixels about their median, as a background may have
+    passed for light.
+    """
+    if not len(search.position):
+        seen = zip(search.images, search.known, strict=True)
+        return np.array([_stands_out(image[known]) for image, known in seen])
+    shares = _left_where(search, search.known)
+    if shares.max() < _LITTLE:
+        return shares
+    shape = search.images.shape[1:]
+    return _left_where(search, search.known & shared_views(search.maps, shape, _FEWEST))
+
+
+def _left_where(search: ParticleSearch, counts: Bool) -> F64:
+    """Compute what is left of squared light (camera,) in the pixels that count."""
+    shares = []
+    for camera, (image, known, noise) in enumerate(
+        zip(search.images, counts, search.noise, strict=True)
+    ):
+        both = search.miss(camera), image
+        rest, whole = (_squares(np.where(known, one, 0.0), _CLEAR * noise) for one in both)
+        shares.append(rest / max(whole, rest, 1e-6))
+    return np.array(shares)
+
+
+def _stands_out(light: F32) -> float:
+    """Return 1 if pixels stand out from the others, else 0."""
+    off = light - np.median(light)
+    return float((off > 1.4826 * _CLEAR * np.median(np.abs(off))).any())
+
+
+def _squares(light: F32, floor: float) -> float:
+    """Add up squares of light above a floor, where a neighbour is above it, too."""
+    above = np.abs(light) > floor
+    together = cv2.boxFilter(above.astype(np.float32), -1, (3, 3), normalize=False) > 1.5
+    return float(np.square(light[above & together], dtype=np.float64).sum())
+
+
+def _worst(search: ParticleSearch) -> int:
+    """Return the camera, among all, of whose image most is left."""
+    return int(np.flatnonzero(search.shown)[np.argmax(left_of_images(search))])

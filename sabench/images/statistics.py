@@ -1,0 +1,316 @@
+"""Statistics of a camera's images: light, noise, and particle images one by one.
+
+They need no calibration, and are computed alike from images of data sets and of laboratories. Grey
+values are scaled so that a saturated pixel has 255.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sabench.images.peaks import find_peaks
+from sabench.images.repair import above_background, find_points
+from sabench.images.widths import PIXEL
+from sabench.utils.arrays import F32, F64, I64, U16
+
+# Light and noise:
+SCALED_WHITE = 255.0  # grey value to which a saturated pixel is scaled
+NOISE_FRAMES = 3  # for the noise of a stack
+_DIM = 50.0  # percentile of the pixels' medians below which they are dim
+_MIDDLE = 1.2  # variance of the mean of the middle half of n normal numbers, times n
+_FAR, _ROUNDS = 4.0, 3  # standard deviations at which values are clipped, and how often
+_FROM_MAD = 1.4826  # standard deviation of normal numbers, over their median absolute deviation
+
+# Fits of particle images:
+_CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
+_HALF = 2  # px: half the window in which a particle image is fitted
+_NARROW_PX, _WIDEST_PX = 1.0, 10.0  # widths of fits by 3 x 3 pixels, and of those that fail
+_MOST = 50.0  # ln of light; only of fits that fail
+
+
+@dataclass(frozen=True)
+class CameraStatistics:
+    """Statistics of a camera's images.
+
+    Grey values are of 255. NaN where images do not tell.
+
+    Attributes
+    ----------
+    saturated : share of the pixels.
+    background_p5, background_p50, background_p95 : percentiles of the local background, the least
+        value within 9 x 9 pixels of the image that a median over 3 x 3 pixels has smoothed.
+    fixed : standard deviation of dim pixels' typical values, without what temporal noise adds. The
+        typical value is the mean of the middle half of the frames' values; dim pixels are the half
+        of all pixels with the lowest medians of 5 x 5 typical values around them.
+    fixed_near : the same of each pixel less that median, without values more than four of it away,
+        as hot pixels have: what differs from pixel to pixel.
+    temporal : standard deviation of dim pixels from frame to frame, without particles that pass.
+    width_p10, width_p50, width_p90 : percentiles of `ParticleImages.width_px`.
+    ln_flux : standard deviation of ln flux of particle images.
+    per_pixel : peaks per pixel.
+    contrast : of a median peak: (its brightest pixel - background) / (their sum).
+    """
+
+    saturated: float
+    background_p5: float
+    background_p50: float
+    background_p95: float
+    fixed: float
+    fixed_near: float
+    temporal: float
+    width_p10: float
+    width_p50: float
+    width_p90: float
+    ln_flux: float
+    per_pixel: float
+    contrast: float
+
+
+def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
+    """Measure the images (row, column) that one camera took one after the other.
+
+    Parameters
+    ----------
+    white_dn : grey value of a saturated pixel.
+    """
+    stack = np.stack(frames)
+    scale = SCALED_WHITE / white_dn
+    low = np.stack([local_background(frame) for frame in frames])
+    fixed, near, temporal = measure_noise(stack) if len(stack) >= NOISE_FRAMES else [np.nan] * 3
+    fits = [fit_particle_images(frame, white_dn) for frame in frames]
+    width, flux, height = (
+        np.concatenate([getattr(one, name) for one in fits])
+        for name in ("width_px", "flux", "height")
+    )
+    background = (scale * np.percentile(low, [5.0, 50.0, 95.0])).tolist()
+    median = scale * float(np.median(height)) if len(height) else np.nan
+    widths = np.percentile(width, [10.0, 50.0, 90.0]).tolist() if len(width) else [np.nan] * 3
+    return CameraStatistics(
+        saturated=float((stack >= white_dn).mean()),
+        **{f"background_p{p}": one for p, one in zip((5, 50, 95), background, strict=True)},
+        fixed=scale * fixed,
+        fixed_near=scale * near,
+        temporal=scale * temporal,
+        **{f"width_p{p}": one for p, one in zip((10, 50, 90), widths, strict=True)},
+        ln_flux=float(np.std(np.log(flux))) if len(flux) > 1 else np.nan,
+        per_pixel=sum(one.found for one in fits) / stack.size,
+        contrast=median / (median + 2.0 * background[1]),
+    )
+
+
+def local_background(grey: U16) -> U16:
+    """Compute the darkest part around every pixel (row, column).
+
+    Single dead pixels do not count.
+    """
+    return np.asarray(grey.astype(np.float32) - above_background(grey)[0]).astype(np.uint16)
+
+
+def measure_noise(stack: U16) -> tuple[float, float, float]:
+    """Measure the noise of dim pixels of images (frame, row, column).
+
+    Returns `fixed`, `fixed_near` and `temporal` of `CameraStatistics`, in grey values.
+    """
+    import cv2
+
+    quarter = len(stack) // 4
+    middle = np.sort(stack, axis=0)[quarter : len(stack) - quarter].mean(axis=0, dtype=np.float32)
+    around = cv2.medianBlur(middle, 5)  # selects without a view to a pixel's own flaws
+    dim = around <= np.percentile(around, _DIM)
+    temporal = _clipped_deviation(np.diff(stack.astype(np.float32), axis=0)[:, dim]) / np.sqrt(2.0)
+    rest = _MIDDLE / len(stack) * temporal**2
+    deviations = (
+        float(middle[dim].std(dtype=np.float64)),
+        _clipped_deviation((middle - around)[dim]),
+    )
+    fixed, fixed_near = (float(np.sqrt(max(one**2 - rest, 0.0))) for one in deviations)
+    return fixed, fixed_near, temporal
+
+
+def _clipped_deviation(values: F32) -> float:
+    """Compute the standard deviation of values without the few outliers.
+
+    Those are far from the median. Unlike quantiles, it also tells noise of less than a grey value.
+    """
+    away = np.abs(values - np.median(values))
+    limit = max(float(np.percentile(away, 68.0)), 1.0)
+    for _ in range(_ROUNDS):
+        deviation = float(values[away <= _FAR * limit].std(dtype=np.float64))
+        limit = max(deviation, 1.0 / _FAR)
+    return deviation
+
+
+class RatioSpread(NamedTuple):
+    """Spread of the logarithm of the ratio of a particle's flux in two cameras.
+
+    Attributes
+    ----------
+    plain : standard deviation.
+    robust : that of normal numbers with the same median absolute deviation.
+    pairs : number of ratios.
+    """
+
+    plain: float
+    robust: float
+    pairs: int
+
+
+def flux_ratio_spread(flux: F64) -> RatioSpread:
+    """Measure how a particle's flux (camera, particle) differs between cameras.
+
+    NaN where a camera does not show one. Each pair of cameras has its own median ratio, which does
+    not count: cameras differ in gain and in angle.
+    """
+    logs, ratios = np.log(flux), []
+    for one in range(len(flux)):
+        for other in range(one):
+            ratio = logs[one] - logs[other]
+            ratio = ratio[np.isfinite(ratio)]
+            if len(ratio) > 1:
+                ratios.append(ratio - np.median(ratio))
+    if not ratios:
+        return RatioSpread(np.nan, np.nan, 0)
+    every = np.concatenate(ratios)
+    return RatioSpread(
+        float(np.std(every)), _FROM_MAD * float(np.median(np.abs(every))), len(every)
+    )
+
+
+class FittedImages(NamedTuple):
+    """Gaussians that fit the particle images of one image.
+
+    Attributes
+    ----------
+    pixel : (n, 2) column and row.
+    width_px : (n,) geometric mean of both standard deviations, less the pixels' own width.
+    flux : (n,) their integral, in grey values times px2.
+    height : (n,) brightest pixel above the local background, in grey values.
+    found : number of peaks, also saturated ones and those that no Gaussian fits.
+    """
+
+    pixel: F64
+    width_px: F64
+    flux: F64
+    height: F64
+    found: int
+
+
+def image_noise(grey: U16) -> float:
+    """Estimate the noise of an image from its darker half, at least 0.5.
+
+    It follows from the median distance to the median of 3 x 3 pixels. A distance of k counts as
+    evenly spread from k - 0.5 to k + 0.5, which also tells noise of less than a grey value.
+    """
+    import cv2
+
+    smooth = cv2.medianBlur(grey, 3)
+    away = cv2.absdiff(grey, smooth)[smooth <= np.median(smooth)]
+    up_to = np.cumsum(np.bincount(away.ravel()))
+    middle = np.interp(0.5 * up_to[-1], [0, *up_to], [0.0, *(np.arange(len(up_to)) + 0.5)])
+    return max(0.5, _FROM_MAD * float(middle))
+
+
+def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
+    """Fit a Gaussian at any angle to each peak of an image (row, column).
+
+    Peaks exceed all of their 5 x 5 surroundings, and the local background by 8 standard deviations
+    of the noise; hot pixels, saturated peaks and those at the border are left out. A quadratic is
+    fitted to the logarithm of the light, with the light's square as weight (Guo, IEEE Signal
+    Process. Mag. 28 (2011) 134-137): of 3 x 3 pixels, since neighbours overlap, or of 5 x 5 where
+    the image is wider than 1 px.
+
+    Parameters
+    ----------
+    white_dn : grey value of a saturated pixel.
+    """
+    noise = image_noise(grey)
+    light = above_background(grey)[0] - np.float32(noise)  # the least of many values is that low
+    row, column, windows = _windows(light, _CLEAR * noise)
+    top = windows[:, _HALF, _HALF] >= windows.max(axis=(1, 2), initial=0.0)
+    top &= ~find_points(grey, float(grey.min()))[row, column]
+    around = np.arange(-_HALF, _HALF + 1)
+    values = grey[row[:, None, None] + around[:, None], column[:, None, None] + around]
+    good = np.asarray(top & (values < white_dn).all(axis=(1, 2)))
+    narrow = _fit_gaussians(windows[good][:, 1:-1, 1:-1])
+    wide = _fit_gaussians(windows[good])
+    fit = np.where(narrow[:, :1] <= _NARROW_PX, narrow, wide)  # NaN is not narrow
+    valid = fit[:, 0] < _WIDEST_PX
+    pixel = np.stack([column[good], row[good]], axis=1) + fit[:, 2:]
+    height = windows[good, _HALF, _HALF]
+    return FittedImages(pixel[valid], fit[valid, 0], fit[valid, 1], height[valid], int(top.sum()))
+
+
+def _windows(light: F32, least: float) -> tuple[I64, I64, F64]:
+    """Cut the light (n, 5, 5) around peaks above `least`.
+
+    Returns their rows and columns, too.
+    """
+    peaks = find_peaks(light, least).pixels
+    column, row = np.rint(peaks).astype(np.int64).T
+    most = np.array(light.shape) - 1 - _HALF
+    inner = (np.minimum(column, row) >= _HALF) & (row <= most[0]) & (column <= most[1])
+    row, column = row[inner], column[inner]
+    around = np.arange(-_HALF, _HALF + 1)
+    windows = light[row[:, None, None] + around[:, None], column[:, None, None] + around]
+    return row, column, windows.astype(np.float64)
+
+
+def _fit_gaussians(windows: F64) -> F64:
+    """Fit Gaussians to light (n, row, column).
+
+    Returns (n, 4): width, integral, and the centre's column and row from the window's; NaN where
+    the fit is no ellipse, or its centre is more than a pixel away.
+    """
+    half = windows.shape[1] // 2
+    y, x = (one.ravel().astype(float) for one in np.mgrid[-half : half + 1, -half : half + 1])
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    light = windows.reshape(len(windows), len(x))
+    floor = 1e-3 * light.max(axis=1, initial=1e-9, keepdims=True)
+    weight = np.where(light > floor, light / floor, 0.0) ** 2
+    matrix = np.einsum("np,pi,pj->nij", weight, terms, terms) + 1e-6 * np.eye(6)
+    right = np.einsum("np,pi->ni", weight * np.log(np.maximum(light, floor)), terms)
+    return _gaussians_of(np.linalg.solve(matrix, right[..., None])[..., 0])
+
+
+def _gaussians_of(c: F64) -> F64:
+    """Turn quadratics into Gaussians (n, 4).
+
+    Coefficients (n, 6) are of 1, x, y, x2, x y and y2.
+    """
+    determinant = 4.0 * c[:, 3] * c[:, 5] - c[:, 4] ** 2
+    valid = (c[:, 3] < 0.0) & (determinant > 1e-9)
+    safe = np.where(valid, determinant, 1.0)
+    across, down, both = -2.0 * c[:, 5] / safe, -2.0 * c[:, 3] / safe, c[:, 4] / safe
+    x, y = across * c[:, 1] + both * c[:, 2], both * c[:, 1] + down * c[:, 2]
+    top = c[:, 0] + 0.5 * (c[:, 1] * x + c[:, 2] * y)
+    flux = np.exp(np.minimum(top, _MOST)) * 2.0 * np.pi / np.sqrt(safe)
+    square = (across - PIXEL) * (down - PIXEL) - both**2
+    valid &= (np.minimum(across, down) > PIXEL) & (square > 0.0)
+    valid &= np.maximum(np.abs(x), np.abs(y)) < 1.0
+    width = np.sqrt(np.sqrt(np.where(valid, square, np.nan)))
+    return np.stack([width, flux, x, y], axis=1)
+
+
+def flux_near(images: FittedImages, pixels: F64, reach_px: float, apart_px: float) -> F64:
+    """Look up the flux (n,) of the particle image nearest to each pixel (n, 2).
+
+    NaN where none is within `reach_px`, where another one is within `apart_px` of the pixel, or
+    another pixel is.
+    """
+    from scipy.spatial import cKDTree
+
+    out = np.full(len(pixels), np.nan)
+    known = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    if not len(known) or not len(images.pixel):
+        return out
+    asked, shown = cKDTree(pixels[known]), cKDTree(images.pixel)
+    distance, nearest = shown.query(pixels[known])
+    near = [len(one) for one in shown.query_ball_point(pixels[known], apart_px)]
+    lone = [len(one) for one in asked.query_ball_point(pixels[known], apart_px)]
+    good = (distance <= reach_px) & (np.array(near) == 1) & (np.array(lone) == 1)
+    out[known[good]] = images.flux[nearest[good]]
+    return out
