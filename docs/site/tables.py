@@ -1,7 +1,8 @@
-"""Tables of the pages, made from records, the schema of scenes and the code.
+"""Tables of the pages, made from records, the schema of scenes and the sizes of files.
 
 A page names a table by a comment, `<!-- table: NAME ARGUMENTS -->`; the site shows
-the table in its place. `python docs/site/tables.py PAGE` prints a page with its tables.
+the table in its place. A table of files after `<!-- lines of each file -->` gets their sizes.
+`python docs/site/tables.py PAGE` prints a page with its tables.
 """
 
 from __future__ import annotations
@@ -28,11 +29,23 @@ if TYPE_CHECKING:
 
 RECORDS = ROOT / "benchmarks" / "records"
 MARKER = re.compile(r"^<!-- table: (.+) -->$", re.MULTILINE)
+_FILES = re.compile(r"^<!-- lines of each file -->\n((?:\|.*\n)+)", re.MULTILINE)
 
 
 def filled(text: str) -> str:
-    """Return the text of a page with its tables."""
+    """Return the text of a page with its tables, and with the sizes of the files that it lists."""
+    text = _FILES.sub(lambda found: "\n".join([*map(_with_lines, found[1].splitlines()), ""]), text)
     return MARKER.sub(lambda found: table(*shlex.split(found[1])), text)
+
+
+def _with_lines(row: str) -> str:
+    """Add a column to a row of a table: the number of lines of the file in its first cell."""
+    name = row.split("|")[1].strip()
+    if name == "file":
+        return f"{row} lines |"
+    if not name.startswith("`"):
+        return f"{row}---|"
+    return f"{row} {len((ROOT / name.strip('`')).read_text(encoding='utf-8').splitlines())} |"
 
 
 @functools.cache
@@ -126,16 +139,6 @@ def ghost_bias(part: str) -> str:
     )
 
 
-def lines(*paths: str) -> str:
-    """Write the number of lines of files, and the first line of their docstrings."""
-    rows = []
-    for path in paths:
-        text = (ROOT / path).read_text(encoding="utf-8")
-        purpose = text.partition('"""')[2].partition("\n")[0].removesuffix('"""')
-        rows.append([f"`{path}`", str(len(text.splitlines())), purpose.rstrip(".")])
-    return written(["file", "lines", "contents"], rows)
-
-
 def _read(name: str) -> Any:
     return json.loads((RECORDS / f"{name}.json").read_text(encoding="utf-8"))
 
@@ -151,7 +154,6 @@ _TABLES: dict[str, Callable[..., str]] = {
     "realism": realism,
     "calibration-reality": calibration_reality,
     "ghost-bias": ghost_bias,
-    "lines": lines,
 }
 
 if __name__ == "__main__":

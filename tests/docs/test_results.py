@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
@@ -38,6 +39,14 @@ def test_every_case_of_the_records_of_densities_is_in_the_table() -> None:
     cases = site("particle_tables")["DENSITIES"]
     record = json.loads((ROOT / "benchmarks" / "records" / "particle-density.json").read_text())
     assert set(cases.values()) == set(record)
+
+
+def test_the_map_of_the_code_has_the_size_of_twenty_files() -> None:
+    text = built("docs/developing/design.md")
+    rows = re.findall(r"^\| `([\w/]+\.py)` \|.*\| (\d+) \|$", text, re.MULTILINE)
+    assert len(rows) == 20
+    for name, lines in rows:
+        assert len((ROOT / name).read_text(encoding="utf-8").splitlines()) == int(lines)
 
 
 def test_the_best_solver_of_a_row_is_bold() -> None:
