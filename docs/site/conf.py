@@ -12,6 +12,7 @@ sys.path[:0] = [str(Path(__file__).parent), str(ROOT)]
 import access  # noqa: E402
 import docstrings  # noqa: E402
 import navigation  # noqa: E402
+import tables  # noqa: E402
 
 import sabench  # noqa: E402
 
@@ -45,7 +46,8 @@ templates_path = ["templates"]
 
 
 def setup(app: Sphinx) -> None:
-    """Build the navigation from docs/index.md, read docstrings, and complete pages."""
+    """Make tables and navigation, read docstrings, and complete pages."""
+    app.connect("source-read", tables.add_tables)
     app.connect("source-read", navigation.add_toctrees)
     app.connect("autodoc-process-docstring", docstrings.describe_names, priority=100)
     app.connect("autodoc-skip-member", docstrings.skip_aliases)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import re
+import runpy
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = tuple(
@@ -61,19 +63,36 @@ def read(page: str) -> str:
     return (ROOT / page).read_text(encoding="utf-8")
 
 
+@functools.cache
+def built(page: str) -> str:
+    """Return the text of a page with the tables that the site has."""
+    filled: Callable[[str], str] = site("tables")["filled"]
+    return filled(read(page))
+
+
+@functools.cache
+def site(name: str) -> dict[str, Any]:
+    """Return the names of a module of the site."""
+    return runpy.run_path(str(ROOT / "docs" / "site" / f"{name}.py"))
+
+
 def blocks(page: str) -> list[Block]:
     """Return the fenced code blocks of a page in their order."""
-    return [part for part in _parts(page) if isinstance(part, Block)]
+    return [part for part in _parts(page, read(page)) if isinstance(part, Block)]
 
 
 def prose(page: str) -> list[tuple[int, str]]:
     """Return the lines outside code blocks, each with its number."""
-    return [part for part in _parts(page) if not isinstance(part, Block)]
+    return _lines(page, read(page))
 
 
-def _parts(page: str) -> Iterator[Block | tuple[int, str]]:
+def _lines(page: str, text: str) -> list[tuple[int, str]]:
+    return [part for part in _parts(page, text) if not isinstance(part, Block)]
+
+
+def _parts(page: str, text: str) -> Iterator[Block | tuple[int, str]]:
     """Yield lines of prose and code blocks in their order."""
-    lines = iter(enumerate(read(page).splitlines(), start=1))
+    lines = iter(enumerate(text.splitlines(), start=1))
     marker: dict[str, str] = {}
     for number, line in lines:
         fence = _FENCE.match(line)
@@ -101,15 +120,16 @@ def _marker(line: str) -> dict[str, str]:
 
 
 def links(page: str) -> list[tuple[int, str]]:
-    """Return the targets of a page's links outside code blocks, each with its line."""
-    return [(number, target) for number, line in prose(page) for target in _LINK.findall(line)]
+    """Return the targets of a built page's links outside code blocks, each with its line."""
+    lines = _lines(page, built(page))
+    return [(number, target) for number, line in lines for target in _LINK.findall(line)]
 
 
 def anchors(page: str) -> set[str]:
-    """Return the anchors of a page's headings, as GitHub makes them."""
+    """Return the anchors of a built page's headings, as GitHub makes them."""
     found: Counter[str] = Counter()
     names = set()
-    for _, line in prose(page):
+    for _, line in _lines(page, built(page)):
         heading = re.match(r"#+ (.*)", line)
         if heading is None:
             continue

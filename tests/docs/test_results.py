@@ -1,43 +1,57 @@
-"""Figures in the pages of results are those of the records."""
+"""Tables of results: made from records, for every page that names one."""
 
 from __future__ import annotations
 
 import json
-import runpy
-from typing import Any
+import re
 
-from tests.docs.pages import ROOT
+import pytest
 
+from tests.docs.pages import PAGES, ROOT, built, read, site
 
-def test_tables_over_the_density_are_those_of_the_records() -> None:
-    script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_density.py"))
-    text = script["PAGE"].read_text(encoding="utf-8")
-    assert script["filled"](text) == text, "run python docs/results/fill_density.py"
-    first_cells = {line.split("|")[1].strip() for line in text.split("\n") if line.startswith("| ")}
-    assert {words for words, _ in script["CASES"]} - first_cells <= {"equal light, 0.50 ppp"}
-    assert set(script["PARTS"]) <= first_cells
+_FILLED = [page for page in PAGES if "<!-- table: " in read(page)]
 
 
-def test_the_table_of_trackers_is_that_of_the_record() -> None:
-    script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_tracking.py"))
-    text = script["PAGE"].read_text(encoding="utf-8")
-    assert script["filled"](text) == text, "run python docs/results/fill_tracking.py"
-    assert all(f"\n| {words} | `shake_the_box` | " in text for words in script["CASES"])
+@pytest.mark.parametrize("page", _FILLED)
+def test_every_table_of_a_page_has_rows_of_the_same_length(page: str) -> None:
+    for words in site("tables")["MARKER"].findall(read(page)):
+        table = site("tables")["filled"](f"<!-- table: {words} -->")
+        rows = [line for line in table.split("\n") if line.startswith("|")]
+        assert len(rows) > 3
+        if words != "scene":
+            assert len({row.count("|") for row in rows}) == 1
 
 
-def test_tables_on_correlated_ghosts_are_those_of_the_record() -> None:
-    script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_ghost_bias.py"))
-    for page in script["PAGES"]:
-        text = page.read_text(encoding="utf-8")
-        assert "<!-- ghost bias: " in text
-        assert script["filled"](text) == text, "run python docs/results/fill_ghost_bias.py"
+def test_pages_of_results_hold_no_table_that_is_made() -> None:
+    names = ["by-suite", "ranking", "particle-density", "particle-tracking", "realism", "scene"]
+    assert {page.rpartition("/")[2].removesuffix(".md") for page in _FILLED} >= set(names)
 
 
-def test_tables_of_the_standard_suite_are_those_of_the_bundled_records() -> None:
-    script: dict[str, Any] = runpy.run_path(str(ROOT / "docs" / "results" / "fill_standard.py"))
-    text = script["PAGE"].read_text(encoding="utf-8")
-    assert text.count("<!-- standard: ") == 6
-    assert script["filled"](text) == text, "run python docs/results/fill_standard.py"
+def test_a_known_figure_is_that_of_its_record() -> None:
+    record = json.loads((ROOT / "benchmarks" / "records" / "particle-tracking.json").read_text())
+    rows = record["equal 0.05"]["shake_the_box"]
+    recall = sum(row["frames"][frame]["recall"] for row in rows for frame in (10, 11))
+    cell = f"| equal light, 0.05 ppp | `shake_the_box` | {recall / (2 * len(rows)):.2f} | "
+    assert cell in built("docs/results/particle-tracking.md")
+
+
+def test_every_case_of_the_records_of_densities_is_in_the_table() -> None:
+    cases = site("particle_tables")["DENSITIES"]
+    record = json.loads((ROOT / "benchmarks" / "records" / "particle-density.json").read_text())
+    assert set(cases.values()) == set(record)
+
+
+def test_the_map_of_the_code_has_the_size_of_twenty_files() -> None:
+    text = built("docs/developing/design.md")
+    rows = re.findall(r"^\| `([\w/]+\.py)` \|.*\| (\d+) \|$", text, re.MULTILINE)
+    assert len(rows) == 20
+    for name, lines in rows:
+        assert len((ROOT / name).read_text(encoding="utf-8").splitlines()) == int(lines)
+
+
+def test_the_best_solver_of_a_row_is_bold() -> None:
+    table = built("docs/results/by-suite.md")
+    assert "| 4 | 0.01 | 0.959 | **0.960** | **0.960** | 0.959 | " in table
 
 
 def test_seconds_on_a_gpu_are_those_of_the_record() -> None:

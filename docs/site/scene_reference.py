@@ -1,4 +1,4 @@
-"""Write the reference of scenes from their schema: python docs/reference/fill_scene.py."""
+"""Reference of all keys of a scene, in Markdown, from the schema of scenes."""
 
 from __future__ import annotations
 
@@ -9,26 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from markdown_table import escaped
 from pydantic import BaseModel
 
 from sabench.scenes import load_scene, scene_schema
 
-PAGE = Path(__file__).with_name("scene.md")
 _SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*.toml"))
-_HEAD = """# Scene reference
-
-A scene is a TOML file; this page lists all of its keys. `python docs/reference/fill_scene.py`
-writes it from the schema that `sabench schema` prints. [Conventions](../conventions.md) defines
-frames and orders, and [Imaging](../physics/imaging.md) the physics.
-
-- **unit**: the suffix of a key names its unit. "-": ratio, count, index, direction or name.
-- **default**: "required" keys have none; "none" means no such effect, or the value that the meaning
-  states.
-- **typical**: an example, or the most frequent value in the bundled scenes, or the default.
-
-| table | contents |
-|---|---|
-"""
 _UNITS = {
     "mm": "mm",
     "mm_s": "mm/s",
@@ -262,20 +248,21 @@ def faults(found: list[Section]) -> list[str]:
     ]
 
 
-def page() -> str:
-    """Write the page."""
+def reference() -> str:
+    """Write the list of tables of a scene, then a section with the keys of each."""
     found = sections()
     contents = [
-        f"| [{one.heading}](#{_anchor(one.heading)}) | {_cell(first.rstrip('.'))} |"
-        for one in found
-        for first in [one.text.partition(". ")[0]]
+        f"| [{section.heading}](#{_anchor(section.heading)}) | {escaped(first.rstrip('.'))} |"
+        for section in found
+        for first in [section.text.partition(". ")[0]]
     ]
-    return "\n\n".join([_HEAD + "\n".join(contents), *map(_written, found)]) + "\n"
+    head = "| table | contents |\n|---|---|\n"
+    return "\n\n".join([head + "\n".join(contents), *map(_written, found)])
 
 
 def _written(section: Section) -> str:
     """Write one table's section."""
-    rows = [f"| `{key.name}` | {' | '.join(map(_cell, key[1:]))} |" for key in section.keys]
+    rows = [f"| `{key.name}` | {' | '.join(map(escaped, key[1:]))} |" for key in section.keys]
     head = "| key | meaning | unit | allowed | default | typical |\n|---|---|---|---|---|---|"
     return "\n".join([f"## {section.heading}\n", f"{section.text}\n", head, *rows])
 
@@ -283,13 +270,3 @@ def _written(section: Section) -> str:
 def _anchor(heading: str) -> str:
     kept = "".join(letter for letter in heading.lower() if letter.isalnum() or letter in "_- ")
     return kept.replace(" ", "-")
-
-
-def _cell(text: str) -> str:
-    """Escape what would end a cell."""
-    return text.replace("|", "\\|")
-
-
-if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
-    print("\n".join(faults(sections())))

@@ -1,25 +1,19 @@
-"""Fill the tables of particle-density.md from the records of benchmarks.
-
-Run python docs/results/fill_density.py after a benchmark has changed a record; tests/docs compares
-page and records. The first cell of a row stays, and so does the order of rows and columns; new
-cases get a row by hand.
-"""
+"""Tables of particle solvers, in Markdown, from the records of benchmarks."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markdown_table import written
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "results" / "particle-density.md"
-RECORDS = ROOT / "benchmarks" / "records"
+RECORDS = Path(__file__).resolve().parents[2] / "benchmarks" / "records"
 _NOTHING = "-"
 _PEERS = ("openlpt", "optv", "ray_triangulation", "mlos_smart", "msa")
-CASES = {  # the page's rows: its words, the number of cameras and the record's name
+DENSITIES = {  # case, number of cameras: name in the record
     ("equal light, 0.01 ppp", 4): "equal 0.01",
     ("equal light, 0.02 ppp", 4): "equal 0.02",
     ("equal light, 0.05 ppp", 4): "equal 0.05",
@@ -58,7 +52,8 @@ CASES = {  # the page's rows: its words, the number of cameras and the record's 
     ("the realistic scene, 0.05 ppp", 9): "realistic",
     ("the standard suite's hard case, one frame", 4): "hard",
 }
-PARTS = {
+_ABLATED = ("equal 0.05", "equal 0.10", "equal 0.15", "own 0.05", "off 0.10")
+PARTS = {  # part taken out: name in the record
     "nothing": "all parts",
     "wider images while candidates share the light": "widening",
     "slow removal of the darkest candidates": "levels",
@@ -71,6 +66,16 @@ PARTS = {
     "widths that change over the volume": "widths",
     "background, bright spots and hidden areas": "background",
     "earnings of the best camera left out": "best camera",
+}
+_TRACKERS = ("shake_the_box", "openlpt", "optv")
+_CONVERGED = (10, 11)  # frames
+SEQUENCES = {  # case: name in the record
+    "equal light, 0.05 ppp": "equal 0.05",
+    "single particles' Mie, oblique light, 0.05 ppp": "own 0.05",
+    "equal light, 0.10 ppp": "equal 0.10",
+    "equal light, 0.15 ppp": "equal 0.15",
+    "equal light, 0.20 ppp": "equal 0.20",
+    "equal light, 0.20 ppp, no pixel saturated": "dim 0.20",
 }
 
 Rows = Sequence[dict[str, Any]]
@@ -99,38 +104,60 @@ def density_cells(of: dict[str, Rows]) -> list[str]:
     ]
 
 
-def filled(text: str) -> str:
-    """Return the page's text with its tables made anew."""
-    density, ablation = (
-        json.loads((RECORDS / f"particle-{name}.json").read_text(encoding="utf-8"))
-        for name in ("density", "ablation")
+def density() -> str:
+    """Write particles found and ghosts of each case and solver."""
+    record = _read("particle-density")
+    head = ["case", "cameras", "`bayesian_ipr`, seed 1", "seed 2", "rms / bound", "within 68 %"]
+    rows = (
+        [words, str(cameras), *density_cells(record.get(name, {}))]
+        for (words, cameras), name in DENSITIES.items()
     )
-    columns: list[str] = []
-    lines = []
-    for line in text.split("\n"):
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("| taken out |"):
-            columns = cells[1:]
-        if len(cells) > 2 and cells[1].isdigit() and (cells[0], int(cells[1])) in CASES:
-            case = CASES[cells[0], int(cells[1])]
-            cells[2:] = density_cells(density.get(case, {}))
-            line = _row(cells)
-        elif len(cells) > 2 and cells[0] in PARTS:
-            part = PARTS[cells[0]]
-            rows = [ablation.get(case, {}).get(part, ()) for case in columns]
-            line = _row([cells[0], *(scores(next(iter(own), None), 3) for own in rows)])
-        lines.append(line)
-    return "\n".join(lines)
+    return written([*head, *(f"`{peer}`" for peer in _PEERS)], rows)
 
 
-def _row(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+def ablation() -> str:
+    """Write the scores of `bayesian_ipr` without one part at a time."""
+    record = _read("particle-ablation")
+    rows = (
+        [words, *(scores(next(iter(record[case].get(part, ())), None), 3) for case in _ABLATED)]
+        for words, part in PARTS.items()
+    )
+    return written(["taken out", *_ABLATED], rows)
 
 
-def main() -> None:
-    """Write the page anew."""
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+def tracking() -> str:
+    """Write the scores of trackers, a row for each case and solver."""
+    head = ["case", "solver", "found %", "ghosts %", "rms px", "link recall", "link precision"]
+    head += ["effectiveness", "velocity error %", "CPU s per frame"]
+    return written(head, _tracking_rows(_read("particle-tracking")))
 
 
-if __name__ == "__main__":
-    main()
+def _tracking_rows(record: dict[str, dict[str, Rows]]) -> Iterator[list[str]]:
+    for words, case in SEQUENCES.items():
+        for solver in (name for name in _TRACKERS if name in record[case]):
+            yield [words, f"`{solver}`", *tracking_cells(record[case][solver])]
+
+
+def tracking_cells(rows: Rows) -> list[str]:
+    """Write the cells of a solver after its name: means over the seeds."""
+    late = [[row["frames"][frame] for frame in _CONVERGED] for row in rows]
+
+    def converged(score: str) -> float:
+        return float(np.mean([[frame[score] for frame in frames] for frames in late]))
+
+    def mean(score: str) -> float:
+        return float(np.mean([row[score] for row in rows]))
+
+    return [
+        f"{converged('recall'):.2f}",
+        f"{converged('ghosts'):.2f}",
+        f"{converged('rms_px'):.3f}",
+        *(f"{mean(score):.3f}" for score in ("link_recall", "link_precision", "effectiveness")),
+        f"{mean('velocity_percent'):.1f}",
+        f"{mean('cpu_s'):.1f}",
+    ]
+
+
+def _read(name: str) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads((RECORDS / f"{name}.json").read_text(encoding="utf-8"))
+    return record
