@@ -2,8 +2,7 @@
 
 `OPENBLAS_NUM_THREADS=1 python benchmarks/calibration_wall.py SEEDS [record.json]` prints JSON, or
 writes it. The tanks are those of `benchmarks/calibration_reality.py` without errors that the model
-does not have; their nominal walls are off in what is unknown. `tables record.json` prints the table
-of docs/tasks/calibration.md.
+does not have; their nominal walls are off in what is unknown. `tables record.json` prints a table.
 """
 
 from __future__ import annotations
@@ -137,7 +136,7 @@ def measure_wall(seeds: int) -> list[dict[str, Any]]:
 
 
 def wall_table(rows: list[dict[str, Any]]) -> Iterator[str]:
-    """Format a record of walls as the table of docs/tasks/calibration.md."""
+    """Format a record of walls as a table."""
     yield f"| unknown | quantity | {' | '.join(_SETUPS)} |"
     yield "|---|---|" + "---|" * len(_SETUPS)
     lines: dict[tuple[str, str], list[str]] = {}

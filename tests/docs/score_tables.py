@@ -2,7 +2,8 @@
 
 Run `python -m tests.docs.score_tables [--write]`.
 
-A page holds its table between `<!-- scores: TASK -->` and `<!-- end scores -->`.
+A page holds its table between `<!-- scores: TASK -->` and `<!-- end scores -->`. The costs, which
+all tasks share, are described in the page of the task reconstruction.
 """
 
 from __future__ import annotations
@@ -22,15 +23,25 @@ PAGES = tuple(sorted((ROOT / "docs" / "tasks").glob("*.md")))
 
 
 def table(scores: Iterable[Score]) -> str:
-    """Write scores as a table, one row for each."""
+    """Write scores as a table: one row for each, or for the same along several axes."""
+    families: dict[tuple[str, str], list[Score]] = {}
+    for score in scores:
+        families.setdefault(_family(score, families), []).append(score)
     rows = [
-        (
-            f"| `{score.key}` | {score.unit or '-'} | {_BETTER[score.better]} | "
-            f"{_cell(score.meaning)} |"
-        )
-        for score in scores
+        f"| {', '.join(f'`{one.key}`' for one in family)} | {family[0].unit or '-'} | "
+        f"{_BETTER[family[0].better]} | {_cell(meaning if family[1:] else family[0].meaning)} |"
+        for (_, meaning), family in families.items()
     ]
     return "\n".join(["| key | unit | better | meaning |", "|---|---|---|---|", *rows, ""])
+
+
+def _family(score: Score, families: Iterable[tuple[str, str]]) -> tuple[str, str]:
+    """Return the pattern of a score's key and its meaning, both without the axis."""
+    pattern = re.sub(r"(?<![a-z])[u-z](?=_)", "?", score.key)
+    meaning = re.sub(r"along [XYZ]\b", "along each axis", score.meaning)
+    if meaning == "the same along each axis":
+        return pattern, next(name for same, name in families if same == pattern)
+    return pattern, meaning
 
 
 def _cell(text: str) -> str:
@@ -44,8 +55,8 @@ def filled(text: str) -> str:
 
 
 def _scores(name: str) -> tuple[Score, ...]:
-    """Return all scores of a task."""
-    return tasks.of(name).all_scores
+    """Return the scores of a task but its costs, which are the same for all tasks."""
+    return tasks.of(name).scores
 
 
 def outdated() -> list[Path]:

@@ -97,7 +97,11 @@ def test_a_wall_in_front_of_known_cameras_is_found(unknown: tuple[Unknown, ...])
 def test_thickness_and_place_are_one_at_small_angles(places_known: bool, expected: float) -> None:
     """To leading order in the angle, images show one combination of place and thickness.
 
-    The derivation is in docs/tasks/calibration.md.
+    A ray with the invariant p = sin a meets the depth of its point at the distance d p / sqrt(1 -
+    p^2) + t p / sqrt(n^2 - p^2) + e p / sqrt(m^2 - p^2) from the normal through the pinhole: d to
+    the wall, t of glass of index n, e of fluid of index m. That is p (d + t / n + e / m) to first
+    order, and p^3 / 2 (d + t / n^3 + e / m^3) more to third. With known places d + t + e is fixed,
+    and place and thickness differ by p^3 only; without, the boards' depth takes up the first order.
     """
     stds, ratios = [], []
     for narrow in (0.5, 0.25):
