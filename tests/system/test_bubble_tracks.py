@@ -108,13 +108,6 @@ def test_from_images_to_scores(moving: Dataset, tmp_path: Path) -> None:
     assert {key: other[key] for key in TRACKS} == {key: got[key] for key in TRACKS}
 
 
-def test_the_two_ends(moving: Dataset) -> None:
-    best = score(moving, "truth")
-    assert [best[key] for key in TRACKS] == [1.0, 1.0, 1.0, 0.0, 0.0]
-    worst = score(moving, "empty")
-    assert [worst[key] for key in TRACKS] == [None, None, 0.0, None, None]
-
-
 def test_tracks_of_other_programs_count(moving: Dataset, tmp_path: Path) -> None:
     true = [moving.bubbles(frame) for frame in range(3)]
     found = [Detections(one.center_mm, one.semi_axes_mm, one.turn) for one in true]

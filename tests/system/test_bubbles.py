@@ -286,21 +286,6 @@ def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
     assert "F1, large" in page
 
 
-def test_splatting_renders_no_bubbles(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match="small: backend: expected mitsuba for bubbles and solids, got splat"
-    ):
-        generate(small(), tmp_path / "data", seed=1, backend="splat")
-
-
-def test_a_solver_of_particles_is_refused(bubbly: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError,
-        match=r"solver asa: expected a data set that shows particles, but .* shows bubbles",
-    ):
-        solve("asa", bubbly, tmp_path / "r.h5")
-
-
 @pytest.mark.parametrize(
     ("suffix", "unit", "scale"),
     [("stl", "mm", 1.0), ("ply", "m", 1e-3), ("obj", "cm", 0.1), ("glb", "m", 1e-3)],

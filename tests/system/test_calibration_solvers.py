@@ -196,15 +196,6 @@ def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) 
     assert scores["thickness_error_mm"] == 0.0
 
 
-@pytest.mark.parametrize("name", ["soloff", "pinhole_linear"])
-def test_other_camera_models_come_back_from_their_file(
-    boards: Dataset, tmp_path: Path, name: str
-) -> None:
-    result = sabench.solve(name, boards, tmp_path / "r.h5")
-    assert result.read(Calibration).cameras == solved(name, boards.calibration_case()).cameras
-    assert sabench.score(boards, result.path)["true_px"] is not None
-
-
 def test_a_solver_of_another_kind_is_refused(
     boards: Dataset, quick: Dataset, tmp_path: Path
 ) -> None:

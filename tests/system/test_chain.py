@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -67,13 +66,6 @@ def test_a_shot_in_memory_is_the_frame_that_is_written(tmp_path: Path) -> None:
     for mine, theirs in zip(shot.views, written.views(0), strict=True):
         np.testing.assert_array_equal(mine.pixel, theirs.pixel)
         np.testing.assert_array_equal(mine.photons, theirs.photons)
-
-
-def test_particles_can_be_given_one_image_size() -> None:
-    values = load_scene("quick").to_dict()
-    values["cameras"]["particle_sigma_px"] = 0.8
-    shot = simulate(parse_scene(values, "s"), seed=3)
-    assert all((view.sigma_px == 0.8).all() for view in shot.views)
 
 
 def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
@@ -221,15 +213,3 @@ def test_suite_makes_records_and_page_and_survives_a_failing_solver(
     assert "no luck <script>" not in page
     again = command("board")
     assert again.returncode == 0
-
-
-def test_results_of_version_1_are_read(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
-    """Version 1 called the task `track`."""
-    import h5py
-
-    old = Path(shutil.copy(quick_result, tmp_path / "old.h5"))
-    with h5py.File(old, "r+") as file:
-        assert file.attrs["version"] == 2
-        file.attrs["version"], file.attrs["track"] = 1, file.attrs["task"]
-        del file.attrs["task"]
-    assert sabench.score(quick, old) == sabench.score(quick, quick_result)

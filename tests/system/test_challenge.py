@@ -170,17 +170,6 @@ def test_what_is_sent_must_be_one_result_for_each_data_set(
     assert not (tmp_path / "scores").exists()
 
 
-def test_a_card_of_another_solver_is_refused_before_solving(
-    organised: Path, command: Command, tmp_path: Path
-) -> None:
-    (tmp_path / "card.toml").write_text(CARD.replace('"asa"', '"msa"'), encoding="utf-8")
-    archive = organised / "out" / "participant.zip"
-    done = command("participate", archive, "asa", "-o", "s.zip", "--card", "card.toml")
-    assert done.returncode == 2
-    assert "expected the solver of a result (asa), got 'msa'" in done.stderr
-    assert not (tmp_path / "work").exists()
-
-
 def test_both_commands_resume(
     organised: Path, submission: Path, command: Command, tmp_path: Path
 ) -> None:

@@ -187,13 +187,6 @@ def test_images_of_another_kind_or_size(copy: Path, command: Command, tmp_path: 
     assert list(tmp_path.iterdir()) == [copy]
 
 
-def test_a_black_image_is_solved(copy: Path, command: Command) -> None:
-    tifffile.imwrite(
-        copy / "images/frame_0000/camera_02.tif", np.zeros((240, 320), dtype=np.uint16)
-    )
-    assert command("solve", "asa", copy, "-o", "r.h5").returncode == 0
-
-
 @pytest.mark.parametrize(
     ("table", "damage", "words"),
     [
@@ -298,18 +291,6 @@ def test_bad_results_are_refused(
     with h5py.File(bad, "r+") as file:
         damage(file)
     check_sentence(command("score", quick.root, bad), "bad.h5", *words)
-
-
-def test_truncated_result(
-    quick: Dataset, quick_result: Path, tmp_path: Path, command: Command
-) -> None:
-    bad = tmp_path / "bad.h5"
-    shutil.copy(quick_result, bad)
-    truncate(bad)
-    check_sentence(command("score", quick.root, bad), "bad.h5")
-    bad.write_bytes(b"not HDF5 at all")
-    check_sentence(command("score", quick.root, bad), "bad.h5")
-    check_sentence(command("score", quick.root, "nowhere.h5"), "nowhere.h5")
 
 
 def test_bad_command_lines(

@@ -119,15 +119,6 @@ def test_the_page_opens_with_the_ranking(browser: Browser, page: Path) -> None:
     assert browser.complaints() == []
 
 
-def test_thumbnails_show_the_truth_and_the_estimates(browser: Browser, page: Path) -> None:
-    browser.open(page)
-    shown = "[...document.querySelectorAll('.thumb:not([hidden]) img')].map(one => one.alt)"
-    browser.wait(f"{shown}.length === 9")
-    assert browser.ask(shown)[:3] == ["part of the truth"] * 3
-    first = "document.querySelector('.board tbody tr').className"
-    assert browser.ask(first) == "truth"
-
-
 def test_curves_are_drawn_with_bands(browser: Browser, page: Path) -> None:
     browser.open(page)
     browser.wait(DRAWN)
@@ -152,14 +143,6 @@ def test_accuracy_against_time_has_a_line_through_iterations(browser: Browser, p
     label = "document.querySelector('[aria-label*=\"after 2 iterations\"]').ariaLabel"
     assert browser.ask(label) == "good: Q 0.700, 3.00 s, after 2 iterations"
     assert browser.complaints() == []
-
-
-def test_links_of_earlier_pages_open_the_table(browser: Browser, page: Path) -> None:
-    browser.open(page, "#q=good")
-    current = "document.querySelector('#views [aria-current]').textContent"
-    assert browser.ask(current) == "All results"
-    browser.open(page, "#view=nonsense")
-    assert browser.ask(current) == "Ranking"
 
 
 # Files

@@ -15,7 +15,6 @@ from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.evaluation.suite_loading import override
-from sabench.interop.export import export
 from sabench.scenes import load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.simulation.pipeline import generate
@@ -206,20 +205,6 @@ def test_faults_of_results_are_named(sequence: Dataset, tmp_path: Path) -> None:
         score(sequence, place)
 
 
-def test_a_solver_that_returns_something_else_is_named(
-    sequence: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = make_algorithm("ray_triangulation", {})
-    monkeypatch.setattr(made, "solve", lambda case: [FoundParticles(np.zeros((0, 3)))])
-    with (
-        pytest.raises(
-            InputError, match=r"expected FoundParticles for each of 6 frames, got 1 of them"
-        ),
-        result_writer(tmp_path / "r.h5", sequence, "bad", "particles", {}) as writer,
-    ):
-        TASK.run(made, "bad", sequence, writer)
-
-
 def test_a_solver_may_yield_frames_one_after_the_other(
     sequence: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -282,17 +267,3 @@ def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:
     assert asked == [0, 1, 2]
     with pytest.raises(IndexError):
         case[3]
-
-
-def test_found_particles_are_exported(sequence: Dataset, tmp_path: Path) -> None:
-    with result_writer(tmp_path / "r.h5", sequence, "some", "particles", {}) as writer:
-        for frame in range(sequence.setup.frames):
-            true = sequence.particles(frame)
-            some = FoundParticles(true.position_mm[5:], None, true.id[5:].astype(np.int64))
-            writer.add(some, frame)
-    export(sequence, tmp_path / "vtk", tmp_path / "r.h5")
-    with h5py.File(tmp_path / "vtk" / "particles_0002.vtkhdf") as file:
-        np.testing.assert_array_equal(
-            file["VTKHDF/PointData/true_id"][:], sequence.particles(2).id[5:]
-        )
-        assert file["VTKHDF/PointData/matched"][:].all()

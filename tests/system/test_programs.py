@@ -8,7 +8,6 @@ from __future__ import annotations
 import datetime
 import functools
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -343,14 +342,6 @@ def test_all_of_a_submission_or_nothing(quick: Dataset, quick_result: Path, tmp_
     assert not (tmp_path / "board").exists()
 
 
-@pytest.mark.parametrize("name", ["", " ", "x" * 81, "a\nb", "\x1b[2J", "\ud800"])
-def test_names_of_submissions(
-    quick: Dataset, quick_result: Path, tmp_path: Path, name: str
-) -> None:
-    with pytest.raises(InputError, match="1 to 80 printable characters"):
-        submit(quick_result, name, [quick.root], tmp_path / "board")
-
-
 def test_a_data_set_that_was_changed_scores_nothing(
     quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:
@@ -499,14 +490,3 @@ def test_what_could_not_be_checked_is_not_called_damaged(
     monkeypatch.setattr("sabench.dataset.verification.probe_dataset", late)
     with pytest.raises(UncheckedError):
         submit(quick_result, "Ann", [quick.root], tmp_path / "board")
-
-
-def test_a_leaderboard_of_two_folders_of_data(
-    quick: Dataset, quick_result: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "empty").mkdir()
-    (standing,) = submit(quick_result, "Ann", [tmp_path / "empty", quick.root], tmp_path / "board")
-    assert standing.rank == 1
-    with pytest.raises(InputError, match="expected a folder of data sets"):
-        submit(quick_result, "Ann", [tmp_path / "nowhere"], tmp_path / "board")
-    assert os.listdir(tmp_path / "empty") == []  # noqa: PTH208 (a name is enough)

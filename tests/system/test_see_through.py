@@ -156,11 +156,6 @@ def test_wrong_surfaces_are_one_sentence(
     assert not (tmp_path / "wall").exists()
 
 
-def test_both_ends_of_the_scale(veiled: Dataset) -> None:
-    assert score(veiled, "truth")["read_percent"] == 100.0
-    assert score(veiled, "empty")["read_percent"] == 50.0
-
-
 def test_the_code_comes_from_the_seed() -> None:
     plugin = load("generators", "code_plate")
     plate = plugin(plugin.Parameters())

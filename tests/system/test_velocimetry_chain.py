@@ -140,14 +140,6 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     assert data.setup.times_s == (0.0, 0.001)
 
 
-def test_single_frames_are_no_pairs(tmp_path: Path, command: Command) -> None:
-    generate(vortex_scene(frames=1), tmp_path / "data", seed=1, backend="splat")
-    done = command("solve", "piv3d", "data", "-o", "result.h5")
-    assert done.returncode == 2
-    assert "expected pairs of frames, got 1 that make none" in done.stderr
-    assert not (tmp_path / "result.h5").exists()
-
-
 def test_volumes_smaller_than_a_window_are_named(vortex: Dataset, command: Command) -> None:
     done = command(
         "solve",

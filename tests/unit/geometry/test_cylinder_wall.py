@@ -292,36 +292,6 @@ def test_rays_in_a_plane_through_the_axis_see_a_plane_wall(kind: str) -> None:
     np.testing.assert_allclose(passed[0], passed[1], rtol=1e-12)
 
 
-def test_a_ray_at_the_axis_goes_on_straight() -> None:
-    wall = build_wall(SPECS["tilted"])
-    towards = wall.normal_at(PINHOLE)
-    rays = trace_into_fluid(wall, PINHOLE, towards[None])
-    np.testing.assert_allclose(rays.directions[0], towards, rtol=0, atol=1e-15)
-    n = wall.indices
-    straight = np.prod(4.0 * n[:-1] * n[1:] / (n[:-1] + n[1:]) ** 2)
-    assert transmittance(wall, PINHOLE, towards[None])[0] == pytest.approx(straight, rel=1e-13)
-
-
-def test_light_takes_the_same_way_back() -> None:
-    """Transmission by Fresnel's amplitudes at the angles of the other program's path."""
-    spec = replace_layers(SPECS["glass"], ())
-    wall, points = build_wall(spec), points_in(spec, 0.6, 50, 7)
-    leaving = trace_to_points(wall, PINHOLE, points).leaving
-    at, along = shoot(spec, PINHOLE, leaving)
-    outwards = (at * [1.0, 0.0, 1.0]) / spec.outer_radius_mm
-    c1, c2 = (-np.sum(ray * outwards, axis=1) for ray in (leaving, along))
-    s, p = 2.0 * c1 / (c1 + 1.333 * c2), 2.0 * c1 / (1.333 * c1 + c2)
-    expected = 1.333 * c2 / c1 * (s**2 + p**2) / 2.0
-    np.testing.assert_allclose(transmittance(wall, PINHOLE, leaving), expected, rtol=1e-12)
-    np.testing.assert_allclose(
-        length_to_fluid(wall, PINHOLE, leaving), np.linalg.norm(at - PINHOLE, axis=1), rtol=1e-13
-    )
-
-
-def replace_layers(spec: CylinderSpec, layers: tuple[LayerSpec, ...]) -> CylinderSpec:
-    return spec.model_copy(update={"layers": layers})
-
-
 def test_moving_the_whole_world_moves_no_pixel() -> None:
     spec = SPECS["tilted"]
     wall, points = build_wall(spec), points_in(spec, 0.5, 100, 8)

@@ -17,14 +17,6 @@ def test_a_clear_picture_is_read_whole() -> None:
     assert scores["separation"] > 1e6
 
 
-def test_guessing_reads_half() -> None:
-    rng = np.random.default_rng(1)
-    dark = rng.permutation(4000) < 2000
-    scores = reading(rng.random(4000), dark)
-    assert scores["read_percent"] == pytest.approx(50.0, abs=3.0)
-    assert scores["separation"] == pytest.approx(0.0, abs=0.1)
-
-
 def test_noise_is_read_as_the_normal_law_says() -> None:
     """Two normal clouds are separated with the probability Phi(d' / 2).
 
@@ -76,10 +68,3 @@ def test_a_picture_of_reading_shows_both_kinds_of_wrong_cells() -> None:
     assert black.max() < 10 < 240 < white.min()
     assert red[2] > red[0] + 100
     assert blue[0] > blue[2] + 100
-
-
-@pytest.mark.parametrize("shown", [0, 1])
-def test_what_is_not_shown_is_not_read(shown: int) -> None:
-    cells = np.full(4, np.nan)
-    cells[:shown] = 0.5
-    assert not read_right(cells, np.array([True, True, False, False])).any()
