@@ -51,7 +51,7 @@ def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
 
 
 def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
-    scene = small(render={"relative_error": 0.03})
+    scene = small(render={"relative_error": 0.2})
     one, again, other = (
         generate(scene, tmp_path / name, seed=seed).content_hash
         for name, seed in (("one", 2), ("again", 2), ("other", 3))
@@ -271,7 +271,7 @@ def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
     from sabench.evaluation.runner import run_suite
 
     (tmp_path / "small.toml").write_text(
-        small(render={"relative_error": 0.02}).to_toml(), encoding="utf-8"
+        small(render={"relative_error": 0.05}).to_toml(), encoding="utf-8"
     )
     text = (
         'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\nseeds = [2]\n'
@@ -303,9 +303,14 @@ def test_bodies_come_from_files(suffix: str, unit: str, scale: float, tmp_path: 
         "place_mm": [0.0, 0.0, 60.0],
     }
     scene = small(bubbles=None, solids=[solid], render={"relative_error": 0.2})
+    (body,) = Frames(scene, build_rig(scene), 1).at(0).solids
+    assert np.ptp(body.vertices_mm, axis=0) == pytest.approx([4.0, 3.0, 2.0], abs=1e-5)
+
+
+def test_a_data_set_has_its_own_copies_of_files(tmp_path: Path) -> None:
+    scene = small(bubbles=None, solids=[cube(tmp_path)], render={"relative_error": 0.2})
     data = generate(scene, tmp_path / "data", seed=1)
-    assert np.ptp(data.solids(0)[0].vertices_mm, axis=0) == pytest.approx([4.0, 3.0, 2.0], abs=1e-5)
-    (tmp_path / f"body.{suffix}").unlink()  # the data set has its own copy
+    (tmp_path / "body.stl").unlink()
     again = generate(data.scene, tmp_path / "again", seed=1)
     assert again.content_hash == data.content_hash
 

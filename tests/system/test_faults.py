@@ -397,7 +397,7 @@ def test_killed_at_any_moment_nothing_verifies_and_it_goes_on_to_the_same_bytes(
 ) -> None:
     scene, rng, folder = many_frames(quick_toml, tmp_path), np.random.default_rng(3), tmp_path / "k"
     folder.mkdir()
-    for number in range(4):
+    for number in range(3):
         before = recorded(folder)
         with start(tmp_path, scene, folder / "set") as process:
             if number:  # the first is killed while it starts up
@@ -414,7 +414,7 @@ def test_killed_at_any_moment_nothing_verifies_and_it_goes_on_to_the_same_bytes(
     assert [entry.name for entry in folder.iterdir()] == ["set"]
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", ["2"])
 def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_keeps_what_is_finished(
     tmp_path: Path, quick_toml: str, undisturbed: str, jobs: str
 ) -> None:

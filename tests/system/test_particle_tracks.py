@@ -62,16 +62,6 @@ def ready(name: str, case: ImageSequence) -> ParticleSolver:
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_a_solver_finds_particles(name: str, shot: Shot) -> None:
-    """Test accuracy; repetition, darkness and camera order are tested by test_conformance."""
-    case = ImageSequence.of([shot.observation])
-    (found,) = ready(name, case).solve(case)
-    apart = np.linalg.norm(found.position_mm[:, None] - shot.particles.position_mm, axis=2)
-    assert (apart.min(axis=0) < 0.05).mean() > 0.8
-    assert (apart.min(axis=1) < 0.05).mean() > 0.9
-
-
-@pytest.mark.parametrize("name", SOLVERS)
 def test_an_image_sequence_is_tracked(name: str, sequence: Dataset, tmp_path: Path) -> None:
     ready(name, ImageSequence.of([sequence.observation(0)]))
     result = solve(name, sequence, tmp_path / "r.h5")

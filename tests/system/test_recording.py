@@ -99,7 +99,7 @@ def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> No
 def test_workers_that_are_killed_are_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = made(moving(30), tmp_path / "one")
+    expected = made(moving(20), tmp_path / "one")
     pools: list[ProcessPool] = []
     killed: list[int] = []
     start = ProcessPool.__init__
@@ -111,7 +111,7 @@ def test_workers_that_are_killed_are_replaced(
     monkeypatch.setattr(ProcessPool, "__init__", noted)
     killer = threading.Thread(target=kill_workers, args=(pools, tmp_path, killed))
     killer.start()
-    assert made(moving(30), tmp_path / "two", jobs=2) == expected
+    assert made(moving(20), tmp_path / "two", jobs=2) == expected
     killer.join()
     assert len(set(killed)) == 3
 
@@ -273,8 +273,8 @@ def cluster() -> Iterator[Any]:
         yield running
 
 
-@pytest.mark.parametrize("scene", [moving(), load_scene("calibration")], ids=["moving", "target"])
-def test_a_cluster_makes_the_same_bytes(tmp_path: Path, cluster: Any, scene: Scene) -> None:
+def test_a_cluster_makes_the_same_bytes(tmp_path: Path, cluster: Any) -> None:
+    scene = moving()
     assert made(scene, tmp_path / "there", scheduler=cluster.scheduler_address) == made(
         scene, tmp_path / "here"
     )

@@ -66,8 +66,10 @@ def two_frames(case: Observation) -> ImageSequence:
     return ImageSequence(case.cameras, case.grid, (0.0, 1.0), lambda _: case)
 
 
-@pytest.mark.parametrize("rotation", ROTATIONS)
-@pytest.mark.parametrize("name", TOMOGRAPHY)
+@pytest.mark.parametrize(
+    ("name", "rotation"),
+    [*((name, ROTATIONS[0]) for name in TOMOGRAPHY), (TOMOGRAPHY[0], ROTATIONS[1])],
+)
 def test_tomography_follows_the_rig(case: Observation, name: str, rotation: F64) -> None:
     volume = make(name).solve(case).volume
     turned = make(name).solve(rotate_rig(case, rotation)).volume
@@ -75,7 +77,7 @@ def test_tomography_follows_the_rig(case: Observation, name: str, rotation: F64)
     assert np.abs(turned - expected).max() < 2e-3 * volume.max()
 
 
-@pytest.mark.parametrize("rotation", ROTATIONS)
+@pytest.mark.parametrize("rotation", ROTATIONS[1:])
 def test_tomography_of_two_exposures_follows_the_rig(case: Observation, rotation: F64) -> None:
     sizes = {"first_window": [8] * 3, "window": [8] * 3, "passes": 1, "repeats": 1}
     solver = make("mte_mart", sizes)
@@ -95,9 +97,9 @@ def test_triangles_follow_the_apertures(rotation: F64) -> None:
     assert distances.max() < 1e-6
 
 
-@pytest.mark.parametrize("rotation", ROTATIONS)
 @pytest.mark.parametrize(
-    "name", ["ray_triangulation", "inverse_rendering", "shake_the_box", "optv"]
+    ("name", "rotation"),
+    [*((name, ROTATIONS[0]) for name in PARTICLES), (PARTICLES[0], ROTATIONS[1])],
 )
 def test_particles_follow_the_rig(case: Observation, name: str, rotation: F64) -> None:
     (found,) = make(name).solve(one_frame(case))
@@ -107,7 +109,7 @@ def test_particles_follow_the_rig(case: Observation, name: str, rotation: F64) -
     assert np.quantile(distances, 0.9) < 2e-4
 
 
-@pytest.mark.parametrize("rotation", ROTATIONS)
+@pytest.mark.parametrize("rotation", ROTATIONS[:1])
 def test_self_calibration_follows_the_rig(rotation: F64) -> None:
     case = make_small(
         3, 0.012, (3, 2), cameras={"rows": 120, "columns": 160}, volume={"size_mm": [8.0, 6.0, 2.0]}
@@ -181,8 +183,9 @@ def test_bubbles_follow_the_rig() -> None:
     np.testing.assert_allclose(turned.turn @ ROTATIONS[0], found.turn, atol=1e-6)
 
 
-@pytest.mark.parametrize("rotation", ROTATIONS)
-@pytest.mark.parametrize("name", ["piv3d", "piv3d_plain"])
+@pytest.mark.parametrize(
+    ("name", "rotation"), [("piv3d", ROTATIONS[0]), ("piv3d_plain", ROTATIONS[1])]
+)
 def test_velocities_follow_the_rig(name: str, rotation: F64) -> None:
     rng = np.random.default_rng(5)
     blobs = rng.uniform(0.0, 40.0, (400, 3))

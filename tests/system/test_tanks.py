@@ -83,8 +83,9 @@ def test_particles_are_found_as_behind_a_plane_wall(name: str, shots: dict[str, 
     assert own > plane - 0.05
 
 
-@pytest.mark.parametrize("solver", ["msa", "block_mart"])
-@pytest.mark.parametrize("name", TANKS)
+@pytest.mark.parametrize(
+    ("name", "solver"), [*((name, "msa") for name in TANKS), (TANKS[0], "block_mart")]
+)
 def test_volumes_are_as_behind_a_plane_wall(name: str, solver: str, shots: dict[str, Shot]) -> None:
     plane, own = (
         score_frame(

@@ -100,20 +100,6 @@ def test_bilinear_points_do_nearly_as_well(name: str, in_air: Shot) -> None:
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_no_light_no_volume(name: str, in_air: Shot) -> None:
-    dark = replace(in_air.observation, images=np.full_like(in_air.observation.images, 100))
-    volume = solve(name, dark, iterations=2).volume
-    assert volume.shape == in_air.observation.grid.shape
-    assert not volume.any()
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_same_case_same_volume(name: str, in_air: Shot) -> None:
-    first, second = (solve(name, in_air.observation, iterations=2).volume for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-
-
-@pytest.mark.parametrize("name", SOLVERS)
 def test_particles_beyond_one_cameras_border_are_kept(name: str, in_air: Shot) -> None:
     """The first camera looks past half of the volume.
 
