@@ -363,6 +363,7 @@ def test_accuracy_against_time_has_a_point_for_every_solver_with_a_tip(
     assert browser.complaints() == []
 
 
+@pytest.mark.slow
 def test_difficulty_and_axes_show_scores_and_what_an_axis_costs(
     browser: Browser, graded: Path
 ) -> None:
@@ -418,6 +419,7 @@ def differences(browser: Browser) -> dict[str, list[str]]:
     return dict(lines)
 
 
+@pytest.mark.slow
 def test_two_solvers_are_compared_over_their_common_seeds(browser: Browser, graded: Path) -> None:
     browser.open(graded, "#view=case&case=standard-5c5c5c5c-splat")
     browser.press("//section[@id='compare']//label[span='First']//option[contains(., '. a')]")
@@ -443,6 +445,7 @@ def test_two_solvers_are_compared_over_their_common_seeds(browser: Browser, grad
 # Small screens, large boards, all readers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [320, 1200])
 @pytest.mark.parametrize(
     "fragment", ["#all=1", "#view=time", "#view=why", "#view=case&case=tank-5c5c5c5c-splat"]
@@ -482,6 +485,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "index.html"
 
 
+@pytest.mark.slow
 def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, large: Path) -> None:
     browser.open(large, LOG)
     assert browser.ask(STATUS) == "10000 of 10000 results"

@@ -82,6 +82,7 @@ def foreign(path: Path, data: Dataset, found: list[Detections], **track: Any) ->
     return path
 
 
+@pytest.mark.slow
 def test_from_images_to_scores(moving: Dataset, tmp_path: Path) -> None:
     found = perturbed(moving)
     with result_writer(tmp_path / "own.h5", moving, "canned", "bubbles", {}) as writer:

@@ -33,6 +33,7 @@ def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return generate(small(), tmp_path_factory.mktemp("bubbly") / "data", seed=2)
 
 
+@pytest.mark.slow
 def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
     assert verify(bubbly.root) == []
     assert bubbly.shows == ("bubbles",)
@@ -50,6 +51,7 @@ def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
         assert image[sight.number != NOTHING].mean() < 0.6 * shown
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
     scene = small(render={"relative_error": 0.2})
     one, again, other = (
@@ -60,6 +62,7 @@ def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
     assert other != one
 
 
+@pytest.mark.slow
 def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> None:
     true, nothing = score(bubbly, "truth"), score(bubbly, "empty")
     assert true["task"] == "bubbles"
@@ -70,6 +73,7 @@ def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> Non
     assert nothing["penetration_percent"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_solvers_find_bubbles_that_nothing_hides(
     name: str, bubbly: Dataset, tmp_path: Path
@@ -85,6 +89,7 @@ def test_solvers_find_bubbles_that_nothing_hides(
     assert found["radius_percent"] < {"rim_fit": 3.0}.get(name, 20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("level", ["black", "bright", "saturated"])
 def test_images_without_bubbles_have_none(name: str, level: str, bubbly: Dataset) -> None:
@@ -109,6 +114,7 @@ def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
     assert score(data, "truth")["f1"] is None
 
 
+@pytest.mark.slow
 def test_three_phases_in_one_image(tmp_path: Path) -> None:
     """Tracers, bubbles and a cylinder in one scene.
 
@@ -267,6 +273,7 @@ def test_what_cannot_be_is_said(name: str, tmp_path: Path) -> None:
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.slow
 def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
     from sabench.evaluation.runner import run_suite
 
@@ -307,6 +314,7 @@ def test_bodies_come_from_files(suffix: str, unit: str, scale: float, tmp_path: 
     assert np.ptp(body.vertices_mm, axis=0) == pytest.approx([4.0, 3.0, 2.0], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_data_set_has_its_own_copies_of_files(tmp_path: Path) -> None:
     scene = small(bubbles=None, solids=[cube(tmp_path)], render={"relative_error": 0.2})
     data = generate(scene, tmp_path / "data", seed=1)

@@ -69,6 +69,7 @@ def cameras_in(path: Path) -> tuple[Camera, ...]:
     return tuple(TypeAdapter(Camera).validate_python(record) for record in records)
 
 
+@pytest.mark.slow
 def test_a_round_tank_is_calibrated(command: Command, tmp_path: Path) -> None:
     """Three cameras in front of a cylinder, which the report and cameras.json keep."""
     wall = {
@@ -137,6 +138,7 @@ def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
     assert "expected true error" in again.stdout
 
 
+@pytest.mark.slow
 def test_images_become_cameras(command: Command, tmp_path: Path) -> None:
     layout = {
         "kind": "list",

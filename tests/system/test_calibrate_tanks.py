@@ -92,6 +92,7 @@ def test_a_frame_stands_at_a_depth(command: Command, tmp_path: Path) -> None:
     assert json.loads(done.stdout)["depth_mm"] < 4.0
 
 
+@pytest.mark.slow
 def test_a_world_with_y_up_and_its_places_enter_as_they_are(
     command: Command, tmp_path: Path
 ) -> None:
@@ -115,6 +116,7 @@ def test_a_world_with_y_up_and_its_places_enter_as_they_are(
     assert (tmp_path / "mine/result/residuals/camera_02.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_misfit_shows_in_the_expected_error(command: Command, tmp_path: Path) -> None:
     case, _, places = make_tank()
     case = off_wall(with_places(case, places), -40.0)
@@ -124,6 +126,7 @@ def test_a_misfit_shows_in_the_expected_error(command: Command, tmp_path: Path) 
     assert np.linalg.norm(report["std_mm"]) > 10.0 * np.linalg.norm(report["noise_std_mm"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [None, BOARD])
 @pytest.mark.parametrize("solver", ["refractive_resection", "soloff", "pinhole_linear"])
 def test_solvers_of_known_places_are_reachable(
@@ -141,6 +144,7 @@ def test_solvers_of_known_places_are_reachable(
     assert len(cameras) == 3
 
 
+@pytest.mark.slow
 def test_a_target_of_any_shape_moves(command: Command, tmp_path: Path) -> None:
     """Every second row of dots lies deeper: a rigid target that is not flat."""
     case, cameras, places = make_tank()
@@ -193,6 +197,7 @@ def test_a_fault_is_one_sentence(
     assert not (tmp_path / "mine/result").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "words"),
     [
@@ -231,6 +236,7 @@ def test_one_camera_and_loose_points(command: Command, tmp_path: Path) -> None:
     assert report["std_mm"] is None
 
 
+@pytest.mark.slow
 def test_outliers_are_no_errors_of_held_out_frames(command: Command, tmp_path: Path) -> None:
     case, _, _ = make_tank()
     rng = np.random.default_rng(1)

@@ -73,6 +73,7 @@ def test_a_solver_calibrates_accurately(name: str) -> None:
     assert true_error_px(answer.cameras, places, exact) < MOST[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_missing_points_and_hidden_boards_are_normal(name: str) -> None:
     case, _, points, exact = level_case(detection={"noise_px": 0.1, "missing": 0.1, "hidden": 0.2})
@@ -121,6 +122,7 @@ def test_classical_calibrations_need_different_depths(name: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
     """The thesis's alternation stops before the least-squares solution.
 
@@ -183,6 +185,7 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
     assert again.points_mm.shape == (5, 121, 3)
 
 
+@pytest.mark.slow
 def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) -> None:
     """The fluid's index alone can be estimated of the wall, to some thousandths.
 
@@ -218,6 +221,7 @@ def test_a_solver_of_another_kind_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_self_calibration_is_scored_on_particles(tmp_path: Path) -> None:
     data = sabench.generate(
         particle_scene(2.0), tmp_path / "set", seed=3, backend="splat", name="particles"
@@ -230,6 +234,7 @@ def test_self_calibration_is_scored_on_particles(tmp_path: Path) -> None:
     assert sabench.score(data, result.path)["true_px"] < 0.06
 
 
+@pytest.mark.slow
 def test_a_suite_of_calibrations_leaves_a_page(command: Command, tmp_path: Path) -> None:
     values = calibration_scene(
         targets={"columns": 7, "rows": 7}, calibration={"known": []}

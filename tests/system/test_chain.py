@@ -116,6 +116,7 @@ def test_both_solvers_find_the_particles(
     assert 0.5 < additive["q"] < multiplicative["q"]
 
 
+@pytest.mark.slow
 def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> None:
     """Cameras that ignore the glass and the water reconstruct almost nothing.
 
@@ -150,6 +151,7 @@ def test_auto_renderer_falls_back_where_nothing_runs_mitsuba(
     assert "karellen-llvm-core" in refused.stderr
 
 
+@pytest.mark.slow
 def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: Path) -> None:
     assert command("verify", quick.root).returncode == 0
     assert (
@@ -179,6 +181,7 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
     assert scores["peak_mb"] > 50
 
 
+@pytest.mark.slow
 def test_suite_makes_records_and_page_and_survives_a_failing_solver(
     own_process: Command, command: Command, tmp_path: Path
 ) -> None:

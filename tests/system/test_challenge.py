@@ -100,6 +100,7 @@ def test_the_organiser_scores_what_the_participant_sent(
     assert {one["card"]["hardware"] for one in records} == {"a laptop"}
 
 
+@pytest.mark.slow
 def test_a_server_scores_to_the_last_digit(
     organised: Path, submission: Path, tmp_path: Path
 ) -> None:
@@ -129,6 +130,7 @@ def test_a_server_scores_to_the_last_digit(
     assert {"q", "precision", "recall"} <= set(found)
 
 
+@pytest.mark.slow
 def test_the_bundle_is_as_the_server_documents_it(organised: Path, tmp_path: Path) -> None:
     yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
     bundle = unzipped(organised / "out" / "codabench.zip", tmp_path / "bundle")
@@ -170,6 +172,7 @@ def test_what_is_sent_must_be_one_result_for_each_data_set(
     assert not (tmp_path / "scores").exists()
 
 
+@pytest.mark.slow
 def test_both_commands_resume(
     organised: Path, submission: Path, command: Command, tmp_path: Path
 ) -> None:

@@ -76,6 +76,7 @@ def test_copies_of_two_processors_have_one_identity(here: Dataset, there: Path) 
     assert disagreements(here, other) == disagreements(other, here) == []
 
 
+@pytest.mark.slow
 def test_a_result_of_the_other_copy_is_accepted_and_records_meet(
     here: Dataset, there: Path, tmp_path: Path
 ) -> None:
@@ -135,6 +136,7 @@ def _turn_a_camera(root: Path) -> None:
     path.write_text(canonical_json(values), encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "file"),
     [

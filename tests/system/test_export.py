@@ -239,6 +239,7 @@ def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     )
 
 
+@pytest.mark.slow
 def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) -> None:
     """Exported bodies have the true shapes and positions.
 
@@ -290,6 +291,7 @@ def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) 
         np.testing.assert_allclose(corners, solid.vertices_mm[solid.faces], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> None:
     from sabench.interop.export import export
 

@@ -52,6 +52,7 @@ def check_sentence(done: subprocess.CompletedProcess[str], *words: str) -> None:
         assert word in complaint[0]
 
 
+@pytest.mark.slow
 def test_every_single_flipped_bit_is_found(copy: Path) -> None:
     rng = np.random.default_rng(7)
     files = sorted(path for path in copy.rglob("*") if path.is_file())
@@ -321,6 +322,7 @@ def limit_files() -> None:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
 
+@pytest.mark.slow
 def test_a_disk_that_takes_no_more(quick: Dataset, own_process: Command, tmp_path: Path) -> None:
     """A limit on the size of files stands in for a full disk.
 
@@ -392,6 +394,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory, quick_toml: str) -> st
     ).content_hash
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_nothing_verifies_and_it_goes_on_to_the_same_bytes(
     tmp_path: Path, quick_toml: str, undisturbed: str
 ) -> None:
@@ -414,6 +417,7 @@ def test_killed_at_any_moment_nothing_verifies_and_it_goes_on_to_the_same_bytes(
     assert [entry.name for entry in folder.iterdir()] == ["set"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", ["2"])
 def test_ctrl_c_at_any_moment_ends_in_a_sentence_and_keeps_what_is_finished(
     tmp_path: Path, quick_toml: str, undisturbed: str, jobs: str
@@ -477,6 +481,7 @@ class Sleeper(Solver):
 '''
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
     """The interrupt goes to the command and to the solver's process.
 

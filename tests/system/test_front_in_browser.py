@@ -170,6 +170,7 @@ def test_what_is_shown_is_saved(browser: Browser, page: Path, view: str) -> None
     assert "%" not in tex.replace("\\%", "")
 
 
+@pytest.mark.slow
 def test_plots_are_saved_as_svg_and_png(browser: Browser, page: Path) -> None:
     browser.open(page)
     browser.wait(DRAWN)
@@ -186,6 +187,7 @@ def test_plots_are_saved_as_svg_and_png(browser: Browser, page: Path) -> None:
 # Figures on top of each other
 
 
+@pytest.mark.slow
 def test_a_slider_uncovers_one_of_two_figures_and_both_zoom(browser: Browser, page: Path) -> None:
     browser.open(page, VIEWS[-1])
     names = "[...document.querySelectorAll('.swipe span')].map(one => one.textContent)"
@@ -244,7 +246,9 @@ def test_without_scripts_a_static_table_is_there(browser: Browser, page: Path) -
 
 
 @pytest.mark.parametrize(("mode", "width"), [("light", 1400), ("dark", 390)])
-@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize(
+    "view", [VIEWS[0], *(pytest.param(view, marks=pytest.mark.slow) for view in VIEWS[1:])]
+)
 def test_axe_finds_nothing(browser: Browser, page: Path, view: str, width: int, mode: str) -> None:
     browser.prefer(mode)
     browser.open(page, view, width)

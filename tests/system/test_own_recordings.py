@@ -62,6 +62,7 @@ def solved(solver: str, data: Dataset, out: Path) -> list[FoundParticles]:
     return [result.read(FoundParticles, frame) for frame in range(data.setup.frames)]
 
 
+@pytest.mark.slow
 def test_solvers_find_the_same(original: Dataset, pngs: Path, tmp_path: Path) -> None:
     stacks = write_stacks(original, tmp_path / "stacks", byteorder=">", compression="zlib")
     tanks = [
@@ -79,6 +80,7 @@ def test_solvers_find_the_same(original: Dataset, pngs: Path, tmp_path: Path) ->
                     np.testing.assert_allclose(value, same, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 def test_commands(original: Dataset, pngs: Path, tmp_path: Path, command: Command) -> None:
     done = command("import", pngs, "--cameras", original.root, "-o", "tank", "--interval", 0.01)
     assert done.returncode == 0, done.stderr

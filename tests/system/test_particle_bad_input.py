@@ -95,6 +95,7 @@ def test_uniform_images_give_no_particles(solver: str, level: float) -> None:
     assert [len(one.position_mm) for one in solve(solver, [uniform] * FRAMES)] == [0] * FRAMES
 
 
+@pytest.mark.slow
 @both
 @pytest.mark.parametrize(
     ("layout", "noise", "level"), [((2, 2), 0.4, 64.0), ((2, 2), 2.2, 94.0), ((3, 3), 20.0, 94.0)]
@@ -108,6 +109,7 @@ def test_noise_gives_no_particles(
     assert [len(one.position_mm) for one in solve(solver, frames)] == [0] * FRAMES
 
 
+@pytest.mark.slow
 @search
 @pytest.mark.parametrize("layout", [(2, 2), (3, 3)])
 def test_a_bright_background_with_noise_gives_no_particles(
@@ -130,6 +132,7 @@ def test_one_and_two_particles_are_found(solver: str, count: int) -> None:
     assert apart.min(axis=0).max() < 0.05
 
 
+@pytest.mark.slow
 @search
 def test_saturated_particles_are_found(solver: str) -> None:
     shot = make_small(1)
@@ -153,6 +156,7 @@ def test_a_camera_that_is_off_is_named_and_left_out(solver: str, columns: float)
     assert not found.light[:, 1].any()
 
 
+@pytest.mark.slow
 @both
 def test_cameras_that_are_swapped_among_many_are_left_out(solver: str) -> None:
     shot = make_small(1, layout=(3, 3))
@@ -163,6 +167,7 @@ def test_cameras_that_are_swapped_among_many_are_left_out(solver: str) -> None:
     assert min(counts.recall, counts.precision) > 0.97
 
 
+@pytest.mark.slow
 @search
 def test_cameras_of_which_no_three_agree_are_reported(solver: str) -> None:
     """Two of four are swapped: particles that all of them see would be by chance."""
@@ -184,6 +189,7 @@ def streaked(case: Observation, cameras: Sequence[int], steps: int, side: int) -
     return with_images(case, images)
 
 
+@pytest.mark.slow
 @search
 @pytest.mark.parametrize(("cameras", "side"), [([2], 1), ([0, 1, 2, 3], -1)])
 def test_streaks_aslant_are_tilted_ellipses(solver: str, cameras: list[int], side: int) -> None:
@@ -196,6 +202,7 @@ def test_streaks_aslant_are_tilted_ellipses(solver: str, cameras: list[int], sid
     assert counts.precision > 0.97  # as of streaks along columns; a model without tilt has 0.45
 
 
+@pytest.mark.slow
 @search
 def test_discs_out_of_focus_are_flat(solver: str) -> None:
     """Of 2.5 px radius; taken for Gaussians, a tenth of them are two and more particles."""
@@ -210,6 +217,7 @@ def test_discs_out_of_focus_are_flat(solver: str) -> None:
     assert counts.precision > 0.97
 
 
+@pytest.mark.slow
 @search
 @pytest.mark.parametrize("side", [1, -1])
 def test_long_streaks_aslant_in_a_camera_are_reported(solver: str, side: int) -> None:
@@ -221,6 +229,7 @@ def test_long_streaks_aslant_in_a_camera_are_reported(solver: str, side: int) ->
     assert len(caught) == 1
 
 
+@pytest.mark.slow
 @search
 def test_particles_outside_the_grid_are_reported(solver: str) -> None:
     small = make_small(1).observation
@@ -239,6 +248,7 @@ def test_right_cameras_are_not_reported(solver: str, seed: int, layout: tuple[in
     assert counts.recall > 0.97
 
 
+@pytest.mark.slow
 @both
 @pytest.mark.parametrize("level", [64.0])
 def test_a_missing_frame_leaves_the_others(solver: str, level: float) -> None:

@@ -61,6 +61,7 @@ def ready(name: str, case: ImageSequence) -> ParticleSolver:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_an_image_sequence_is_tracked(name: str, sequence: Dataset, tmp_path: Path) -> None:
     ready(name, ImageSequence.of([sequence.observation(0)]))
@@ -123,6 +124,7 @@ def test_known_faults_have_known_scores(sequence: Dataset, tmp_path: Path) -> No
     assert scores["velocity_mm_s"] == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_claims_are_scored(sequence: Dataset, tmp_path: Path) -> None:
     """Positions err as claimed, velocities by 5 %; ghosts and duplicates claim nothing."""
     rng = np.random.default_rng(8)
@@ -195,6 +197,7 @@ def test_faults_of_results_are_named(sequence: Dataset, tmp_path: Path) -> None:
         score(sequence, place)
 
 
+@pytest.mark.slow
 def test_a_solver_may_yield_frames_one_after_the_other(
     sequence: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

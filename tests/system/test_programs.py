@@ -194,6 +194,7 @@ time_limit_s = 0.5, memory_limit_mb = 500.0 },
 """
 
 
+@pytest.mark.slow
 def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     (tmp_path / "suites" / "bin").mkdir(parents=True)
     write(tmp_path / "suites" / "bin" / "mine.py", WHOLE)
@@ -253,6 +254,7 @@ def python_scores(quick: Dataset, tmp_path_factory: pytest.TempPathFactory) -> d
     return sabench.score(quick, folder / "r.h5")
 
 
+@pytest.mark.slow
 def test_the_python_example_scores_as_the_bundled_solver_does(
     quick: Dataset, python_scores: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -264,6 +266,7 @@ def test_the_python_example_scores_as_the_bundled_solver_does(
     assert python_scores["precision"] == pytest.approx(bundled["precision"], abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (shutil.which("g++") and shutil.which("make") and HEADERS),
     reason="g++, make or the headers of libhdf5 are not there",
@@ -280,6 +283,7 @@ def test_the_cpp_example_scores_as_the_python_example_does(
             )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (shutil.which("g++") and shutil.which("make") and HEADERS),
     reason="g++, make or the headers of libhdf5 are not there",
@@ -352,6 +356,7 @@ def test_a_data_set_that_was_changed_scores_nothing(
         submit(quick_result, "Ann", [copy], tmp_path / "board")
 
 
+@pytest.mark.slow
 def test_the_case_comes_from_a_record_of_the_same_data_set(
     quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:
@@ -397,6 +402,7 @@ def make_private(root: Path, seed: int) -> Dataset:
     return sabench.open_dataset(root)
 
 
+@pytest.mark.slow
 def test_a_private_data_set_is_not_disclosed(
     quick: Dataset, quick_result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -426,6 +432,7 @@ def test_a_private_data_set_is_not_disclosed(
     assert not any(str(seed) in path.read_text() for path in board.rglob("*.jsonl"))
 
 
+@pytest.mark.slow
 def test_a_seed_that_a_record_tells_is_public(
     quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:

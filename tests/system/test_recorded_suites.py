@@ -82,6 +82,7 @@ def import_again(made: Path, folder: Path) -> None:
     import_exactly(data, made / "images", folder / "tank", black_dn=50.0)
 
 
+@pytest.mark.slow
 def test_a_recording_beside_a_scene(folder: Path, command: Command) -> None:
     """Its record has figures without truth, and a second run computes nothing."""
     (folder / "s.toml").write_text(SUITE + QUICK)
@@ -112,6 +113,7 @@ def test_a_recording_beside_a_scene(folder: Path, command: Command) -> None:
     assert anew["quality"] == recording["quality"]
 
 
+@pytest.mark.slow
 def test_the_page_has_a_table_of_its_own_without_ranks(folder: Path, command: Command) -> None:
     both = '{ name = "msa" }, { name = "ray_triangulation" }'
     (folder / "s.toml").write_text(SUITE.replace('{ name = "ray_triangulation" }', both) + QUICK)
@@ -144,6 +146,7 @@ def test_the_page_has_a_table_of_its_own_without_ranks(folder: Path, command: Co
     assert "held_out" not in done.stdout
 
 
+@pytest.mark.slow
 def test_all_figures_where_the_suite_asks_for_them(folder: Path, command: Command) -> None:
     """They are other results: a record without them does not stand for one with them."""
     assert command("run", "s.toml").returncode == 0
@@ -160,6 +163,7 @@ def test_all_figures_where_the_suite_asks_for_them(folder: Path, command: Comman
     assert row["runs"] == [second["run_hash"]]
 
 
+@pytest.mark.slow
 def test_images_without_particles(made: Path, folder: Path, command: Command) -> None:
     """Results without particles have no figures, and are no fault."""
     data, rng = open_dataset(made / "data"), np.random.default_rng(0)
@@ -182,6 +186,7 @@ def test_images_without_particles(made: Path, folder: Path, command: Command) ->
     assert first["quality"]["figures"]["followed"] is None
 
 
+@pytest.mark.slow
 def test_programs_and_images_that_stay_elsewhere(
     made: Path, folder: Path, command: Command
 ) -> None:
@@ -205,6 +210,7 @@ def test_programs_and_images_that_stay_elsewhere(
     assert "img_2.png: missing" in " ".join(done.stderr.split())
 
 
+@pytest.mark.slow
 def test_a_recording_that_has_changed(made: Path, folder: Path, command: Command) -> None:
     """A damaged one is refused, another one of the same name is solved anew."""
     assert command("run", "s.toml").returncode == 0
@@ -247,6 +253,7 @@ def test_a_frozen_suite_freezes_its_recordings(made: Path, folder: Path) -> None
         load_suite(file)
 
 
+@pytest.mark.slow
 def test_gates_compare_figures_without_truth(folder: Path, command: Command) -> None:
     words = ("check", "s.toml", "--baseline", "base.json")
     done = command(*words, "--update")

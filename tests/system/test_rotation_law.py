@@ -77,6 +77,7 @@ def test_tomography_follows_the_rig(case: Observation, name: str, rotation: F64)
     assert np.abs(turned - expected).max() < 2e-3 * volume.max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rotation", ROTATIONS[1:])
 def test_tomography_of_two_exposures_follows_the_rig(case: Observation, rotation: F64) -> None:
     sizes = {"first_window": [8] * 3, "window": [8] * 3, "passes": 1, "repeats": 1}
@@ -97,6 +98,7 @@ def test_triangles_follow_the_apertures(rotation: F64) -> None:
     assert distances.max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rotation"),
     [*((name, ROTATIONS[0]) for name in PARTICLES), (PARTICLES[0], ROTATIONS[1])],
@@ -109,6 +111,7 @@ def test_particles_follow_the_rig(case: Observation, name: str, rotation: F64) -
     assert np.quantile(distances, 0.9) < 2e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rotation", ROTATIONS[:1])
 def test_self_calibration_follows_the_rig(rotation: F64) -> None:
     case = make_small(
@@ -144,6 +147,7 @@ def rotate_boards(case: CalibrationCase, rotation: F64) -> CalibrationCase:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CALIBRATIONS)
 def test_calibrations_follow_the_rig(name: str) -> None:
     case = case_of(calibration_scene())[0]
@@ -172,6 +176,7 @@ def test_boards_across_z_are_no_planes_of_it() -> None:
     assert reason.startswith("expected a frame of one Z")
 
 
+@pytest.mark.slow
 def test_bubbles_follow_the_rig() -> None:
     bubbles = {"generator": "bubble_field", "count": 4, "radius_mm": 0.9, "radius_spread": 0.1}
     case = render_first_frame(small(bubbles=bubbles), 1)[2]
@@ -183,6 +188,7 @@ def test_bubbles_follow_the_rig() -> None:
     np.testing.assert_allclose(turned.turn @ ROTATIONS[0], found.turn, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rotation"), [("piv3d", ROTATIONS[0]), ("piv3d_plain", ROTATIONS[1])]
 )

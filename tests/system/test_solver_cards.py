@@ -44,6 +44,7 @@ def renamed(result: Path, place: Path, solver: str) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_a_card_is_packed_recorded_and_shown(
     quick: Dataset, quick_result: Path, command: Command, tmp_path: Path
 ) -> None:
@@ -89,6 +90,7 @@ def test_a_bad_card_is_one_sentence(
     assert not (tmp_path / "board").exists()
 
 
+@pytest.mark.slow
 def test_a_bundled_solvers_result_is_recognised(command: Command, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(SUITE, encoding="utf-8")
     assert command("run", "s.toml").returncode == 0
@@ -104,6 +106,7 @@ def test_a_bundled_solvers_result_is_recognised(command: Command, tmp_path: Path
     assert (own["solver"], own["same_estimates_as"]) == ("asa", None)
 
 
+@pytest.mark.slow
 def test_anothers_earlier_result_is_recognised(
     quick: Dataset, quick_result: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

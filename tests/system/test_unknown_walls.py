@@ -76,6 +76,7 @@ def test_impossible_errors_are_a_sentence(changes: dict[str, Any], words: str) -
         calibration_scene(**changes)
 
 
+@pytest.mark.slow
 def test_a_folder_with_known_cameras_finds_its_wall(command: Command, tmp_path: Path) -> None:
     case, cameras, places = make_tank()
     folder = tmp_path / "mine"

@@ -39,6 +39,7 @@ from tests.helpers.untrusted import (
 )
 
 
+@pytest.mark.slow
 def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> None:
     """Without submissions, each of which starts processes."""
     kinds = [word for kind in sorted({*KINDS} - {"submission"}) for word in ("--kind", kind)]

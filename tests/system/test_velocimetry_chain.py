@@ -53,6 +53,7 @@ def test_pairs_are_those_of_the_pulses(vortex: Dataset) -> None:
     assert flow_of(vortex.scene) is not None
 
 
+@pytest.mark.slow
 def test_a_pair_becomes_a_field_and_scores(vortex: Dataset, tmp_path: Path) -> None:
     made = solve(
         "piv3d",
@@ -115,6 +116,7 @@ def test_a_field_that_is_right_along_x_only_does_not_lead(wrong: str, vortex: Da
     assert TASK.rank(fair) < TASK.rank(scores)
 
 
+@pytest.mark.slow
 def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     scene = vortex_scene(frames=2)
     (tmp_path / "vortex.toml").write_text(scene.to_toml(), encoding="utf-8")

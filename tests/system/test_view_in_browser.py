@@ -245,6 +245,7 @@ def test_without_scripts_there_are_drawings_and_tables(browser: Browser, picture
         browser.devtools("Emulation.setScriptExecutionDisabled", value=False)
 
 
+@pytest.mark.slow
 def test_many_points_are_drawn_by_the_page_itself_in_software(
     browser: Browser, tmp_path: Path
 ) -> None:
@@ -267,6 +268,7 @@ def test_many_points_are_drawn_by_the_page_itself_in_software(
     assert browser.ask(labels) > 100  # names and lengths lie on top
 
 
+@pytest.mark.slow
 def test_a_slow_browser_draws_fewer_pixels_while_the_drawing_moves(
     browser: Browser, page: Path
 ) -> None:
