@@ -164,28 +164,6 @@ def test_a_click_sorts_numbers_as_numbers_and_nulls_last(browser: Browser, page:
     assert browser.ask(SOLVERS) == ["add", "ten", HOSTILE, "broken"]
 
 
-def test_rows_without_a_rank_come_last_whichever_column_is_sorted(
-    browser: Browser, tmp_path: Path
-) -> None:
-    """They fail the gate of the rank, by which they may be best in every column."""
-    found = {"fair": (0.7, 5.0, 0.5), "good": (0.9, 6.0, 0.6), "little": (1.0, 1.0, 0.01)}
-    records = [
-        record(name, task="bubbles", f1_large=f1, seconds=seconds, precision=share)
-        for name, (f1, seconds, share) in found.items()
-    ]
-    records.append(record("a failed one", task="bubbles", error="it broke"))
-    rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
-    browser.open(tmp_path / "index.html", LOG)
-    assert browser.ask(SOLVERS) == ["good", "fair", "little", "a failed one"]
-    for name in ("solver", "F1, large", "seconds"):
-        orders = []
-        for _ in range(2):
-            browser.press(heading(name))
-            orders.append(browser.ask(SOLVERS))
-        assert sorted(one[:2] for one in orders) == [["fair", "good"], ["good", "fair"]]
-        assert [one[2:] for one in orders] == [["little", "a failed one"]] * 2
-
-
 @pytest.mark.parametrize("key", ["\ue007", " "], ids=["enter", "space"])
 def test_a_key_sorts_aria_says_so_and_the_heading_keeps_the_focus(
     browser: Browser, page: Path, key: str
@@ -553,19 +531,4 @@ def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Pa
     )
     assert "renderer" not in browser.ask("document.querySelector('p.quiet').textContent")
     browser.wait(DRAWN)
-    assert browser.complaints() == []
-
-
-def test_results_without_any_figure_show_their_costs(browser: Browser, tmp_path: Path) -> None:
-    head: dict[str, Any] = {"recorded": True, "task": "velocimetry", "quality": None}
-    records = [record(name, **head, seconds=2.0) for name in ("a", "b")]
-    rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
-    browser.open(tmp_path / "index.html", LOG)
-    assert browser.ask(SOLVERS) == ["a", "b"]
-    content = "document.getElementById('content').textContent"
-    browser.press("//td/a[text()='tank']")
-    assert "no figures but their costs" in browser.ask(content)
-    for view in ("time", "why"):
-        browser.open(tmp_path / "index.html", f"#view={view}")
-        assert browser.ask(content)
     assert browser.complaints() == []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -100,25 +99,3 @@ def test_without_truth_particles_are_triangulated(
     assert both["recording"]["median"]["ln_ratio_robust"] == pytest.approx(
         both["dataset"]["median"]["ln_ratio_robust"], rel=0.15
     )
-
-
-def test_one_image_is_enough_for_all_but_the_noise(
-    data: Dataset, folder: Path, tmp_path: Path, command: Command
-) -> None:
-    shutil.copy(folder / data.setup.cameras[0].name / "0.png", tmp_path / "one.png")
-    found = figures(command, data.root, tmp_path)["recording"]["median"]
-    assert found["temporal"] is None
-    assert found["width_p50"] > 0.3
-
-
-def test_a_data_set_of_a_target_is_refused(tmp_path: Path, command: Command) -> None:
-    made = sabench.generate("calibration", tmp_path / "target", seed=1, backend="splat")
-    done = command("compare-statistics", made.root, made.root)
-    assert done.returncode == 2
-    assert "expected a data set of particles, got one of target" in done.stderr
-
-
-def test_a_white_level_is_for_images_without_one(data: Dataset, command: Command) -> None:
-    done = command("compare-statistics", data.root, data.root, "--white", 255)
-    assert done.returncode == 2
-    assert "expected no white level for a data set" in done.stderr

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize
+from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import sabench.geometry.path_slope
@@ -227,24 +227,6 @@ def test_fermat_no_neighbouring_path_is_shorter(wall: Wall) -> None:
 
 
 @pytest.mark.parametrize("wall", WALLS)
-def test_lateral_distance_is_met(wall: Wall) -> None:
-    rng = np.random.default_rng(4)
-    radius = np.concatenate([[0.0], 10.0 ** rng.uniform(-6.0, 4.0, 500), [1e4]])
-    behind = 10.0 ** rng.uniform(-2.0, 3.0, len(radius))
-    thicknesses = [layer.thickness_mm for layer in wall.layers]
-    slope, residual = solve_slope(wall.indices, [400.0, *thicknesses, behind], radius)
-    sine = slope.astype(np.longdouble) / np.hypot(1.0, slope.astype(np.longdouble))
-    lateral = np.zeros_like(sine)
-    depths: list[F64 | float] = [400.0, *thicknesses, behind]
-    for depth, n in zip(depths, wall.indices, strict=True):
-        share = sine * np.longdouble(wall.indices.min()) / np.longdouble(n)
-        tangent = slope if n == wall.indices.min() else share / np.sqrt(1.0 - share**2)
-        lateral += depth * tangent
-    assert np.abs(lateral - radius).max() < 1e-10
-    assert np.abs(residual).max() < 1e-10
-
-
-@pytest.mark.parametrize("wall", WALLS)
 def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
     """The stopping rule asks for no more digits than a double has.
 
@@ -277,32 +259,6 @@ def test_back_projection_returns_to_the_point(wall: Wall) -> None:
     assert miss.max() < 1e-9
     np.testing.assert_allclose(wall.depth_of(rays.origins_mm), wall.thickness_mm, rtol=0, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(rays.directions, axis=1), 1.0, rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize(("n1", "n2"), [(1.0, 1.333), (1.5, 1.0), (1.7, 1.69), (2.2, 2.2)])
-def test_single_interface_agrees_with_a_bracketed_root_and_the_quartic(
-    n1: float, n2: float
-) -> None:
-    before, behind = 310.0, 47.0
-    for radius in (1e-3, 8.0, 150.0, 2000.0):
-
-        def mismatch(x: float, radius: float = radius) -> float:
-            return n1 * x / math.hypot(x, before) - n2 * (radius - x) / math.hypot(
-                radius - x, behind
-            )
-
-        x = brentq(mismatch, 0.0, radius, xtol=1e-14, rtol=1e-15)
-        leaving = trace_to_points(
-            make_wall([n1, n2], []),
-            np.array([0.0, 0.0, -before]),
-            np.array([[radius, 0.0, behind]]),
-        ).leaving[0]
-        found = before * leaving[0] / leaving[2]
-        assert found == pytest.approx(x, rel=1e-11)
-        quartic = n1**2 * found**2 * ((radius - found) ** 2 + behind**2) - n2**2 * (
-            radius - found
-        ) ** 2 * (found**2 + before**2)
-        assert abs(quartic) < 1e-10 * n1**2 * found**2 * (radius**2 + behind**2 + before**2)
 
 
 @pytest.mark.parametrize("behind", [1e-3, 0.1, 10.0])

@@ -19,9 +19,6 @@ from sabench.metrics.bubble_detection import (
     nearest,
 )
 from sabench.metrics.plunging_jet import analyse
-from sabench.plotting.charts import Circles
-from sabench.plotting.drawing import draw
-from sabench.tasks.figures.bubbles import detection_figure
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, LN2, JetLaw
 
@@ -181,34 +178,6 @@ def test_small_ones_and_those_among_many_are_counted_apart() -> None:
             "recall_dense"
         ]
     )
-
-
-def test_a_picture_of_errors_parts_found_missed_and_invented_bubbles() -> None:
-    rng = np.random.default_rng(1)
-    places = rng.uniform(0.0, 100.0, (12, 3))
-    true = Detections.balls(places, rng.uniform(0.5, 1.5, 12))
-    found = Detections.balls(
-        np.concatenate([places[:7] + 0.1, [[200.0, 0.0, 0.0]] * 2]), np.ones(9)
-    )
-    figure = detection_figure(found, true)
-    front, side = (
-        [circles for circles in panel.content if isinstance(circles, Circles)]
-        for panel in figure.panels
-    )
-    assert [(circles.label, len(circles.x)) for circles in front] == [
-        ("missed", 5),
-        ("not there", 2),
-        ("found", 7),
-    ]
-    np.testing.assert_array_equal(
-        np.sort(np.concatenate([front[0].x, front[2].x])), np.sort(places[:, 0])
-    )
-    np.testing.assert_array_equal(
-        np.sort(np.concatenate([side[0].x, side[2].x])), np.sort(places[:, 2])
-    )
-    assert draw(figure).startswith(b"\x89PNG")
-    none = Detections.balls(np.zeros((0, 3)), np.zeros(0))
-    assert draw(detection_figure(none, none)).startswith(b"\x89PNG")
 
 
 def test_a_place_is_dense_from_its_void_fraction_on() -> None:

@@ -15,12 +15,8 @@ from sabench.geometry.rigid_motion import RigidMotion
 from sabench.metrics import calibration_error
 from sabench.metrics.calibration_error import (
     calibration_scores,
-    detection_noise,
-    detection_scores,
     lower_bound,
-    mean_length,
     point_scores,
-    scatter,
     target_points,
     wall_scores,
 )
@@ -152,25 +148,6 @@ def test_observations_that_are_not_used_are_scored() -> None:
     assert every is not None
     assert every == none
     assert one == pytest.approx(every, rel=0.01)
-
-
-def test_figures_of_errors() -> None:
-    errors = np.array([[3.0, 4.0], [0.0, 1.0], [np.nan, 0.0], [100.0, 0.0]])
-    assert mean_length(errors, np.array([True, True, True, False])) == pytest.approx(3.0)
-    assert mean_length(errors, np.zeros(4, dtype=np.bool_)) is None
-    cloud = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, np.nan, 0.0]]) + 7.0
-    assert scatter(cloud) == pytest.approx(1.0)
-    assert scatter(np.full((2, 3), np.nan)) is None
-    pixels, good = np.array([[1.5, 2.5], [0.5, 1.5], [9.0, 9.0]]), np.array([True, True, False])
-    truth = np.array([[1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
-    assert detection_noise(pixels, truth, good) == pytest.approx(np.sqrt((0.25 + 2.25) / 2.0))
-    assert detection_noise(pixels, truth, np.zeros(3, dtype=np.bool_)) == 0.0
-    scores = detection_scores(pixels, truth, good)
-    assert scores == {
-        "found_bias_column_px": pytest.approx(0.5),
-        "found_bias_row_px": pytest.approx(1.5),
-        "found_std_px": pytest.approx(0.0),
-    }
 
 
 def wall(*layers: Layer, fluid_index: float = 1.333) -> Wall:

@@ -14,10 +14,9 @@ import pytest
 from sabench.api import Velocity
 from sabench.metrics.velocity_error import response
 from sabench.metrics.vortex_rings import circulation, core, half_plane, sample, spin_of
-from sabench.plotting.charts import Curve, Figure, Panel, Picture, Slice
+from sabench.plotting.charts import Figure, Panel, Picture, Slice
 from sabench.plotting.drawing import draw
 from sabench.plugins import load
-from sabench.tasks.figures.velocity import field_figure, profile_panel
 from sabench.utils.arrays import F64
 
 
@@ -149,33 +148,6 @@ def test_slices_are_the_right_way_up() -> None:
     )
     assert red_row < blue_row
     assert red_column < blue_column
-
-
-@pytest.mark.parametrize("normal", [0, 1, 2])
-def test_the_slice_with_the_vortex_is_shown(normal: int) -> None:
-    vortex = flow_of(
-        "lamb_oseen_vortex", axis=np.eye(3)[normal].tolist(), core_mm=5.0, circulation_mm2_s=500.0
-    )
-    field = on_lattice(vortex)
-    field.valid[0] = False
-    exact = 0.9 * field.velocity_mm_s
-    figure = field_figure(field, exact, np.ones(3), "a solver")
-    content = figure.panels[0].content[0]
-    assert isinstance(content, Slice)
-    assert content.label == f"vorticity about {'xyz'[normal]}, 1/s"
-    counts = [count for axis, count in enumerate(field.valid.shape[::-1]) if axis != normal]
-    assert content.values.shape == (counts[1], counts[0])
-    middle = content.values[counts[1] // 2, counts[0] // 2]
-    assert middle == content.values.max() > 0.0
-    assert content.arrows is not None
-    assert np.isnan(content.arrows).any() == (normal != 2)
-    assert draw(figure)[:4] == b"\x89PNG"
-    curves = [
-        curve.label
-        for curve in profile_panel(field, exact, normal).content
-        if isinstance(curve, Curve)
-    ]
-    assert curves == ["u", "u exact", "v", "v exact", "w", "w exact"]
 
 
 def test_pictures_are_the_right_way_up_and_rings_lie_where_they_should() -> None:

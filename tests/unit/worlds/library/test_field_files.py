@@ -536,15 +536,6 @@ def test_a_share_of_the_tracks_is_kept_in_all_frames(tmp_path: Path) -> None:
     assert set(first.id) != set(tracks.particles(DOMAIN, 6, 0, 0.0).id)
 
 
-def test_positions_and_velocities_are_scaled(tmp_path: Path) -> None:
-    rows = [(1, 0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)]
-    path = as_csv(tmp_path / "tracks.csv", "particle,frame,x,y,z,u,v,w", rows)
-    units = {"length": "mm", "speed": "mm/s", "seconds": 1.0, "velocity": ("u", "v", "w")}
-    seen = tracks_of(path, scale=2.0, **units).particles(DOMAIN, 0, 0, 0.0)
-    np.testing.assert_allclose(seen.position_mm, [[2.0, 4.0, 6.0]])
-    np.testing.assert_allclose(seen.velocity_mm_s, [[8.0, 10.0, 12.0]])
-
-
 def test_a_data_set_keeps_a_series(tmp_path: Path) -> None:
     """A data set of a series is complete, and its scene generates it again elsewhere."""
     from sabench.scenes import load_scene
