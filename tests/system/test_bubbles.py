@@ -205,7 +205,7 @@ def lit(z: float) -> dict[str, Any]:
 FAULTS: dict[str, tuple[Any, str]] = {
     "overlap": (
         lambda _: {"bubbles": places([0, 0, 60], [1.5, 0, 60])},
-        r"expected none to reach into another \(overlap = true allows it\), but 1 pairs do",
+        "expected none to reach into another",
     ),
     "front wall": (
         lambda _: {"bubbles": places([0, 0, 8.5])},
@@ -222,10 +222,7 @@ FAULTS: dict[str, tuple[Any, str]] = {
     ),
     "light in front": (
         lambda _: {"backlight": lit(-600.0)},
-        (
-            r"backlight.center_mm: expected it behind the back wall, 136 mm behind the outer face, "
-            r"got -600"
-        ),
+        "backlight.center_mm: expected it behind the back wall",
     ),
     "light in the tank": (
         lambda _: {"backlight": lit(100.0)},
@@ -237,30 +234,27 @@ FAULTS: dict[str, tuple[Any, str]] = {
     ),
     "open mesh": (
         lambda f: {"solids": [cube(f, whole=False)]},
-        r"solids.0: expected a closed surface, but 3 of its edges do not have two faces",
+        "solids.0: expected a closed surface",
     ),
     "metres": (
         lambda f: {"solids": [cube(f, 0.001)]},
-        (
-            r"solids.0: expected a body of a size like the volume's \(24 mm\), got 0.004 mm: is "
-            r"its unit right"
-        ),
+        "solids.0: expected a body of a size like the volume's",
     ),
     "outside": (
         lambda f: {"solids": [cube(f) | {"place_mm": [0, 0, 9.0]}]},
-        r"solids.0 in frame 0: expected it in the tank, 8 to 128 mm .*from 7 to 11 mm",
+        "solids.0 in frame 0: expected it in the tank",
     ),
     "no generator": (
         lambda _: {"solids": [{"generator": "uniform"}]},
-        r"solids.0.generator: expected a generator of solids, got uniform, which makes particles",
+        "solids.0.generator: expected a generator of solids",
     ),
     "no file": (
         lambda _: {"solids": [{"generator": "mesh_file", "file": "none.stl", "unit": "mm"}]},
-        r"solids.0.file: expected a file, but there is none",
+        "solids.0.file: expected a file",
     ),
     "unequal lists": (
         lambda _: {"bubbles": places([0, 0, 60]) | {"radius_mm": [1.0, 2.0]}},
-        r"expected one radius for each of 1 centres, got 2",
+        "expected one radius for each of 1 centres",
     ),
 }
 

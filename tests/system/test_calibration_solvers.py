@@ -90,12 +90,7 @@ def test_a_camera_that_sees_nothing_is_named(name: str) -> None:
     case, *_ = level_case()
     pixels = case.pixels.copy()
     pixels[2] = np.nan
-    with pytest.raises(
-        InputError,
-        match=(
-            "camera_02: expected it to see some of the target, but not one of its points was found"
-        ),
-    ):
+    with pytest.raises(InputError, match="camera_02: expected it to see some of the target"):
         solved(name, replace(case, pixels=pixels))
 
 
@@ -202,20 +197,10 @@ def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) 
 def test_a_solver_of_another_kind_is_refused(
     boards: Dataset, quick: Dataset, tmp_path: Path
 ) -> None:
-    with pytest.raises(
-        InputError,
-        match=(
-            r"solver msa: expected a data set that shows particles, but .* shows a calibration "
-            r"target"
-        ),
-    ):
+    with pytest.raises(InputError, match="solver msa: expected a data set that shows particles"):
         sabench.solve("msa", boards, tmp_path / "r.h5")
     with pytest.raises(
-        InputError,
-        match=(
-            r"solver soloff: expected a data set that shows a calibration target, but .* shows "
-            r"particles"
-        ),
+        InputError, match="solver soloff: expected a data set that shows a calibration target"
     ):
         sabench.solve("soloff", quick, tmp_path / "r.h5")
     assert list(tmp_path.iterdir()) == []

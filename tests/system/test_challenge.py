@@ -198,11 +198,11 @@ def test_both_commands_resume(
         (("participate", "bad.zip", "asa", "-o", "s.zip"), "expected an intact .zip archive"),
         (
             ("challenge", "standard", "--hidden", "secret.toml", "-o", "out"),
-            "expected solvers of one task, or --task with one of bubbles, calibration",
+            "expected solvers of one task",
         ),
         (
             ("challenge", "suite.toml", "--hidden", "secret.toml", "-o", "o", "--task", "bubbles"),
-            "--task: expected one of reconstruction, got 'bubbles'",
+            "--task: expected one of reconstruction",
         ),
     ],
 )

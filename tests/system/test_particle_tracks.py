@@ -90,9 +90,7 @@ def test_the_truth_is_perfect_and_nothing_is_the_floor(sequence: Dataset) -> Non
     )
     assert nothing["rms_px"] is None
     assert score(sequence, "empty")["task"] == "reconstruction"
-    with pytest.raises(
-        InputError, match=r"task: expected reconstruction or particles .* got 'bubbles'"
-    ):
+    with pytest.raises(InputError, match="task: expected reconstruction or particles"):
         score(sequence, "truth", "bubbles")
 
 
@@ -184,10 +182,7 @@ def test_faults_of_results_are_named(sequence: Dataset, tmp_path: Path) -> None:
         file["frames/0001/particles/track"][...] = [4, 4]
         del file["frames/0002/particles/track"]
     result = open_result(place, sequence)
-    with pytest.raises(
-        InputError,
-        match=r"frames/0001/particles/track: expected different numbers, got 4 2 times",
-    ):
+    with pytest.raises(InputError, match="frames/0001/particles/track: expected different numbers"):
         result.read(FoundParticles, 1)
     with h5py.File(place, "r+") as file:
         file["frames/0001/particles/track"][...] = [4, 5]

@@ -175,8 +175,7 @@ def test_what_has_no_code_is_refused(veiled: Dataset, tmp_path: Path) -> None:
         seed=1,
     )
     with pytest.raises(
-        InputError,
-        match=r"solver see_through: expected a data set that shows a code, but .* shows bubbles",
+        InputError, match="solver see_through: expected a data set that shows a code"
     ):
         solve("see_through", data, tmp_path / "r.h5")
     with pytest.raises(

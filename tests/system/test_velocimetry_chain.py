@@ -155,10 +155,7 @@ def test_volumes_smaller_than_a_window_are_named(vortex: Dataset, command: Comma
         "window=[320,32,16]",
     )
     assert done.returncode == 2
-    assert (
-        "window: expected one that fits into the volume of 160 x 160 x 80 voxels, got 320 x 32 x 16"
-        in done.stderr
-    )
+    assert "window: expected one that fits into the volume of 160 x 160 x 80 voxels" in done.stderr
 
 
 def test_a_flow_without_units_is_named_and_leaves_nothing(tmp_path: Path, command: Command) -> None:

@@ -196,9 +196,7 @@ def test_plane_maps_stay_within_their_tolerance(wall: Wall | None, lens: Distort
 
 
 def test_plane_without_a_light_path_is_refused() -> None:
-    with pytest.raises(
-        ValueError, match="expected a light path to every voxel, but the plane z = 3 mm"
-    ):
+    with pytest.raises(ValueError, match="expected a light path to every voxel"):
         plane_map(make_camera(0.0, 0.0, FLAT), GRID, 3.0, 3)
 
 

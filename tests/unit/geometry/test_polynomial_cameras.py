@@ -116,22 +116,17 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
     flat = points[points[:, 2] == Z_PLANES[0]]
     pixels = rng.random((len(points), 2))
     with pytest.raises(
-        InputError, match="cam: expected 6 points or more that are not all in one plane, got 121"
+        InputError, match="cam: expected 6 points or more that are not all in one plane"
     ):
         fit_projective("cam", 10, 10, flat, pixels[: len(flat)])
     with pytest.raises(
-        InputError,
-        match=(
-            "cam: a polynomial of 19 terms: expected points that determine it, got 121 that "
-            "leave 9 terms open"
-        ),
+        InputError, match="cam: a polynomial of 19 terms: expected points that determine it"
     ):
         fit_soloff("cam", 10, 10, flat, pixels[: len(flat)])
     with pytest.raises(InputError, match="cam: expected points on two planes at least, got 1"):
         fit_planes("cam", 10, 10, [flat], [pixels[: len(flat)]])
     with pytest.raises(
-        InputError,
-        match="cam: frame 1: a polynomial of 6 terms: expected points that determine it, got 3",
+        InputError, match="cam: frame 1: a polynomial of 6 terms: expected points that determine it"
     ):
         fit_planes(
             "cam",

@@ -120,7 +120,7 @@ def test_what_cannot_be_is_one_sentence(
     [
         (
             {"fluid_index": 1.333, "layers": [{"material": "BK7", "thickness_mm": 1.0}]},
-            "test: layers.0: expected index: material needs the wavelength of a scene's light",
+            "test: layers.0: expected index",
         ),
         ({"fluid": "water"}, "test: expected fluid_index: fluid needs the wavelength of a scene's"),
     ],

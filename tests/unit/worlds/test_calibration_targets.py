@@ -228,8 +228,7 @@ def test_a_prior_holds_known_points_along_their_axes_only() -> None:
     )
     wrong = calibration_scene(calibration={"known": [{"frame": 9, "point": 5}]})
     with pytest.raises(
-        InputError,
-        match=r"calibration\.known\.0: expected one of 5 frames and of 121 points, got 9 and 5",
+        InputError, match=r"calibration\.known\.0: expected one of 5 frames and of 121 points"
     ):
         prior(wrong, place(wrong, 1), 1)
 
@@ -254,12 +253,6 @@ def test_a_target_s_data_set_is_whole_and_holds_what_was_shown(tmp_path: Path) -
 
 
 def test_a_target_without_lamps_is_not_rendered(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError,
-        match=(
-            "boards: lighting: expected lamps to render a target by, got none; the backend "
-            "splat needs none"
-        ),
-    ):
+    with pytest.raises(InputError, match="boards: lighting: expected lamps to render a target by"):
         sabench.generate(calibration_scene(), tmp_path / "set", backend="mitsuba", name="boards")
     assert list(tmp_path.iterdir()) == []

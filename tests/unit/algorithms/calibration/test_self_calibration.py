@@ -164,10 +164,7 @@ def test_the_densest_spot_is_found_among_noise() -> None:
 
 def test_nothing_to_go_by_is_said() -> None:
     seen = simulate(particle_scene(0.0), seed=1).observation
-    with pytest.raises(
-        InputError,
-        match=r"camera_00: expected particle images, got none above 0.15 of a bright one's peak",
-    ):
+    with pytest.raises(InputError, match="camera_00: expected particle images"):
         corrected(replace(seen, images=np.full_like(seen.images, int(seen.black_dn))))
     plugin = load("solvers", "volume_self_calibration")
     two = replace(seen, images=seen.images[:2], cameras=seen.cameras[:2])

@@ -299,12 +299,7 @@ def test_solvers_of_one_name_need_labels() -> None:
         SolverEntry(name="msa", parameters={"k": 2.0}),
     ]
     assert list(names_of(two, "s")) == ["msa k=1.0", "msa k=2.0"]
-    with pytest.raises(
-        InputError,
-        match=(
-            "case a: solvers: expected names, parameters or labels that differ, got 2 of which 1 do"
-        ),
-    ):
+    with pytest.raises(InputError, match="case a: solvers: expected names"):
         names_of([two[0], two[0]], "case a")
 
 

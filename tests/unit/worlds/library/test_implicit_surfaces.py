@@ -239,21 +239,8 @@ def test_planes_through_nodes_leave_no_flat_triangles() -> None:
 @pytest.mark.parametrize(
     ("low", "high", "step", "sentence"),
     [
-        (
-            -2.0,
-            2.0,
-            1e-3,
-            "step_mm: expected a lattice of at most 64000000 nodes, got 4001 x 4001 x 4001",
-        ),
-        (
-            2.0,
-            4.0,
-            0.1,
-            (
-                r"expected a body in the lattice from \[2.0, 2.0, 2.0\] to \[4.0, 4.0, 4.0\] mm, "
-                r"got nothing"
-            ),
-        ),
+        (-2.0, 2.0, 1e-3, "step_mm: expected a lattice of at most 64000000 nodes"),
+        (2.0, 4.0, 0.1, r"expected a body in the lattice from \[2.0"),
         (-2.0, 0.9, 0.1, r"it reaches its edge at \+X, \+Y, \+Z"),
         (-1.0, 2.0, 0.1, "it reaches its edge at -X, -Y, -Z"),
     ],
@@ -322,31 +309,16 @@ def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
     ("name", "parameters", "sentence"),
     [
         ("hydrofoil", {"digits": "012"}, "digits: "),
-        (
-            "hydrofoil",
-            {"digits": "0000"},
-            "digits: expected a thickness of 01 to 40 percent, got 00",
-        ),
-        (
-            "hydrofoil",
-            {"digits": "2012"},
-            "digits: expected a camber and its position, or 00 for none, got 20",
-        ),
+        ("hydrofoil", {"digits": "0000"}, "digits: expected a thickness of 01 to 40 percent"),
+        ("hydrofoil", {"digits": "2012"}, "digits: expected a camber and its position"),
         ("hydrofoil", {"points": 9}, "points: "),
         ("propeller", {"hub_mm": 40.0}, "hub_mm: expected less than diameter_mm, 30, got 40"),
         ("propeller", {"pitch_mm": 0.0}, "pitch_mm: expected another value than 0"),
-        (
-            "propeller",
-            {"step_mm": 0.7},
-            "step_mm: expected at most half of the blades' thickness, 1.35 mm, got 0.7",
-        ),
+        ("propeller", {"step_mm": 0.7}, "step_mm: expected at most half of the blades' thickness"),
         (
             "propeller",
             {"blades": 12},
-            (
-                "blades: expected sections thinner than their distance at the hub, 1.33 mm, got "
-                "1.35 mm"
-            ),
+            "blades: expected sections thinner than their distance at the hub",
         ),
         ("reef", {"size_mm": [10.0, 0.0, 10.0]}, "size_mm: expected positive"),
         ("reef", {"step_mm": 0.01}, "step_mm: expected a lattice of at most 64000000 nodes"),
