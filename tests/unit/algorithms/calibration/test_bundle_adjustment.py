@@ -192,6 +192,7 @@ def test_covariances_of_pixels_are_those_of_a_dense_jacobian() -> None:
     assert np.isnan(found[seen.weights == 0.0]).all()
 
 
+@pytest.mark.slow
 def test_the_kernel_of_covariances_reads_and_writes_nothing_beyond_its_arrays() -> None:
     """As plain Python, which refuses an index beyond an array, it finds the same.
 
@@ -268,6 +269,7 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
     assert np.abs(found - points).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_noise_comes_out_at_the_bound() -> None:
     """Sixteen draws agree with the Cramer-Rao bound.
 
