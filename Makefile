@@ -4,13 +4,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint types gate wheel docs installs release clean
+.PHONY: demo test test-all lint types gate wheel docs installs release clean
 
 demo: $(VENV)/.installed
 	$(BIN)/sabench run demo
 
+# The daily tier: one small case of every law.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+
+# Everything: the daily tier, then the slow tests.
+test-all: test
+	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -103,7 +103,7 @@ QUICK: tuple[tuple[str, Callable[[], str | None]], ...] = (
 SLOW = (
     ("lint", command("make", "lint")),
     ("types", command("make", "types")),
-    ("tests", command("make", "test")),
+    ("tests", command("make", "test-all")),
     ("gate", command("make", "gate")),
     ("the wheel offers what the checkout offers", command("make", "wheel")),
     ("smoke test of the wheel", command(sys.executable, "benchmarks/installs.py", sys.executable)),

@@ -10,7 +10,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+import time
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,44 +21,21 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
 
 import pytest
+from _pytest.runner import runtestprotocol
 
 import sabench
 from sabench.cli.main import main
 from sabench.dataset.reader import Dataset
+from sabench.evaluation.gates.reference_kernel import reference_s
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils import backend
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]
-_LONGEST = (
-    "test_bubbles",
-    "test_conformance",
-    "test_recording",
-    "test_faults",
-    "test_reproduce",
-    "test_calibration_solvers",
-    "test_know_nothing",
-    "test_programs",
-    "test_self_calibration",
-    "test_untrusted",
-    "test_killed",
-    "test_copies",
-    "test_code_blocks",
-    "test_bubbles_traced",
-    "test_velocimetry_chain",
-    "test_pack",
-    "test_chain",
-    "test_board_in_browser",
-    "test_gate",
-    "test_runs",
-    "test_windows",
-    "test_particle_tracks",
-    "test_untrusted_files",
-    "test_synthetic_aperture",
-    "test_art_updates",
-    "test_reading_in_time",
-)
+LIMIT_S = 2.0  # CPU time of a test that is not marked `slow`, on a machine as fast as below
+_REFERENCE_S = 0.015  # of the reference kernel on that machine
+_seconds = pytest.StashKey[float]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -66,14 +44,46 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Start the files that take longest.
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """Fail a test that takes more than `LIMIT_S` and is not marked `slow`.
 
-    Otherwise one worker would be left alone with such a file at the end. The first two compile
-    different kernels: two workers that need the same one at the same time both compile it.
+    CPU time of the test and its children counts: neighbours do not change it. It is a multiple of
+    the reference kernel's time, so that a slow machine has as much of it. Fixtures do not count.
+    A test above the limit runs once more and the smaller time counts, because the first run
+    compiles kernels and fills caches.
     """
-    order = {name: place for place, name in enumerate(_LONGEST)}
-    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
+    if item.get_closest_marker("slow"):
+        return None
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    reports = runtestprotocol(item, nextitem=nextitem, log=False)
+    first = item.stash.get(_seconds, 0.0)
+    if first > LIMIT_S and all(report.passed for report in reports):
+        again = runtestprotocol(item, nextitem=nextitem, log=False)
+        seconds = min(first, item.stash[_seconds])
+        limit = LIMIT_S * max(1.0, reference_s(time.process_time) / _REFERENCE_S)
+        if not all(report.passed for report in again):
+            reports = again
+        elif seconds > limit:
+            reports[1].outcome = "failed"
+            reports[1].longrepr = (
+                f"{item.nodeid}: expected at most {limit:.1f} s of CPU time, got {seconds:.1f} s. "
+                "Use a smaller case, or mark the test `slow`."
+            )
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    """Measure the CPU time of a test and of the children that it waited for."""
+    start = sum(os.times()[:4])
+    try:
+        yield
+    finally:
+        item.stash[_seconds] = sum(os.times()[:4]) - start
 
 
 def pytest_configure() -> None:

@@ -111,8 +111,7 @@ def _standard() -> dict[str, dict[str, dict[str, str]]]:
 
 def realism(family: str, score: str) -> str:
     """Write the cost of each effect of suite `realism` to each solver."""
-    from benchmarks.realism import effects_of
-    from benchmarks.realism import table as make
+    from benchmarks.realism import effects_of, table as make
 
     record = _read("realism")[f"{family}, {score}"]
     scores = {

@@ -20,55 +20,13 @@ import numpy as np
 import tifffile
 
 NUMBERS: tuple[Any, ...] = (
-    0,
-    1,
-    -1,
-    2,
-    3,
-    7,
-    0.5,
-    1e-12,
-    1e-300,
-    1e6,
-    1e9,
-    1e15,
-    1e300,
-    -1e300,
-    1.7e308,
-    float("nan"),
-    float("inf"),
-    -float("inf"),
-    255,
-    65536,
-    10**6,
-    10**9,
-    2**31,
-    2**63 - 1,
-    2**63,
-    2**64,
-    -(2**63),
-    10**40,
-    True,
-    False,
+    *(0, 1, -1, 2, 3, 7, 0.5, 1e-12, 1e-300, 1e6, 1e9, 1e15, 1e300, -1e300, 1.7e308),
+    *(float("nan"), float("inf"), -float("inf"), 255, 65536, 10**6, 10**9, 2**31),
+    *(2**63 - 1, 2**63, 2**64, -(2**63), 10**40, True, False),
 )
 TEXTS = (
-    "",
-    " ",
-    "x",
-    "../../evil",
-    "/etc/passwd",
-    "a\x00b",
-    "\u202eevil",
-    "x" * 5000,
-    "[red]",
-    "<script>",
-    "ä€😀",
-    "1",
-    "nan",
-    "quick",
-    "\ud800",
-    "-",
-    "%n",
+    *("", " ", "x", "../../evil", "/etc/passwd", "a\x00b", "\u202eevil", "x" * 5000),
+    *("[red]", "<script>", "ä€😀", "1", "nan", "quick", "\ud800", "-", "%n"),
 )
 
 
@@ -223,25 +181,10 @@ def _other_type(file: Any, name: str, rng: random.Random) -> None:
     shape = old.shape
     del file[name]
     kinds: tuple[Any, ...] = (
-        "i1",
-        "u1",
-        "i4",
-        "u8",
-        "f2",
-        "f4",
-        "f8",
-        ">f4",
-        ">i2",
-        "c8",
-        "S3",
-        "g",
-        h5py.string_dtype(),
-        h5py.enum_dtype({"a": 1}),
-        h5py.ref_dtype,
-        np.dtype([("x", "f4"), ("y", "i2")]),
-        np.dtype(("f4", (2,))),
-        h5py.vlen_dtype(np.float32),
-        np.bool_,
+        *("i1", "u1", "i4", "u8", "f2", "f4", "f8", ">f4", ">i2", "c8", "S3", "g"),
+        *(h5py.string_dtype(), h5py.enum_dtype({"a": 1}), h5py.ref_dtype),
+        *(np.dtype([("x", "f4"), ("y", "i2")]), np.dtype(("f4", (2,)))),
+        *(h5py.vlen_dtype(np.float32), np.bool_),
     )
     file.create_dataset(name, shape, dtype=rng.choice(kinds))
 
@@ -374,38 +317,12 @@ def _odd_attribute(file: Any, _: str, rng: random.Random) -> None:
     names = [*file.attrs, "parameters", "seconds", "solver", "task", "track"]
     name = rng.choice(names)
     made: tuple[Any, ...] = (
-        "",
-        "x" * 70_000,
-        "\x00",
-        b"\xff\xfe",
-        0,
-        -1,
-        1.5,
-        float("nan"),
-        float("inf"),
-        2**63,
-        np.zeros(3),
-        np.zeros((1, 1)),
-        np.array([1]),
-        [b"a", b"b"],
-        h5py.Empty("f4"),
-        np.bool_(True),
-        np.complex64(1),
-        "[1, 2]",
-        '{"a": NaN}',
-        '{"a": 1e999}',
-        "[" * 3000,
-        '{"k": {"k": [1, null]}}',
-        "calibration",
-        "velocimetry",
-        "bubbles",
-        "see_through",
-        "particles",
-        np.str_("reconstruction").encode(),
-        np.void(b"xx"),
-        file.ref,
-        '"\\ud800"',
-        "no JSON",
+        *("", "x" * 70_000, "\x00", b"\xff\xfe", 0, -1, 1.5, float("nan"), float("inf"), 2**63),
+        *(np.zeros(3), np.zeros((1, 1)), np.array([1]), [b"a", b"b"], h5py.Empty("f4")),
+        *(np.bool_(True), np.complex64(1), "[1, 2]", '{"a": NaN}', '{"a": 1e999}', "[" * 3000),
+        *('{"k": {"k": [1, null]}}', "calibration", "velocimetry", "bubbles", "see_through"),
+        *("particles", np.str_("reconstruction").encode(), np.void(b"xx"), file.ref),
+        *('"\\ud800"', "no JSON"),
     )
     file.attrs.pop(name, None)
     if rng.random() < 0.9:
@@ -420,23 +337,9 @@ def _new_attribute(file: Any, _: str, rng: random.Random) -> None:
 
 
 _CHANGES: tuple[Change, ...] = (
-    _no_data,
-    _other_shape,
-    _other_type,
-    _bomb,
-    _large_chunk,
-    _long_stream,
-    _odd_filter,
-    _blind,
-    _odd_values,
-    _odd_values,
-    _odd_values,
-    _a_link,
-    _a_group,
-    _virtual,
-    _odd_attribute,
-    _odd_attribute,
-    _new_attribute,
+    *(_no_data, _other_shape, _other_type, _bomb, _large_chunk, _long_stream, _odd_filter),
+    *(_blind, _odd_values, _odd_values, _odd_values, _a_link, _a_group, _virtual),
+    *(_odd_attribute, _odd_attribute, _new_attribute),
 )
 
 
@@ -526,21 +429,8 @@ def hdf5(path: Path, rng: random.Random) -> None:
 
 
 _NAMES = (
-    "a.h5",
-    "b/c.h5",
-    "/abs.h5",
-    "../up.h5",
-    "a/../../up.h5",
-    "c:\\x.h5",
-    "..\\up.h5",
-    "",
-    ".h5",
-    "x" * 300 + ".h5",
-    "a.h5",
-    "ä\n.h5",
-    "a.txt",
-    "\x1b[2J.h5",
-    "~/.bashrc",
+    *("a.h5", "b/c.h5", "/abs.h5", "../up.h5", "a/../../up.h5", "c:\\x.h5", "..\\up.h5", ""),
+    *(".h5", "x" * 300 + ".h5", "a.h5", "ä\n.h5", "a.txt", "\x1b[2J.h5", "~/.bashrc"),
 )
 
 
@@ -597,15 +487,8 @@ def _tar(path: Path, files: list[bytes], rng: random.Random) -> None:
             info, content = tarfile.TarInfo(_name(rng) or "x.h5"), _content(files, rng)
             info.size = len(content)
             if rng.random() < 0.2:
-                info.type = rng.choice(
-                    (
-                        tarfile.SYMTYPE,
-                        tarfile.LNKTYPE,
-                        tarfile.CHRTYPE,
-                        tarfile.FIFOTYPE,
-                        tarfile.DIRTYPE,
-                    )
-                )
+                kinds = "SYMTYPE", "LNKTYPE", "CHRTYPE", "FIFOTYPE", "DIRTYPE"
+                info.type = getattr(tarfile, rng.choice(kinds))
                 info.linkname, info.size = rng.choice(("/etc/passwd", "../x", "a.h5")), 0
             if rng.random() < 0.05:
                 info.pax_headers = {

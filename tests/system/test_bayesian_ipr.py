@@ -55,6 +55,7 @@ def count(shot: Shot, positions: F64) -> Counts:
     return count_challenge(found, true, grid.in_scored(found), grid.in_scored(true))
 
 
+@pytest.mark.slow
 def test_many_overlapping_particles_are_found_and_no_ghosts() -> None:
     shot = make_shot(11, particles={"per_pixel": 0.08})
     counts = count(shot, find_in(shot.observation))
@@ -63,6 +64,7 @@ def test_many_overlapping_particles_are_found_and_no_ghosts() -> None:
     assert counts.precision > 0.99
 
 
+@pytest.mark.slow
 def test_particles_whose_light_differs_between_cameras_are_found() -> None:
     shot = make_shot(
         12,
@@ -75,6 +77,7 @@ def test_particles_whose_light_differs_between_cameras_are_found() -> None:
     assert counts.precision > 0.97
 
 
+@pytest.mark.slow
 def test_no_true_particle_is_removed_because_others_are_not_fitted_yet() -> None:
     """Trials count what neighbours gain, which they would gain beside the particle, too."""
     shot = make_shot(31, particles={"per_pixel": 0.12})
@@ -90,6 +93,7 @@ def test_no_true_particle_is_removed_because_others_are_not_fitted_yet() -> None
     assert len(search.position) > 0.995 * len(place)
 
 
+@pytest.mark.slow
 def test_pairs_are_tried_no_more_once_hardly_any_is_added(monkeypatch: pytest.MonkeyPatch) -> None:
     shot, rounds = make_shot(33, particles={"per_pixel": 0.03}), []
 
@@ -104,6 +108,7 @@ def test_pairs_are_tried_no_more_once_hardly_any_is_added(monkeypatch: pytest.Mo
     assert rounds[-1] < 0.001 * len(search.position)
 
 
+@pytest.mark.slow
 def test_cameras_that_are_off_are_shifted_back() -> None:
     """Places are then as good as without the shifts but for what all cameras share."""
     shot = make_shot(13, particles={"per_pixel": 0.04}, calibration={"shift_px": 0.3})
@@ -117,8 +122,8 @@ def test_cameras_that_are_off_are_shifted_back() -> None:
     assert spread[:2].max() < 0.15 * 0.05  # of a pixel's size
 
 
-@pytest.mark.parametrize("level", [64.0, 4095.0])
-@pytest.mark.parametrize("noise", [0.0, 2.2])
+@pytest.mark.slow
+@pytest.mark.parametrize(("level", "noise"), [(64.0, 2.2), (4095.0, 0.0)])
 def test_a_camera_without_particles_does_not_count(level: float, noise: float) -> None:
     shot = make_shot(15, particles={"per_pixel": 0.04})
     images = shot.observation.images.copy()
@@ -129,16 +134,7 @@ def test_a_camera_without_particles_does_not_count(level: float, noise: float) -
     assert counts.precision > 0.95
 
 
-@pytest.mark.parametrize("level", [64.0, 66.0, 4095.0])
-def test_images_without_particles_give_none(level: float) -> None:
-    """Dark, even and saturated ones, with the sensor's noise."""
-    shot = make_shot(14, particles={"per_pixel": 0.001})
-    noise = np.random.default_rng(1).normal(level, 2.2, shot.observation.images.shape)
-    images = np.clip(np.rint(noise), 0, 4095).astype(np.uint16)
-    grid, cameras = shot.observation.grid, shot.observation.cameras
-    assert len(find_in(Observation(images, cameras, grid, 64.0, 4095.0))) == 0
-
-
+@pytest.mark.slow
 def test_a_camera_that_is_half_hidden_costs_nothing() -> None:
     """A disc in front of one of four cameras hides half of the volume from it."""
     particles = {"per_pixel": 0.05}
@@ -150,6 +146,7 @@ def test_a_camera_that_is_half_hidden_costs_nothing() -> None:
     assert counts.precision > 0.99
 
 
+@pytest.mark.slow
 def test_particles_behind_a_body_are_found_by_the_cameras_that_see_them() -> None:
     """A cylinder stands amid the particles; their light is 0 where it hides them."""
     post: dict[str, Any] = {
@@ -180,11 +177,11 @@ def test_particles_behind_a_body_are_found_by_the_cameras_that_see_them() -> Non
     assert right[inner & hit & seen.all(axis=1)].all(axis=1).mean() > 0.99
 
 
-@pytest.mark.parametrize("exposure", [0.005, 0.02])
-def test_a_lit_body_is_not_made_of_particles(exposure: float) -> None:
-    """It is 5 to 18 standard deviations of the noise brighter than black."""
+@pytest.mark.slow
+def test_a_lit_body_is_not_made_of_particles() -> None:
+    """It is 18 standard deviations of the noise brighter than black."""
     post = {"generator": "cylinder", "radius_mm": 0.8, "length_mm": 3.0, "place_mm": [0.0] * 3}
-    lamps = {"lamps": [{"center_mm": [0.0, -300.0, -600.0]}], "exposure": exposure}
+    lamps = {"lamps": [{"center_mm": [0.0, -300.0, -600.0]}], "exposure": 0.02}
     shot = make_shot(
         18, solids=[post], particles={"per_pixel": 0.02}, cameras=CROSS, lighting=lamps
     )
@@ -195,6 +192,7 @@ def test_a_lit_body_is_not_made_of_particles(exposure: float) -> None:
     assert (off.min(axis=1) < 0.05)[free].mean() > 0.9
 
 
+@pytest.mark.slow
 def test_a_bright_background_and_reflections_cost_little() -> None:
     shot = make_shot(17, particles={"per_pixel": 0.04})
     images = shot.observation.images.astype(np.float64)
@@ -211,6 +209,7 @@ def test_a_bright_background_and_reflections_cost_little() -> None:
 
 
 # such images leave light that a wrong calibration would leave, too
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:camera_01. expected light of particles")
 def test_images_narrower_than_pixels_on_a_part_of_the_sensor() -> None:
     """Their widths are 0.3 px; they are neither hot pixels nor glints, and found between pixels."""
@@ -227,9 +226,8 @@ def test_images_narrower_than_pixels_on_a_part_of_the_sensor() -> None:
     assert counts.precision > 0.97
 
 
-@pytest.mark.parametrize(
-    ("per_pixel", "seed"), [(0.001, 1), (0.001, 2), (0.003, 4), (0.005, 1), (0.02, 1)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("per_pixel", "seed"), [(0.001, 2), (0.003, 4), (0.02, 1)])
 def test_a_thin_recording_with_a_background_has_no_ghosts(per_pixel: float, seed: int) -> None:
     # What a sliding minimum leaves: a raised background, and patches around dead pixels. With seeds
     # 2 and 4, a glint no wider than two particles outshines them, and no camera is said to be wrong
@@ -241,6 +239,7 @@ def test_a_thin_recording_with_a_background_has_no_ghosts(per_pixel: float, seed
     assert counts.precision > 0.99
 
 
+@pytest.mark.slow
 def test_light_that_too_few_cameras_see_is_no_fault() -> None:
     """Outer cameras of a row see more of a long volume than the inner ones: nobody is warned."""
     places = [{"center_mm": [x, 0.0, -516.7]} for x in (-300.0, -90.0, 90.0, 300.0)]
@@ -256,6 +255,7 @@ def test_light_that_too_few_cameras_see_is_no_fault() -> None:
     assert counts.precision > 0.98
 
 
+@pytest.mark.slow
 def test_faint_particles_before_nine_cameras_are_found() -> None:
     """Their brightest pixels are three to seven standard deviations of noise."""
     shot = make_shot(

@@ -92,6 +92,7 @@ def test_score_prints_json(command: Command, boards: Dataset, tmp_path: Path, na
     assert scores["true_px"] == pytest.approx(np.hypot(first.rows, first.columns))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
 def test_run_check_and_submit_print_json(command: Command, tmp_path: Path) -> None:
     records = run_suite(command, tmp_path)
@@ -106,6 +107,7 @@ def test_run_check_and_submit_print_json(command: Command, tmp_path: Path) -> No
         assert read_strictly(done.stdout)["worse"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize("name", NAMES)
 def test_conform_prints_json(command: Command, name: str) -> None:
@@ -114,6 +116,7 @@ def test_conform_prints_json(command: Command, name: str) -> None:
     assert read_strictly(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize("name", NAMES)
 def test_calibrate_prints_json_or_one_sentence(command: Command, tmp_path: Path, name: str) -> None:
@@ -131,6 +134,7 @@ def test_calibrate_prints_json_or_one_sentence(command: Command, tmp_path: Path,
         assert not (tmp_path / "mine" / "result").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize("name", NAMES)
 def test_warmup_prints_json(command: Command, name: str) -> None:
@@ -145,6 +149,7 @@ def test_list_prints_json(command: Command) -> None:
     assert set(NAMES) < {one["name"] for one in read_strictly(done.stdout)}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize("name", NAMES)
 def test_view_prints_json(command: Command, boards: Dataset, tmp_path: Path, name: str) -> None:
@@ -174,6 +179,7 @@ def test_compare_statistics_prints_json_of_images_that_show_nothing(
     assert read_strictly(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grey", [0, 255])
 def test_commands_on_own_recordings_print_json_of_images_that_show_nothing(
     command: Command, quick: Dataset, tmp_path: Path, grey: int

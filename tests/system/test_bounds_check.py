@@ -25,6 +25,7 @@ fill(np.zeros(4), {count})
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "code"), [(4, 0), (5, 1)])
 def test_an_index_beyond_an_array_is_an_error_in_a_parallel_loop(
     tmp_path: Path, count: int, code: int

@@ -33,6 +33,7 @@ def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return generate(small(), tmp_path_factory.mktemp("bubbly") / "data", seed=2)
 
 
+@pytest.mark.slow
 def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
     assert verify(bubbly.root) == []
     assert bubbly.shows == ("bubbles",)
@@ -51,8 +52,9 @@ def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
         assert image[sight.number != NOTHING].mean() < 0.6 * shown
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
-    scene = small(render={"relative_error": 0.03})
+    scene = small(render={"relative_error": 0.2})
     one, again, other = (
         generate(scene, tmp_path / name, seed=seed).content_hash
         for name, seed in (("one", 2), ("again", 2), ("other", 3))
@@ -61,6 +63,7 @@ def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
     assert other != one
 
 
+@pytest.mark.slow
 def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> None:
     true, nothing = score(bubbly, "truth"), score(bubbly, "empty")
     assert true["task"] == "bubbles"
@@ -71,6 +74,7 @@ def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> Non
     assert nothing["penetration_percent"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_solvers_find_bubbles_that_nothing_hides(
     name: str, bubbly: Dataset, tmp_path: Path
@@ -86,6 +90,7 @@ def test_solvers_find_bubbles_that_nothing_hides(
     assert found["radius_percent"] < {"rim_fit": 3.0}.get(name, 20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 @pytest.mark.parametrize("level", ["black", "bright", "saturated"])
 def test_images_without_bubbles_have_none(name: str, level: str, bubbly: Dataset) -> None:
@@ -110,6 +115,7 @@ def test_no_bubbles_make_a_whole_data_set(tmp_path: Path) -> None:
     assert score(data, "truth")["f1"] is None
 
 
+@pytest.mark.slow
 def test_three_phases_in_one_image(tmp_path: Path) -> None:
     """Tracers, bubbles and a cylinder in one scene.
 
@@ -200,7 +206,7 @@ def lit(z: float) -> dict[str, Any]:
 FAULTS: dict[str, tuple[Any, str]] = {
     "overlap": (
         lambda _: {"bubbles": places([0, 0, 60], [1.5, 0, 60])},
-        r"expected none to reach into another \(overlap = true allows it\), but 1 pairs do",
+        "expected none to reach into another",
     ),
     "front wall": (
         lambda _: {"bubbles": places([0, 0, 8.5])},
@@ -217,10 +223,7 @@ FAULTS: dict[str, tuple[Any, str]] = {
     ),
     "light in front": (
         lambda _: {"backlight": lit(-600.0)},
-        (
-            r"backlight.center_mm: expected it behind the back wall, 136 mm behind the outer face, "
-            r"got -600"
-        ),
+        "backlight.center_mm: expected it behind the back wall",
     ),
     "light in the tank": (
         lambda _: {"backlight": lit(100.0)},
@@ -232,30 +235,27 @@ FAULTS: dict[str, tuple[Any, str]] = {
     ),
     "open mesh": (
         lambda f: {"solids": [cube(f, whole=False)]},
-        r"solids.0: expected a closed surface, but 3 of its edges do not have two faces",
+        "solids.0: expected a closed surface",
     ),
     "metres": (
         lambda f: {"solids": [cube(f, 0.001)]},
-        (
-            r"solids.0: expected a body of a size like the volume's \(24 mm\), got 0.004 mm: is "
-            r"its unit right"
-        ),
+        "solids.0: expected a body of a size like the volume's",
     ),
     "outside": (
         lambda f: {"solids": [cube(f) | {"place_mm": [0, 0, 9.0]}]},
-        r"solids.0 in frame 0: expected it in the tank, 8 to 128 mm .*from 7 to 11 mm",
+        "solids.0 in frame 0: expected it in the tank",
     ),
     "no generator": (
         lambda _: {"solids": [{"generator": "uniform"}]},
-        r"solids.0.generator: expected a generator of solids, got uniform, which makes particles",
+        "solids.0.generator: expected a generator of solids",
     ),
     "no file": (
         lambda _: {"solids": [{"generator": "mesh_file", "file": "none.stl", "unit": "mm"}]},
-        r"solids.0.file: expected a file, but there is none",
+        "solids.0.file: expected a file",
     ),
     "unequal lists": (
         lambda _: {"bubbles": places([0, 0, 60]) | {"radius_mm": [1.0, 2.0]}},
-        r"expected one radius for each of 1 centres, got 2",
+        "expected one radius for each of 1 centres",
     ),
 }
 
@@ -268,11 +268,12 @@ def test_what_cannot_be_is_said(name: str, tmp_path: Path) -> None:
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.slow
 def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
     from sabench.evaluation.runner import run_suite
 
     (tmp_path / "small.toml").write_text(
-        small(render={"relative_error": 0.02}).to_toml(), encoding="utf-8"
+        small(render={"relative_error": 0.05}).to_toml(), encoding="utf-8"
     )
     text = (
         'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\nseeds = [2]\n'
@@ -285,21 +286,6 @@ def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
     page = (tmp_path / "board" / "index.html").read_text(encoding="utf-8")
     assert "Bubbles from the front and from the side" in page
     assert "F1, large" in page
-
-
-def test_splatting_renders_no_bubbles(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match="small: backend: expected mitsuba for bubbles and solids, got splat"
-    ):
-        generate(small(), tmp_path / "data", seed=1, backend="splat")
-
-
-def test_a_solver_of_particles_is_refused(bubbly: Dataset, tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError,
-        match=r"solver asa: expected a data set that shows particles, but .* shows bubbles",
-    ):
-        solve("asa", bubbly, tmp_path / "r.h5")
 
 
 @pytest.mark.parametrize(
@@ -319,9 +305,15 @@ def test_bodies_come_from_files(suffix: str, unit: str, scale: float, tmp_path: 
         "place_mm": [0.0, 0.0, 60.0],
     }
     scene = small(bubbles=None, solids=[solid], render={"relative_error": 0.2})
+    (body,) = Frames(scene, build_rig(scene), 1).at(0).solids
+    assert np.ptp(body.vertices_mm, axis=0) == pytest.approx([4.0, 3.0, 2.0], abs=1e-5)
+
+
+@pytest.mark.slow
+def test_a_data_set_has_its_own_copies_of_files(tmp_path: Path) -> None:
+    scene = small(bubbles=None, solids=[cube(tmp_path)], render={"relative_error": 0.2})
     data = generate(scene, tmp_path / "data", seed=1)
-    assert np.ptp(data.solids(0)[0].vertices_mm, axis=0) == pytest.approx([4.0, 3.0, 2.0], abs=1e-5)
-    (tmp_path / f"body.{suffix}").unlink()  # the data set has its own copy
+    (tmp_path / "body.stl").unlink()
     again = generate(data.scene, tmp_path / "again", seed=1)
     assert again.content_hash == data.content_hash
 

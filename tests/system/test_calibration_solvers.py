@@ -73,6 +73,7 @@ def test_a_solver_calibrates_accurately(name: str) -> None:
     assert true_error_px(answer.cameras, places, exact) < MOST[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_missing_points_and_hidden_boards_are_normal(name: str) -> None:
     case, _, points, exact = level_case(detection={"noise_px": 0.1, "missing": 0.1, "hidden": 0.2})
@@ -89,12 +90,7 @@ def test_a_camera_that_sees_nothing_is_named(name: str) -> None:
     case, *_ = level_case()
     pixels = case.pixels.copy()
     pixels[2] = np.nan
-    with pytest.raises(
-        InputError,
-        match=(
-            "camera_02: expected it to see some of the target, but not one of its points was found"
-        ),
-    ):
+    with pytest.raises(InputError, match="camera_02: expected it to see some of the target"):
         solved(name, replace(case, pixels=pixels))
 
 
@@ -121,6 +117,7 @@ def test_classical_calibrations_need_different_depths(name: str) -> None:
     )
 
 
+@pytest.mark.slow
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
     """The thesis's alternation stops before the least-squares solution.
 
@@ -183,6 +180,7 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
     assert again.points_mm.shape == (5, 121, 3)
 
 
+@pytest.mark.slow
 def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) -> None:
     """The fluid's index alone can be estimated of the wall, to some thousandths.
 
@@ -196,37 +194,19 @@ def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) 
     assert scores["thickness_error_mm"] == 0.0
 
 
-@pytest.mark.parametrize("name", ["soloff", "pinhole_linear"])
-def test_other_camera_models_come_back_from_their_file(
-    boards: Dataset, tmp_path: Path, name: str
-) -> None:
-    result = sabench.solve(name, boards, tmp_path / "r.h5")
-    assert result.read(Calibration).cameras == solved(name, boards.calibration_case()).cameras
-    assert sabench.score(boards, result.path)["true_px"] is not None
-
-
 def test_a_solver_of_another_kind_is_refused(
     boards: Dataset, quick: Dataset, tmp_path: Path
 ) -> None:
-    with pytest.raises(
-        InputError,
-        match=(
-            r"solver msa: expected a data set that shows particles, but .* shows a calibration "
-            r"target"
-        ),
-    ):
+    with pytest.raises(InputError, match="solver msa: expected a data set that shows particles"):
         sabench.solve("msa", boards, tmp_path / "r.h5")
     with pytest.raises(
-        InputError,
-        match=(
-            r"solver soloff: expected a data set that shows a calibration target, but .* shows "
-            r"particles"
-        ),
+        InputError, match="solver soloff: expected a data set that shows a calibration target"
     ):
         sabench.solve("soloff", quick, tmp_path / "r.h5")
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_self_calibration_is_scored_on_particles(tmp_path: Path) -> None:
     data = sabench.generate(
         particle_scene(2.0), tmp_path / "set", seed=3, backend="splat", name="particles"
@@ -239,6 +219,7 @@ def test_self_calibration_is_scored_on_particles(tmp_path: Path) -> None:
     assert sabench.score(data, result.path)["true_px"] < 0.06
 
 
+@pytest.mark.slow
 def test_a_suite_of_calibrations_leaves_a_page(command: Command, tmp_path: Path) -> None:
     values = calibration_scene(
         targets={"columns": 7, "rows": 7}, calibration={"known": []}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -69,13 +68,6 @@ def test_a_shot_in_memory_is_the_frame_that_is_written(tmp_path: Path) -> None:
         np.testing.assert_array_equal(mine.photons, theirs.photons)
 
 
-def test_particles_can_be_given_one_image_size() -> None:
-    values = load_scene("quick").to_dict()
-    values["cameras"]["particle_sigma_px"] = 0.8
-    shot = simulate(parse_scene(values, "s"), seed=3)
-    assert all((view.sigma_px == 0.8).all() for view in shot.views)
-
-
 def test_frames_do_not_depend_on_how_many_there_are(tmp_path: Path) -> None:
     values = load_scene("quick").to_dict()
     few, many = (
@@ -124,6 +116,7 @@ def test_both_solvers_find_the_particles(
     assert 0.5 < additive["q"] < multiplicative["q"]
 
 
+@pytest.mark.slow
 def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> None:
     """Cameras that ignore the glass and the water reconstruct almost nothing.
 
@@ -158,6 +151,7 @@ def test_auto_renderer_falls_back_where_nothing_runs_mitsuba(
     assert "karellen-llvm-core" in refused.stderr
 
 
+@pytest.mark.slow
 def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: Path) -> None:
     assert command("verify", quick.root).returncode == 0
     assert (
@@ -187,6 +181,7 @@ def test_steps_at_the_command_line(command: Command, quick: Dataset, tmp_path: P
     assert scores["peak_mb"] > 50
 
 
+@pytest.mark.slow
 def test_suite_makes_records_and_page_and_survives_a_failing_solver(
     own_process: Command, command: Command, tmp_path: Path
 ) -> None:
@@ -221,15 +216,3 @@ def test_suite_makes_records_and_page_and_survives_a_failing_solver(
     assert "no luck <script>" not in page
     again = command("board")
     assert again.returncode == 0
-
-
-def test_results_of_version_1_are_read(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
-    """Version 1 called the task `track`."""
-    import h5py
-
-    old = Path(shutil.copy(quick_result, tmp_path / "old.h5"))
-    with h5py.File(old, "r+") as file:
-        assert file.attrs["version"] == 2
-        file.attrs["version"], file.attrs["track"] = 1, file.attrs["task"]
-        del file.attrs["task"]
-    assert sabench.score(quick, old) == sabench.score(quick, quick_result)

@@ -99,6 +99,7 @@ def test_a_cheat_gains_nothing(place: Path, port: int, kind: str) -> None:
     check_outside(place, sabench.open_dataset(place / "set"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["particles", "program"])
 def test_without_confinement_tricks_work_and_the_result_says_so(
     place: Path, port: int, kind: str, monkeypatch: pytest.MonkeyPatch

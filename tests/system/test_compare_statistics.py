@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -100,48 +99,3 @@ def test_without_truth_particles_are_triangulated(
     assert both["recording"]["median"]["ln_ratio_robust"] == pytest.approx(
         both["dataset"]["median"]["ln_ratio_robust"], rel=0.15
     )
-
-
-def test_the_table_fits_eighty_columns_and_says_what_is_missing(
-    data: Dataset, folder: Path, command: Command
-) -> None:
-    done = command("compare-statistics", data.root, folder)
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    assert max(map(len, lines)) <= 80
-    assert lines[-1] == "  flux ratios: they need a calibration"
-    assert lines[-2] == "recording: cameras: 4, images of each: 4, white: 4095"
-
-
-def test_one_image_is_enough_for_all_but_the_noise(
-    data: Dataset, folder: Path, tmp_path: Path, command: Command
-) -> None:
-    shutil.copy(folder / data.setup.cameras[0].name / "0.png", tmp_path / "one.png")
-    found = figures(command, data.root, tmp_path)["recording"]["median"]
-    assert found["temporal"] is None
-    assert found["width_p50"] > 0.3
-
-
-def test_a_wrong_folder_is_one_sentence(data: Dataset, tmp_path: Path, command: Command) -> None:
-    done = command("compare-statistics", data.root, tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith(f"sabench: {tmp_path}: expected images")
-
-
-def test_a_folder_of_images_is_no_data_set(folder: Path, command: Command) -> None:
-    done = command("compare-statistics", folder, folder)
-    assert done.returncode == 2
-    assert "expected a data set's manifest, found none" in done.stderr
-
-
-def test_a_data_set_of_a_target_is_refused(tmp_path: Path, command: Command) -> None:
-    made = sabench.generate("calibration", tmp_path / "target", seed=1, backend="splat")
-    done = command("compare-statistics", made.root, made.root)
-    assert done.returncode == 2
-    assert "expected a data set of particles, got one of target" in done.stderr
-
-
-def test_a_white_level_is_for_images_without_one(data: Dataset, command: Command) -> None:
-    done = command("compare-statistics", data.root, data.root, "--white", 255)
-    assert done.returncode == 2
-    assert "expected no white level for a data set" in done.stderr

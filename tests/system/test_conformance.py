@@ -38,6 +38,14 @@ from tests.conftest import Command
 
 SOLVERS = plugins.names("solvers")
 SLOW = {"rim_fit"}  # a minute; tests/system/test_bubbles.py has it find bubbles
+DAILY = {
+    "asa",
+    "ray_triangulation",
+    "pinhole_linear",
+    "piv3d_plain",
+    "minimum_image",
+    "see_through",
+}
 
 
 @pytest.fixture(scope="session")
@@ -45,7 +53,14 @@ def examples(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("examples")
 
 
-@pytest.mark.parametrize("name", [name for name in SOLVERS if name not in SLOW])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in DAILY else pytest.mark.slow)
+        for name in SOLVERS
+        if name not in SLOW
+    ],
+)
 def test_a_bundled_solver_obeys_the_laws(name: str, examples: Path) -> None:
     if "not installed" in (_reason(name, examples) or ""):
         pytest.skip("its program is not installed")
@@ -189,9 +204,7 @@ def test_estimates_name_their_wrong_arrays() -> None:
     )
     with pytest.raises(InputError, match="velocity_mm_s: expected finite values, got 72"):
         field.check()
-    with pytest.raises(
-        InputError, match=r"volume: expected float32 of shape \(2, 3, 4\), got float32"
-    ):
+    with pytest.raises(InputError, match="volume: expected float32 of shape"):
         Reconstruction(np.zeros((4, 3, 2), np.float32)).check(z=2, y=3, x=4)
     old = FoundParticles(np.zeros((2, 3)), track=np.array([1, 2]))
     assert old.trajectory is not None

@@ -40,6 +40,7 @@ def test_a_plug_in_imports_public_names_only(name: str) -> None:
     assert all(module.startswith(ALLOWED) for module in own)
 
 
+@pytest.mark.slow
 def test_copied_plug_ins_are_listed_run_and_scored(
     tmp_path: Path, command: Command, quick_toml: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -74,6 +75,7 @@ def solved(case: Observation) -> Reconstruction:
     return make_solver("min_los", {}).solve(case)
 
 
+@pytest.mark.slow
 def test_the_solver_obeys_the_laws_of_all_solvers(case: Observation) -> None:
     volume = solved(case).volume
     assert volume.dtype == np.float32

@@ -35,6 +35,7 @@ def shots_of(per_pixel: float, frames: int) -> list[Shot]:
     return list(simulate_sequence(parse_scene(values, "dense"), seed=7))
 
 
+@pytest.mark.slow
 def test_known_particles_help_to_find_the_others() -> None:
     (shot,) = shots_of(0.26, 1)
     truth, maps = shot.particles.position_mm, fit_cameras(shot.observation)
@@ -60,7 +61,8 @@ def track(shots: list[Shot]) -> list[FoundParticles]:
     return list(track_particles(cases, TIMES[: len(cases)], fit_cameras(cases[0]), settings))
 
 
-@pytest.mark.parametrize("frames", [3, 5, 8])
+@pytest.mark.slow
+@pytest.mark.parametrize("frames", [3, 8])
 def test_held_frames_come_in_order_and_as_good(
     frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,7 +19,7 @@ from sabench.plugins import load
 from sabench.scenes import Scene
 from sabench.worlds.tracers import flow_of
 from tests.conftest import Command
-from tests.helpers.bubble_scenes import LASER, small
+from tests.helpers.bubble_scenes import small
 
 vtk = pytest.importorskip("vtkmodules.vtkIOHDF", reason="needs the package vtk")
 
@@ -239,6 +239,7 @@ def bubbly(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     )
 
 
+@pytest.mark.slow
 def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) -> None:
     """Exported bodies have the true shapes and positions.
 
@@ -290,6 +291,7 @@ def test_bubbles_and_bodies_are_what_vtk_reads(bubbly: Dataset, tmp_path: Path) 
         np.testing.assert_allclose(corners, solid.vertices_mm[solid.faces], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> None:
     from sabench.interop.export import export
 
@@ -317,19 +319,6 @@ def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> Non
     np.testing.assert_allclose(about["radius_error_mm"], [*(0.1 * true.radius_mm[order]), np.nan])
     np.testing.assert_array_equal(about["semi_axes_mm"], found.semi_axes_mm)
     assert opened(tmp_path / "none/bubbles_0000.vtkhdf")[0].GetNumberOfPoints() == 0
-
-
-def test_particles_among_bubbles_have_files_of_their_own(tmp_path: Path) -> None:
-    from sabench.interop.export import export
-    from sabench.simulation.pipeline import generate
-
-    tracers = {"generator": "uniform", "count": 20, "diameter_mm": 0.05}
-    export(
-        generate(tiny(illumination=LASER, particles=tracers), tmp_path / "data", seed=1),
-        tmp_path / "vtk",
-    )
-    kinds = ("bubbles_0000", "particles_0000", "rig", "volume_0000")
-    assert sorted(path.stem for path in (tmp_path / "vtk").glob("*.vtkhdf")) == list(kinds)
 
 
 def test_what_cannot_be_exported_is_named(

@@ -35,8 +35,8 @@ def shots() -> dict[float, Shot]:
 @pytest.mark.parametrize(
     "name",
     [
-        *("asa", "msa", "map_shift_average", "block_mart", "mart", "mlos_smart", "mlos_sart"),
-        "bayesian_ipr",
+        pytest.param(name, marks=() if name == "asa" else pytest.mark.slow)
+        for name in ("asa", "msa", "block_mart", "mlos_sart", "bayesian_ipr")
     ],
 )
 def test_flaws_cost_next_to_nothing(name: str, shots: dict[float, Shot]) -> None:

@@ -73,6 +73,7 @@ def test_a_result_comes_back(form: TrackFormat, tank: Dataset, truth: Path, tmp_
     assert [figures[key] for key in ("f1", "link_recall", "link_precision")] == [1.0, 1.0, 1.0]
 
 
+@pytest.mark.slow
 def test_optv_solves_an_exported_project(tank: Dataset, tmp_path: Path) -> None:
     pytest.importorskip("optv", reason="needs the package optv")
     folder = export_quietly(tank, tmp_path / "out", None, "openptv")
@@ -86,6 +87,7 @@ def test_optv_solves_an_exported_project(tank: Dataset, tmp_path: Path) -> None:
     assert figures["rms_mm"] < 0.02
 
 
+@pytest.mark.slow
 def test_openlpt_solves_an_exported_project(tank: Dataset, tmp_path: Path) -> None:
     pytest.importorskip("pyopenlpt", reason="needs the package openlpt")
     folder = export_quietly(tank, tmp_path / "out", None, "openlpt")

@@ -119,15 +119,6 @@ def test_the_page_opens_with_the_ranking(browser: Browser, page: Path) -> None:
     assert browser.complaints() == []
 
 
-def test_thumbnails_show_the_truth_and_the_estimates(browser: Browser, page: Path) -> None:
-    browser.open(page)
-    shown = "[...document.querySelectorAll('.thumb:not([hidden]) img')].map(one => one.alt)"
-    browser.wait(f"{shown}.length === 9")
-    assert browser.ask(shown)[:3] == ["part of the truth"] * 3
-    first = "document.querySelector('.board tbody tr').className"
-    assert browser.ask(first) == "truth"
-
-
 def test_curves_are_drawn_with_bands(browser: Browser, page: Path) -> None:
     browser.open(page)
     browser.wait(DRAWN)
@@ -152,14 +143,6 @@ def test_accuracy_against_time_has_a_line_through_iterations(browser: Browser, p
     label = "document.querySelector('[aria-label*=\"after 2 iterations\"]').ariaLabel"
     assert browser.ask(label) == "good: Q 0.700, 3.00 s, after 2 iterations"
     assert browser.complaints() == []
-
-
-def test_links_of_earlier_pages_open_the_table(browser: Browser, page: Path) -> None:
-    browser.open(page, "#q=good")
-    current = "document.querySelector('#views [aria-current]').textContent"
-    assert browser.ask(current) == "All results"
-    browser.open(page, "#view=nonsense")
-    assert browser.ask(current) == "Ranking"
 
 
 # Files
@@ -187,6 +170,7 @@ def test_what_is_shown_is_saved(browser: Browser, page: Path, view: str) -> None
     assert "%" not in tex.replace("\\%", "")
 
 
+@pytest.mark.slow
 def test_plots_are_saved_as_svg_and_png(browser: Browser, page: Path) -> None:
     browser.open(page)
     browser.wait(DRAWN)
@@ -203,6 +187,7 @@ def test_plots_are_saved_as_svg_and_png(browser: Browser, page: Path) -> None:
 # Figures on top of each other
 
 
+@pytest.mark.slow
 def test_a_slider_uncovers_one_of_two_figures_and_both_zoom(browser: Browser, page: Path) -> None:
     browser.open(page, VIEWS[-1])
     names = "[...document.querySelectorAll('.swipe span')].map(one => one.textContent)"
@@ -260,9 +245,10 @@ def test_without_scripts_a_static_table_is_there(browser: Browser, page: Path) -
     assert browser.ask("document.querySelectorAll('.static').length") == 0
 
 
-@pytest.mark.parametrize("mode", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 1400])
-@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize(("mode", "width"), [("light", 1400), ("dark", 390)])
+@pytest.mark.parametrize(
+    "view", [VIEWS[0], *(pytest.param(view, marks=pytest.mark.slow) for view in VIEWS[1:])]
+)
 def test_axe_finds_nothing(browser: Browser, page: Path, view: str, width: int, mode: str) -> None:
     browser.prefer(mode)
     browser.open(page, view, width)

@@ -68,6 +68,7 @@ def plant(folder: Path) -> None:
     sys.modules.pop("sabench.plugins.solvers.dimmest", None)
 
 
+@pytest.mark.slow
 def test_a_check_is_silent_until_something_got_worse(
     algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -111,6 +112,7 @@ def test_solvers_that_no_case_is_for_are_bad_input(
     assert "got only some of the task velocimetry" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_fixture_runs_a_plug_in_against_its_baseline(
     algorithms: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:

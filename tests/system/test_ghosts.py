@@ -86,6 +86,7 @@ A, B = np.array([[-0.25, 0.0, 0.15]]), np.array([[0.25, 0.0, -0.05]])
 A_MOVES, B_MOVES = np.array([[0.10, 0.0, 0.04]]), np.array([[0.04, 0.0, -0.02]])
 
 
+@pytest.mark.slow
 def test_ghosts_of_two_cameras_are_where_geometry_puts_them(
     rig: tuple[tuple[CameraModel, ...], Grid],
 ) -> None:
@@ -141,6 +142,7 @@ def shots() -> list[Shot]:
     return list(simulate_sequence(dense(3), seed=7))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exposures", [2, 3])
 def test_motion_tracking_removes_ghosts(exposures: int, shots: list[Shot]) -> None:
     shots = shots[:exposures]
@@ -175,6 +177,7 @@ def test_frames_are_grouped_in_order(shots: list[Shot]) -> None:
         np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.slow
 def test_pairs_reach_the_solver_through_both_tasks(tmp_path: Any) -> None:
     data: Dataset = generate(dense(2), tmp_path / "data", seed=7, backend="splat")
     own = {"repeats": 1, "iterations": 4}

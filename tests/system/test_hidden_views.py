@@ -41,6 +41,7 @@ def search(shot: Shot) -> ParticleSearch:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("in_a_row", "seed"), [(3, 2), (2, 1)])
 def test_particles_are_found_where_a_camera_is_blind(in_a_row: int, seed: int) -> None:
     """Of nine cameras, one hardly shows in the light that is left; of four, ghosts hide it."""
@@ -66,6 +67,7 @@ def test_dark_areas_of_few_particles_hide_nothing() -> None:
     assert search(simulate(parse_scene(values, "few"), seed=1)).hidden is None
 
 
+@pytest.mark.slow
 def test_trajectories_go_on_when_something_moves_in_front_of_a_camera() -> None:
     """From the fourth of six frames on, one of four cameras sees half of the volume."""
     values = read("particle-tracking") | {"frames": 6}

@@ -170,13 +170,11 @@ def server_waits(pid: int) -> bool:
     return False
 
 
-@pytest.mark.parametrize("verb", ["run", "check"])
-def test_a_killed_run_of_a_program_leaves_none_of_its_processes(folder: Path, verb: str) -> None:
-    more = ["--update", "--baseline", "b.json"] if verb == "check" else []
-    words = (verb, "program.toml", *more)
-    assert kill_in_the_middle(folder, program_works, *words) == []
+def test_a_killed_run_of_a_program_leaves_none_of_its_processes(folder: Path) -> None:
+    assert kill_in_the_middle(folder, program_works, "run", "program.toml") == []
 
 
+@pytest.mark.slow
 def test_a_killed_solve_of_a_program_leaves_none_of_its_processes(
     folder: Path, quick: Dataset
 ) -> None:
@@ -184,13 +182,13 @@ def test_a_killed_solve_of_a_program_leaves_none_of_its_processes(
     assert kill_in_the_middle(folder, program_works, *words) == []
 
 
-@pytest.mark.parametrize("verb", ["run", "check"])
-def test_a_killed_run_of_a_plug_in_leaves_no_process(folder: Path, verb: str) -> None:
-    more = ["--update", "--baseline", "b.json"] if verb == "check" else []
-    words = (verb, "plugin.toml", *more)
+@pytest.mark.slow
+def test_a_killed_check_of_a_plug_in_leaves_no_process(folder: Path) -> None:
+    words = ("check", "plugin.toml", "--update", "--baseline", "b.json")
     assert kill_in_the_middle(folder, child_works, *words) == []
 
 
+@pytest.mark.slow
 def test_a_killed_score_leaves_no_process(folder: Path, quick: Dataset, quick_result: Path) -> None:
     words = ("score", str(quick.root), str(quick_result))
     assert kill_in_the_middle(folder, server_waits, *words) == []

@@ -23,7 +23,11 @@ from sabench.tasks.conformance import example
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 
-CASES = [(name, tasks.of(name).shown) for name in tasks.NAMES] + [("calibration", "particles")]
+SHOWN = [(name, tasks.of(name).shown) for name in tasks.NAMES]
+CASES = [
+    pytest.param(*case, marks=() if case[0] == "reconstruction" else pytest.mark.slow)
+    for case in (*SHOWN, ("calibration", "particles"))
+]
 # the rounding of a calibration that is moved along the wall, which no image shows
 ROUNDING = 1e-9
 
@@ -60,6 +64,7 @@ def test_who_knows_nothing_ranks_no_better_than_nothing(
     assert not better
 
 
+@pytest.mark.slow
 def test_peaks_and_intensities_from_nothing_are_near_their_worst(
     folder: Path, tmp_path: Path
 ) -> None:

@@ -40,11 +40,13 @@ def made(command: Command, tmp_path: Path) -> Callable[[str], Path]:
     return make
 
 
+@pytest.mark.slow
 def test_a_suite_passes_its_tests(made: Callable[[str], Path]) -> None:
     done = own_tests(made("suite"))
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_a_gate_passes_its_tests_when_its_baseline_is_written(made: Callable[[str], Path]) -> None:
     folder = made("gate")
     first = own_tests(folder)
@@ -55,6 +57,7 @@ def test_a_gate_passes_its_tests_when_its_baseline_is_written(made: Callable[[st
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_a_solver_passes_its_tests_and_a_worse_one_does_not(made: Callable[[str], Path]) -> None:
     folder = made("solver")
     done = own_tests(folder, "--sabench-update")

@@ -62,6 +62,7 @@ def solved(solver: str, data: Dataset, out: Path) -> list[FoundParticles]:
     return [result.read(FoundParticles, frame) for frame in range(data.setup.frames)]
 
 
+@pytest.mark.slow
 def test_solvers_find_the_same(original: Dataset, pngs: Path, tmp_path: Path) -> None:
     stacks = write_stacks(original, tmp_path / "stacks", byteorder=">", compression="zlib")
     tanks = [
@@ -79,6 +80,7 @@ def test_solvers_find_the_same(original: Dataset, pngs: Path, tmp_path: Path) ->
                     np.testing.assert_allclose(value, same, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 def test_commands(original: Dataset, pngs: Path, tmp_path: Path, command: Command) -> None:
     done = command("import", pngs, "--cameras", original.root, "-o", "tank", "--interval", 0.01)
     assert done.returncode == 0, done.stderr
@@ -210,19 +212,6 @@ def test_masks_and_smaller_sensors(original: Dataset, tmp_path: Path) -> None:
     assert len(solved("bayesian_ipr", tank, tmp_path / "r.h5")[0].position_mm) > 50
 
 
-def test_volume_is_proposed(original: Dataset, pngs: Path, tmp_path: Path) -> None:
-    made = import_recording(
-        pngs, original.setup.cameras, tmp_path / "tank", exact_options(original)
-    )
-    assert "set --volume" in made.notes[0]
-    grid = open_dataset(tmp_path / "tank").setup.grid
-    assert grid == made.grid
-    low = np.asarray(grid.low_mm)
-    high = low + np.asarray(grid.voxel_mm) * grid.shape[::-1]
-    assert (low < [-1.5, -1.5, 29.0]).all()
-    assert (high > [1.5, 1.5, 31.0]).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
@@ -309,11 +298,3 @@ def test_references_are_checked(original: Dataset, pngs: Path, tmp_path: Path) -
     for expected, change in cases.items():
         with pytest.raises(InputError, match=expected):
             first.model_copy(update=change).read("camera_00", 0, shape)
-
-
-def test_references_within_stacks(original: Dataset, tmp_path: Path) -> None:
-    folder = write_stacks(original, tmp_path / "stacks", compression="zlib")
-    frames = slice(1, None, 2)
-    tank = import_like(original, folder, tmp_path / "tank", referenced=True, frames=frames)
-    assert tank.setup.frames == 2
-    np.testing.assert_array_equal(tank.raw_image(2, 1), original.raw_image(2, 3))

@@ -28,6 +28,7 @@ ONE_OF_EACH = {  # a fast solver of every task
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ONE_OF_EACH)
 def test_a_solver_takes_the_observation_side_and_scores_the_same(
     solver: str, tmp_path: Path

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sabench.api import Camera, FoundParticles, ImageSequence, Observation
+from sabench.api import FoundParticles, ImageSequence, Observation
 from sabench.api.make import make_algorithm
 from sabench.tasks.found_frames import find_in_each_frame
 from sabench.tasks.solver_call import SolverClock
@@ -26,7 +26,9 @@ SOLVERS = ["bayesian_ipr", "shake_the_box"]
 FRAMES = 3
 ELSEWHERE, UNEXPLAINED = "elsewhere; the camera is left out", "got light that they do not explain"
 
-pytestmark = pytest.mark.parametrize("solver", SOLVERS)
+both = pytest.mark.parametrize("solver", SOLVERS)
+# a single frame is searched alike by both
+search = pytest.mark.parametrize("solver", SOLVERS[:1])
 
 
 def solve(solver: str, frames: Sequence[Observation]) -> list[FoundParticles]:
@@ -69,6 +71,7 @@ def draw(case: Observation, points: F64, noise: float = 2.2) -> Observation:
     return with_images(case, images)
 
 
+@both
 @pytest.mark.parametrize("cameras", [1, 2])
 def test_fewer_than_three_cameras_are_declined(solver: str, cameras: int) -> None:
     case = make_small(1).observation
@@ -76,6 +79,7 @@ def test_fewer_than_three_cameras_are_declined(solver: str, cameras: int) -> Non
     assert decline(solver, few).endswith("it needs three cameras")
 
 
+@search
 def test_cameras_without_a_common_view_are_declined(solver: str) -> None:
     case = make_small(1).observation
     for camera, columns in enumerate([-200.0, 200.0, -600.0, 600.0]):
@@ -83,25 +87,19 @@ def test_cameras_without_a_common_view_are_declined(solver: str) -> None:
     assert "three cameras that see the same part of the grid, got 0" in decline(solver, case)
 
 
-def test_a_camera_without_a_light_path_is_named(solver: str) -> None:
-    case = make_small(1).observation
-    behind = case.cameras[1]
-    assert isinstance(behind, Camera)
-    inside = replace(behind, center_mm=(0.0, 0.0, -0.2))  # in the middle of the volume
-    case = replace(case, cameras=(case.cameras[0], inside, *case.cameras[2:]))
-    assert "a light path from all of the grid to camera_01" in decline(solver, case)
-
-
-@pytest.mark.parametrize("level", [0.0, 64.0, 100.0, 4095.0])
+@both
+@pytest.mark.parametrize("level", [0.0, 4095.0])
 def test_uniform_images_give_no_particles(solver: str, level: float) -> None:
     case = make_small(1).observation
     uniform = with_images(case, np.full(case.images.shape, level))
     assert [len(one.position_mm) for one in solve(solver, [uniform] * FRAMES)] == [0] * FRAMES
 
 
-@pytest.mark.parametrize("layout", [(2, 2), (3, 3)])
-@pytest.mark.parametrize("noise", [0.4, 2.2, 20.0])
-@pytest.mark.parametrize("level", [64.0, 94.0])
+@pytest.mark.slow
+@both
+@pytest.mark.parametrize(
+    ("layout", "noise", "level"), [((2, 2), 0.4, 64.0), ((2, 2), 2.2, 94.0), ((3, 3), 20.0, 94.0)]
+)
 def test_noise_gives_no_particles(
     solver: str, layout: tuple[int, int], noise: float, level: float
 ) -> None:
@@ -111,16 +109,19 @@ def test_noise_gives_no_particles(
     assert [len(one.position_mm) for one in solve(solver, frames)] == [0] * FRAMES
 
 
+@pytest.mark.slow
+@search
 @pytest.mark.parametrize("layout", [(2, 2), (3, 3)])
 def test_a_bright_background_with_noise_gives_no_particles(
     solver: str, layout: tuple[int, int]
 ) -> None:
     case = make_small(1, 1e-5, layout, cameras={"rows": 120, "columns": 160}).observation
-    for seed in range(8):
+    for seed in range(3):
         noise = np.random.default_rng(seed).normal(94.0, 5.0, case.images.shape)
         assert len(solve(solver, [with_images(case, noise)])[0].position_mm) == 0
 
 
+@search
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_and_two_particles_are_found(solver: str, count: int) -> None:
     case = make_small(1, 1e-5).observation
@@ -131,16 +132,8 @@ def test_one_and_two_particles_are_found(solver: str, count: int) -> None:
     assert apart.min(axis=0).max() < 0.05
 
 
-def test_images_of_eight_bit_lose_nothing(solver: str) -> None:
-    shot = make_small(1)
-    light = (shot.observation.images.astype(np.float64) - 64.0) / 8.0
-    images = np.clip(np.rint(light), 0, 252).astype(np.uint16) + np.uint16(3)
-    case = Observation(images, shot.observation.cameras, shot.observation.grid, 3.0, 255.0)
-    counts = count_found(shot, solve(solver, [case])[0])
-    assert counts.truths > 80
-    assert min(counts.recall, counts.precision) > 0.97
-
-
+@pytest.mark.slow
+@search
 def test_saturated_particles_are_found(solver: str) -> None:
     shot = make_small(1)
     light = shot.observation.images.astype(np.float64) - 64.0
@@ -150,15 +143,8 @@ def test_saturated_particles_are_found(solver: str) -> None:
     assert min(counts.recall, counts.precision) > 0.95
 
 
-def test_images_of_one_grey_value_are_reported(solver: str) -> None:
-    """Thresholded images; what they show is not what particles look like."""
-    case = make_small(1).observation
-    binary = np.where(case.images > 104, 4095, 64)
-    with pytest.warns(UserWarning, match=UNEXPLAINED):
-        solve(solver, [with_images(case, binary)])
-
-
-@pytest.mark.parametrize("columns", [3.0, 20.0, 1000.0])
+@search
+@pytest.mark.parametrize("columns", [3.0, 1000.0])
 def test_a_camera_that_is_off_is_named_and_left_out(solver: str, columns: float) -> None:
     shot = make_small(1)
     with pytest.warns(UserWarning, match=f"camera_01: .*{ELSEWHERE}") as caught:
@@ -170,6 +156,8 @@ def test_a_camera_that_is_off_is_named_and_left_out(solver: str, columns: float)
     assert not found.light[:, 1].any()
 
 
+@pytest.mark.slow
+@both
 def test_cameras_that_are_swapped_among_many_are_left_out(solver: str) -> None:
     shot = make_small(1, layout=(3, 3))
     with pytest.warns(UserWarning, match=ELSEWHERE) as caught:
@@ -179,6 +167,8 @@ def test_cameras_that_are_swapped_among_many_are_left_out(solver: str) -> None:
     assert min(counts.recall, counts.precision) > 0.97
 
 
+@pytest.mark.slow
+@search
 def test_cameras_of_which_no_three_agree_are_reported(solver: str) -> None:
     """Two of four are swapped: particles that all of them see would be by chance."""
     with pytest.warns(UserWarning, match=UNEXPLAINED):
@@ -199,6 +189,8 @@ def streaked(case: Observation, cameras: Sequence[int], steps: int, side: int) -
     return with_images(case, images)
 
 
+@pytest.mark.slow
+@search
 @pytest.mark.parametrize(("cameras", "side"), [([2], 1), ([0, 1, 2, 3], -1)])
 def test_streaks_aslant_are_tilted_ellipses(solver: str, cameras: list[int], side: int) -> None:
     shot = make_small(1)
@@ -210,6 +202,8 @@ def test_streaks_aslant_are_tilted_ellipses(solver: str, cameras: list[int], sid
     assert counts.precision > 0.97  # as of streaks along columns; a model without tilt has 0.45
 
 
+@pytest.mark.slow
+@search
 def test_discs_out_of_focus_are_flat(solver: str) -> None:
     """Of 2.5 px radius; taken for Gaussians, a tenth of them are two and more particles."""
     shot = make_small(1, per_pixel=0.015)
@@ -223,6 +217,8 @@ def test_discs_out_of_focus_are_flat(solver: str) -> None:
     assert counts.precision > 0.97
 
 
+@pytest.mark.slow
+@search
 @pytest.mark.parametrize("side", [1, -1])
 def test_long_streaks_aslant_in_a_camera_are_reported(solver: str, side: int) -> None:
     sign = "+" if side > 0 else "-"
@@ -233,6 +229,8 @@ def test_long_streaks_aslant_in_a_camera_are_reported(solver: str, side: int) ->
     assert len(caught) == 1
 
 
+@pytest.mark.slow
+@search
 def test_particles_outside_the_grid_are_reported(solver: str) -> None:
     small = make_small(1).observation
     large = make_small(1, volume={"size_mm": [6.0, 6.0, 8.0]}).observation
@@ -240,7 +238,8 @@ def test_particles_outside_the_grid_are_reported(solver: str) -> None:
         solve(solver, [replace(large, grid=small.grid)])
 
 
-@pytest.mark.parametrize(("seed", "layout"), [(1, (2, 2)), (2, (3, 1)), (3, (3, 3))])
+@search
+@pytest.mark.parametrize(("seed", "layout"), [(2, (3, 1)), (3, (3, 3))])
 def test_right_cameras_are_not_reported(solver: str, seed: int, layout: tuple[int, int]) -> None:
     shot = make_small(seed, layout=layout)
     with warnings.catch_warnings():
@@ -249,7 +248,9 @@ def test_right_cameras_are_not_reported(solver: str, seed: int, layout: tuple[in
     assert counts.recall > 0.97
 
 
-@pytest.mark.parametrize("level", [0.0, 64.0])
+@pytest.mark.slow
+@both
+@pytest.mark.parametrize("level", [64.0])
 def test_a_missing_frame_leaves_the_others(solver: str, level: float) -> None:
     shot = make_small(4)
     case = shot.observation
@@ -257,11 +258,3 @@ def test_a_missing_frame_leaves_the_others(solver: str, level: float) -> None:
     found = solve(solver, [case, case, missing, case])
     for frame in (0, 1, 3):
         assert count_found(shot, found[frame]).recall > 0.97
-
-
-def test_particles_that_stand_still_are_found(solver: str) -> None:
-    shot = make_small(1)
-    for found in solve(solver, [shot.observation] * FRAMES):
-        assert count_found(shot, found).recall > 0.97
-        if found.velocity_mm_s is not None:
-            assert np.abs(found.velocity_mm_s).max() < 0.05  # mm in a frame of 1 s: a pixel

@@ -33,6 +33,7 @@ def test_a_long_budget_changes_nothing(solver: str) -> None:
     assert equal(solve(solver, None, 2)[1], solve(solver, 1e6, 2)[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_budget_that_is_spent_gives_a_valid_result_quickly(solver: str) -> None:
     start = time.perf_counter()
@@ -44,6 +45,7 @@ def test_a_budget_that_is_spent_gives_a_valid_result_quickly(solver: str) -> Non
     assert [len(one.position_mm) for one in found] == [0, 0, 0]
 
 
+@pytest.mark.slow
 def test_more_time_finds_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wherever the search ends, the result is valid; its F1 grows with the budget."""
     shot = make_small(6, 0.05)

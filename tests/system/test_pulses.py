@@ -64,6 +64,7 @@ def solved(name: str, recording: Dataset, place: Path) -> Solved:
     return Solved(frames, score(recording, place))
 
 
+@pytest.mark.slow
 def test_shake_the_box_solves_each_group(recording: Dataset, tmp_path: Path) -> None:
     found = solved("shake_the_box", recording, tmp_path / "r.h5")
     assert found.scores["f1"] > 0.98
@@ -100,6 +101,7 @@ def trajectories_of(found: Solved, group: int) -> set[int]:
     return {int(number) for one in part for number in np.asarray(one.trajectory)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bayesian_ipr", "ray_triangulation"])
 def test_solvers_of_single_instants_are_linked_within_groups(
     name: str, recording: Dataset, tmp_path: Path

@@ -77,6 +77,7 @@ def test_nothing_found(data: Dataset, tmp_path: Path) -> None:
     assert found.figures["residual_px"] is None
 
 
+@pytest.mark.slow
 def test_held_out_and_scrambled_cameras(data: Dataset, solved: Path) -> None:
     true = sabench.score(data, solved)
     figures = quality(data, solved).figures
@@ -88,6 +89,7 @@ def test_held_out_and_scrambled_cameras(data: Dataset, solved: Path) -> None:
     assert all(figures[key] is not None for key in FIGURES)
 
 
+@pytest.mark.slow
 def test_reduced_data_sets(data: Dataset, tmp_path: Path) -> None:
     less = without_camera(data, 1, 2, tmp_path / "less")
     assert [one.name for one in less.setup.cameras] == ["camera_00", "camera_02", "camera_03"]
@@ -104,6 +106,7 @@ def test_reduced_data_sets(data: Dataset, tmp_path: Path) -> None:
         assert not one.has_truth
 
 
+@pytest.mark.slow
 def test_volumes(data: Dataset, tmp_path: Path) -> None:
     sabench.solve("mart", data, tmp_path / "mart.h5")
     figures = quality(data, tmp_path / "mart.h5").figures
@@ -113,6 +116,7 @@ def test_volumes(data: Dataset, tmp_path: Path) -> None:
     assert 0.0 < float(figures["chance_percent"] or 0.0) < 60.0
 
 
+@pytest.mark.slow
 def test_command_without_truth(
     data: Dataset, solved: Path, tmp_path: Path, command: Command
 ) -> None:

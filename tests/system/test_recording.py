@@ -70,6 +70,7 @@ def two_rendering_threads() -> Iterator[None]:
     backend.limit(1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scene", [moving(), bubbly(), load_scene("calibration")], ids=["moving", "bubbly", "target"]
 )
@@ -96,10 +97,11 @@ def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> No
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 def test_workers_that_are_killed_are_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = made(moving(30), tmp_path / "one")
+    expected = made(moving(20), tmp_path / "one")
     pools: list[ProcessPool] = []
     killed: list[int] = []
     start = ProcessPool.__init__
@@ -111,7 +113,7 @@ def test_workers_that_are_killed_are_replaced(
     monkeypatch.setattr(ProcessPool, "__init__", noted)
     killer = threading.Thread(target=kill_workers, args=(pools, tmp_path, killed))
     killer.start()
-    assert made(moving(30), tmp_path / "two", jobs=2) == expected
+    assert made(moving(20), tmp_path / "two", jobs=2) == expected
     killer.join()
     assert len(set(killed)) == 3
 
@@ -149,6 +151,7 @@ class Breaker(Generator):
 '''
 
 
+@pytest.mark.slow
 def test_a_frame_that_always_breaks_is_reported_and_the_rest_kept(
     tmp_path: Path, own_process: Command
 ) -> None:
@@ -273,14 +276,16 @@ def cluster() -> Iterator[Any]:
         yield running
 
 
-@pytest.mark.parametrize("scene", [moving(), load_scene("calibration")], ids=["moving", "target"])
-def test_a_cluster_makes_the_same_bytes(tmp_path: Path, cluster: Any, scene: Scene) -> None:
+@pytest.mark.slow
+def test_a_cluster_makes_the_same_bytes(tmp_path: Path, cluster: Any) -> None:
+    scene = moving()
     assert made(scene, tmp_path / "there", scheduler=cluster.scheduler_address) == made(
         scene, tmp_path / "here"
     )
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["here", "there"]
 
 
+@pytest.mark.slow
 def test_a_cluster_whose_workers_are_killed_makes_the_same_bytes(
     tmp_path: Path, cluster: Any
 ) -> None:
@@ -305,6 +310,7 @@ def test_a_cluster_whose_workers_are_killed_makes_the_same_bytes(
     assert there == made(moving(20), tmp_path / "here")
 
 
+@pytest.mark.slow
 def test_bad_input_on_a_cluster_is_a_sentence(tmp_path: Path, cluster: Any) -> None:
     scene = parse_scene(
         moving(2).to_dict()

@@ -29,6 +29,7 @@ def nearest_mm(positions: F64, others: F64) -> F64:
     return np.asarray(cKDTree(others).query(positions)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rotation",
     [
@@ -58,6 +59,7 @@ def test_rotations_of_axes_onto_axes_change_nothing_but_rounding(rotation: list[
     assert np.median(errors) < 1e-2
 
 
+@pytest.mark.slow
 def test_any_rotation_finds_nearly_the_same_particles() -> None:
     axis = np.array([1.0, 2.0, -1.5])
     turn = rotation_matrices(np.deg2rad(33.0) * axis / np.linalg.norm(axis))

@@ -49,6 +49,7 @@ def lines(folder: Path) -> list[dict[str, Any]]:
     ]
 
 
+@pytest.mark.slow
 def test_one_run_of_an_iterative_solver_tells_accuracy_over_seconds(tmp_path: Path) -> None:
     solvers = 'solvers = [{ name = "asa" }, { name = "mlos_smart" }]'
     (tmp_path / "s.toml").write_text(re.sub("solvers = .*", solvers, SUITE))
@@ -72,6 +73,7 @@ def test_one_run_of_an_iterative_solver_tells_accuracy_over_seconds(tmp_path: Pa
         score_iterations(made, tmp_path / "steps.h5")
 
 
+@pytest.mark.slow
 def test_the_page_has_residual_images_of_particles_and_of_nothing_else(tmp_path: Path) -> None:
     solvers = 'solvers = [{ name = "asa" }, { name = "ray_triangulation" }]'
     (tmp_path / "s.toml").write_text(re.sub("solvers = .*", solvers, SUITE))
@@ -82,6 +84,7 @@ def test_the_page_has_residual_images_of_particles_and_of_nothing_else(tmp_path:
     assert base64.b64encode(picture.read_bytes()).decode() in page
 
 
+@pytest.mark.slow
 def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command(
     tmp_path: Path, command: Command
 ) -> None:
@@ -191,6 +194,7 @@ def test_scores_of_another_task_than_the_solver_was_listed_with_are_refused() ->
     assert runner._checked({"task": "particles", "f1": 0.5}, head) == {"f1": 0.5}
 
 
+@pytest.mark.slow
 def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: Command) -> None:
     (tmp_path / "s.toml").write_text(SUITE)
     (tmp_path / "secret.toml").write_text('secret = "the organiser\'s own words"\nseeds = 2\n')

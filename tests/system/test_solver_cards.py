@@ -44,6 +44,7 @@ def renamed(result: Path, place: Path, solver: str) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_a_card_is_packed_recorded_and_shown(
     quick: Dataset, quick_result: Path, command: Command, tmp_path: Path
 ) -> None:
@@ -89,18 +90,7 @@ def test_a_bad_card_is_one_sentence(
     assert not (tmp_path / "board").exists()
 
 
-def test_two_cards_of_one_solver_are_refused(
-    quick: Dataset, quick_result: Path, tmp_path: Path
-) -> None:
-    folder = tmp_path / "sent"
-    folder.mkdir()
-    renamed(quick_result, folder / "r.h5", "mine")
-    for name in ("card.toml", "2.card.toml"):
-        (folder / name).write_text(CARD, encoding="utf-8")
-    with pytest.raises(InputError, match=r"expected one card of 'mine', but 2\.card\.toml is one"):
-        submit(folder, "Ann", [quick.root], tmp_path / "board")
-
-
+@pytest.mark.slow
 def test_a_bundled_solvers_result_is_recognised(command: Command, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(SUITE, encoding="utf-8")
     assert command("run", "s.toml").returncode == 0
@@ -116,6 +106,7 @@ def test_a_bundled_solvers_result_is_recognised(command: Command, tmp_path: Path
     assert (own["solver"], own["same_estimates_as"]) == ("asa", None)
 
 
+@pytest.mark.slow
 def test_anothers_earlier_result_is_recognised(
     quick: Dataset, quick_result: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -91,6 +91,7 @@ def test_particles_are_reconstructed(name: str, in_air: Shot, behind_glass: Shot
         assert found["ghost_percent"] < 25.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_bilinear_points_do_nearly_as_well(name: str, in_air: Shot) -> None:
     assert (
@@ -99,20 +100,7 @@ def test_bilinear_points_do_nearly_as_well(name: str, in_air: Shot) -> None:
     )
 
 
-@pytest.mark.parametrize("name", SOLVERS)
-def test_no_light_no_volume(name: str, in_air: Shot) -> None:
-    dark = replace(in_air.observation, images=np.full_like(in_air.observation.images, 100))
-    volume = solve(name, dark, iterations=2).volume
-    assert volume.shape == in_air.observation.grid.shape
-    assert not volume.any()
-
-
-@pytest.mark.parametrize("name", SOLVERS)
-def test_same_case_same_volume(name: str, in_air: Shot) -> None:
-    first, second = (solve(name, in_air.observation, iterations=2).volume for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_particles_beyond_one_cameras_border_are_kept(name: str, in_air: Shot) -> None:
     """The first camera looks past half of the volume.
@@ -165,6 +153,7 @@ def test_long_voxels_are_split(in_air: Shot) -> None:
     assert quality(made.volume, truth) > 0.93
 
 
+@pytest.mark.slow
 def test_more_iterations_are_better_and_tolerance_ends_them(in_air: Shot) -> None:
     truth = true_field(in_air.observation.grid, in_air.particles, in_air.views)
     few, many, stopped = (

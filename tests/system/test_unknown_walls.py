@@ -65,7 +65,7 @@ def test_solvers_of_lenses_decline_an_unknown_wall(tmp_path: Path) -> None:
         ({"calibration": {"known_cameras": True}}, "known_cameras: expected cameras without"),
         (
             {"calibration": EXACT | {"known_cameras": True, "unknown": ["k1"]}},
-            "known_cameras: expected unknowns of the wall, got k1",
+            "known_cameras: expected unknowns of the wall",
         ),
         ({"calibration": {"wall_mm": 1.0}, "wall": None}, "expected one plane wall"),
         ({"calibration": {"thickness_percent": 50.0}}, "thickness_percent"),
@@ -76,6 +76,7 @@ def test_impossible_errors_are_a_sentence(changes: dict[str, Any], words: str) -
         calibration_scene(**changes)
 
 
+@pytest.mark.slow
 def test_a_folder_with_known_cameras_finds_its_wall(command: Command, tmp_path: Path) -> None:
     case, cameras, places = make_tank()
     folder = tmp_path / "mine"

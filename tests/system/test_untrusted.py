@@ -20,7 +20,7 @@ import tifffile
 import sabench
 from sabench.dataset import hdf5
 from sabench.dataset.hdf5 import open_hdf5, read_array
-from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import read_target
 from sabench.dataset.verification import verify
 from sabench.evaluation.suite_loading import load_suite
@@ -39,6 +39,7 @@ from tests.helpers.untrusted import (
 )
 
 
+@pytest.mark.slow
 def test_damaged_input_is_refused_by_one_sentence_or_taken(tmp_path: Path) -> None:
     """Without submissions, each of which starts processes."""
     kinds = [word for kind in sorted({*KINDS} - {"submission"}) for word in ("--kind", kind)]
@@ -144,15 +145,6 @@ def test_attributes_of_other_kinds(quick: Dataset, quick_result: Path, file: Pat
     assert (scores["seconds"], scores["solver"]) == (2.5, "?[2Jmine")
 
 
-def test_parameters_that_json_cannot_hold(quick: Dataset, quick_result: Path, file: Path) -> None:
-    for text in ('{"a": NaN}', '{"a": 1e999}', "[" * 5000):
-        shutil.copy(quick_result, file)
-        with h5py.File(file, "r+") as made:
-            made.attrs["parameters"] = text
-        with pytest.raises(InputError, match="attribute parameters: expected a JSON object"):
-            sabench.score(quick, file)
-
-
 def test_a_picture_that_says_that_it_is_huge(tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     tifffile.imwrite(
@@ -228,27 +220,6 @@ def test_extreme_numbers_end_well_or_in_a_sentence(
         assert verify(made.root) == []
 
 
-def test_names_that_no_disk_can_hold_are_refused_in_suites(tmp_path: Path) -> None:
-    text = 'title = "t"\nscenes = ["quick"]\nbackend = "splat"\nsolvers = [{ name = "asa" }]\n'
-    for old, words in (
-        ('"quick"', "expected a name of at most 200"),
-        ('"asa"', "no solver is named"),
-    ):
-        (tmp_path / "s.toml").write_text(text.replace(old, f'"{"x" * 5000}"'))
-        with pytest.raises(InputError, match=words):
-            load_suite(tmp_path / "s.toml")
-
-
-def test_a_suite_of_too_many_scenes_is_refused_before_any_is_read(tmp_path: Path) -> None:
-    (tmp_path / "s.toml").write_text(
-        f'title = "t"\nscenes = {["quick"] * 1001}\nsolvers = [{{ name = "asa" }}]\n'.replace(
-            "'", '"'
-        )
-    )
-    with pytest.raises(InputError, match="expected at most 1000, got 1001"):
-        load_suite(tmp_path / "s.toml")
-
-
 @pytest.mark.parametrize(
     ("columns", "pitch_mm", "expected"),
     [
@@ -281,16 +252,6 @@ def test_particle_images_wider_than_any_sensor_are_refused(quick: Dataset, tmp_p
         file[name][0] = 1e18
     with pytest.raises(InputError, match=f"{name}: expected values of at most 1000, got 1e"):
         open_dataset(root).views(0)
-
-
-def test_frames_beyond_counting_end_in_a_hundred_faults(quick: Dataset, tmp_path: Path) -> None:
-    root = Path(shutil.copytree(quick.root, tmp_path / "set"))
-    cameras = read_json(root / "cameras.json")
-    (root / "cameras.json").write_text(canonical_json({**cameras, "frames": 10**6}))
-    reseal(root)
-    faults = verify(root)
-    assert len(faults) == 100
-    assert "frame_0001" in faults[0]
 
 
 def test_more_frames_than_tasks_list_are_one_fault(quick: Dataset, tmp_path: Path) -> None:

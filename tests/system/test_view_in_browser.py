@@ -206,19 +206,6 @@ def test_particles_are_marked_where_the_image_shows_them(browser: Browser, pictu
         browser.ask("new Promise(done => setTimeout(done, 200))")
 
 
-def test_planes_can_be_gone_through_and_shown_in_space(browser: Browser, pictured: Path) -> None:
-    open_page(browser, pictured)
-    before = drawing(browser)
-    browser.press("//section[@id='planes']//input[@type='checkbox']")
-    shown = drawing(browser)
-    assert np.abs(shown - before).max() > 50
-    text = "document.querySelector('#planes p').textContent"
-    first = browser.ask(text)
-    browser.press("//section[@id='planes']//input[@type='range']", "\ue014")
-    assert browser.ask(text) != first
-    assert faults(browser) == []
-
-
 def test_without_webgl_there_is_a_sentence_and_the_rest(browser: Browser, pictured: Path) -> None:
     added = browser.devtools("Page.addScriptToEvaluateOnNewDocument", source=NO_WEBGL)
     try:
@@ -245,6 +232,7 @@ def test_without_scripts_there_are_drawings_and_tables(browser: Browser, picture
         browser.devtools("Emulation.setScriptExecutionDisabled", value=False)
 
 
+@pytest.mark.slow
 def test_many_points_are_drawn_by_the_page_itself_in_software(
     browser: Browser, tmp_path: Path
 ) -> None:
@@ -265,28 +253,3 @@ def test_many_points_are_drawn_by_the_page_itself_in_software(
       return data.filter((value, place) => place % 4 === 3 && value > 0).length;
     })()"""
     assert browser.ask(labels) > 100  # names and lengths lie on top
-
-
-def test_a_slow_browser_draws_fewer_pixels_while_the_drawing_moves(
-    browser: Browser, page: Path
-) -> None:
-    open_page(browser, page)
-    ratios = """new Promise(done => {
-      const { space } = sabenchView, seen = [];
-      const wait = () => { for (const end = performance.now() + 60; performance.now() < end;); };
-      space.before.push(wait);
-      const step = () => {
-        space.hurry();
-        seen.push(space.renderer.getPixelRatio());
-        if (seen.length < 60) requestAnimationFrame(step);
-        else {
-          space.before.pop();
-          setTimeout(() => done([...seen, space.renderer.getPixelRatio()]), 1000);
-        }
-      };
-      step();
-    })"""
-    first, *_, last, calm = browser.ask(ratios)
-    assert first == 0.5
-    assert last == 0.3
-    assert calm == 1.0

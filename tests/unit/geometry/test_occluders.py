@@ -24,7 +24,6 @@ from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.errors import InputError
 from tests.helpers.particle_scenes import (
     VARIANTS,
     cloud,
@@ -229,74 +228,6 @@ def test_a_disc_stops_what_meets_it() -> None:
     )
     assert flat.span_mm(np.array([0.0, 0.0, 1.0])) == (10.0, 10.0)
     assert edge_on.span_mm(np.array([0.0, 0.0, 1.0])) == (9.0, 11.0)
-
-
-FAULTS: list[tuple[dict[str, Any] | None, dict[str, Any], str]] = [
-    (
-        {},
-        {"center_mm": [0.0, 0.0, 3.0], "radius_mm": 2.0},
-        "scene: occluders.0: expected it wholly in front of the wall, but it reaches 3 mm behind",
-    ),
-    (
-        {},
-        {"center_mm": [0.0, 0.0, -3.0], "normal": [0.0, 1.0, 0.0], "radius_mm": 5.0},
-        "it reaches 2 mm behind the wall's outer face",
-    ),
-    (
-        {},
-        {"center_mm": [0.0, 0.0, -600.0], "radius_mm": 1.0},
-        "occluders.0: expected it wholly in front of all cameras, but it reaches ",
-    ),
-    ({}, {"center_mm": [0.0, 0.0, -600.0], "radius_mm": 1.0}, "behind camera_00"),
-    (
-        None,
-        {"center_mm": [0.0, 0.0, 31.0], "radius_mm": 2.0},
-        "wholly between the cameras and the volume, but for camera_00 it reaches",
-    ),
-    (
-        None,
-        {"center_mm": [0.0, 0.0, 10.0], "normal": [0.0, 1.0, 0.0], "radius_mm": 20.0},
-        "between the cameras and the volume",
-    ),
-    (
-        {},
-        {"center_mm": [0.0, 0.0, -100.0], "radius_mm": -2.0},
-        "occluders.0.radius_mm: expected a number greater than 0, got -2.0",
-    ),
-    (
-        {},
-        {"center_mm": [0.0, 0.0, -100.0], "radius_cm": 2.0},
-        "occluders.0.radius_cm: unknown key; did you mean radius_mm?",
-    ),
-    (
-        {},
-        {"center_mm": [0.0, 0.0, -100.0], "radius_mm": 2.0, "normal": [0.0, 0.0, 0.0]},
-        "occluders.0.normal: expected a vector of non-zero length",
-    ),
-]
-
-
-@pytest.mark.parametrize(("wall", "disc", "sentence"), FAULTS)
-def test_impossible_discs_are_refused(
-    wall: dict[str, Any] | None, disc: dict[str, Any], sentence: str
-) -> None:
-    values = make_scene(wall=wall).to_dict() | {"occluders": [disc]}
-    with pytest.raises(InputError) as caught:
-        build_rig(parse_scene(values, "scene"))
-    assert sentence in str(caught.value)
-
-
-def test_a_disc_in_plain_air_is_taken() -> None:
-    assert (
-        len(
-            build_rig(
-                with_discs(
-                    make_scene(wall=None), {"center_mm": [0.0, 0.0, -100.0], "radius_mm": 2.0}
-                )
-            ).occluders
-        )
-        == 1
-    )
 
 
 def test_occluders_are_in_the_scene_file_and_are_not_shown_to_solvers(tmp_path: Path) -> None:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from sabench.geometry.surfaces import SURFACES, Cylinder, HeightMap, Plane, bend, normals_of
+from sabench.geometry.surfaces import Cylinder, HeightMap, Plane, bend, normals_of
 from sabench.utils.errors import InputError
-from sabench.utils.validation import validate
 
 POSE: dict[str, Any] = {"center_mm": (3.0, -2.0, 50.0), "turn_deg": (10.0, 25.0, -5.0)}
 
@@ -83,27 +82,3 @@ def test_height_maps_of_points_and_of_pixels_agree(tmp_path: Path) -> None:
     expected = np.dstack([own, 0.3 * own[..., 0] - 0.2 * own[..., 1] + 1.0])
     np.testing.assert_allclose(by_points.points_mm(), by_points.pose(expected), atol=1e-9)
     np.testing.assert_allclose(by_pixels.points_mm(), by_pixels.pose(expected), atol=1e-5)
-
-
-def test_what_is_no_height_map_is_refused(tmp_path: Path) -> None:
-    line, image = tmp_path / "line.csv", tmp_path / "wall.tif"
-    line.write_text("0,0,1\n1,1,1\n2,2,1\n")
-    tifffile.imwrite(image, np.zeros((3, 4, 2), np.float32), photometric="minisblack")
-    for file, spacing, text in (
-        (line, None, "expected three or more points that span an area"),
-        (tmp_path / "none.csv", None, "expected a file, found none"),
-        (tmp_path / "none.tif", 1.0, "expected a file of heights, found none"),
-        (image, None, "spacing_mm: expected the distance of the TIFF's pixels"),
-        (image, 1.0, "expected one image of numbers"),
-    ):
-        made = HeightMap(file=file, spacing_mm=spacing, pixel_mm=0.5)
-        with pytest.raises(InputError, match=text):
-            made.points_mm()
-
-
-def test_parameters_are_checked() -> None:
-    with pytest.raises(InputError, match="surface plane: pixel_mm: expected a number greater"):
-        validate(Plane, {"size_mm": [1, 1], "pixel_mm": 0}, "surface plane")
-    with pytest.raises(InputError, match=r"pixel_mm: expected at most 1e\+08 pixels"):
-        Plane(size_mm=(100.0, 100.0), pixel_mm=1e-5).points_mm()
-    assert set(SURFACES) == {"plane", "cylinder", "height_map"}

@@ -72,14 +72,6 @@ def test_ghosts_and_lost_particles_lower_f1() -> None:
     assert scores(np.asarray(ghosts))["peak_f1"] == pytest.approx(2 / (1 + 1.8), abs=0.02)
 
 
-def test_intensities_that_are_wrong_by_a_fifth_are_an_error_of_a_fifth() -> None:
-    true, weights = particles()
-    wrong = weights * np.where(np.arange(250) % 2, 1.2, 0.8)
-    assert scores(volume(true, 7.0 * wrong))["intensity_error"] == pytest.approx(0.2, abs=0.02)
-    equal = scores(volume(true, np.ones(250)))["intensity_error"]
-    assert equal == pytest.approx(np.std(weights) / np.sqrt(np.mean(weights**2)), abs=0.02)
-
-
 def test_blobs_hold_all_the_light_that_leads_to_their_peak() -> None:
     one = Particles(np.arange(1), np.array([[0.01, 0.02, 2.03]]), np.ones(1), np.zeros((1, 3)))
     blob = volume(one, np.array([3.0]), 1.5, 3.0)

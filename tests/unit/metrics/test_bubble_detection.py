@@ -19,9 +19,6 @@ from sabench.metrics.bubble_detection import (
     nearest,
 )
 from sabench.metrics.plunging_jet import analyse
-from sabench.plotting.charts import Circles
-from sabench.plotting.drawing import draw
-from sabench.tasks.figures.bubbles import detection_figure
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, LN2, JetLaw
 
@@ -71,22 +68,6 @@ def test_faults_are_distinguished() -> None:
     assert np.isnan(scores["recall_hidden"])
 
 
-def test_a_third_missing_and_as_many_ghosts() -> None:
-    true = field()
-    ghosts = true.center_mm[:20] + 5.0
-    found = Detections(np.concatenate([true.center_mm[20:], ghosts]), true.semi_axes_mm, true.turn)
-    scores = detection_scores(found, true, np.ones(60))
-    assert scores["recall"] == scores["precision"] == scores["f1"] == pytest.approx(2.0 / 3.0)
-
-
-def test_neighbours_are_matched_with_the_nearest() -> None:
-    """Both of them are near enough to both detections."""
-    truth = np.array([[-0.3, 2.0, 5.0], [0.3, 2.0, 5.0], [9.0, 9.0, 9.0]])
-    found = np.array([[9.1, 9.0, 9.0], [0.28, 2.1, 5.0], [-0.25, 1.9, 5.1]])
-    rows, others = match(found, truth, np.full(3, 2.0))
-    assert dict(zip(rows.tolist(), others.tolist(), strict=True)) == {0: 2, 1: 1, 2: 0}
-
-
 def test_half_a_radius_is_the_limit() -> None:
     true = field()
     for part, expected in ((0.49, 1.0), (0.51, 0.0)):
@@ -108,17 +89,6 @@ def test_matches_are_one_to_one_and_as_many_as_possible() -> None:
     i, j = match(np.zeros((3, 3)), true, radius)
     assert len(i) == 2
     assert len(match(np.zeros((0, 3)), true, radius)[0]) == 0
-
-
-def test_nothing_found_has_no_errors() -> None:
-    true, nothing = field(), Detections(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    scores = detection_scores(nothing, true, np.ones(60))
-    assert scores["f1"] == scores["recall"] == 0.0
-    assert scores["void_percent"] == 100.0
-    assert np.isnan(scores["precision"])
-    assert np.isnan(scores["radius_percent"])
-    both = detection_scores(nothing, nothing, np.zeros(0))
-    assert np.isnan(both["f1"])
 
 
 def fine_air(law: JetLaw, depth_mm: float) -> tuple[F64, F64]:
@@ -173,32 +143,6 @@ def test_figures_of_a_jet_are_those_of_its_law() -> None:
     )
 
 
-def test_no_bubbles_have_no_figures() -> None:
-    figures = analyse(np.zeros((0, 3)), np.zeros(0), np.zeros(3), 100.0, EDGE)
-    assert np.isnan(figures.penetration_mm)
-    assert np.isnan(figures.weight)
-    assert (figures.concentration == 0.0).all()
-
-
-def test_false_detections_cost_the_same_whatever_radius_they_have() -> None:
-    """A spray of detections hits all large bubbles by chance."""
-    rng = np.random.default_rng(3)
-    places = 10.0 * np.stack(np.unravel_index(np.arange(40), (4, 5, 2)), axis=1)
-    true = Detections.balls(places.astype(float), np.where(np.arange(40) % 2, 1.0, 0.2))
-    inside = places[1::2, None] + rng.uniform(-1.0, 1.0, (20, 60, 3))
-    spray = np.concatenate([inside.reshape(-1, 3), places[::2] + np.array([0.15, 0.0, 0.0])])
-    scores = [
-        detection_scores(Detections.balls(spray, np.full(len(spray), radius)), true, np.ones(40))
-        for radius in (0.1, 0.49, 0.5, 2.0)
-    ]
-    assert scores[0]["f1_large"] < 0.1
-    assert scores[0]["f1_small"] == 0.0  # missed by more than half their radius
-    for one in scores[1:]:
-        assert [one[key] for key in ("f1", "f1_large", "f1_small")] == [
-            scores[0][key] for key in ("f1", "f1_large", "f1_small")
-        ]
-
-
 def test_false_detections_belong_to_the_bubble_that_they_are_in() -> None:
     """The small bubble's centre is nearer to a point within the large one."""
     true = Detections.balls(np.array([[0.0, 0.0, 0.0], [2.5, 0.0, 0.0]]), np.array([2.0, 0.3]))
@@ -234,34 +178,6 @@ def test_small_ones_and_those_among_many_are_counted_apart() -> None:
             "recall_dense"
         ]
     )
-
-
-def test_a_picture_of_errors_parts_found_missed_and_invented_bubbles() -> None:
-    rng = np.random.default_rng(1)
-    places = rng.uniform(0.0, 100.0, (12, 3))
-    true = Detections.balls(places, rng.uniform(0.5, 1.5, 12))
-    found = Detections.balls(
-        np.concatenate([places[:7] + 0.1, [[200.0, 0.0, 0.0]] * 2]), np.ones(9)
-    )
-    figure = detection_figure(found, true)
-    front, side = (
-        [circles for circles in panel.content if isinstance(circles, Circles)]
-        for panel in figure.panels
-    )
-    assert [(circles.label, len(circles.x)) for circles in front] == [
-        ("missed", 5),
-        ("not there", 2),
-        ("found", 7),
-    ]
-    np.testing.assert_array_equal(
-        np.sort(np.concatenate([front[0].x, front[2].x])), np.sort(places[:, 0])
-    )
-    np.testing.assert_array_equal(
-        np.sort(np.concatenate([side[0].x, side[2].x])), np.sort(places[:, 2])
-    )
-    assert draw(figure).startswith(b"\x89PNG")
-    none = Detections.balls(np.zeros((0, 3)), np.zeros(0))
-    assert draw(detection_figure(none, none)).startswith(b"\x89PNG")
 
 
 def test_a_place_is_dense_from_its_void_fraction_on() -> None:

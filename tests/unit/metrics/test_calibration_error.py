@@ -15,14 +15,8 @@ from sabench.geometry.rigid_motion import RigidMotion
 from sabench.metrics import calibration_error
 from sabench.metrics.calibration_error import (
     calibration_scores,
-    detection_noise,
-    detection_scores,
     lower_bound,
-    mean_distance,
-    mean_length,
     point_scores,
-    reproject,
-    scatter,
     target_points,
     wall_scores,
 )
@@ -45,15 +39,6 @@ def test_the_true_calibration_has_no_error_but_that_of_detection() -> None:
     assert bound is not None
     assert 0.0 < bound < 0.1
     assert scores["true_ratio"] == pytest.approx(0.0, abs=1e-6)
-
-
-def test_without_noise_there_is_an_error_and_no_bound() -> None:
-    case, cameras, points, exact = case_of(calibration_scene(detection=None))
-    estimate = Calibration(cameras, points + np.array([0.02, 0.0, 0.0]))
-    scores = calibration_scores(estimate, case, cameras, points, exact, case.found)
-    assert scores["true_px"] is not None
-    assert scores["true_px"] == pytest.approx(scores["measured_px"], rel=1e-6)
-    assert [scores[key] for key in ("bound_px", "true_ratio", "efficiency_ratio")] == [None] * 3
 
 
 def test_a_principal_point_aside_is_the_mean_reprojection_error() -> None:
@@ -163,43 +148,6 @@ def test_observations_that_are_not_used_are_scored() -> None:
     assert every is not None
     assert every == none
     assert one == pytest.approx(every, rel=0.01)
-
-
-def test_points_without_a_pixel_are_a_diagonal_away() -> None:
-    _, cameras, _, _ = case_of(calibration_scene(detection=None))
-    diagonal = np.hypot(cameras[0].rows, cameras[0].columns)
-    true = np.zeros((len(cameras), 2, 2))
-    found, selected = true + np.array([3.0, 4.0]), np.ones(true.shape[:2], dtype=np.bool_)
-    assert mean_distance(found, true, selected, cameras) == pytest.approx(5.0)
-    for value in (np.nan, np.inf, 1e300):
-        found[:, 1] = value
-        assert mean_distance(found, true, selected, cameras) == pytest.approx((5.0 + diagonal) / 2)
-    assert mean_distance(found, true, ~selected, cameras) is None
-
-
-def test_reprojection_is_the_projection_of_every_camera() -> None:
-    case, cameras, points, exact = case_of(calibration_scene(detection=None))
-    assert case.found.all()
-    np.testing.assert_allclose(reproject(cameras, points), exact, atol=1e-9)
-
-
-def test_figures_of_errors() -> None:
-    errors = np.array([[3.0, 4.0], [0.0, 1.0], [np.nan, 0.0], [100.0, 0.0]])
-    assert mean_length(errors, np.array([True, True, True, False])) == pytest.approx(3.0)
-    assert mean_length(errors, np.zeros(4, dtype=np.bool_)) is None
-    cloud = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, np.nan, 0.0]]) + 7.0
-    assert scatter(cloud) == pytest.approx(1.0)
-    assert scatter(np.full((2, 3), np.nan)) is None
-    pixels, good = np.array([[1.5, 2.5], [0.5, 1.5], [9.0, 9.0]]), np.array([True, True, False])
-    truth = np.array([[1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
-    assert detection_noise(pixels, truth, good) == pytest.approx(np.sqrt((0.25 + 2.25) / 2.0))
-    assert detection_noise(pixels, truth, np.zeros(3, dtype=np.bool_)) == 0.0
-    scores = detection_scores(pixels, truth, good)
-    assert scores == {
-        "found_bias_column_px": pytest.approx(0.5),
-        "found_bias_row_px": pytest.approx(1.5),
-        "found_std_px": pytest.approx(0.0),
-    }
 
 
 def wall(*layers: Layer, fluid_index: float = 1.333) -> Wall:

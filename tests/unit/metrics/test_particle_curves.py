@@ -27,8 +27,3 @@ def test_second_detections_of_a_particle_are_duplicates_and_ghosts_are_not() -> 
     unscored = _all(len(found))
     unscored[4] = False
     assert count_duplicates(found, _TRUTH, unscored) == 1
-
-
-def test_no_particles_have_no_duplicates() -> None:
-    assert count_duplicates(np.zeros((0, 3)), _TRUTH, _all(0)) == 0
-    assert count_duplicates(_TRUTH, np.zeros((0, 3)), _all(4)) == 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.metrics.plunging_jet import _drop, _scaling
+from sabench.metrics.plunging_jet import _drop
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
@@ -15,8 +15,3 @@ def test_the_cloud_ends_where_it_falls_most_and_not_where_bubbles_are_few(scale:
     assert _drop(total[::-1]) == 9
     assert _drop(0.0 * total) is None
     assert _drop(total[:3]) is None  # the peak is the last bin
-
-
-def test_a_profile_that_does_not_fall_has_no_width_and_no_warning() -> None:
-    weight, _ = _scaling(np.arange(8.0), np.ones(8), 2.0)
-    assert weight == pytest.approx(0.0, abs=1e-3)

@@ -76,11 +76,6 @@ def test_sequences_are_scored_apart() -> None:
     assert identity_scores([one, other])["switch_percent"] == 0.0
 
 
-def test_nothing_has_no_scores() -> None:
-    scores = identity_scores([[_frame([], [], [])]])
-    assert all(math.isnan(value) for value in scores.values())
-
-
 @pytest.mark.parametrize(
     ("similarity", "levels"), [(0.04, 0), (0.06, 1), (0.52, 10), (0.94, 18), (0.96, 19)]
 )

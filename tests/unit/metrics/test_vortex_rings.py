@@ -14,10 +14,9 @@ import pytest
 from sabench.api import Velocity
 from sabench.metrics.velocity_error import response
 from sabench.metrics.vortex_rings import circulation, core, half_plane, sample, spin_of
-from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Picture, Slice, Space
+from sabench.plotting.charts import Figure, Panel, Picture, Slice
 from sabench.plotting.drawing import draw
 from sabench.plugins import load
-from sabench.tasks.figures.velocity import error_scatter, field_figure, profile_panel
 from sabench.utils.arrays import F64
 
 
@@ -151,44 +150,6 @@ def test_slices_are_the_right_way_up() -> None:
     assert red_column < blue_column
 
 
-def test_clouds_have_their_points() -> None:
-    one, many = (
-        picture(
-            Panel("", "x", "y", (Cloud("", np.linspace(0.0, 1.0, n), np.linspace(0.0, 1.0, n)),))
-        )
-        for n in (2, 400)
-    )
-    blue = [(image[..., 0] - image[..., 2] > 60).sum() for image in (one, many)]
-    assert 0 < blue[0] < 0.1 * blue[1]
-
-
-@pytest.mark.parametrize("normal", [0, 1, 2])
-def test_the_slice_with_the_vortex_is_shown(normal: int) -> None:
-    vortex = flow_of(
-        "lamb_oseen_vortex", axis=np.eye(3)[normal].tolist(), core_mm=5.0, circulation_mm2_s=500.0
-    )
-    field = on_lattice(vortex)
-    field.valid[0] = False
-    exact = 0.9 * field.velocity_mm_s
-    figure = field_figure(field, exact, np.ones(3), "a solver")
-    content = figure.panels[0].content[0]
-    assert isinstance(content, Slice)
-    assert content.label == f"vorticity about {'xyz'[normal]}, 1/s"
-    counts = [count for axis, count in enumerate(field.valid.shape[::-1]) if axis != normal]
-    assert content.values.shape == (counts[1], counts[0])
-    middle = content.values[counts[1] // 2, counts[0] // 2]
-    assert middle == content.values.max() > 0.0
-    assert content.arrows is not None
-    assert np.isnan(content.arrows).any() == (normal != 2)
-    assert draw(figure)[:4] == b"\x89PNG"
-    curves = [
-        curve.label
-        for curve in profile_panel(field, exact, normal).content
-        if isinstance(curve, Curve)
-    ]
-    assert curves == ["u", "u exact", "v", "v exact", "w", "w exact"]
-
-
 def test_pictures_are_the_right_way_up_and_rings_lie_where_they_should() -> None:
     values = np.zeros((20, 40))
     values[:10, :10] = 1.0
@@ -208,24 +169,3 @@ def test_pictures_are_the_right_way_up_and_rings_lie_where_they_should() -> None
     assert len(inside) > 20
     assert inside[:, 0].mean() > row
     assert inside[:, 1].mean() > column
-
-
-def test_balls_in_space_have_their_sizes() -> None:
-    """A ball of twice the radius covers four times the area; the smaller Y is above."""
-    center = np.array([[0.0, 0.0, 0.0], [10.0, 40.0, 10.0]])
-    small, large = (
-        picture(Panel("", "", "", (Space("mm", center, np.array([0.2, radius])),)))[:, :400]
-        for radius in (1.5, 3.0)
-    )
-    yellow = [np.argwhere((one[..., 2] > 180.0) & (one[..., 0] < 90.0)) for one in (small, large)]
-    assert len(yellow[1]) == pytest.approx(4.0 * len(yellow[0]), rel=0.25)
-    assert yellow[1][:, 0].mean() > 0.55 * small.shape[0]
-
-
-def test_scatter_shows_some_of_many() -> None:
-    errors = np.random.default_rng(0).standard_normal((10_000, 3))
-    cloud = error_scatter("", errors).content[1]
-    assert isinstance(cloud, Cloud)
-    assert len(cloud.x) == 4000
-    order = {(u, w) for u, _, w in errors}
-    assert all(pair in order for pair in zip(cloud.x, cloud.y, strict=True))

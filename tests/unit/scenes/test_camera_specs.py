@@ -54,16 +54,6 @@ def test_one_camera_has_the_lens_and_the_sensor_of_its_own_table() -> None:
     assert sharp.focus_mm == pytest.approx(400.0)
 
 
-def test_a_table_without_numbers_changes_nothing() -> None:
-    plain = scene_with()
-    assert "each" not in plain.to_dict()["cameras"]
-    same = build_rig(scene_with({"camera": "camera_01"})).cameras
-    assert same == build_rig(plain).cameras
-    again = parse_scene(tomllib.loads(scene_with(OWN).to_toml()), "test")
-    assert again == scene_with(OWN)
-    assert again.hash != plain.hash
-
-
 @pytest.mark.parametrize(
     ("each", "expected"),
     [
@@ -150,12 +140,3 @@ def test_a_plane_in_focus_in_air_has_the_tilt_of_the_hinge_rule(
         about_y = np.arctan(-np.cos(about_x) * x / z * enlarged)
         exact = np.rad2deg([about_x, about_y])
         np.testing.assert_allclose(camera.tilt_deg, exact, rtol=0, atol=2e-3)
-
-
-def test_a_camera_cannot_be_focused_on_a_plane_that_it_looks_along() -> None:
-    values = scene_with().to_dict()
-    forward = np.asarray(build_rig(scene_with()).cameras[0].rotation)[2]
-    values["cameras"]["focus_normal"] = np.cross(forward, [0.0, 1.0, 0.0]).tolist()
-    expected = "test: cameras.focus_normal: camera_00: expected a plane that the camera does not"
-    with pytest.raises(InputError, match=expected):
-        build_rig(parse_scene(values, "test"), "test")

@@ -152,9 +152,7 @@ def test_true_cameras_must_match_the_nominal_ones(wrong: Dataset) -> None:
     )
     assert "camera_77" in faults[0]
     (broken.root / "true_cameras.json").unlink()
-    with pytest.raises(
-        InputError, match=r"true_cameras.json: expected a JSON file, got FileNotFoundError"
-    ):
+    with pytest.raises(InputError, match=r"true_cameras.json: expected a JSON file"):
         _ = open_dataset(broken.root).true_cameras
 
 

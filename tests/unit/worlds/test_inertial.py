@@ -123,16 +123,13 @@ def test_without_inertia_particles_are_the_fluid_s() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"inertia": {"particle_density_kg_m3": 2500.0}, "flow": None},
-            "inertia: expected a flow, got none; a linear_flow without keys is fluid at rest",
-        ),
+        ({"inertia": {"particle_density_kg_m3": 2500.0}, "flow": None}, "inertia: expected a flow"),
         (
             {
                 "inertia": {"particle_density_kg_m3": 2500.0},
                 "particles": {"generator": "uniform", "count": 20, "diameter_mm": 0.4},
             },
-            r"inertia: expected particles with a Stokes number .* of at most 0\.2, got",
+            "inertia: expected particles with a Stokes number",
         ),
         (
             {

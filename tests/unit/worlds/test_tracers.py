@@ -111,7 +111,7 @@ def test_double_frames_and_four_pulses() -> None:
         ({"rate_hz": 10.0, "pulses_s": [0.002, 0.0]}, "pulses_s: expected rising times"),
         (
             {"rate_hz": 10.0, "pulses_s": [0.0, 0.002], "energy": [1.0]},
-            "energy: expected one value for each of 2 pulses, got 1",
+            "energy: expected one value for each of 2 pulses",
         ),
     ],
 )
@@ -259,23 +259,12 @@ def test_diameters_follow_their_distribution(kind: str, law: Any) -> None:
     assert kstest(make_particles(scene, 3, 0).diameter_mm, law.cdf).pvalue > 0.01
 
 
-def test_a_wide_normal_distribution_ends_above_zero() -> None:
-    sizes = {"diameter_mm": 0.05, "diameter_spread": 0.8, "diameter_distribution": "normal"}
-    assert make_particles(moving_scene(particles=sizes), 3, 0).diameter_mm.min() >= 0.00499
-
-
 def test_listed_sizes_occur_alike() -> None:
     listed = {"diameters_mm": [0.01, 0.01, 0.03, 0.05], "count": 4000}
     scene = moving_scene(particles=listed, illumination={"scattering": "isotropic"}, flow=None)
     sizes, counts = np.unique(make_particles(scene, 3, 0).diameter_mm, return_counts=True)
     np.testing.assert_array_equal(sizes, [0.01, 0.03, 0.05])
     np.testing.assert_allclose(counts / 4000, [0.5, 0.25, 0.25], atol=0.03)
-
-
-def test_shares_of_a_mixture_beyond_the_whole_are_refused() -> None:
-    mixture = [{"index": 1.4, "share": 0.7}, {"index": 1.2, "share": 0.4}]
-    with pytest.raises(InputError, match="tracer: expected shares of mixture that add up to 1 at"):
-        moving_scene(tracer={"mixture": mixture})
 
 
 def test_a_data_set_tells_the_materials_of_a_mixture(tmp_path: Path) -> None:

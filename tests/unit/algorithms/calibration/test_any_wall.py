@@ -102,6 +102,7 @@ def test_the_state_of_true_cameras_has_no_residuals(kind: str) -> None:
     assert np.abs(residuals(state, seen)[seen.weights > 0.0]).max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cylinder", "faces"])
 def test_refractive_autocal_reaches_the_bound(kind: str) -> None:
     case, cameras, points, exact = case_of(scene_of(kind))

@@ -42,6 +42,7 @@ def test_unknown_parameters_are_nominally_zero_and_the_rest_unchanged() -> None:
         assert np.hypot(*away) == pytest.approx(10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["refractive_autocal", "refractive_autocal_alternating"])
 def test_solvers_find_what_the_case_calls_unknown(name: str) -> None:
     case, _, _, exact = case_of(lens_scene(["principal_point", "k1"]))

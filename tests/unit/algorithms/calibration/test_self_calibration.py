@@ -67,6 +67,7 @@ def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) 
     return float(np.linalg.norm(again - exact, axis=-1).mean())
 
 
+@pytest.mark.slow
 def test_cameras_two_pixels_off_agree_again() -> None:
     scene = particle_scene(2.0, per_pixel=0.012)
     shot = simulate(scene, seed=3)
@@ -78,12 +79,14 @@ def test_cameras_two_pixels_off_agree_again() -> None:
     assert disagreement_px(shot, answer.cameras, scene) < 0.06
 
 
+@pytest.mark.slow
 def test_exact_cameras_stay_as_they_are() -> None:
     scene = particle_scene(0.0, per_pixel=0.015)
     shot = simulate(scene, seed=4)
     assert disagreement_px(shot, corrected(shot.observation).cameras, scene) < 0.04
 
 
+@pytest.mark.slow
 def test_larger_errors_need_a_larger_reach() -> None:
     scene = particle_scene(8.0, per_pixel=0.012)
     shot = simulate(scene, seed=4)
@@ -164,10 +167,7 @@ def test_the_densest_spot_is_found_among_noise() -> None:
 
 def test_nothing_to_go_by_is_said() -> None:
     seen = simulate(particle_scene(0.0), seed=1).observation
-    with pytest.raises(
-        InputError,
-        match=r"camera_00: expected particle images, got none above 0.15 of a bright one's peak",
-    ):
+    with pytest.raises(InputError, match="camera_00: expected particle images"):
         corrected(replace(seen, images=np.full_like(seen.images, int(seen.black_dn))))
     plugin = load("solvers", "volume_self_calibration")
     two = replace(seen, images=seen.images[:2], cameras=seen.cameras[:2])

@@ -15,7 +15,6 @@ from scipy.special import erf
 from sabench.algorithms.tomography import supersampling
 from sabench.algorithms.tomography.first_guess import every_voxel, product_guess
 from sabench.algorithms.tomography.footprint import BILINEAR, Footprint, gaussian, image_sigma_px
-from sabench.algorithms.tomography.kernels import exp2, multiply
 from sabench.algorithms.tomography.problem import TomographyParameters, TomographyProblem
 from sabench.algorithms.tomography.projection_operator import (
     ProjectionOperator,
@@ -345,16 +344,3 @@ def test_dim_voxels_become_zero() -> None:
     np.testing.assert_array_equal(kept > 0.0, volume >= 0.25 * bright)
     np.testing.assert_array_equal(supersampling.clear_dark(volume.copy(), 0.0), volume)
     assert not supersampling.clear_dark(np.full((2, 3, 4), 1e-4, dtype=np.float32), 0.25).any()
-
-
-def test_powers_of_two() -> None:
-    exponents = np.linspace(-55.0, 55.0, 2001).astype(np.float32)
-    values = np.ones_like(exponents)
-    multiply(values, exponents, np.float32(0.5))
-    np.testing.assert_allclose(values, np.exp2(exponents.astype(np.float64) / 2.0), rtol=4e-7)
-    assert exp2(np.float32(-1e9)) == pytest.approx(2.0**-60)
-
-
-def test_a_grid_without_a_light_path_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected a light path to every voxel"):
-        supersampling.scale_of(array(TILTED), replace(GRID, low_mm=(-0.5, 0.7, -40.0)))

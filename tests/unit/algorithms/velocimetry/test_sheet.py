@@ -169,18 +169,3 @@ def test_a_grid_of_one_plane_is_the_sheet_however_thick(camera: Camera) -> None:
     sheet = find_sheet((camera,), thick)
     assert sheet.axes[2].tolist() == [0.0, 0.0, 1.0]
     assert sheet.depth_mm == 10.0
-
-
-def test_a_sheet_that_cannot_be_is_named(camera: Camera) -> None:
-    with pytest.raises(InputError, match="point_mm and normal: expected a plane through the grid"):
-        find_sheet((camera,), GRID, (0.0, 0.0, 500.0), (0.0, 0.0, 1.0))
-    cube = Grid((-5.0, -5.0, 126.0), (0.2, 0.2, 0.2), (50, 50, 50))
-    with pytest.raises(
-        InputError, match=r"normal: expected that of the light sheet, since the grid"
-    ):
-        find_sheet((camera,), cube)
-    with pytest.raises(InputError, match="non-zero length"):
-        make_algorithm("piv2d", {"normal": [0.0, 0.0, 0.0]})
-    dark = image_pair((camera,), lambda points: 0.0 * points, per_mm3=0.0)
-    with pytest.raises(InputError, match="camera_00: expected an image that shows something"):
-        solved(dark)

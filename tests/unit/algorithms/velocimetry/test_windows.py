@@ -254,32 +254,6 @@ def test_impossible_windows_are_named(parameters: dict[str, Any], sentence: str)
     assert str(caught.value) == sentence
 
 
-def test_impossible_pairs_are_named() -> None:
-    good = volume(particles())
-    for first, second, sentence in (
-        (
-            good,
-            good[:-1],
-            (
-                r"second volume: expected \(40, 160, 160\) voxels \(z, y, x\) as its grid has, got "
-                r"\(39, 160, 160\)"
-            ),
-        ),
-        (
-            np.zeros_like(good),
-            good,
-            "first volume: expected one that shows something, got 0 everywhere",
-        ),
-        (
-            good,
-            np.where(good > 0.5, np.float32(np.nan), good),
-            "second volume: expected finite intensities",
-        ),
-    ):
-        with pytest.raises(InputError, match=sentence):
-            VolumePair(first, second, GRID, 1.0)
-
-
 def test_outliers_are_found_and_filled() -> None:
     z, y, x = np.mgrid[:8, :10, :12].astype(np.float64)
     smooth = np.stack([0.2 * y, -0.1 * x, 0.05 * z], axis=-1)

@@ -91,10 +91,6 @@ def test_scatter_improves_no_rank() -> None:
     assert ranks(scores, larger=True) == [1, 2, 2]
 
 
-def test_single_seeds_rank_as_they_are() -> None:
-    assert ranks(np.array([[0.5], [0.7], [0.5], [0.1]]), larger=True) == [2, 1, 2, 4]
-
-
 def test_a_result_sent_again_takes_no_rank() -> None:
     scores = np.array([[0.9], [0.9], [0.9], [0.8]])
     assert ranks_of_distinct(scores, True, ["a", "a", "a", "b"]) == [1, 1, 1, 2]
@@ -236,10 +232,6 @@ def test_a_record_that_says_less_of_its_case_is_compared_with_the_others() -> No
     found = board([*old, *results("new", {"easy": around(0.8)})])
     assert [line.place for line in found.lines] == [1, 2]
     assert found.columns[0].name == "easy"
-
-
-def test_recorded_results_have_no_standing() -> None:
-    assert boards_of(cases_of(over_seeds([record("a", task="particles", recorded=True)]))) == []
 
 
 def test_a_column_of_several_cases_is_their_mean() -> None:

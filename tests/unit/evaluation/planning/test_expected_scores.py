@@ -16,9 +16,7 @@ from sabench.evaluation.planning.expected_scores import (
     MODEL,
     SCORES,
     features_of,
-    link,
     load_model,
-    unlink,
 )
 from sabench.evaluation.planning.gaussian_process import GaussianProcess, Kernel
 from sabench.evaluation.planning.plan import plan
@@ -35,12 +33,6 @@ def typical(**changes: float) -> F64:
     for name, value in changes.items():
         features[list(FEATURES).index(name)] = value
     return np.asarray(features)
-
-
-@pytest.mark.parametrize("score", ["q", "f1", "ghosts"])
-def test_links_are_inverted(score: str) -> None:
-    values = np.array([0.01, 0.3, 0.99])
-    np.testing.assert_allclose(unlink(score, link(score, values)), values, rtol=1e-12)
 
 
 def test_the_model_holds_the_scenes_of_the_record() -> None:
@@ -105,14 +97,6 @@ def test_scores_change_in_the_right_direction(key: str) -> None:
     assert score(cameras=4.0) < score(cameras=9.0)
     assert score(source_density=0.1) > score(source_density=0.8)
     assert 0.0 < model.allowed_error_px(key, middle, 2.0) < 2.0
-
-
-def test_more_particles_make_more_ghosts() -> None:
-    ghosts = [
-        load_model().predict("ghosts_synthetic_aperture", typical(source_density=one)[None])[0][0]
-        for one in (0.1, 0.3, 1.0)
-    ]
-    assert ghosts == sorted(ghosts)
 
 
 def test_the_model_stops_at_the_edge_of_its_range() -> None:

@@ -49,14 +49,6 @@ def test_outlines_are_to_scale() -> None:
     assert 'd="M0 416.0 h100.0"' in svg
 
 
-def test_the_page_needs_no_other_file() -> None:
-    page = render(plan("quick"))
-    assert "http" not in page
-    assert "<script" not in page
-    assert "plane_spacing_mm" in page
-    assert "<code>illumination.pulse_energy_mj</code>" in page
-
-
 def test_the_page_escapes_what_a_scene_says() -> None:
     made = plan("quick")
     scene = made.scene.model_copy(update={"title": "<script>alert(1)</script>"})

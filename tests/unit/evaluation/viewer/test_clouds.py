@@ -14,7 +14,6 @@ from sabench.evaluation.viewer import thinning
 from sabench.evaluation.viewer.clouds import (
     FOUND,
     GHOST,
-    KINDS,
     MISSED,
     TRUE,
     Cloud,
@@ -22,7 +21,6 @@ from sabench.evaluation.viewer.clouds import (
     with_velocities,
 )
 from sabench.evaluation.viewer.packing import Packer
-from sabench.utils.arrays import I64
 
 
 def cloud_of(numbers: list[int], kind: int = FOUND, shift: float = 0.0) -> Cloud:
@@ -42,11 +40,6 @@ def test_true_and_estimated_trajectories_of_one_number_are_not_linked() -> None:
     assert link_to_earlier(later, earlier).tolist() == [1, 0]
 
 
-def test_objects_without_a_trajectory_are_not_linked() -> None:
-    alone = Cloud.of_kind(np.zeros((2, 3)), FOUND)
-    assert link_to_earlier(alone, alone).tolist() == [-1, -1]
-
-
 def test_unknown_velocities_come_from_positions_and_known_ones_stay() -> None:
     first, second = cloud_of([1, 2]), cloud_of([2, 1, 5], shift=0.3)
     second.velocity_mm_s[0] = 7.0
@@ -55,24 +48,6 @@ def test_unknown_velocities_come_from_positions_and_known_ones_stay() -> None:
     assert made[1].velocity_mm_s[:2] == pytest.approx(np.array([[7.0] * 3, [3.0] * 3]))
     assert np.isnan(made[1].velocity_mm_s[2]).all()
     assert np.isnan(first.velocity_mm_s).all()  # the clouds stay as they were
-
-
-def test_counts_are_those_of_the_kinds() -> None:
-    both = cloud_of([1, 2, 3], MISSED) + cloud_of([4], GHOST)
-    assert dict(zip(KINDS, both.counts(), strict=True)) == {
-        "true": 0,
-        "found": 0,
-        "missed": 3,
-        "ghost": 1,
-        "duplicate": 0,
-    }
-
-
-def test_as_many_as_a_page_holds_are_not_thinned() -> None:
-    whole = cloud_of(list(range(1000)))
-    assert thinning.shown_share([whole, whole]) == 1.0
-    assert thinning.thin([whole], 1.0) == [whole]
-    assert thinning.shown_share([]) == 1.0
 
 
 def test_thinning_keeps_trajectories_intact_and_the_share_of_each_kind(
@@ -121,11 +96,3 @@ def test_arrays_come_back_from_a_page() -> None:
     for array, place in zip(arrays, places, strict=True):
         assert np.array_equal(back[place], array.ravel())
     assert all(offset % 8 == 0 for _, offset, _ in packer.index)
-
-
-def test_equal_arrays_are_stored_once() -> None:
-    packer = Packer()
-    numbers: I64 = np.arange(5)
-    first, second = (packer.add(numbers.astype(np.int32)) for _ in range(2))
-    assert first == second
-    assert packer.add(numbers.astype(np.uint8)) != first

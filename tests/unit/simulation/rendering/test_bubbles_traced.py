@@ -162,6 +162,7 @@ def crossings(values: F64, places: F64, level: float) -> F64:
     )
 
 
+@pytest.mark.slow
 def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None:
     """The dark ring has the edges and brightnesses of ray optics.
 
@@ -319,6 +320,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_another_integrator_makes_the_same_picture(name: str) -> None:
     """Pixel by pixel, by its standard errors."""
@@ -335,6 +337,7 @@ def test_another_integrator_makes_the_same_picture(name: str) -> None:
     assert np.quantile(np.abs(score), 0.98) < 4.0
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_they_are_said_to_be() -> None:
     """Two renders of different seeds differ by their errors.
 
@@ -374,6 +377,7 @@ def test_a_drop_in_air_needs_no_walls() -> None:
     assert seen.photons.min() / FULL < 0.1
 
 
+@pytest.mark.slow
 def test_a_black_body_hides_what_is_behind_it_and_a_lamp_shows_it() -> None:
     import trimesh
 
@@ -415,6 +419,7 @@ def test_a_black_body_hides_what_is_behind_it_and_a_lamp_shows_it() -> None:
     assert lit.photons[~near].max() == 0.0  # beyond the reach of diffraction
 
 
+@pytest.mark.slow
 def test_a_bubble_out_of_focus_is_blurred_by_the_aperture_s_disc() -> None:
     """A disc of radius r adds r^2 / 4 to the variance along each axis."""
     what, lens = bubbles([[0.0, 0.0, 95.0]], [[0.6] * 3]), camera(32, 32)
@@ -438,6 +443,7 @@ def test_a_moving_bubble_is_sharp_in_an_instant() -> None:
     np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_a_moving_bubble_is_smeared() -> None:
     lens = camera(20, 40)
     still = bubbles([[0.0, 0.0, 50.0]], [[0.6] * 3])
@@ -490,6 +496,7 @@ def test_surfaces_are_met_to_single_precision_from_far_away() -> None:
         np.testing.assert_allclose(np.array(normal).T, outwards, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_rays_that_are_given_up_between_the_walls_would_have_found_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -48,6 +48,7 @@ def chi_square(observed: F64, expected: F64) -> float:
     return float(stats.chi2.sf(scatter, kept.sum() - 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mean",
     [
