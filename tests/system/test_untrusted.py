@@ -20,7 +20,7 @@ import tifffile
 import sabench
 from sabench.dataset import hdf5
 from sabench.dataset.hdf5 import open_hdf5, read_array
-from sabench.dataset.reader import Dataset
+from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import read_target
 from sabench.dataset.verification import verify
 from sabench.evaluation.suite_loading import load_suite
