@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from collections import Counter, defaultdict
@@ -116,6 +117,7 @@ def shown(value: Any) -> str:
     return f"`{text}`" if len(text) <= _LONG else f"`{text[: _LONG - 3]}...`"
 
 
+@functools.cache
 def sections() -> list[Section]:
     """Describe all tables of a scene, each once, in the order of their first use."""
     schema, used = scene_schema(), used_values()

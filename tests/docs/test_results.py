@@ -36,7 +36,7 @@ def test_a_known_figure_is_that_of_its_record() -> None:
 
 
 def test_every_case_of_the_records_of_densities_is_in_the_table() -> None:
-    cases = site("particle_tables")["DENSITIES"]
+    cases = site("tables")["particle_tables"].DENSITIES
     record = json.loads((ROOT / "benchmarks" / "records" / "particle-density.json").read_text())
     assert set(cases.values()) == set(record)
 
