@@ -1,4 +1,4 @@
-"""Measured rows written to a file, and a page of them with curves beside the values."""
+"""Rows written to a file, and a page of them with curves beside the values."""
 
 from __future__ import annotations
 
@@ -88,7 +88,9 @@ def measure(
     output: Path | None,
     folder: Path | None,
 ) -> list[dict[str, Any]]:
-    """Measure item by item; rows of one replace those of the file when all of them are there.
+    """Measure item by item, and write rows, plots and page.
+
+    Rows of an item replace those of the file when all of them are measured.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ import docstrings  # noqa: E402
 import navigation  # noqa: E402
 
 import sabench  # noqa: E402
+from reproduction import page  # noqa: E402
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -45,8 +46,9 @@ templates_path = ["templates"]
 
 
 def setup(app: Sphinx) -> None:
-    """Build the navigation from docs/index.md, read docstrings, and complete pages."""
+    """Build navigation and reproduction page, read docstrings, and complete pages."""
     app.connect("source-read", navigation.add_toctrees)
+    app.connect("source-read", page.add_results)
     app.connect("autodoc-process-docstring", docstrings.describe_names, priority=100)
     app.connect("autodoc-skip-member", docstrings.skip_aliases)
     app.connect("build-finished", access.complete_all)

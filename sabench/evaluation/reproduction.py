@@ -56,7 +56,8 @@ def reproduce(
 ) -> Iterator[Item]:
     """Measure tables and figures of the thesis.
 
-    Each row or figure is yielded when it is ready. Frames that several of them use are simulated once.
+    Each row or figure is yielded when it is ready. Frames that several of them use are simulated
+    once.
 
     Parameters
     ----------
