@@ -153,9 +153,7 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 _look(own, scene, measured)
                 figures = f"{own.distance[-1]:.3f}, {own.spread[-1]:.1f} %"
                 console.print(
-                    f"seed {seed}, {volumes}, {solver}: {figures}",
-                    markup=False,
-                    highlight=False,
+                    f"seed {seed}, {volumes}, {solver}: {figures}", markup=False, highlight=False
                 )
                 if seed == seeds[-1] and (volumes, solver) == (_VOLUMES[-1], _PIV[-1]):
                     yield from _figures(scene, measured)
@@ -215,10 +213,7 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
     same_nodes = np.mean(own.known)
     note = f"exact {exact:.3f}; of the exact field at the same nodes {same_nodes:.3f}"
     yield make_row(
-        f"{name}: distance of the cores over the orifice",
-        _THESIS["core"],
-        own.distance,
-        note,
+        f"{name}: distance of the cores over the orifice", _THESIS["core"], own.distance, note
     )
     yield make_row(
         f"{name}: spread of the circulation over angles, %",

@@ -136,9 +136,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                         )
                     widths = np.round(found[volumes, solver][-1], 3)
                     console.print(
-                        f"{ring.name}, {volumes}, {solver}: {widths}",
-                        markup=False,
-                        highlight=False,
+                        f"{ring.name}, {volumes}, {solver}: {widths}", markup=False, highlight=False
                     )
         yield Figure(
             f"fig-2-9-{_slug(ring)}",

@@ -206,9 +206,7 @@ def _read_plane(
     seen = eye.carry(code.points_mm.reshape(-1, 3), z_mm)
     reach = 2.0 * np.abs(seen).max(axis=0) + _MARGIN_MM
     plane = Plane(
-        center_mm=(0.0, 0.0, z_mm),
-        size_mm=(float(reach[0]), float(reach[1])),
-        pixel_mm=_PIXEL_MM,
+        center_mm=(0.0, 0.0, z_mm), size_mm=(float(reach[0]), float(reach[1])), pixel_mm=_PIXEL_MM
     )
     image = refocus_frame(case, plane, join)[0].values
     points = np.column_stack([seen, np.zeros(len(seen))]).reshape(code.points_mm.shape)
