@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sabench.api import Calibration
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api.make import make_solver
 from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suite_loading import override
 from sabench.evaluation.suites import SceneCase
@@ -24,7 +24,17 @@ from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.confidence import mean_of
 
 from .chapter_4 import Board, draw, places_of, solve_case
-from .common import ADEQUATE, cases, claim, coarsen, density, make_row, per_pixel, simulate_frame
+from .common import (
+    ADEQUATE,
+    cases,
+    claim,
+    coarsen,
+    density,
+    make_row,
+    per_pixel,
+    run,
+    simulate_frame,
+)
 from .refocused_frames import METHODS, measure_quality
 
 CAMERAS, ERRORS = "fig-2-7a", "fig-2-7b"
@@ -220,8 +230,7 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
     wrong = parse_scene(scene.to_dict() | {"calibration": {"shift_px": _SHIFT_PX}}, "shifted")
     off = simulate(wrong, seed=seed).observation
     judged["no calibration, 2 px off"] = judge_cameras(off.cameras, shot, true, None)
-    algorithm: Any = make_algorithm("volume_self_calibration", {})
-    made: Calibration = algorithm.solve(off)
+    made: Calibration = run("volume_self_calibration", off)
     judged["volume_self_calibration"] = judge_cameras(made.cameras, shot, true, None)
     return judged
 
@@ -321,8 +330,7 @@ def _solve(scene: Scene, seed: int) -> Iterator[tuple[str, Judged, Counts]]:
         name = f"{shift:g} px off"
         off = judge_cameras(wrong.observation.cameras, shot, true, None)
         yield name, off, _count(shot, off)
-        solver: Any = make_algorithm("volume_self_calibration", {})
-        made: Calibration = solver.solve(wrong.observation)
+        made: Calibration = run("volume_self_calibration", wrong.observation)
         better = judge_cameras(made.cameras, shot, true, None)
         yield f"{name}, self-calibrated", better, _count(shot, better)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sabench.api import ImagePair, Velocity, VolumePair
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api.make import make_solver
 from sabench.evaluation.reproduction import Item
 from sabench.metrics.vortex_rings import (
     HalfPlane,
@@ -28,10 +28,9 @@ from sabench.tasks.figures.velocity import slice_panel
 from sabench.utils.arrays import F64, triple
 from sabench.utils.confidence import mean_of
 from sabench.utils.errors import InputError
-from sabench.utils.progress import console
 from sabench.worlds.tracers import require_flow
 
-from .common import claim, coarsen, make_row, settings
+from .common import claim, coarsen, make_row, report, run, settings
 
 ANGLES = tuple(float(angle) for angle in np.linspace(0.0, 180.0, 9))
 ORIFICE_MM = 30.0
@@ -48,8 +47,7 @@ def reconstruct(solver: str, scene: Scene, shots: Sequence[Shot]) -> VolumePair:
 
 def measure(solver: str, pair: VolumePair) -> Velocity:
     """Measure the field between two volumes by the thesis's windows."""
-    algorithm: Any = make_algorithm(solver, settings(solver, _WINDOW, _OVERLAP, pair.grid))
-    made: Velocity = algorithm.solve(pair)
+    made: Velocity = run(solver, pair, **settings(solver, _WINDOW, _OVERLAP, pair.grid))
     return made
 
 
@@ -152,9 +150,7 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 own.seconds.append((spent, time.perf_counter() - start))
                 _look(own, scene, measured)
                 figures = f"{own.distance[-1]:.3f}, {own.spread[-1]:.1f} %"
-                console.print(
-                    f"seed {seed}, {volumes}, {solver}: {figures}", markup=False, highlight=False
-                )
+                report(f"seed {seed}, {volumes}, {solver}: {figures}")
                 if seed == seeds[-1] and (volumes, solver) == (_VOLUMES[-1], _PIV[-1]):
                     yield from _figures(scene, measured)
     for (volumes, solver), own in found.items():
@@ -171,20 +167,16 @@ def _exact_circulations(scene: Scene) -> F64:
 
 
 def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
-    ring, spin, velocity = (
-        ring_of(scene),
-        spin_of(measured),
-        sample(measured, measured.velocity_mm_s),
-    )
+    ring = ring_of(scene)
+    spin = spin_of(measured)
+    velocity = sample(measured, measured.velocity_mm_s)
     cores = [
         core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"])
         for half in (half_planes(scene)[0], half_planes(scene)[-1])
     ]
     own.distance.append((cores[0][0] + cores[1][0]) / ORIFICE_MM)
-    around, true = (
-        circulations(scene, velocity, spin, half_planes(scene)),
-        _exact_circulations(scene),
-    )
+    around = circulations(scene, velocity, spin, half_planes(scene))
+    true = _exact_circulations(scene)
     known = ~np.isnan(around).any(axis=0)
     peaks = around[:, known].max(axis=1) if known.any() else np.full(len(around), np.nan)
     own.spread.append(100.0 * float((peaks.max() - peaks.min()) / peaks.max()))
@@ -241,11 +233,9 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
 
 
 def _figures(scene: Scene, measured: Velocity) -> Iterator[Item]:
-    velocity, spin, half = (
-        sample(measured, measured.velocity_mm_s),
-        spin_of(measured),
-        half_planes(scene)[0],
-    )
+    velocity = sample(measured, measured.velocity_mm_s)
+    spin = spin_of(measured)
+    half = half_planes(scene)[0]
     exact = at_nodes(scene, measured)
     yield Figure(
         "fig-2-16",
@@ -335,9 +325,7 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             text = (
                 f"seed {seed}, {volumes}, {solver}: {solid[volumes, solver][-1].cut.distance:.3f}"
             )
-            console.print(
-                f"{text}, piv2d: {planar[-1].distance:.3f}", markup=False, highlight=False
-            )
+            report(f"{text}, piv2d: {planar[-1].distance:.3f}")
     yield from _sheet_figures(sheet, flat, field, beside_mm)
     yield from _planar_rows(planar, exact)
     for (volumes, solver), found in solid.items():
@@ -346,8 +334,8 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 def _measure_sheet(scene: Scene, seed: int) -> Velocity:
     first, second = (simulate(scene, seed=seed, frame=frame).observation for frame in range(2))
-    algorithm: Any = make_algorithm("piv2d", _WINDOWS)
-    made: Velocity = algorithm.solve(ImagePair(first, second, scene.time_s(1) - scene.time_s(0)))
+    pair = ImagePair(first, second, scene.time_s(1) - scene.time_s(0))
+    made: Velocity = run("piv2d", pair, **_WINDOWS)
     return made
 
 

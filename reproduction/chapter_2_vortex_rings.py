@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sabench.api import Velocity, VolumePair
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api.make import make_solver
 from sabench.evaluation.reproduction import Item, Row
 from sabench.evaluation.suite_loading import override
 from sabench.metrics.averages import root_mean_square
@@ -22,11 +22,10 @@ from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.figures.velocity import error_scatter, slice_panel
 from sabench.utils.arrays import F32, F64
 from sabench.utils.confidence import mean_of
-from sabench.utils.progress import console
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, require_flow
 
-from .common import cases, claim, coarsen, make_row, settings
+from .common import cases, claim, coarsen, make_row, report, run, settings
 from .theory import plane_spacing_ratio
 
 _INTERVAL_S = 1e-3
@@ -119,10 +118,8 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 spent.setdefault(volumes, []).append(seconds)
                 for solver in ("piv3d_plain", "piv3d"):
                     start = time.perf_counter()
-                    algorithm: Any = make_algorithm(
-                        solver, settings(solver, ring.window, ring.overlap, pair.grid)
-                    )
-                    field = algorithm.solve(pair)
+                    chosen = settings(solver, ring.window, ring.overlap, pair.grid)
+                    field = run(solver, pair, **chosen)
                     spent.setdefault(f"{volumes}, {solver}", []).append(time.perf_counter() - start)
                     off = errors(scene, field)
                     found.setdefault((volumes, solver), []).append(precision_interval(off))
@@ -135,9 +132,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                             across=1,
                         )
                     widths = np.round(found[volumes, solver][-1], 3)
-                    console.print(
-                        f"{ring.name}, {volumes}, {solver}: {widths}", markup=False, highlight=False
-                    )
+                    report(f"{ring.name}, {volumes}, {solver}: {widths}")
         yield Figure(
             f"fig-2-9-{_slug(ring)}",
             f"{ring.name}: errors in voxels",
@@ -322,15 +317,14 @@ def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str
             grid = shots[0].observation.grid
             window = round(_WINDOW_MM / _VOXEL_MM), round(_WINDOW_MM / setup.plane_mm)
             chosen = settings("piv3d", (window[0], window[0], window[1]), _OVERLAP, grid)
-            solver: Any = make_algorithm("piv3d", chosen)
-            field = solver.solve(VolumePair(one, other, grid, scene.interval_s))
+            field = run("piv3d", VolumePair(one, other, grid, scene.interval_s), **chosen)
             places = field.positions_mm.reshape(-1, 3)
             inner = np.abs(places[:, :2]).max(axis=1) <= _SIZE_MM[0] / 2.0 - _MARGIN_MM
             voxels = np.asarray(scene.grid.voxel_mm) / scene.grid.voxel_mm[0]
             own.append(
                 np.array([root_mean_square(e) for e in (errors(scene, field)[inner] * voxels).T])
             )
-            console.print(f"{setup.label}, {name}, seed {seed}: {own[-1].round(3)}", markup=False)
+            report(f"{setup.label}, {name}, seed {seed}: {own[-1].round(3)}")
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from sabench.algorithms.tomography.problem import TomographyProblem
 from sabench.api import Observation, Solver, VolumePair
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api.make import make_solver
 from sabench.evaluation.reproduction import Item, Row
 from sabench.evaluation.suite_loading import override
 from sabench.metrics.averages import root_mean_square
@@ -21,13 +21,22 @@ from sabench.scenes import Scene, build_rig, load_scene
 from sabench.scenes.exposures import recorded_part
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.progress import console
 from sabench.utils.rng import stream
 from sabench.worlds.advection import advect
 from sabench.worlds.tracers import TOLERANCE, require_flow
 
 from .chapter_2_cameras import CAMERAS, by_cameras
-from .common import cases, claim, coarsen, make_row, per_pixel, settings, simulate_frame
+from .common import (
+    cases,
+    claim,
+    coarsen,
+    make_row,
+    per_pixel,
+    report,
+    run,
+    settings,
+    simulate_frame,
+)
 from .refocused_frames import METHODS, additive, count_methods, detection_rows
 from .theory import TABLE_3_1, Algorithm, Setup, operations
 
@@ -417,8 +426,8 @@ def _measure(light: Light, skew_s: float, seed: int, pixels: int | None) -> _Cos
     ]
     one, other = (make_solver("asa", {}).solve(shot.observation).volume for shot in shots)
     grid = shots[0].observation.grid
-    solver: Any = make_algorithm("piv3d", settings("piv3d", _WINDOW, _OVERLAP, grid))
-    field = solver.solve(VolumePair(one, other, grid, light.step_s))
+    chosen = settings("piv3d", _WINDOW, _OVERLAP, grid)
+    field = run("piv3d", VolumePair(one, other, grid, light.step_s), **chosen)
     places = field.positions_mm.reshape(-1, 3)
     inner = np.abs(places[:, :2]).max(axis=1) <= _SIZE_MM[0] / 2.0 - _MARGIN_MM
     exact = _displacements(scene, places[inner], light.step_s)
@@ -431,7 +440,7 @@ def _measure(light: Light, skew_s: float, seed: int, pixels: int | None) -> _Cos
         root_mean_square(off[:, 2]),
         1.0 - float(np.mean(recorded)),
     )
-    console.print(f"{light.label}, {skew_s * 1e6:.0f} us, seed {seed}: {cost}", markup=False)
+    report(f"{light.label}, {skew_s * 1e6:.0f} us, seed {seed}: {cost}")
     return cost
 
 

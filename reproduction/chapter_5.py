@@ -5,12 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from sabench.api import Detections, Observation
-from sabench.api.make import make_algorithm
 from sabench.api.truth import Bubbles
 from sabench.evaluation.reproduction import Item, Row
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
@@ -24,10 +22,10 @@ from sabench.simulation.in_memory import observation_of
 from sabench.simulation.rendering.sensor import expose
 from sabench.tasks.bubbles import jet_figures, jet_of
 from sabench.utils.arrays import F64
-from sabench.utils.progress import console, progress_bar
+from sabench.utils.progress import progress_bar
 from sabench.worlds.library.rise_velocity import Liquid
 
-from .common import AGREES, claim, coarsen, make_row
+from .common import AGREES, claim, coarsen, make_row, report, run
 
 FRAMES = 50  # the thesis's number of time steps: of true bubbles, which need no images
 SOLVER = "rim_fit"
@@ -116,14 +114,11 @@ def detect_frame(scene: Scene, seed: int) -> tuple[Bubbles, Detections]:
     key = scene.hash, seed, SOLVER
     if key not in _detected:
         _, bubbles, case = render_first_frame(scene, seed)
-        algorithm: Any = make_algorithm(SOLVER, {})
         start = time.perf_counter()
-        _detected[key] = bubbles, algorithm.solve(case)
-        console.print(
+        _detected[key] = bubbles, run(SOLVER, case)
+        report(
             f"{scene.title}, seed {seed}: {len(_detected[key][1].center_mm)} of {len(bubbles)} "
-            f"bubbles in {time.perf_counter() - start:.0f} s",
-            markup=False,
-            highlight=False,
+            f"bubbles in {time.perf_counter() - start:.0f} s"
         )
     return _detected[key]
 

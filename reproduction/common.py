@@ -7,11 +7,14 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
+from sabench.api.make import make_algorithm
 from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suite_loading import load_suite, override
 from sabench.evaluation.suites import SceneCase
 from sabench.geometry.grid import Grid
+from sabench.plotting.charts import Panel, Picture
 from sabench.scenes import Scene
 from sabench.scenes.cameras import CameraSpec
 from sabench.simulation.in_memory import Shot, simulate
@@ -133,12 +136,26 @@ def per_pixel(scene: Scene) -> float:
 def simulate_frame(scene: Scene, seed: int) -> Shot:
     """Simulate a frame of the scene, and print that."""
     shot = simulate(scene, seed=seed)
-    console.print(
-        f"{scene.title}: {len(shot.particles)} particles, seed {seed}",
-        markup=False,
-        highlight=False,
-    )
+    report(f"{scene.title}: {len(shot.particles)} particles, seed {seed}")
     return shot
+
+
+def report(text: str) -> None:
+    """Print a line on the progress to standard error."""
+    console.print(text, markup=False, highlight=False)
+
+
+def run(solver: str, problem: Any, **parameters: Any) -> Any:
+    """Solve a problem by a solver of its task."""
+    algorithm: Any = make_algorithm(solver, parameters)
+    return algorithm.solve(problem)
+
+
+def image_panel(title: str, image: npt.ArrayLike, x: str = "px", y: str = "px") -> Panel:
+    """Draw an image over its pixels."""
+    shown = np.asarray(image, dtype=np.float64)
+    rows, columns = shown.shape
+    return Panel(title, x, y, (Picture(shown, (0.0, 0.0), (columns - 1.0, rows - 1.0)),))
 
 
 def settings(
