@@ -47,8 +47,6 @@ _FLAT = 0.5
 def fig_2_7(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure both parts of the figure.
 
-    Figure 2-7: Q against the number of cameras and against the mapping error.
-
     Part (a) varies the number of cameras, part (b) the mapping error of 13 cameras. Two values of
     section 2.3.2 are with 9 cameras.
     """
@@ -148,8 +146,6 @@ class Judged:
 
 def fig_2_7_cameras(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure Q of each reconstruction with each set of cameras, and their errors.
-
-    Loss of Q by calibration: the same images, with the cameras of each one.
 
     The thesis (figure 2-7b) shifts images; here the errors are those that calibrations make.
     """
@@ -278,8 +274,6 @@ _GREATLY = 0.5  # of the particles that calibration errors lose, found again at 
 
 def section_2_3_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure yields by exact, by wrong and by self-calibrated cameras.
-
-    Section 2.3.2: yield of particles with and without volume self-calibration.
 
     The thesis's experiment has about 0.23 particles per mm3, and its refocused volumes 0.13. It
     blames the calibration, whose errors may exceed half a pixel, and expects self-calibration to

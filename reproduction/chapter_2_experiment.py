@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from sabench.api import ImagePair, Velocity, VolumePair
-from sabench.api.make import make_solver
 from sabench.evaluation.reproduction import Item
 from sabench.metrics.vortex_rings import (
     HalfPlane,
@@ -30,7 +29,7 @@ from sabench.utils.confidence import mean_of
 from sabench.utils.errors import InputError
 from sabench.worlds.tracers import require_flow
 
-from .common import claim, coarsen, make_row, report, run, settings
+from .common import claim, coarsen, make_row, reconstruct, report, run, settings
 
 ANGLES = tuple(float(angle) for angle in np.linspace(0.0, 180.0, 9))
 ORIFICE_MM = 30.0
@@ -38,11 +37,9 @@ _WINDOW, _OVERLAP = (64, 64, 32), 0.5  # the thesis's
 ASPECT = 0.75  # height over width of rectangles
 
 
-def reconstruct(solver: str, scene: Scene, shots: Sequence[Shot]) -> VolumePair:
-    """Reconstruct the volumes of a pair of frames."""
-    first, second = (make_solver(solver, {}).solve(shot.observation).volume for shot in shots)
+def _reconstruct(solver: str, scene: Scene, shots: Sequence[Shot]) -> VolumePair:
     interval_s = scene.time_s(1) - scene.time_s(0)
-    return VolumePair(first, second, shots[0].observation.grid, interval_s)
+    return reconstruct(solver, [shot.observation for shot in shots], interval_s)
 
 
 def measure(solver: str, pair: VolumePair) -> Velocity:
@@ -132,8 +129,6 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure core distance, circulation, speed and vorticity per solver.
 
     Each is relative to the exact value; circulation also has its spread over angles.
-
-    Figures 2-16 to 2-19: vortex ring seen by eight cameras.
     """
     scene = coarsen(load_scene("vortex-ring-experiment"), pixels)
     found: dict[tuple[str, str], _Seen] = {}
@@ -141,7 +136,7 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
         for volumes in _VOLUMES:
             start = time.perf_counter()
-            pair = reconstruct(volumes, scene, shots)
+            pair = _reconstruct(volumes, scene, shots)
             spent = time.perf_counter() - start
             for solver in _PIV:
                 start = time.perf_counter()
@@ -302,10 +297,7 @@ class _Cut:
 
 
 def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure cores, velocity, vorticity and circulation of planar and 3-D PIV.
-
-    Figures 2-17 to 2-19: planar PIV of a light sheet next to 3-D PIV.
-    """
+    """Measure cores, velocity, vorticity and circulation of planar and 3-D PIV."""
     sheet, volume = (
         coarsen(load_scene(name), pixels)
         for name in ("vortex-ring-sheet", "vortex-ring-experiment")
@@ -320,7 +312,7 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         exact.append(_look_at_planes(sheet, at_nodes(sheet, flat), beside_mm))
         shots = [simulate(volume, seed=seed, frame=frame) for frame in range(2)]
         for volumes, solver in _SOLVERS:
-            field = measure(solver, reconstruct(volumes, volume, shots))
+            field = measure(solver, _reconstruct(volumes, volume, shots))
             solid[volumes, solver].append(_Solid.of(volume, field))
             text = (
                 f"seed {seed}, {volumes}, {solver}: {solid[volumes, solver][-1].cut.distance:.3f}"

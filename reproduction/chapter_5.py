@@ -25,7 +25,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
 from sabench.worlds.library.rise_velocity import Liquid
 
-from .common import AGREES, claim, coarsen, make_row, report, run
+from .common import AGREES, claim, coarsen, finite_row, make_row, report, run
 
 FRAMES = 50  # the thesis's number of time steps: of true bubbles, which need no images
 SOLVER = "rim_fit"
@@ -212,8 +212,6 @@ def fall(
 def table_5_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Compute the table from printed speeds and diameters; nothing is simulated.
 
-    Table 5.1: speed and diameter of the jets, and equations 5.1 to 5.4.
-
     The table's columns of V_i and D_i are exchanged: V_i D_i^2 is constant, as the flow through one
     nozzle is, and depths over D_i in figure 5-21 are whole bins only if the column of V_i holds D_i
     in mm. The rows use them in this order. The printed Weber numbers have the radius for the
@@ -297,8 +295,6 @@ def table_5_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     Errors are means over frames. Figures are from all frames together, of detected bubbles; notes
     give those of true ones.
 
-    Table 5.2 and figures 5-18 to 5-20: three plunging jets from detected bubbles.
-
     All values are those of bubbles detected in rendered frames. The scenes were built to the
     thesis's values, which are measurements of its own jets.
     """
@@ -314,8 +310,7 @@ def _errors(jet: JetFrames) -> Iterator[Item]:
         for found, true in zip(jet.found, jet.true, strict=True)
     ]
     for key, name in _LARGE.items():
-        values = [one[key] for one in scores if np.isfinite(one[key])]
-        yield make_row(f"h = {jet.height} mm, {SOLVER}: {name}", None, values)
+        yield finite_row(f"h = {jet.height} mm, {SOLVER}: {name}", [one[key] for one in scores])
 
 
 def _table(jet: JetFrames) -> Iterator[Item]:

@@ -30,7 +30,7 @@ from sabench.scenes import load_scene
 from sabench.utils.arrays import F32, F64, I64, Bool
 
 from .chapter_5 import render_first_frame
-from .common import claim, coarsen, image_panel, make_row
+from .common import claim, coarsen, finite_row, image_panel
 
 _SCENE = "plunging-jet-21"
 _OFF_MM = 10.0  # of the refocused planes before and behind the middle one: figure 5-6
@@ -114,7 +114,7 @@ def fig_5_7(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for key, value in (_peaks(stack) | _contrasts(stack) | _edges(stack)).items():
             values.setdefault(key, []).append(value)
     for key, every in values.items():
-        yield make_row(key, None, [value for value in every if np.isfinite(value)])
+        yield finite_row(key, every)
     means = {key: mean_of_finite(every) for key, every in values.items()}
     if None not in means.values():
         yield from _claims({key: mean for key, mean in means.items() if mean is not None})

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sabench.algorithms.bubbles import image_diameter_px, separate_phases
-from sabench.api import FoundParticles, ImageSequence, Observation, VolumePair
-from sabench.api.make import make_solver
+from sabench.api import FoundParticles, ImageSequence, Observation
 from sabench.api.truth import BODY, Bubbles, Particles, Sight
 from sabench.evaluation.reproduction import Item
 from sabench.metrics.bubble_detection import detection_scores
@@ -23,12 +22,19 @@ from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import Shot, observation_of, simulate_sequence
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.confidence import mean_of
-from sabench.worlds.advection import advect
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.containment import contains
-from sabench.worlds.tracers import TOLERANCE, require_flow
 
-from .common import coarsen, image_panel, make_row, report, run, settings
+from .common import (
+    coarsen,
+    exact_displacements,
+    finite_row,
+    image_panel,
+    reconstruct,
+    report,
+    run,
+    settings,
+)
 
 _SCENES = {"reef": "flow-behind-reef", "propeller": "flow-behind-propeller"}
 _SOLVERS = ("ray_triangulation", "bayesian_ipr")
@@ -54,8 +60,6 @@ class _Seen:
 def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure recall, ghosts and velocity errors; the thesis shows no such flow.
 
-    Flow seen through a reef and behind a propeller: what chapter 6 hopes for.
-
     Tracers move with a viscous flow around a body at rest, which hides some of them from some of
     the cameras. Recall and velocity errors are given over the share of the cameras that do not see
     a particle, and over the number of cameras.
@@ -71,8 +75,7 @@ def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Ite
                 yield _view(body, shots[0].observation)
         for cameras, solver, what in found[0]:
             values = [one[cameras, solver, what] for one in found]
-            known = [value for value in values if np.isfinite(value)]
-            yield make_row(f"{body}, {cameras} cameras, {solver}: {what}", None, known)
+            yield finite_row(f"{body}, {cameras} cameras, {solver}: {what}", values)
         yield _flow_figure(body, found)
 
 
@@ -147,21 +150,15 @@ def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
     from scipy.spatial import cKDTree
 
     grid = seen.cases[0].grid
-    volumes = [make_solver("msa", {}).solve(case).volume for case in seen.cases]
     start, end = seen.times_s
-    pair = VolumePair(volumes[0], volumes[1], grid, end - start)
+    pair = reconstruct("msa", seen.cases, end - start)
     field = run("piv3d", pair, **settings("piv3d", _WINDOW, _OVERLAP, grid))
     points = evaluation_lattice(grid).positions_mm.reshape(-1, 3)
     for body, _ in Phases(scene, seed).bodies(0):
         points = points[~contains(body, points)]
     velocity, measured = sample_velocity(field, points)
-    flow, tolerance = require_flow(scene, seed), TOLERANCE * max(scene.volume.size_mm)
-    after, before = (
-        advect(flow, points, (start + end) / 2.0, time, tolerance) for time in (end, start)
-    )
-    error = np.linalg.norm(
-        (velocity * (end - start) - (after - before)) / np.asarray(grid.voxel_mm), axis=1
-    )
+    exact = exact_displacements(scene, points, start, end, seed)
+    error = np.linalg.norm((velocity * (end - start) - exact) / np.asarray(grid.voxel_mm), axis=1)
     near = cKDTree(seen.shots[0].particles.position_mm).query(points, k=_NEAR)[1]
     hidden = seen.hidden[0][near].mean(axis=1)
     figures = {"yield, %": _percent(measured), "rms, voxel": _rms(error[measured])}
@@ -247,8 +244,6 @@ class _Shot:
 def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure each phase with and without separation; the thesis shows no such flow.
 
-    Bubbles, a body and tracers in one picture: what chapter 6 hopes for.
-
     The images are separated by phase, and each phase is scored: bubbles, tracers, and the outline
     of the body. The same solvers on the raw images show what separation gains.
     """
@@ -261,8 +256,7 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         if seed == seeds[0]:
             yield _phases_figure(shot.case)
     for what in found[0]:
-        values = [one[what] for one in found]
-        yield make_row(what, None, [value for value in values if np.isfinite(value)])
+        yield finite_row(what, [one[what] for one in found])
 
 
 def _record(scene: Scene, seed: int) -> _Shot:

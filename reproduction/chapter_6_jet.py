@@ -24,7 +24,7 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.confidence import mean_of
 
 from .chapter_5 import render_first_frame, render_frames
-from .common import coarsen, image_panel, make_row, report, run
+from .common import coarsen, finite_row, image_panel, make_row, report, run
 from .edge_depth import count_views, edge_scores, find_rim, silhouette, sphere_mesh
 
 _DEPTHS_MM = (-8.0, 0.0, 8.0)
@@ -34,9 +34,7 @@ _SOLVERS_OF_FRAMES = ("minimum_image", "local_feature")
 def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure F1 and errors of drops per solver; the thesis shows only images.
 
-    Figures 6-4 and 6-5: liquid jet in a cross-flow, refocused, and its drops.
-
-    One camera's image and refocused planes at several depths are shown; detected drops are counted.
+    One camera's image and refocused planes at several depths are drawn.
     """
     scene = coarsen(load_scene("jet-in-crossflow"), pixels)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS_OF_FRAMES}
@@ -88,8 +86,6 @@ _WHAT = {
 
 def fig_6_6(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure depth errors of the edges of column and ligaments, and of all edges.
-
-    Figure 6-6: edges of a liquid jet found in refocused planes, with their depths.
 
     The thesis shows edges and no figures. Here their depths are compared with the true rim of the
     column, its ligaments and the drops, as far as most cameras see it against the light.
@@ -191,8 +187,6 @@ class Counted:
 def drops_over_time(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure numbers, diameters, passages and links of large drops.
 
-    Drops of a liquid jet in a cross-flow, counted over time (chapter 6).
-
     Drops are detected frame by frame and linked. Their number, their mean and Sauter diameters, and
     the number that has passed a plane across the gas are compared with those of the true drops.
     """
@@ -293,8 +287,7 @@ def _rows(
         }.items()
     }
     for what, values in figures.items():
-        known = [float(value) for value in values if np.isfinite(value)]
-        yield make_row(f"{name}: {what}", None, known)
+        yield finite_row(f"{name}: {what}", values)
 
 
 def _drops_figure(scene: Scene, counts: dict[str, list[Counted]]) -> Figure:

@@ -31,10 +31,7 @@ _METHODS = ("additive", "multiplicative", "dark", "mart")
 
 
 def fig_1_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure cells read, contrast and separation, per method and in single views.
-
-    Figure 1-3: code behind bubbles, read in single views and refocused planes.
-    """
+    """Measure cells read, contrast and separation, per method and in single views."""
     scene = coarsen(load_scene("see-through"), pixels)
     found: dict[str, list[dict[str, float]]] = {}
     panels: list[Panel] = []
@@ -102,10 +99,7 @@ Readings = dict[str, list[dict[str, float]]]
 
 
 def section_2_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure cells read and separation on the cylinder and in the best plane.
-
-    Section 2.2.2: a code on a curved wall, refocused on it and in flat planes.
-    """
+    """Measure cells read and separation on the cylinder and in the best plane."""
     scene = coarsen(load_scene("curved-wall"), pixels)
     found: Readings = {}
     for seed in seeds:
