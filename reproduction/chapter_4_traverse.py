@@ -263,8 +263,8 @@ _FLUCTUATION_MM = 0.02
 def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure errors of mean spacings per solver and test; compare the tests.
 
-    The cameras are those of the vortex ring's experiment. The experiment's traverse moved the grid by 4 mm, to 0.01 mm; here it does so exactly, so that
-    all that is left is the calibration's own.
+    The cameras are those of the vortex ring's experiment. The experiment's traverse moved the grid
+    by 4 mm, to 0.01 mm; here it does so exactly, so that all that is left is the calibration's own.
     """
     found: dict[tuple[str, str], list[F64]] = {}
     turns: dict[tuple[str, str], list[float]] = {}

@@ -33,7 +33,8 @@ _SCORES = {
 def fig_5_15(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure sizes and scores of size distributions per jet.
 
-    Scores are means over frames. The scenes were built to the thesis's ranges of sizes, which are measurements of its own jets.
+    Scores are means over frames. The scenes were built to the thesis's ranges of sizes, which are
+    measurements of its own jets.
     """
     panels = []
     for jet in detect_jets(seeds, pixels):
