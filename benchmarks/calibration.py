@@ -15,20 +15,11 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from reproduction.chapter_4 import (
-    D_PIX,
-    Board,
-    board,
-    draw,
-    places_of,
-    reprojection,
-    scene_of,
-    solve_case,
-)
 from sabench.algorithms.calibration.bundle_adjustment import (
     BoardImages,
     normal_equations,
@@ -44,6 +35,19 @@ from sabench.scenes import build_rig, parse_scene
 from sabench.utils.arrays import F64
 from sabench.utils.progress import progress_bar
 from sabench.worlds.calibration_targets import exact_pixels, place
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from reproduction.chapter_4 import (
+    D_PIX,
+    Board,
+    board,
+    draw,
+    places_of,
+    reprojection,
+    scene_of,
+    solve_case,
+)
 
 _NOISES = (0.1, 0.5, 1.0, 2.0)
 _CAMERAS = (3, 7, 9, 13)

@@ -10,11 +10,11 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from reproduction.chapter_4 import draw, scene_of
 from sabench.algorithms.calibration.bundle_adjustment import (
     BoardImages,
     normal_equations,
@@ -26,6 +26,10 @@ from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.utils.arrays import F64
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from reproduction.chapter_4 import draw, scene_of
 
 _NOISE_PX = 0.1
 _TILTS = ((8.0, 0.0), (0.0, -6.0), (5.0, 5.0), (-4.0, 7.0), (3.0, -8.0), (-7.0, -2.0))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sabench.api import Calibration
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api.make import make_solver
 from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suite_loading import override
 from sabench.evaluation.suites import SceneCase
@@ -24,7 +24,17 @@ from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.confidence import mean_of
 
 from .chapter_4 import Board, draw, places_of, solve_case
-from .common import ADEQUATE, cases, claim, coarsen, density, make_row, per_pixel, simulate_frame
+from .common import (
+    ADEQUATE,
+    cases,
+    claim,
+    coarsen,
+    density,
+    make_row,
+    per_pixel,
+    run,
+    simulate_frame,
+)
 from .refocused_frames import METHODS, measure_quality
 
 CAMERAS, ERRORS = "fig-2-7a", "fig-2-7b"
@@ -36,8 +46,6 @@ _FLAT = 0.5
 
 def fig_2_7(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure both parts of the figure.
-
-    Figure 2-7: Q against the number of cameras and against the mapping error.
 
     Part (a) varies the number of cameras, part (b) the mapping error of 13 cameras. Two values of
     section 2.3.2 are with 9 cameras.
@@ -139,8 +147,6 @@ class Judged:
 def fig_2_7_cameras(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure Q of each reconstruction with each set of cameras, and their errors.
 
-    Loss of Q by calibration: the same images, with the cameras of each one.
-
     The thesis (figure 2-7b) shifts images; here the errors are those that calibrations make.
     """
     found: dict[tuple[str, str], list[float]] = {}
@@ -220,8 +226,7 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
     wrong = parse_scene(scene.to_dict() | {"calibration": {"shift_px": _SHIFT_PX}}, "shifted")
     off = simulate(wrong, seed=seed).observation
     judged["no calibration, 2 px off"] = judge_cameras(off.cameras, shot, true, None)
-    algorithm: Any = make_algorithm("volume_self_calibration", {})
-    made: Calibration = algorithm.solve(off)
+    made: Calibration = run("volume_self_calibration", off)
     judged["volume_self_calibration"] = judge_cameras(made.cameras, shot, true, None)
     return judged
 
@@ -269,8 +274,6 @@ _GREATLY = 0.5  # of the particles that calibration errors lose, found again at 
 
 def section_2_3_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure yields by exact, by wrong and by self-calibrated cameras.
-
-    Section 2.3.2: yield of particles with and without volume self-calibration.
 
     The thesis's experiment has about 0.23 particles per mm3, and its refocused volumes 0.13. It
     blames the calibration, whose errors may exceed half a pixel, and expects self-calibration to
@@ -321,8 +324,7 @@ def _solve(scene: Scene, seed: int) -> Iterator[tuple[str, Judged, Counts]]:
         name = f"{shift:g} px off"
         off = judge_cameras(wrong.observation.cameras, shot, true, None)
         yield name, off, _count(shot, off)
-        solver: Any = make_algorithm("volume_self_calibration", {})
-        made: Calibration = solver.solve(wrong.observation)
+        made: Calibration = run("volume_self_calibration", wrong.observation)
         better = judge_cameras(made.cameras, shot, true, None)
         yield f"{name}, self-calibrated", better, _count(shot, better)
 

@@ -43,10 +43,7 @@ Trial = Callable[[float, int], Quality]  # of a density and a seed
 
 
 def table_2_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Measure plane spacing and density of every array of the table.
-
-    Table 2.1: largest density with Q = 0.75, and plane spacing, of 25 cameras.
-    """
+    """Measure plane spacing and density of every array of the table."""
     for case in cases(SUITE):
         yield _spacing_row(case)
         for method in METHODS:
@@ -187,12 +184,7 @@ _AS_GOOD = 0.01  # in Q
 
 
 def table_2_1_best(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Measure Q of the fastest of the solvers that are best on a coarse array.
-
-    Q of the best tomographic solver at 1.5 times the densities of table 2.1.
-
-    It uses the same images.
-    """
+    """Measure Q of the fastest of the solvers that are best on a coarse array."""
     for case in cases(SUITE):
         per_mm3 = _DENSER * density(case.scene)
         scene = with_density(case.scene, per_mm3)
@@ -225,8 +217,6 @@ def fig_2_6(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure the points of each curve.
 
     The thesis prints only the density where Q crosses 0.75, which is in table 2.1.
-
-    Figure 2-6: Q against density for every baseline in three volumes.
     """
     for case in curves():
         for part in PARTS:
@@ -252,12 +242,7 @@ _LINEAR = 0.9  # share of the variance that a straight line explains
 
 
 def fig_3_8(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
-    """Measure the curves, and the thesis's claims about their shapes.
-
-    Figure 3-8: true and ghost particles against the number of particles.
-
-    There are 25 cameras and three volumes.
-    """
+    """Measure the curves, and the thesis's claims about their shapes."""
     for case in curves():
         points: dict[str, list[list[Row]]] = {method: [] for method in METHODS}
         for part in PARTS:

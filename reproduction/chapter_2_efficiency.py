@@ -15,7 +15,7 @@ import numpy as np
 from sabench.algorithms.particles.defocusing import Apertures, match_triangles
 from sabench.algorithms.particles.matching import select_best, select_rows
 from sabench.api import Camera, ImageSequence
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api.make import make_solver
 from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suite_loading import override
 from sabench.geometry.grid import Grid
@@ -27,7 +27,17 @@ from sabench.simulation.in_memory import Shot
 from sabench.utils.arrays import F64
 from sabench.utils.rng import stream
 
-from .common import ADEQUATE, at_least, cases, coarsen, density, make_row, per_pixel, simulate_frame
+from .common import (
+    ADEQUATE,
+    at_least,
+    cases,
+    coarsen,
+    density,
+    make_row,
+    per_pixel,
+    run,
+    simulate_frame,
+)
 from .refocused_frames import METHODS, detection_rows, measure_quality
 
 _PER_PIXEL, _PER_TOTAL_PIXEL, _PARTICLES = 0.125, 0.01, 125_000
@@ -141,8 +151,7 @@ def _particle_solvers(
         shot = simulate_frame(scene, seed)
         case = ImageSequence.of([shot.observation])
         for solver, own in counts.items():
-            algorithm: Any = make_algorithm(solver, {})
-            (found,) = algorithm.solve(case)
+            (found,) = run(solver, case)
             own.append(_count(shot, found.position_mm))
         for (noise, own), reach in zip(apart.items(), _REACH_PX, strict=False):
             own.append(_count(shot, _triangles(shot, seed, noise, reach)))

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from sabench.api import ImagePair, Velocity, VolumePair
-from sabench.api.make import make_algorithm, make_solver
 from sabench.evaluation.reproduction import Item
 from sabench.metrics.vortex_rings import (
     HalfPlane,
@@ -28,10 +27,9 @@ from sabench.tasks.figures.velocity import slice_panel
 from sabench.utils.arrays import F64, triple
 from sabench.utils.confidence import mean_of
 from sabench.utils.errors import InputError
-from sabench.utils.progress import console
 from sabench.worlds.tracers import require_flow
 
-from .common import claim, coarsen, make_row, settings
+from .common import claim, coarsen, make_row, reconstruct, report, run, settings
 
 ANGLES = tuple(float(angle) for angle in np.linspace(0.0, 180.0, 9))
 ORIFICE_MM = 30.0
@@ -39,17 +37,14 @@ _WINDOW, _OVERLAP = (64, 64, 32), 0.5  # the thesis's
 ASPECT = 0.75  # height over width of rectangles
 
 
-def reconstruct(solver: str, scene: Scene, shots: Sequence[Shot]) -> VolumePair:
-    """Reconstruct the volumes of a pair of frames."""
-    first, second = (make_solver(solver, {}).solve(shot.observation).volume for shot in shots)
+def _reconstruct(solver: str, scene: Scene, shots: Sequence[Shot]) -> VolumePair:
     interval_s = scene.time_s(1) - scene.time_s(0)
-    return VolumePair(first, second, shots[0].observation.grid, interval_s)
+    return reconstruct(solver, [shot.observation for shot in shots], interval_s)
 
 
 def measure(solver: str, pair: VolumePair) -> Velocity:
     """Measure the field between two volumes by the thesis's windows."""
-    algorithm: Any = make_algorithm(solver, settings(solver, _WINDOW, _OVERLAP, pair.grid))
-    made: Velocity = algorithm.solve(pair)
+    made: Velocity = run(solver, pair, **settings(solver, _WINDOW, _OVERLAP, pair.grid))
     return made
 
 
@@ -134,8 +129,6 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure core distance, circulation, speed and vorticity per solver.
 
     Each is relative to the exact value; circulation also has its spread over angles.
-
-    Figures 2-16 to 2-19: vortex ring seen by eight cameras.
     """
     scene = coarsen(load_scene("vortex-ring-experiment"), pixels)
     found: dict[tuple[str, str], _Seen] = {}
@@ -143,7 +136,7 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
         for volumes in _VOLUMES:
             start = time.perf_counter()
-            pair = reconstruct(volumes, scene, shots)
+            pair = _reconstruct(volumes, scene, shots)
             spent = time.perf_counter() - start
             for solver in _PIV:
                 start = time.perf_counter()
@@ -152,11 +145,7 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 own.seconds.append((spent, time.perf_counter() - start))
                 _look(own, scene, measured)
                 figures = f"{own.distance[-1]:.3f}, {own.spread[-1]:.1f} %"
-                console.print(
-                    f"seed {seed}, {volumes}, {solver}: {figures}",
-                    markup=False,
-                    highlight=False,
-                )
+                report(f"seed {seed}, {volumes}, {solver}: {figures}")
                 if seed == seeds[-1] and (volumes, solver) == (_VOLUMES[-1], _PIV[-1]):
                     yield from _figures(scene, measured)
     for (volumes, solver), own in found.items():
@@ -173,20 +162,16 @@ def _exact_circulations(scene: Scene) -> F64:
 
 
 def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
-    ring, spin, velocity = (
-        ring_of(scene),
-        spin_of(measured),
-        sample(measured, measured.velocity_mm_s),
-    )
+    ring = ring_of(scene)
+    spin = spin_of(measured)
+    velocity = sample(measured, measured.velocity_mm_s)
     cores = [
         core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"])
         for half in (half_planes(scene)[0], half_planes(scene)[-1])
     ]
     own.distance.append((cores[0][0] + cores[1][0]) / ORIFICE_MM)
-    around, true = (
-        circulations(scene, velocity, spin, half_planes(scene)),
-        _exact_circulations(scene),
-    )
+    around = circulations(scene, velocity, spin, half_planes(scene))
+    true = _exact_circulations(scene)
     known = ~np.isnan(around).any(axis=0)
     peaks = around[:, known].max(axis=1) if known.any() else np.full(len(around), np.nan)
     own.spread.append(100.0 * float((peaks.max() - peaks.min()) / peaks.max()))
@@ -215,10 +200,7 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
     same_nodes = np.mean(own.known)
     note = f"exact {exact:.3f}; of the exact field at the same nodes {same_nodes:.3f}"
     yield make_row(
-        f"{name}: distance of the cores over the orifice",
-        _THESIS["core"],
-        own.distance,
-        note,
+        f"{name}: distance of the cores over the orifice", _THESIS["core"], own.distance, note
     )
     yield make_row(
         f"{name}: spread of the circulation over angles, %",
@@ -246,11 +228,9 @@ def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
 
 
 def _figures(scene: Scene, measured: Velocity) -> Iterator[Item]:
-    velocity, spin, half = (
-        sample(measured, measured.velocity_mm_s),
-        spin_of(measured),
-        half_planes(scene)[0],
-    )
+    velocity = sample(measured, measured.velocity_mm_s)
+    spin = spin_of(measured)
+    half = half_planes(scene)[0]
     exact = at_nodes(scene, measured)
     yield Figure(
         "fig-2-16",
@@ -317,10 +297,7 @@ class _Cut:
 
 
 def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure cores, velocity, vorticity and circulation of planar and 3-D PIV.
-
-    Figures 2-17 to 2-19: planar PIV of a light sheet next to 3-D PIV.
-    """
+    """Measure cores, velocity, vorticity and circulation of planar and 3-D PIV."""
     sheet, volume = (
         coarsen(load_scene(name), pixels)
         for name in ("vortex-ring-sheet", "vortex-ring-experiment")
@@ -335,14 +312,12 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         exact.append(_look_at_planes(sheet, at_nodes(sheet, flat), beside_mm))
         shots = [simulate(volume, seed=seed, frame=frame) for frame in range(2)]
         for volumes, solver in _SOLVERS:
-            field = measure(solver, reconstruct(volumes, volume, shots))
+            field = measure(solver, _reconstruct(volumes, volume, shots))
             solid[volumes, solver].append(_Solid.of(volume, field))
             text = (
                 f"seed {seed}, {volumes}, {solver}: {solid[volumes, solver][-1].cut.distance:.3f}"
             )
-            console.print(
-                f"{text}, piv2d: {planar[-1].distance:.3f}", markup=False, highlight=False
-            )
+            report(f"{text}, piv2d: {planar[-1].distance:.3f}")
     yield from _sheet_figures(sheet, flat, field, beside_mm)
     yield from _planar_rows(planar, exact)
     for (volumes, solver), found in solid.items():
@@ -351,8 +326,8 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 def _measure_sheet(scene: Scene, seed: int) -> Velocity:
     first, second = (simulate(scene, seed=seed, frame=frame).observation for frame in range(2))
-    algorithm: Any = make_algorithm("piv2d", _WINDOWS)
-    made: Velocity = algorithm.solve(ImagePair(first, second, scene.time_s(1) - scene.time_s(0)))
+    pair = ImagePair(first, second, scene.time_s(1) - scene.time_s(0))
+    made: Velocity = run("piv2d", pair, **_WINDOWS)
     return made
 
 

@@ -16,13 +16,13 @@ from scipy.stats import kstest
 from sabench.algorithms.refocus import refocus_sum
 from sabench.evaluation.reproduction import Item, Row
 from sabench.geometry.grid import Grid
-from sabench.plotting.charts import Curve, Figure, Panel, Picture
+from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import Shot
 from sabench.utils.arrays import F32, F64, Bool
 
 from .chapter_2_cameras import CAMERAS, by_cameras
-from .common import cases, claim, coarsen, make_row, per_pixel, simulate_frame
+from .common import cases, claim, coarsen, image_panel, make_row, per_pixel, simulate_frame
 
 _ARRAY, _EXPERIMENT = "50x50x10-D0.4", "vortex-ring-experiment"
 _NINE = 9  # cameras of figure 2-15 b to d
@@ -234,8 +234,7 @@ def _zoom(title: str, values: F32, size: int) -> Panel:
     top, left = (max((length - size) // 2, 0) for length in values.shape)
     part = values[top : top + size, left : left + size].astype(np.float64)
     part = np.minimum(part, np.quantile(part, 0.999))
-    ends = (0.0, 0.0), (part.shape[1] - 1.0, part.shape[0] - 1.0)
-    return Panel(title, "px", "px", (Picture(part, *ends),))
+    return image_panel(title, part)
 
 
 def _histograms(name: str, one: _Grey) -> Figure:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from sabench.api import Velocity, VolumePair
-from sabench.api.make import make_algorithm, make_solver
 from sabench.evaluation.reproduction import Item, Row
 from sabench.evaluation.suite_loading import override
 from sabench.metrics.averages import root_mean_square
@@ -20,13 +19,20 @@ from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks.figures.velocity import error_scatter, slice_panel
-from sabench.utils.arrays import F32, F64
+from sabench.utils.arrays import F64
 from sabench.utils.confidence import mean_of
-from sabench.utils.progress import console
-from sabench.worlds.advection import advect
-from sabench.worlds.tracers import TOLERANCE, require_flow
 
-from .common import cases, claim, coarsen, make_row, settings
+from .common import (
+    cases,
+    claim,
+    coarsen,
+    exact_displacements,
+    make_row,
+    reconstruct,
+    report,
+    run,
+    settings,
+)
 from .theory import plane_spacing_ratio
 
 _INTERVAL_S = 1e-3
@@ -103,10 +109,6 @@ RINGS = (
 def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure intervals of u, v, w and seconds per ring, volumes and solver.
 
-    Figures 2-8 to 2-11 are drawn, too.
-
-    Table 2.2: 90 % precision intervals of the velocity in two vortex rings.
-
     Volumes are reconstructed or synthesised.
     """
     for ring in RINGS:
@@ -119,10 +121,8 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 spent.setdefault(volumes, []).append(seconds)
                 for solver in ("piv3d_plain", "piv3d"):
                     start = time.perf_counter()
-                    algorithm: Any = make_algorithm(
-                        solver, settings(solver, ring.window, ring.overlap, pair.grid)
-                    )
-                    field = algorithm.solve(pair)
+                    chosen = settings(solver, ring.window, ring.overlap, pair.grid)
+                    field = run(solver, pair, **chosen)
                     spent.setdefault(f"{volumes}, {solver}", []).append(time.perf_counter() - start)
                     off = errors(scene, field)
                     found.setdefault((volumes, solver), []).append(precision_interval(off))
@@ -135,11 +135,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                             across=1,
                         )
                     widths = np.round(found[volumes, solver][-1], 3)
-                    console.print(
-                        f"{ring.name}, {volumes}, {solver}: {widths}",
-                        markup=False,
-                        highlight=False,
-                    )
+                    report(f"{ring.name}, {volumes}, {solver}: {widths}")
         yield Figure(
             f"fig-2-9-{_slug(ring)}",
             f"{ring.name}: errors in voxels",
@@ -206,21 +202,18 @@ def scene_of(ring: Ring) -> Scene:
 def _pairs(scene: Scene, seed: int) -> Iterator[tuple[str, VolumePair, float]]:
     """Make the synthesised pair and one of each reconstruction, with seconds."""
     shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
-    yield (
-        "synthesised",
-        _pair(
-            shots, [true_field(shot.observation.grid, shot.particles, shot.views) for shot in shots]
-        ),
-        0.0,
-    )
+    yield "synthesised", _synthesise(shots, _INTERVAL_S), 0.0
     for name in _RECONSTRUCTIONS:
         start = time.perf_counter()
-        volumes = [make_solver(name, {}).solve(shot.observation).volume for shot in shots]
-        yield name, _pair(shots, volumes), time.perf_counter() - start
+        pair = reconstruct(name, [shot.observation for shot in shots], _INTERVAL_S)
+        yield name, pair, time.perf_counter() - start
 
 
-def _pair(shots: Sequence[Shot], volumes: Sequence[F32]) -> VolumePair:
-    return VolumePair(volumes[0], volumes[1], shots[0].observation.grid, _INTERVAL_S)
+def _synthesise(shots: Sequence[Shot], interval_s: float) -> VolumePair:
+    """Make the volumes that a perfect reconstruction would give."""
+    grid = shots[0].observation.grid
+    one, other = (true_field(grid, shot.particles, shot.views) for shot in shots)
+    return VolumePair(one, other, grid, interval_s)
 
 
 def errors(scene: Scene, field: Velocity) -> F64:
@@ -228,11 +221,8 @@ def errors(scene: Scene, field: Velocity) -> F64:
 
     As in the thesis, vectors that were filled in count, too.
     """
-    flow, points = require_flow(scene), field.positions_mm.reshape(-1, 3)
-    tolerance = TOLERANCE * max(scene.volume.size_mm)
-    exact = advect(flow, points, _INTERVAL_S / 2.0, _INTERVAL_S, tolerance) - advect(
-        flow, points, _INTERVAL_S / 2.0, 0.0, tolerance
-    )
+    points = field.positions_mm.reshape(-1, 3)
+    exact = exact_displacements(scene, points, 0.0, _INTERVAL_S)
     return np.asarray(
         (field.velocity_mm_s.reshape(-1, 3) * _INTERVAL_S - exact) / np.asarray(scene.grid.voxel_mm)
     )
@@ -278,8 +268,6 @@ def section_2_4(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     Baselines are compared with the same planes, some of them with planes twice as fine, and with
     the planes of equation 2.10 for each.
 
-    Sections 2.3.2 and 2.4: velocity error against baseline and plane spacing.
-
     The thesis expects better resolution in Z of larger baselines, and leaves the smallest and
     largest acceptable ones to further work. Here a core of its first vortex ring is measured in a
     part of its first volume, by windows that are the same in mm whatever the voxels.
@@ -315,24 +303,21 @@ def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str
     for seed in seeds:
         shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
         for name, own in found.items():
-            one, other = (
-                true_field(shot.observation.grid, shot.particles, shot.views)
+            pair = (
+                _synthesise(shots, scene.interval_s)
                 if name == "synthesised"
-                else make_solver(name, {}).solve(shot.observation).volume
-                for shot in shots
+                else reconstruct(name, [shot.observation for shot in shots], scene.interval_s)
             )
-            grid = shots[0].observation.grid
             window = round(_WINDOW_MM / _VOXEL_MM), round(_WINDOW_MM / setup.plane_mm)
-            chosen = settings("piv3d", (window[0], window[0], window[1]), _OVERLAP, grid)
-            solver: Any = make_algorithm("piv3d", chosen)
-            field = solver.solve(VolumePair(one, other, grid, scene.interval_s))
+            chosen = settings("piv3d", (window[0], window[0], window[1]), _OVERLAP, pair.grid)
+            field = run("piv3d", pair, **chosen)
             places = field.positions_mm.reshape(-1, 3)
             inner = np.abs(places[:, :2]).max(axis=1) <= _SIZE_MM[0] / 2.0 - _MARGIN_MM
             voxels = np.asarray(scene.grid.voxel_mm) / scene.grid.voxel_mm[0]
             own.append(
                 np.array([root_mean_square(e) for e in (errors(scene, field)[inner] * voxels).T])
             )
-            console.print(f"{setup.label}, {name}, seed {seed}: {own[-1].round(3)}", markup=False)
+            report(f"{setup.label}, {name}, seed {seed}: {own[-1].round(3)}")
     return found
 
 

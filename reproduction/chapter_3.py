@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.tomography.problem import TomographyProblem
-from sabench.api import Observation, Solver, VolumePair
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api import Observation, Solver
+from sabench.api.make import make_solver
 from sabench.evaluation.reproduction import Item, Row
 from sabench.evaluation.suite_loading import override
 from sabench.metrics.averages import root_mean_square
@@ -20,14 +20,23 @@ from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.scenes.exposures import recorded_part
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.utils.arrays import F64, Bool
-from sabench.utils.progress import console
+from sabench.utils.arrays import Bool
 from sabench.utils.rng import stream
-from sabench.worlds.advection import advect
-from sabench.worlds.tracers import TOLERANCE, require_flow
 
 from .chapter_2_cameras import CAMERAS, by_cameras
-from .common import cases, claim, coarsen, make_row, per_pixel, settings, simulate_frame
+from .common import (
+    cases,
+    claim,
+    coarsen,
+    exact_displacements,
+    make_row,
+    per_pixel,
+    reconstruct,
+    report,
+    run,
+    settings,
+    simulate_frame,
+)
 from .refocused_frames import METHODS, additive, count_methods, detection_rows
 from .theory import TABLE_3_1, Algorithm, Setup, operations
 
@@ -58,8 +67,6 @@ _WARM_PX = 50
 
 def table_3_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure three rows for every algorithm, then the thesis's claims on ratios.
-
-    Table 3.1: operations and seconds of six algorithms.
 
     Operations are by the thesis's formulas, with its numbers and with ours.
     """
@@ -147,8 +154,6 @@ _LEVEL = 1.0  # percent: true particles within this of their maximum have levell
 
 def fig_3_6(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure the curves, the thesis's claims, and the points from the literature.
-
-    Figures 3-6 and 3-7: true and ghost particles against the number of cameras.
 
     They are compared with the theory of ghosts, and with tomography on few cameras: MART on four
     after Elsinga et al. (point E), and three algorithms on three after Atkinson and Soria (points
@@ -354,8 +359,6 @@ def lights() -> list[Light]:
 def section_3_2_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure what skew costs in pixels, Q and velocity error, beside exact triggers.
 
-    Section 3.2.1: cameras that are triggered up to 125 us too early or too late.
-
     The thesis calls what software triggers leave too large for synthetic aperture PIV, and triggers
     by hardware. In continuous light, a late camera sees particles where they are later; in pulsed
     light it sees them where the others do, or misses the pulse: its image is dark and is left out.
@@ -415,13 +418,11 @@ def _measure(light: Light, skew_s: float, seed: int, pixels: int | None) -> _Cos
         _without(simulate(scene, seed=seed, frame=frame), ~own)
         for frame, own in enumerate(recorded)
     ]
-    one, other = (make_solver("asa", {}).solve(shot.observation).volume for shot in shots)
-    grid = shots[0].observation.grid
-    solver: Any = make_algorithm("piv3d", settings("piv3d", _WINDOW, _OVERLAP, grid))
-    field = solver.solve(VolumePair(one, other, grid, light.step_s))
+    pair = reconstruct("asa", [shot.observation for shot in shots], light.step_s)
+    field = run("piv3d", pair, **settings("piv3d", _WINDOW, _OVERLAP, pair.grid))
     places = field.positions_mm.reshape(-1, 3)
     inner = np.abs(places[:, :2]).max(axis=1) <= _SIZE_MM[0] / 2.0 - _MARGIN_MM
-    exact = _displacements(scene, places[inner], light.step_s)
+    exact = exact_displacements(scene, places[inner], 0.0, light.step_s)
     measured = field.velocity_mm_s.reshape(-1, 3)[inner] * light.step_s
     off = (measured - exact) / scene.grid.voxel_mm[0]
     cost = _Cost(
@@ -431,7 +432,7 @@ def _measure(light: Light, skew_s: float, seed: int, pixels: int | None) -> _Cos
         root_mean_square(off[:, 2]),
         1.0 - float(np.mean(recorded)),
     )
-    console.print(f"{light.label}, {skew_s * 1e6:.0f} us, seed {seed}: {cost}", markup=False)
+    report(f"{light.label}, {skew_s * 1e6:.0f} us, seed {seed}: {cost}")
     return cost
 
 
@@ -457,13 +458,3 @@ def _shift_px(shot: Shot) -> float:
         for camera, view in zip(shot.observation.cameras, shot.views, strict=True)
     ]
     return root_mean_square(np.linalg.norm(np.concatenate(off), axis=1))
-
-
-def _displacements(scene: Scene, points: F64, step_s: float) -> F64:
-    """Compute exact displacements (n, 3) about points between the frames, mm."""
-    flow, tolerance = require_flow(scene), TOLERANCE * max(scene.volume.size_mm)
-    middle = step_s / 2.0
-    return np.asarray(
-        advect(flow, points, middle, step_s, tolerance)
-        - advect(flow, points, middle, 0.0, tolerance)
-    )

@@ -13,7 +13,6 @@ from sabench.algorithms.calibration.alternating import alternate
 from sabench.algorithms.calibration.parameters import FreeParameters
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.api import Calibration, CalibrationCase
-from sabench.api.make import make_algorithm
 from sabench.geometry.camera import Camera
 from sabench.geometry.triangulation import triangulate
 from sabench.metrics.alignment import fit_alignment
@@ -27,6 +26,8 @@ from sabench.utils.arrays import F64, U16
 from sabench.utils.progress import progress_bar
 from sabench.utils.rng import stream
 from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
+
+from .common import run
 
 # mm of the volume's middle that a pixel of the central camera sees, as the thesis gives it
 D_PIX = 0.052
@@ -148,8 +149,7 @@ def photograph(scene: Scene, frame: int, camera: int, seed: int) -> U16:
 
 def solve_case(solver: str, given: Board, **parameters: Any) -> Calibration:
     """Solve a case."""
-    algorithm: Any = make_algorithm(solver, parameters)
-    made: Calibration = algorithm.solve(given.case)
+    made: Calibration = run(solver, given.case, **parameters)
     return made
 
 

@@ -30,11 +30,8 @@ _PLACES = ((1, 1), (2, 0), (2, 2))  # places in the 5 x 5 array, in baselines fr
 def fig_4_6(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Measure mean and scatter of single cameras' errors.
 
-    The thesis shows one camera of an array of chapter 2, and does not say which.
-
-    Figure 4-6: error of camera models without refraction behind a wall.
-
-    Polynomial models are compared.
+    The thesis shows one camera of an array of chapter 2, and does not say which. Polynomial models
+    are compared.
     """
     means = []
     for baseline in _BASELINES:
@@ -93,8 +90,6 @@ _POINTS = 2000
 
 def fig_4_9(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """Count steps to 1e-8, and compare the paths of both methods.
-
-    Figure 4-9: Newton's iteration for the light path through a wall.
 
     The thesis's equations 4.20 and 4.21 have two unknowns; sabench solves for one.
     """
@@ -166,8 +161,6 @@ def fig_4_27(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure the mean reprojection error of nine cameras for every motion.
 
     Motions are rotations about the vertical axis and shifts along Z.
-
-    Figure 4-27: cameras refitted to moved boards.
 
     The images stay as they were, which shows the motions that the wall does not leave open.
     """

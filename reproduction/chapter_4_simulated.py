@@ -37,10 +37,7 @@ _EDGE_MM = 50.0
 
 
 def table_4_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure noise and initial errors as drawn, and sizes of array and boards.
-
-    Table 4.1: variables of the simulated calibrations, measured in our draws.
-    """
+    """Measure noise and initial errors as drawn, and sizes of array and boards."""
     for noise in EVERY_NOISE:
         drawn = [board(13, BASELINE, noise, 0.2, seed) for seed in seeds]
         yield make_row(
@@ -97,12 +94,8 @@ _MEAN, _STD = 0.33, 1.17  # largest mean and scatter with 7 cameras at 2 px, in 
 def fig_4_12(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure errors per number of cameras and noise, over all initial guesses.
 
-    The measured error is relative to the noise, the true error to the measured one.
-
-    Figures 4-11 to 4-15: errors of the auto-calibration against noise.
-
-    They also vary with the initial guess; the thesis's alternation is compared with the joint
-    adjustment.
+    The measured error is relative to the noise, the true error to the measured one. The thesis's
+    alternation is compared with the joint adjustment.
     """
     panels = []
     for cameras in CAMERAS:
@@ -234,11 +227,8 @@ _SOLVERS = {
 def fig_4_16(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure the scatter of the points' errors over all initial guesses.
 
-    The thesis shows histograms without numbers.
-
-    Figures 4-16 and 4-17: alternating calibration on random camera subsets.
-
-    Subsets of eight cameras are compared with all cameras, and with the joint adjustment.
+    Random subsets of eight cameras are compared with all cameras and with the joint adjustment. The
+    thesis shows histograms without numbers.
     """
     better, panels = [], []
     for noise in NOISES:
@@ -295,8 +285,6 @@ _TITLES = {
 
 def fig_4_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure the scatter along Z of 500 points per draw.
-
-    Figures 4-18 to 4-21: held-out points by estimated and by exact cameras.
 
     Linear auto-calibration is compared, also without refraction.
     """

@@ -126,8 +126,6 @@ _LIGHT: Mapping[str, Any] = {
 def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure each camera's reprojection error, per solver and test.
 
-    Figures 4-23 and 4-24: reprojection errors in three tests of a traversed grid.
-
     Figure 4-24 is drawn over rendered images of the grid, in which the circles are also detected:
     this shows what noise of measured points to expect.
     """
@@ -265,13 +263,8 @@ _FLUCTUATION_MM = 0.02
 def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure errors of mean spacings per solver and test; compare the tests.
 
-    Figures 4-25 and 4-26: plane spacing of a traversed grid.
-
-    It is calibrated from poorer and poorer initial guesses, in the camera array of the vortex
-    ring's experiment.
-
-    The experiment's traverse moved the grid by 4 mm, to 0.01 mm; here it does so exactly, so that
-    all that is left is the calibration's own.
+    The cameras are those of the vortex ring's experiment. The experiment's traverse moved the grid
+    by 4 mm, to 0.01 mm; here it does so exactly, so that all that is left is the calibration's own.
     """
     found: dict[tuple[str, str], list[F64]] = {}
     turns: dict[tuple[str, str], list[float]] = {}
@@ -365,8 +358,6 @@ class Refit:
 
 def fig_4_28(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure refits and differences between the tests, per solver.
-
-    Figures 4-28 to 4-31: differences between three tests of a traversed grid.
 
     Cameras are refitted to the points of tests 2 and 3 and to the projections of test 1's points,
     which the thesis takes for true (figure 4-28). Points of two tests are compared before and after

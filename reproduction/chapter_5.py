@@ -5,12 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from sabench.api import Detections, Observation
-from sabench.api.make import make_algorithm
 from sabench.api.truth import Bubbles
 from sabench.evaluation.reproduction import Item, Row
 from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
@@ -24,10 +22,10 @@ from sabench.simulation.in_memory import observation_of
 from sabench.simulation.rendering.sensor import expose
 from sabench.tasks.bubbles import jet_figures, jet_of
 from sabench.utils.arrays import F64
-from sabench.utils.progress import console, progress_bar
+from sabench.utils.progress import progress_bar
 from sabench.worlds.library.rise_velocity import Liquid
 
-from .common import AGREES, claim, coarsen, make_row
+from .common import AGREES, claim, coarsen, finite_row, make_row, report, run
 
 FRAMES = 50  # the thesis's number of time steps: of true bubbles, which need no images
 SOLVER = "rim_fit"
@@ -116,14 +114,11 @@ def detect_frame(scene: Scene, seed: int) -> tuple[Bubbles, Detections]:
     key = scene.hash, seed, SOLVER
     if key not in _detected:
         _, bubbles, case = render_first_frame(scene, seed)
-        algorithm: Any = make_algorithm(SOLVER, {})
         start = time.perf_counter()
-        _detected[key] = bubbles, algorithm.solve(case)
-        console.print(
+        _detected[key] = bubbles, run(SOLVER, case)
+        report(
             f"{scene.title}, seed {seed}: {len(_detected[key][1].center_mm)} of {len(bubbles)} "
-            f"bubbles in {time.perf_counter() - start:.0f} s",
-            markup=False,
-            highlight=False,
+            f"bubbles in {time.perf_counter() - start:.0f} s"
         )
     return _detected[key]
 
@@ -217,8 +212,6 @@ def fall(
 def table_5_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Compute the table from printed speeds and diameters; nothing is simulated.
 
-    Table 5.1: speed and diameter of the jets, and equations 5.1 to 5.4.
-
     The table's columns of V_i and D_i are exchanged: V_i D_i^2 is constant, as the flow through one
     nozzle is, and depths over D_i in figure 5-21 are whole bins only if the column of V_i holds D_i
     in mm. The rows use them in this order. The printed Weber numbers have the radius for the
@@ -302,8 +295,6 @@ def table_5_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     Errors are means over frames. Figures are from all frames together, of detected bubbles; notes
     give those of true ones.
 
-    Table 5.2 and figures 5-18 to 5-20: three plunging jets from detected bubbles.
-
     All values are those of bubbles detected in rendered frames. The scenes were built to the
     thesis's values, which are measurements of its own jets.
     """
@@ -319,8 +310,7 @@ def _errors(jet: JetFrames) -> Iterator[Item]:
         for found, true in zip(jet.found, jet.true, strict=True)
     ]
     for key, name in _LARGE.items():
-        values = [one[key] for one in scores if np.isfinite(one[key])]
-        yield make_row(f"h = {jet.height} mm, {SOLVER}: {name}", None, values)
+        yield finite_row(f"h = {jet.height} mm, {SOLVER}: {name}", [one[key] for one in scores])
 
 
 def _table(jet: JetFrames) -> Iterator[Item]:

@@ -43,10 +43,6 @@ Analyses = dict[int, dict[str, JetFigures]]
 def fig_5_21(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure the scaling laws, and predict the concentration from five values.
 
-    Figures 5-21 and 5-26 to 5-30: concentration over depth and radius.
-
-    It is that of detected bubbles.
-
     The scenes were built to equations 5.18, 5.19 and 5.22 and to the slopes of figure 5-30c, and
     bins of 20 by 8 mm blur them: compare found with true bubbles.
     """
@@ -243,10 +239,7 @@ def _depth_and_radius(one: JetFigures) -> Figure:
 
 
 def fig_5_22(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure Y_p / D over h / D with the diameters of impact and of the nozzle.
-
-    Figure 5-22: penetration depth over the jet's height, both in diameters.
-    """
+    """Measure Y_p / D over h / D with the diameters of impact and of the nozzle."""
     points: dict[str, list[tuple[float, float]]] = {}
     depths = []
     for jet in detect_jets(seeds, pixels):
@@ -279,10 +272,7 @@ _BINS = 3  # of depth above the penetration depth
 
 
 def fig_5_28(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure the tilt, and the cloud's figures before and after its removal.
-
-    Figure 5-28: a jet's tilt of 1.5 degrees, found from bubbles and removed.
-    """
+    """Measure the tilt, and the cloud's figures before and after its removal."""
     scene = load_scene(f"plunging-jet-{_HEIGHT}")
     tilted = override(scene, {"bubbles.inclination_deg": [_TILT_DEG, 0.0]}, scene.title)
     jet = detect_jet(_HEIGHT, coarsen(tilted, pixels), seeds)

@@ -30,7 +30,7 @@ from sabench.scenes import load_scene
 from sabench.utils.arrays import F32, F64, I64, Bool
 
 from .chapter_5 import render_first_frame
-from .common import claim, coarsen, make_row
+from .common import claim, coarsen, finite_row, image_panel
 
 _SCENE = "plunging-jet-21"
 _OFF_MM = 10.0  # of the refocused planes before and behind the middle one: figure 5-6
@@ -114,7 +114,7 @@ def fig_5_7(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for key, value in (_peaks(stack) | _contrasts(stack) | _edges(stack)).items():
             values.setdefault(key, []).append(value)
     for key, every in values.items():
-        yield make_row(key, None, [value for value in every if np.isfinite(value)])
+        yield finite_row(key, every)
     means = {key: mean_of_finite(every) for key, every in values.items()}
     if None not in means.values():
         yield from _claims({key: mean for key, mean in means.items() if mean is not None})
@@ -320,14 +320,8 @@ def _minimum_figure(stack: Stack) -> Figure:
 def _planes(stack: Stack) -> Iterator[Figure]:
     """Draw figures 5-5 and 5-6: a view, and the middle third of three planes."""
     case = stack.case
-    grid, view = case.grid, case.images[len(case.images) // 2].astype(np.float64)
-    ends = (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)
-    yield Figure(
-        "fig-5-5",
-        "a backlit view",
-        (Panel("", "px", "px", (Picture(view, *ends),)),),
-        inch=(5.5, 5.5),
-    )
+    grid, view = case.grid, case.images[len(case.images) // 2]
+    yield Figure("fig-5-5", "a backlit view", (image_panel("", view),), inch=(5.5, 5.5))
     middle, step = len(stack.volume) // 2, round(_OFF_MM / grid.voxel_mm[2])
     planes = [int(np.clip(middle + off, 0, len(stack.volume) - 1)) for off in (-step, 0, step)]
     panels = [

@@ -17,7 +17,7 @@ from sabench.utils.arrays import F64
 from sabench.worlds.library.rise_velocity import Liquid, terminal_velocity, transition_diameter_mm
 
 from .chapter_5 import FRAMES, JetFrames, detect_jets, jet_rows, true_bubbles
-from .common import claim, make_row
+from .common import claim, finite_row, make_row
 
 _BIN_MM = 0.1
 _SMALL_MM = 1.5  # diameter: figure 5-17b has many below
@@ -33,11 +33,8 @@ _SCORES = {
 def fig_5_15(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure sizes and scores of size distributions per jet.
 
-    Scores are means over frames.
-
-    Figures 5-15 to 5-17: size distributions of bubbles found in three jets.
-
-    The scenes were built to the thesis's ranges of sizes, which are measurements of its own jets.
+    Scores are means over frames. The scenes were built to the thesis's ranges of sizes, which are
+    measurements of its own jets.
     """
     panels = []
     for jet in detect_jets(seeds, pixels):
@@ -64,8 +61,7 @@ def _scores(jet: JetFrames) -> Iterator[Item]:
         for found, true in zip(_radii(jet.found), _radii(jet.true), strict=True)
     ]
     for key, name in _SCORES.items():
-        values = [one[key] for one in frames if np.isfinite(one[key])]
-        yield make_row(f"h = {jet.height} mm: {name}", None, values)
+        yield finite_row(f"h = {jet.height} mm: {name}", [one[key] for one in frames])
 
 
 def _ranges(jet: JetFrames) -> Iterator[Item]:
@@ -145,8 +141,6 @@ _LEAST_RE = 20.0  # of the curves that are drawn: the law is that of thin bounda
 
 def fig_5_24(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Compute the transition diameter, and measure sizes above and below Y_p.
-
-    Figures 5-23 to 5-25: sizes of bubbles above and below the penetration depth.
 
     The largest diameter below it follows from the terminal velocity of bubbles (5-23).
     """

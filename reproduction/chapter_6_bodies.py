@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from sabench.algorithms.bubbles import image_diameter_px, separate_phases
-from sabench.api import FoundParticles, ImageSequence, Observation, VolumePair
-from sabench.api.make import make_algorithm, make_solver
+from sabench.api import FoundParticles, ImageSequence, Observation
 from sabench.api.truth import BODY, Bubbles, Particles, Sight
 from sabench.evaluation.reproduction import Item
 from sabench.metrics.bubble_detection import detection_scores
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
-from sabench.plotting.charts import Curve, Figure, Panel, Picture
+from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
@@ -24,13 +22,19 @@ from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import Shot, observation_of, simulate_sequence
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.confidence import mean_of
-from sabench.utils.progress import console
-from sabench.worlds.advection import advect
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.containment import contains
-from sabench.worlds.tracers import TOLERANCE, require_flow
 
-from .common import coarsen, make_row, settings
+from .common import (
+    coarsen,
+    exact_displacements,
+    finite_row,
+    image_panel,
+    reconstruct,
+    report,
+    run,
+    settings,
+)
 
 _SCENES = {"reef": "flow-behind-reef", "propeller": "flow-behind-propeller"}
 _SOLVERS = ("ray_triangulation", "bayesian_ipr")
@@ -56,8 +60,6 @@ class _Seen:
 def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure recall, ghosts and velocity errors; the thesis shows no such flow.
 
-    Flow seen through a reef and behind a propeller: what chapter 6 hopes for.
-
     Tracers move with a viscous flow around a body at rest, which hides some of them from some of
     the cameras. Recall and velocity errors are given over the share of the cameras that do not see
     a particle, and over the number of cameras.
@@ -68,13 +70,12 @@ def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Ite
         for seed in seeds:
             shots = tuple(simulate_sequence(scene, seed=seed, backend="mitsuba"))
             found.append(_measure(scene, seed, shots))
-            console.print(f"{body}, seed {seed}: measured", markup=False, highlight=False)
+            report(f"{body}, seed {seed}: measured")
             if seed == seeds[0]:
                 yield _view(body, shots[0].observation)
         for cameras, solver, what in found[0]:
             values = [one[cameras, solver, what] for one in found]
-            known = [value for value in values if np.isfinite(value)]
-            yield make_row(f"{body}, {cameras} cameras, {solver}: {what}", None, known)
+            yield finite_row(f"{body}, {cameras} cameras, {solver}: {what}", values)
         yield _flow_figure(body, found)
 
 
@@ -113,23 +114,31 @@ def _classes(hidden: F64) -> Iterator[tuple[str, Bool]]:
 
 def _particles(solver: str, seen: _Seen) -> dict[str, float]:
     """Find the particles of the first frame; recall and ghosts in percent."""
-    algorithm: Any = make_algorithm(solver, {})
-    case, grid = seen.cases[0], seen.cases[0].grid
-    sequence = ImageSequence(case.cameras, grid, seen.times_s[:1], lambda _: case)
-    found: FoundParticles = next(iter(algorithm.solve(sequence)))
-    places, true = (
-        grid.to_voxels(points)
-        for points in (found.position_mm, seen.shots[0].particles.position_mm)
-    )
+    hit, scored, ghosts = _match(solver, seen.cases[0], seen.times_s[0], seen.shots[0].particles)
+    figures = {"recall, %": _percent(hit[scored])}
+    for name, inside in _classes(seen.hidden[0]):
+        figures[f"recall, hidden from {name}, %"] = _percent(hit[scored & inside])
+    return figures | {"ghosts, %": ghosts}
+
+
+def _match(
+    solver: str, case: Observation, time_s: float, particles: Particles
+) -> tuple[Bool, Bool, float]:
+    """Find the particles of one frame and match them with the true ones.
+
+    Returns which true particles (n,) are found, which are in the scored part, and the ghosts in
+    percent of the found ones there.
+    """
+    grid = case.grid
+    sequence = ImageSequence(case.cameras, grid, (time_s,), lambda _: case)
+    found: FoundParticles = next(iter(run(solver, sequence)))
+    places, true = grid.to_voxels(found.position_mm), grid.to_voxels(particles.position_mm)
     i, j = challenge_pairs(places, true)
     hit, ghost = np.zeros(len(true), dtype=np.bool_), np.ones(len(places), dtype=np.bool_)
     hit[j], ghost[i] = True, False
     scored = grid.in_scored(true)
-    figures = {"recall, %": _percent(hit[scored])}
-    for name, inside in _classes(seen.hidden[0]):
-        figures[f"recall, hidden from {name}, %"] = _percent(hit[scored & inside])
     ghosts = int((ghost & grid.in_scored(places)).sum())
-    return figures | {"ghosts, %": 100.0 * ghosts / max(int(hit[scored].sum()), 1)}
+    return hit, scored, 100.0 * ghosts / max(int(hit[scored].sum()), 1)
 
 
 def _percent(hit: Bool) -> float:
@@ -141,21 +150,15 @@ def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
     from scipy.spatial import cKDTree
 
     grid = seen.cases[0].grid
-    volumes = [make_solver("msa", {}).solve(case).volume for case in seen.cases]
     start, end = seen.times_s
-    algorithm: Any = make_algorithm("piv3d", settings("piv3d", _WINDOW, _OVERLAP, grid))
-    field = algorithm.solve(VolumePair(volumes[0], volumes[1], grid, end - start))
+    pair = reconstruct("msa", seen.cases, end - start)
+    field = run("piv3d", pair, **settings("piv3d", _WINDOW, _OVERLAP, grid))
     points = evaluation_lattice(grid).positions_mm.reshape(-1, 3)
     for body, _ in Phases(scene, seed).bodies(0):
         points = points[~contains(body, points)]
     velocity, measured = sample_velocity(field, points)
-    flow, tolerance = require_flow(scene, seed), TOLERANCE * max(scene.volume.size_mm)
-    after, before = (
-        advect(flow, points, (start + end) / 2.0, time, tolerance) for time in (end, start)
-    )
-    error = np.linalg.norm(
-        (velocity * (end - start) - (after - before)) / np.asarray(grid.voxel_mm), axis=1
-    )
+    exact = exact_displacements(scene, points, start, end, seed)
+    error = np.linalg.norm((velocity * (end - start) - exact) / np.asarray(grid.voxel_mm), axis=1)
     near = cKDTree(seen.shots[0].particles.position_mm).query(points, k=_NEAR)[1]
     hidden = seen.hidden[0][near].mean(axis=1)
     figures = {"yield, %": _percent(measured), "rms, voxel": _rms(error[measured])}
@@ -171,9 +174,7 @@ def _rms(error: F64) -> float:
 def _view(body: str, case: Observation) -> Figure:
     """Draw the middle camera's image, its brightest pixels cut."""
     view = case.images[len(case.images) // 2].astype(np.float64)
-    view = np.minimum(view, np.percentile(view, 99.0))
-    shown = Picture(view, (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0))
-    panels = (Panel("", "px", "px", (shown,)),)
+    panels = (image_panel("", np.minimum(view, np.percentile(view, 99.0))),)
     return Figure(f"flow-behind-{body}", f"tracers around a {body}", panels, inch=(5.5, 4.4))
 
 
@@ -243,8 +244,6 @@ class _Shot:
 def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure each phase with and without separation; the thesis shows no such flow.
 
-    Bubbles, a body and tracers in one picture: what chapter 6 hopes for.
-
     The images are separated by phase, and each phase is scored: bubbles, tracers, and the outline
     of the body. The same solvers on the raw images show what separation gains.
     """
@@ -253,12 +252,11 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for seed in seeds:
         shot = _record(scene, seed)
         found.append(_bubbles(shot) | _tracers(shot) | _body(shot))
-        console.print(f"three phases, seed {seed}: measured", markup=False, highlight=False)
+        report(f"three phases, seed {seed}: measured")
         if seed == seeds[0]:
             yield _phases_figure(shot.case)
     for what in found[0]:
-        values = [one[what] for one in found]
-        yield make_row(what, None, [value for value in values if np.isfinite(value)])
+        yield finite_row(what, [one[what] for one in found])
 
 
 def _record(scene: Scene, seed: int) -> _Shot:
@@ -277,8 +275,7 @@ def _bubbles(shot: _Shot) -> dict[str, float]:
     visible = np.mean([sight.visible for sight in shot.sights], axis=0)
     out: dict[str, float] = {}
     for name in _BUBBLES:
-        algorithm: Any = make_algorithm(name, {})
-        scores = detection_scores(algorithm.solve(shot.case), shot.bubbles, visible)
+        scores = detection_scores(run(name, shot.case), shot.bubbles, visible)
         out |= {f"bubbles, {name}: {key}": scores[key] for key in _KEYS}
     return out
 
@@ -286,22 +283,12 @@ def _bubbles(shot: _Shot) -> dict[str, float]:
 def _tracers(shot: _Shot) -> dict[str, float]:
     """Compute recall of all tracers and of those seen by most, and ghosts."""
     out: dict[str, float] = {}
-    grid = shot.case.grid
-    true = grid.to_voxels(shot.particles.position_mm)
-    scored = grid.in_scored(true)
     for name in _TRACERS:
-        algorithm: Any = make_algorithm(name, {})
-        sequence = ImageSequence(shot.case.cameras, grid, (0.0,), lambda _: shot.case)
-        found: FoundParticles = next(iter(algorithm.solve(sequence)))
-        places = grid.to_voxels(found.position_mm)
-        i, j = challenge_pairs(places, true)
-        hit, ghost = np.zeros(len(true), dtype=np.bool_), np.ones(len(places), dtype=np.bool_)
-        hit[j], ghost[i] = True, False
-        ghosts = int((ghost & grid.in_scored(places)).sum())
+        hit, scored, ghosts = _match(name, shot.case, 0.0, shot.particles)
         out |= {
             f"tracers, {name}: recall": float(hit[scored].mean()),
             f"tracers, {name}: recall of those seen": float(hit[scored & shot.lit].mean()),
-            f"tracers, {name}: ghosts, %": 100.0 * ghosts / max(int(hit[scored].sum()), 1),
+            f"tracers, {name}: ghosts, %": ghosts,
         }
     return out
 
@@ -321,27 +308,13 @@ def overlap(found: Bool, true: Bool) -> float:
 
 def _phases_figure(case: Observation) -> Figure:
     """Draw one view and its three parts."""
-    parts, middle = (
-        separate_phases(case, image_diameter_px(case, _LARGEST_MM)),
-        len(case.images) // 2,
-    )
+    parts = separate_phases(case, image_diameter_px(case, _LARGEST_MM))
+    middle = len(case.images) // 2
     shown = {
         "one view": case.images[middle],
         "bubbles": parts.bubbles.images[middle],
         "tracers": parts.tracers.images[middle],
         "body": parts.body[middle],
     }
-    panels = [
-        Panel(
-            name,
-            "px",
-            "px",
-            (
-                Picture(
-                    image.astype(np.float64), (0.0, 0.0), (image.shape[1] - 1.0, len(image) - 1.0)
-                ),
-            ),
-        )
-        for name, image in shown.items()
-    ]
-    return Figure("three-phases", "three phases", tuple(panels), across=2, inch=(4.6, 3.6))
+    panels = tuple(image_panel(name, image) for name, image in shown.items())
+    return Figure("three-phases", "three phases", panels, across=2, inch=(4.6, 3.6))

@@ -27,7 +27,7 @@ from sabench.utils.arrays import F32, F64
 from sabench.utils.progress import progress_bar
 
 from .chapter_4 import Board, by_camera, draw, photograph, reprojection, solve_case
-from .common import AGREES, claim, coarsen, make_row
+from .common import AGREES, claim, coarsen, image_panel, make_row
 
 _FRAMES = 8  # boards at random positions
 _SIGMA_MM = 0.01  # of the reference board's position
@@ -229,15 +229,7 @@ def _claims(found: dict[str, list[EdgeSharpness]]) -> Iterator[Item]:
 
 def _figure(image: F32, planes: dict[str, F64], found: dict[str, list[EdgeSharpness]]) -> Figure:
     """Draw image, refocused plane, and widths against the error of the cameras."""
-    rows, columns = image.shape
-    panels = [
-        Panel(
-            "(a) one image",
-            "px",
-            "px",
-            (Picture(image.astype(np.float64), (0.0, 0.0), (columns - 1.0, rows - 1.0)),),
-        )
-    ]
+    panels = [image_panel("(a) one image", image)]
     for title, name in (("(b) refocused, linear calibration", "linear"), ("1 px off", _WORST)):
         half = [size // 4 for size in planes[name].shape]
         part = planes[name][half[0] : 2 * half[0], half[1] : 2 * half[1]]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from sabench.algorithms.bubbles.transmission import transmission
 from sabench.algorithms.particles.linking import link
 from sabench.algorithms.refocus import find_edges, refocus_sum
 from sabench.api import Observation
-from sabench.api.make import make_algorithm
 from sabench.api.truth import Bubbles, Solid
 from sabench.evaluation.reproduction import Item
 from sabench.geometry.grid import Grid
@@ -24,10 +22,9 @@ from sabench.scenes import Scene, load_scene
 from sabench.simulation.frame_content import FrameContent
 from sabench.utils.arrays import F64, I64
 from sabench.utils.confidence import mean_of
-from sabench.utils.progress import console
 
 from .chapter_5 import render_first_frame, render_frames
-from .common import coarsen, make_row
+from .common import coarsen, finite_row, image_panel, make_row, report, run
 from .edge_depth import count_views, edge_scores, find_rim, silhouette, sphere_mesh
 
 _DEPTHS_MM = (-8.0, 0.0, 8.0)
@@ -37,9 +34,7 @@ _SOLVERS_OF_FRAMES = ("minimum_image", "local_feature")
 def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure F1 and errors of drops per solver; the thesis shows only images.
 
-    Figures 6-4 and 6-5: liquid jet in a cross-flow, refocused, and its drops.
-
-    One camera's image and refocused planes at several depths are shown; detected drops are counted.
+    One camera's image and refocused planes at several depths are drawn.
     """
     scene = coarsen(load_scene("jet-in-crossflow"), pixels)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS_OF_FRAMES}
@@ -48,10 +43,7 @@ def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         if seed == seeds[0]:
             yield _planes_figure(case)
         for name in _SOLVERS_OF_FRAMES:
-            algorithm: Any = make_algorithm(name, {})
-            found[name].append(
-                detection_scores(algorithm.solve(case), bubbles, np.ones(len(bubbles)))
-            )
+            found[name].append(detection_scores(run(name, case), bubbles, np.ones(len(bubbles))))
     for name, every in found.items():
         for key, what in {
             "f1_large": "F1 of drops of 0.5 mm radius and more",
@@ -63,20 +55,8 @@ def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 def _planes_figure(case: Observation) -> Figure:
     """Draw one view, and the refocused planes."""
-    view, grid, volume = (
-        case.images[len(case.images) // 2].astype(np.float64),
-        case.grid,
-        darkness(case),
-    )
-    x, y, z = grid.axes_mm
-    panels = [
-        Panel(
-            "one view",
-            "px",
-            "px",
-            (Picture(view, (0.0, 0.0), (view.shape[1] - 1.0, view.shape[0] - 1.0)),),
-        )
-    ]
+    volume, (x, y, z) = darkness(case), case.grid.axes_mm
+    panels = [image_panel("one view", case.images[len(case.images) // 2])]
     for depth in _DEPTHS_MM:
         plane = int(np.abs(z - depth).argmin())
         seen = Picture(
@@ -106,8 +86,6 @@ _WHAT = {
 
 def fig_6_6(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure depth errors of the edges of column and ligaments, and of all edges.
-
-    Figure 6-6: edges of a liquid jet found in refocused planes, with their depths.
 
     The thesis shows edges and no figures. Here their depths are compared with the true rim of the
     column, its ligaments and the drops, as far as most cameras see it against the light.
@@ -209,8 +187,6 @@ class Counted:
 def drops_over_time(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure numbers, diameters, passages and links of large drops.
 
-    Drops of a liquid jet in a cross-flow, counted over time (chapter 6).
-
     Drops are detected frame by frame and linked. Their number, their mean and Sauter diameters, and
     the number that has passed a plane across the gas are compared with those of the true drops.
     """
@@ -229,7 +205,7 @@ def drops_over_time(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 _recall(every, truth)
                 | trajectory_scores(every, numbers, truth, times, [range(scene.frames)])
             )
-        console.print(f"drops over time, seed {seed}", markup=False, highlight=False)
+        report(f"drops over time, seed {seed}")
     for name in _SOLVERS_OVER_TIME:
         yield from _rows(name, counts[_TRUTH], counts[name], scores[name])
     yield _drops_figure(scene, counts)
@@ -241,8 +217,7 @@ def _detect(scene: Scene, seed: int) -> tuple[list[Bubbles], dict[str, list[AnyB
     for _, bubbles, case in render_frames(scene, seed):
         truth.append(bubbles)
         for name, every in found.items():
-            algorithm: Any = make_algorithm(name, {})
-            every.append(algorithm.solve(case))
+            every.append(run(name, case))
     return truth, found
 
 
@@ -312,8 +287,7 @@ def _rows(
         }.items()
     }
     for what, values in figures.items():
-        known = [float(value) for value in values if np.isfinite(value)]
-        yield make_row(f"{name}: {what}", None, known)
+        yield finite_row(f"{name}: {what}", values)
 
 
 def _drops_figure(scene: Scene, counts: dict[str, list[Counted]]) -> Figure:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
 from sabench.algorithms.refocus import Join
 from sabench.api import Code, Observation
-from sabench.api.make import make_algorithm
 from sabench.evaluation.reproduction import Item
 from sabench.evaluation.suite_loading import override
 from sabench.geometry.grid import Grid
 from sabench.geometry.surfaces import Cylinder, Plane, Surface
 from sabench.metrics.code_reading import read_volume, reading, single_views
-from sabench.plotting.charts import Figure, Panel, Picture
+from sabench.plotting.charts import Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
@@ -27,16 +25,13 @@ from sabench.worlds.bubbles_and_bodies import bodies_of
 from sabench.worlds.readable_codes import code_of
 
 from .chapter_5 import render_first_frame
-from .common import claim, coarsen, make_row
+from .common import claim, coarsen, image_panel, make_row, run
 
 _METHODS = ("additive", "multiplicative", "dark", "mart")
 
 
 def fig_1_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure cells read, contrast and separation, per method and in single views.
-
-    Figure 1-3: code behind bubbles, read in single views and refocused planes.
-    """
+    """Measure cells read, contrast and separation, per method and in single views."""
     scene = coarsen(load_scene("see-through"), pixels)
     found: dict[str, list[dict[str, float]]] = {}
     panels: list[Panel] = []
@@ -54,13 +49,12 @@ def fig_1_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             max(single, key=lambda one: one["read_percent"])
         )
         for method in _METHODS:
-            algorithm: Any = make_algorithm("see_through", {"method": method})
-            volume = algorithm.solve(case).volume
+            volume = run("see_through", case, method=method).volume
             found.setdefault(method, []).append(
                 reading(read_volume(case.grid, volume, code.points_mm), code.dark)
             )
             if seed == seeds[0]:
-                panels.append(_panel(method, code_plane(case.grid, volume, code)))
+                panels.append(image_panel(method, code_plane(case.grid, volume, code), y=""))
         if seed == seeds[0]:
             panels = [*_views(scene, seed, case, code), *panels]
     yield Figure("fig-1-3", "a code behind bubbles", tuple(panels), across=3)
@@ -93,18 +87,9 @@ def _views(scene: Scene, seed: int, case: Observation, code: Code) -> list[Panel
     frame = Frames(bare, build_rig(bare, bare.title), seed).at(0)
     clear = expose(bare.sensor, render(frame, middle).photons, frame.sensor_noise(middle))
     return [
-        _panel("(a) without bubbles", clear.astype(np.float64)),
-        _panel("(b) one view", case.images[middle].astype(np.float64)),
+        image_panel("(a) without bubbles", clear, y=""),
+        image_panel("(b) one view", case.images[middle], y=""),
     ]
-
-
-def _panel(title: str, values: F64) -> Panel:
-    return Panel(
-        title,
-        "px",
-        "",
-        (Picture(values, (0.0, 0.0), (float(values.shape[1] - 1), float(values.shape[0] - 1))),),
-    )
 
 
 _JOINS: tuple[Join, ...] = ("additive", "dark")
@@ -114,10 +99,7 @@ Readings = dict[str, list[dict[str, float]]]
 
 
 def section_2_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure cells read and separation on the cylinder and in the best plane.
-
-    Section 2.2.2: a code on a curved wall, refocused on it and in flat planes.
-    """
+    """Measure cells read and separation on the cylinder and in the best plane."""
     scene = coarsen(load_scene("curved-wall"), pixels)
     found: Readings = {}
     for seed in seeds:
@@ -128,7 +110,7 @@ def section_2_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         ]
         best = max(single, key=lambda one: one["read_percent"])
         found.setdefault("best single view", []).append(best)
-        panels = [Panel("(a) one view", "px", "", (_picture(case.images[len(case.images) // 2]),))]
+        panels = [image_panel("(a) one view", case.images[len(case.images) // 2], y="")]
         for join in _JOINS:
             panels += _measure(scene, seed, case, join, found)
         if seed == seeds[0]:
@@ -169,7 +151,7 @@ def _measure(
     best, shown = max(planes, key=lambda one: one[0]["separation"])
     found.setdefault(f"{join}, best plane", []).append(best)
     return [
-        Panel(f"{join}: {name}", "px", "", (_picture(values),))
+        image_panel(f"{join}: {name}", values, y="")
         for name, values in (("cylinder", image), ("best plane", shown))
     ]
 
@@ -206,9 +188,7 @@ def _read_plane(
     seen = eye.carry(code.points_mm.reshape(-1, 3), z_mm)
     reach = 2.0 * np.abs(seen).max(axis=0) + _MARGIN_MM
     plane = Plane(
-        center_mm=(0.0, 0.0, z_mm),
-        size_mm=(float(reach[0]), float(reach[1])),
-        pixel_mm=_PIXEL_MM,
+        center_mm=(0.0, 0.0, z_mm), size_mm=(float(reach[0]), float(reach[1])), pixel_mm=_PIXEL_MM
     )
     image = refocus_frame(case, plane, join)[0].values
     points = np.column_stack([seen, np.zeros(len(seen))]).reshape(code.points_mm.shape)
@@ -221,8 +201,3 @@ def _read(surface: Surface, image: F32, own_mm: F64, code: Code) -> dict[str, fl
     step = surface.pixel_mm
     grid = Grid((float(u[0]), float(v[0]), 0.0), (step, step, 1.0), (1, len(v), len(u)))
     return reading(read_volume(grid, image[None], own_mm), code.dark)
-
-
-def _picture(values: object) -> Picture:
-    shown = np.asarray(values, dtype=np.float64)
-    return Picture(shown, (0.0, 0.0), (float(shown.shape[1] - 1), float(shown.shape[0] - 1)))

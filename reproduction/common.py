@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
+from sabench.api import Observation, VolumePair
+from sabench.api.make import make_algorithm, make_solver
 from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suite_loading import load_suite, override
 from sabench.evaluation.suites import SceneCase
 from sabench.geometry.grid import Grid
+from sabench.plotting.charts import Panel, Picture
 from sabench.scenes import Scene
 from sabench.scenes.cameras import CameraSpec
 from sabench.simulation.in_memory import Shot, simulate
+from sabench.utils.arrays import F64
 from sabench.utils.confidence import mean_of
 from sabench.utils.progress import console
+from sabench.worlds.advection import advect
+from sabench.worlds.tracers import TOLERANCE, require_flow
 
 from .catalogue import UNSTATED
 
@@ -133,12 +140,47 @@ def per_pixel(scene: Scene) -> float:
 def simulate_frame(scene: Scene, seed: int) -> Shot:
     """Simulate a frame of the scene, and print that."""
     shot = simulate(scene, seed=seed)
-    console.print(
-        f"{scene.title}: {len(shot.particles)} particles, seed {seed}",
-        markup=False,
-        highlight=False,
-    )
+    report(f"{scene.title}: {len(shot.particles)} particles, seed {seed}")
     return shot
+
+
+def report(text: str) -> None:
+    """Print a line on the progress to standard error."""
+    console.print(text, markup=False, highlight=False)
+
+
+def run(solver: str, problem: Any, **parameters: Any) -> Any:
+    """Solve a problem by a solver of its task."""
+    algorithm: Any = make_algorithm(solver, parameters)
+    return algorithm.solve(problem)
+
+
+def reconstruct(solver: str, observations: Sequence[Observation], interval_s: float) -> VolumePair:
+    """Reconstruct the volumes of two frames."""
+    one, other = (make_solver(solver, {}).solve(case).volume for case in observations)
+    return VolumePair(one, other, observations[0].grid, interval_s)
+
+
+def exact_displacements(
+    scene: Scene, points_mm: F64, start_s: float, end_s: float, seed: int = 0
+) -> F64:
+    """Compute exact displacements (n, 3), mm, of what is at points in the middle of an interval."""
+    flow, tolerance = require_flow(scene, seed), TOLERANCE * max(scene.volume.size_mm)
+    middle = (start_s + end_s) / 2.0
+    after = advect(flow, points_mm, middle, end_s, tolerance)
+    return np.asarray(after - advect(flow, points_mm, middle, start_s, tolerance))
+
+
+def finite_row(name: str, values: Iterable[float]) -> Row:
+    """Make a row that the thesis does not state, of the values that exist."""
+    return make_row(name, None, [float(value) for value in values if np.isfinite(value)])
+
+
+def image_panel(title: str, image: npt.ArrayLike, x: str = "px", y: str = "px") -> Panel:
+    """Draw an image over its pixels."""
+    shown = np.asarray(image, dtype=np.float64)
+    rows, columns = shown.shape
+    return Panel(title, x, y, (Picture(shown, (0.0, 0.0), (columns - 1.0, rows - 1.0)),))
 
 
 def settings(

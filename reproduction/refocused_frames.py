@@ -337,10 +337,8 @@ def _sum_between(volume: Any, synthesised: Any, thresholds: Any, sums: Any) -> N
         for row in range(volume.shape[1]):
             rest = 0.0
             for column in range(volume.shape[2]):
-                value, truth = (
-                    volume[plane, row, column],
-                    np.float64(synthesised[plane, row, column]),
-                )
+                value = volume[plane, row, column]
+                truth = np.float64(synthesised[plane, row, column])
                 if value <= lowest:
                     rest += truth * truth
                     continue

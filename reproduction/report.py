@@ -1,4 +1,4 @@
-"""Measured rows written to a file, and a page of them with curves beside the values."""
+"""Rows written to a file, and a page of them with curves beside the values."""
 
 from __future__ import annotations
 
@@ -18,66 +18,7 @@ from sabench.utils.progress import announce_compiling, console
 from . import MEASUREMENTS, reproduce, resolve
 from .catalogue import MEASURED, judged, read_rows
 
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Reproduction of the thesis</title>
-<style>
-body { font: 15px/1.45 sans-serif; color: #000; background: #fff; margin: 1.5em auto;
-       max-width: 1280px; padding: 0 1em; }
-h1 { font-size: 1.35em; } h2 { font-size: 1.1em; margin-top: 2em; }
-.item { display: flex; flex-wrap: wrap; gap: 1.2em; align-items: flex-start; }
-.rows { flex: 1 1 560px; overflow-x: auto; }
-.curves { flex: 1 1 420px; margin: 0; }
-.curves img { max-width: 100%; height: auto; border: 1px solid #ddd; }
-table { border-collapse: collapse; width: 100%; }
-td, th { text-align: left; padding: 0.15em 0.6em; border-bottom: 1px solid #ddd;
-         vertical-align: top; }
-td.value { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-td.note { color: #444; font-size: 0.9em; }
-.good { color: #00573a; font-weight: bold; }
-.bad { color: #a11000; font-weight: bold; }
-</style>
-</head>
-<body>
-<h1>Reproduction of the thesis</h1>
-<p>The thesis is J. Belden, Synthetic Aperture Imaging for Three Dimensional Resolution of Fluid
-Flows, MIT. Values are means over seeds, with half widths of 95 % confidence intervals.
-{% if small %}<strong>Images were smaller than the scenes': values are not comparable.</strong>
-{% endif %}</p>
-<h2>All tables and figures</h2>
-<div class="rows"><table>
-<tr><th>name</th><th>what it shows</th><th>verdict</th><th>measured by</th></tr>
-{% for one in entries %}
-<tr><td>{{ one.name }}</td><td>{{ one.shows }}</td>
-<td class="{{ one.verdict | grade }}">{{ one.verdict }}</td>
-<td>{% if one.item in items %}<a href="#{{ one.item }}">{{ one.item }}</a>
-{% else %}{{ one.item }}{% endif %}</td></tr>
-{% endfor %}
-</table></div>
-{% for name, rows in items.items() %}
-<h2 id="{{ name }}">{{ name }}: {{ measurements[name].title }}</h2>
-<div class="item">
-<div class="rows"><table>
-<tr><th>row</th><th>thesis</th><th>ours</th><th>seeds</th><th>verdict</th></tr>
-{% for row in rows %}
-<tr><td>{{ row.name }}</td><td class="value">{{ row.thesis | value }}</td>
-<td class="value">{{ row.measured | value }}{{ row.ci95 | interval }}</td>
-<td class="value">{{ row.seeds or "-" }}</td>
-<td class="{{ row.verdict | grade }}">{{ row.verdict }}</td></tr>
-{% if row.note %}<tr><td class="note" colspan="5">{{ row.note }}</td></tr>{% endif %}
-{% endfor %}
-</table></div>
-{% for plot in plots.get(name, []) %}
-<figure class="curves"><img src="{{ plot.name }}.png" alt="{{ plot.title }}"></figure>
-{% endfor %}
-</div>
-{% endfor %}
-</body>
-</html>
-"""
+_TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
 def measure(
@@ -87,7 +28,9 @@ def measure(
     output: Path | None,
     folder: Path | None,
 ) -> list[dict[str, Any]]:
-    """Measure item by item; rows of one replace those of the file when all of them are there.
+    """Measure item by item, and write rows, plots and page.
+
+    Rows of an item replace those of the file when all of them are measured.
 
     Parameters
     ----------
@@ -134,9 +77,8 @@ def _page(rows: Sequence[Mapping[str, Any]], plots: Mapping[str, Sequence[Figure
         "plots": plots,
         "small": any(row["pixels"] for row in rows),
     }
-    return render_page(
-        _PAGE, values, {"value": significant, "grade": _grade, "interval": _interval}
-    )
+    filters = {"value": significant, "grade": _grade, "interval": _interval}
+    return render_page(_TEMPLATE.read_text(encoding="utf-8"), values, filters)
 
 
 def _interval(half: float | None) -> str:

@@ -15,6 +15,7 @@ import navigation  # noqa: E402
 import tables  # noqa: E402
 
 import sabench  # noqa: E402
+from reproduction import page  # noqa: E402
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -49,6 +50,7 @@ def setup(app: Sphinx) -> None:
     """Make tables and navigation, read docstrings, and complete pages."""
     app.connect("source-read", tables.add_tables)
     app.connect("source-read", navigation.add_toctrees)
+    app.connect("source-read", page.add_results)
     app.connect("autodoc-process-docstring", docstrings.describe_names, priority=100)
     app.connect("autodoc-skip-member", docstrings.skip_aliases)
     app.connect("build-finished", access.complete_all)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+
 from tests.architecture.plan import FLOORS, ROOT, arrows, circles, rooms
 
 
@@ -26,3 +28,15 @@ def test_no_circle_of_rooms() -> None:
 
 def test_no_circle_of_files() -> None:
     assert not circles(arrows(ROOT / "sabench", files=True))
+
+
+def test_nothing_imports_what_is_mounted_by_its_dotted_name() -> None:
+    mounted = {"solvers", "generators", "reproduction"}
+    found = []
+    for file in sorted((ROOT / "sabench").rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and not node.level:
+                names = [str(node.module)]
+            found += [f"{file}: {name}" for name in names if name.split(".")[0] in mounted]
+    assert not found
