@@ -1,10 +1,8 @@
 """Errors of cameras from sets of particle images that are mostly wrong.
 
-The disparities of a set in all cameras form one vector, from which the part that a shift of the
-particle explains is projected out. In the dimensions that are left (five for four cameras) the
-right sets agree and the wrong ones scatter, even where these far outnumber the right ones.
+The right ones agree, the wrong ones scatter.
 
-Source: B. Wieneke, Exp. Fluids 45, 549-556, 2008, who sums disparities in a map for each camera.
+Source: B. Wieneke, Exp. Fluids 45, 549-556, 2008.
 """
 
 from __future__ import annotations
