@@ -32,7 +32,9 @@ from sabench.interop.openlpt import (
 class OpenLptParameters(Parameters):
     """Settings of OpenLPT that the images do not show.
 
-    The other settings are derived from the images, or are the defaults of OpenLPT's own window.
+    The other settings are derived from the images, or are the defaults of OpenLPT's own window:
+    more rounds of shaking, wider shakes and a higher ghost threshold changed F1 by less than 0.002
+    on seed 11. Peaks below 0.2 of a bright particle's are left out, as residuals become ghosts.
     """
 
     displacement_px: float = Field(

@@ -29,7 +29,11 @@ from sabench.interop.openptv import (
 
 
 class OptvParameters(Parameters):
-    """Settings of OpenPTV that the images do not show."""
+    """Settings of OpenPTV that the images do not show.
+
+    The others were chosen on seed 11, at 0.02 particles per pixel: a band of 1 px about epipolar
+    lines (F1 0.882; with 0.4 px 0.831), and a discontinuity of 5 of 255 (15 loses overlaps).
+    """
 
     displacement_px: float = Field(
         10.0, gt=0.0, description="largest displacement from frame to frame, in the images"

@@ -17,7 +17,10 @@ class Piv3d(VelocimetrySolver):
     """Multi-pass correlation with deformed volumes and validation between passes.
 
     The first pass correlates by spectra, the later ones by sums over blocks on volumes that cubic
-    splines deform.
+    splines deform. The mean over shifts of the second volume and opposite shifts of the first makes
+    the correlation symmetric. Particles narrower than 0.7 voxels are blurred, since splines would
+    bias their displacements towards whole voxels. Vectors are compared with their neighbours
+    (Westerweel and Scarano, 2005).
     """
 
     name = "piv3d"

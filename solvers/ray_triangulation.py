@@ -31,8 +31,11 @@ class TriangulationParameters(PeakParameters):
 class RayTriangulation(ParticleSolver):
     """Particles at the intersections of lines of sight.
 
-    Lines of sight match particle images between the cameras; every image is used once. The harness
-    links the frames.
+    The line of sight of a peak in one camera is intersected with those of the peaks along it in a
+    second one; every other camera must show a peak near the projection of the intersection. The
+    least-squares position of such a set is a candidate. Candidates are accepted in the order of
+    their fit, so that every image is used once. Source: H. G. Maas, A. Gruen and D. Papantoniou,
+    Exp. Fluids 15, 133-146, 1993. The harness links the frames.
     """
 
     name = "ray_triangulation"

@@ -56,7 +56,10 @@ class RimFitParameters(Parameters):
 class RimFit(BubbleSolver):
     """Bubbles from outlines that most views vote for, fitted by an optical profile.
 
-    All images are fitted simultaneously.
+    Outlines vote by the direction of gradients; the strongest votes along a line of sight form a
+    hypothesis, which is fitted to all images simultaneously, the largest first. The light that a
+    bubble explains is removed for the others. A fit with a radius outside the range is the rest of
+    another bubble's shadow. The diffuser's angle is the one that fits the cleanest bubbles best.
     """
 
     name = "rim_fit"

@@ -35,7 +35,10 @@ class ShakeTheBoxParameters(Parameters):
 class ShakeTheBox(ParticleSolver):
     """Shake-The-Box on the probability of the images.
 
-    The first two frames are those of `bayesian_ipr`. Later ones start from predictions.
+    The first two frames are searched by `bayesian_ipr` and linked by displacements that neighbours
+    share. Later ones start from a Kalman filter's predictions; what is left of the images is
+    searched. Velocities and accelerations are the most probable ones given the positions in the
+    three frames before and after.
     """
 
     name = "shake_the_box"

@@ -42,7 +42,9 @@ class InverseRendering(ParticleSolver):
     """Inverse rendering of particles (experimental, small scenes).
 
     The particles that `bayesian_ipr` finds are moved together to the least cost, with derivatives
-    that Dr.Jit takes of a renderer. The harness links the frames.
+    that Dr.Jit takes of a renderer. No particle is added or removed. Positions agree with those of
+    40 more rounds of the search's own fit (benchmarks/inverse_rendering.py): automatic derivatives
+    check its kernels, and take unknowns without new formulas. The harness links the frames.
     """
 
     name = "inverse_rendering"
