@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 import numpy as np
 
 from sabench.algorithms.particles.dense_start import are_mostly_wrong
@@ -44,6 +46,7 @@ def test_the_flow_is_found_among_wrong_links() -> None:
     assert np.all(variance > 0.0)
 
 
+@pytest.mark.slow
 def test_tracks_through_several_frames_are_real() -> None:
     """Of as many ghosts as particles, hardly any is confirmed."""
     rng = np.random.default_rng(6)
