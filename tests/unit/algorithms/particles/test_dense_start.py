@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import pytest
-
 import numpy as np
+import pytest
 
 from sabench.algorithms.particles.dense_start import are_mostly_wrong
 from sabench.algorithms.particles.local_velocity import Votes, estimate_velocity
