@@ -27,7 +27,6 @@ def run(cache: Path) -> list[dict[str, Any]]:
     return rows
 
 
-@pytest.mark.slow
 def test_the_second_time_nothing_is_compiled(tmp_path: Path) -> None:
     (first,), (second,) = run(tmp_path), run(tmp_path)
     assert first["solver"] == second["solver"] == "ray_triangulation"
