@@ -21,7 +21,6 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-import tifffile
 
 import sabench
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
@@ -164,28 +163,6 @@ def test_missing_and_truncated_images_and_truth(copy: Path, command: Command) ->
     assert "truth.h5" in output.stdout
     (copy / "manifest.json").unlink()
     check_sentence(command("score", copy, "truth"), "manifest.json")
-
-
-def test_images_of_another_kind_or_size(copy: Path, command: Command, tmp_path: Path) -> None:
-    image = copy / "images/frame_0000/camera_02.tif"
-    tifffile.imwrite(image, np.full((240, 320), np.nan, dtype=np.float32))
-    check_sentence(
-        command("solve", "msa", copy, "-o", "r.h5"),
-        f"{image}: expected 16-bit grey values of shape (240, 320), got float32",
-    )
-    tifffile.imwrite(image, np.zeros((200, 320), dtype=np.uint16))
-    check_sentence(
-        command("solve", "msa", copy, "-o", "r.h5"),
-        f"{image}: expected 16-bit grey values of shape (240, 320)",
-        "(200, 320)",
-    )
-    tifffile.imwrite(image, np.full((240, 320), 4095, dtype=np.uint16))
-    check_sentence(
-        command("solve", "msa", copy, "-o", "r.h5"),
-        f"{copy}: frame 0: camera_02: expected an image",
-        "every pixel is saturated",
-    )
-    assert list(tmp_path.iterdir()) == [copy]
 
 
 @pytest.mark.parametrize(

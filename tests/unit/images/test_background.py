@@ -77,6 +77,7 @@ def test_glints_are_covered_and_their_surroundings_are_not(per_pixel: float) -> 
     assert not flaws.points.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.0, 0.005, 0.02, 0.05])
 def test_patches_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> None:
     shown, patches = image(per_pixel, 5), np.zeros((ROWS, COLUMNS))
@@ -90,6 +91,7 @@ def test_patches_with_sharp_edges_are_found_to_the_noise(per_pixel: float) -> No
     assert np.mean(found[~inside] > 0.0) < 0.02  # a pixel or two around them
 
 
+@pytest.mark.slow
 def test_dense_particles_are_no_patches() -> None:
     for per_pixel in (0.1, 0.2):
         shown = image(per_pixel, 6)
@@ -97,6 +99,7 @@ def test_dense_particles_are_no_patches() -> None:
         assert np.mean(found > 0.0) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10, 16))
 def test_particles_that_leave_nothing_dark_are_no_patches(seed: int) -> None:
     """They are denser in the middle, as before a camera whose view passes the volume's edges."""

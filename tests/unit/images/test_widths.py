@@ -65,6 +65,7 @@ def drawn(kernel: F64, per_pixel: float, light: float) -> F64:
     return np.asarray(shown + 2.0 * rng.standard_normal(shown.shape))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 @pytest.mark.parametrize("slope", [0.0, 1.0, -0.5])
 def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: float) -> None:
@@ -90,6 +91,7 @@ def disc(radius: float) -> F64:
     return np.asarray(gaussian_filter(shown, 0.7 * FINE, mode="constant"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05])
 @pytest.mark.parametrize(
     ("radius", "width", "flatness", "scatter"),
@@ -105,6 +107,7 @@ def test_discs_are_measured_as_flat(
     assert flat == pytest.approx(flatness, abs=scatter)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 @pytest.mark.parametrize("sigma", [(0.5, 0.6), (1.0, 1.0), (1.6, 1.2)])
 def test_gaussians_are_not_flat(per_pixel: float, sigma: tuple[float, float]) -> None:
@@ -112,6 +115,7 @@ def test_gaussians_are_not_flat(per_pixel: float, sigma: tuple[float, float]) ->
     assert not measure_images(images, np.ones(images.shape, dtype=bool)).flat.any()
 
 
+@pytest.mark.slow
 def test_windows_of_long_streaks_fit_in_the_margins() -> None:
     """Streaks of 20 px at 45 degrees, whose tilt hides how wide they are."""
     rng = np.random.default_rng(4)
@@ -125,6 +129,7 @@ def test_windows_of_long_streaks_fit_in_the_margins() -> None:
     assert make_room(1.3 * found.sigma).profiles.shape[2] <= MARGIN_PX
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.05, 0.5])
 def test_widths_hold_where_particles_are_denser_in_the_middle(per_pixel: float) -> None:
     """As before a camera whose view passes the edges of the volume."""
@@ -169,6 +174,7 @@ def test_images_of_noise_or_of_nothing_have_finite_statistics() -> None:
             assert np.isfinite(found.number)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.001, 0.005])
 def test_a_glint_among_few_particles_is_not_their_light(per_pixel: float) -> None:
     shown = image(per_pixel, (0.7, 0.7), 8)
@@ -185,6 +191,7 @@ def test_few_particles_before_a_background_taken_too_high_have_their_light() -> 
     assert 100.0 < found.light[0] < 700.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("peak", [500.0, 2000.0, 60000.0])
 def test_a_small_glint_does_not_change_the_width_of_few_particles(peak: float) -> None:
     shown = image(0.001, (0.6, 0.5), 9)

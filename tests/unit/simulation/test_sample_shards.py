@@ -86,6 +86,7 @@ def test_more_samples_leave_full_shards_as_they_are() -> None:
         assert later[shard.name] == shard.numbers.tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_the_bytes_do_not_depend_on_workers(whole: SampleSet, tmp_path: Path, jobs: int) -> None:
     again = make(tmp_path / "again", jobs=jobs)
@@ -93,6 +94,7 @@ def test_the_bytes_do_not_depend_on_workers(whole: SampleSet, tmp_path: Path, jo
     assert [path.name for path in tmp_path.iterdir()] == ["again"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_resumes_and_ends_with_the_same_hash(
     whole: SampleSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -281,6 +283,7 @@ def test_the_command_says_what_it_made(command: Command, tmp_path: Path) -> None
     assert "open it with sabench.open_samples" in done.stderr
 
 
+@pytest.mark.slow
 def test_dask_workers_make_shards(whole: SampleSet, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(

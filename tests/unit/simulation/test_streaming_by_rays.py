@@ -45,6 +45,7 @@ def images_on(kind: str, folder: Path) -> U16:
     return found
 
 
+@pytest.mark.slow
 def test_a_traced_stream_is_what_simulate_traces_and_as_bright_as_the_analytic_one() -> None:
     scene = make_scene(illumination={"pulse_energy_mj": 0.6})  # no pixel is full
     traced = all_samples(scene, samples=2, backend="mitsuba")

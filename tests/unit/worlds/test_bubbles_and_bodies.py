@@ -146,6 +146,7 @@ def test_a_field_moves_as_a_whole() -> None:
     assert len(overlapping(late)) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("y_p", "d_eq", "angle"), [(211.5, 87.0, 11.6), (160.0, 61.6, 10.9), (120.0, 48.1, 11.3)]
 )

@@ -57,6 +57,7 @@ def small_camera(wall: CylinderWall | None = None) -> Camera:
     return aim(replace(camera, wall=wall), [0.0, 0.0, 35.0]) if wall else camera
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pattern", "wall", "spread", "bias"),
     [
@@ -84,6 +85,7 @@ def test_a_rendered_board_is_found_where_it_is(
     assert errors.std(axis=0).max() < spread
 
 
+@pytest.mark.slow
 def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
     camera, target = small_camera(), BOARDS["wand"]
     grey = (2800.0 * render(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)).astype(
@@ -92,6 +94,7 @@ def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
     assert np.abs(detect(grey, target) - camera.project(POSE(target.points_mm))[0]).max() < 0.5
 
 
+@pytest.mark.slow
 def test_small_glowing_balls_are_found_where_they_are() -> None:
     """Nothing draws the centroid of a small ball aside.
 

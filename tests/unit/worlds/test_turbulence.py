@@ -35,6 +35,7 @@ def integral_length_mm(field: Flow, length_mm: float) -> float:
     return float(step * np.trapezoid(f / f[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "asked",
     [

@@ -94,6 +94,7 @@ def test_a_pixel_that_is_far_off_counts_less(off: float) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spoiled", [False, True])
 def test_a_spheroid_is_found_again(spoiled: bool) -> None:
     """Also where another bubble hides a part of it in one camera."""

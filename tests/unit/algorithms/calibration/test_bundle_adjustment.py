@@ -231,7 +231,7 @@ def test_one_half_is_found_while_the_other_is_right_and_stays(moving: Moving) ->
         np.testing.assert_array_equal(found.board_positions, state.board_positions)
 
 
-@pytest.mark.parametrize("cameras", [3, 7, 9, 13])
+@pytest.mark.parametrize("cameras", [3, 13])
 @pytest.mark.parametrize("blank", [False, True])
 def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: bool) -> None:
     x, y = np.meshgrid([-150.0, 0.0, 150.0], [-150.0, 0.0, 150.0])

@@ -105,6 +105,7 @@ def test_sets_that_agree_by_chance_are_refused() -> None:
         corrected(seen)
 
 
+@pytest.mark.slow
 def test_where_there_is_no_room_for_all_sets_some_images_are_left_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from sabench.algorithms.particles.dense_start import (
     Finds,
@@ -48,6 +49,7 @@ def test_the_flow_is_found_among_wrong_links() -> None:
     assert np.all(variance > 0.0)
 
 
+@pytest.mark.slow
 def test_tracks_through_several_frames_are_real() -> None:
     """Of as many ghosts as particles, hardly any is confirmed."""
     rng = np.random.default_rng(6)

@@ -154,6 +154,7 @@ def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
     np.testing.assert_allclose(model.left, left, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_squares_left_are_those_of_noise_where_particles_fit_and_more_where_they_do_not(
     maps: VolumePolynomials,
 ) -> None:
@@ -179,6 +180,7 @@ def test_meetings_with_chosen_particles_are_counted(maps: VolumePolynomials) -> 
         assert counts[0] == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shaped", [False, True])
 def test_shapes_that_change_over_the_box_are_learned(maps: VolumePolynomials, shaped: bool) -> None:
     """Of two cameras, one has other widths, and one may have tilted or flat images."""

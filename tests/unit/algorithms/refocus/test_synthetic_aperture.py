@@ -369,6 +369,7 @@ def planar_array(wall: Wall | None) -> list[Camera]:
     ]
 
 
+@pytest.mark.slow
 def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
     """The published method equals exact refocusing where shifts are whole numbers.
 

@@ -140,6 +140,7 @@ def test_widths_of_narrow_and_wide_particles() -> None:
     assert effective_width(0.7) == pytest.approx(4.0 / squares, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.02, 0.1])
 def test_images_tell_the_share_of_the_volume_that_particles_fill(per_pixel: float) -> None:
     """Brightness spreads, so that it is not a count of particles."""
@@ -161,6 +162,7 @@ def test_images_tell_the_share_of_the_volume_that_particles_fill(per_pixel: floa
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("keep", "gap"), [("reduced", 0.01), ("whole", 0.03)])
 @pytest.mark.parametrize(("per_pixel", "k_from", "k_to"), [(0.02, 4.0, 8.0), (0.1, 1.5, 4.0)])
 def test_auto_k_comes_near_the_best_q(

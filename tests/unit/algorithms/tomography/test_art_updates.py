@@ -189,6 +189,7 @@ def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
         assert 0.05 * (missing**2).sum() < found < (missing**2).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STEPS)
 def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     state = make_state(every=9)
@@ -229,6 +230,7 @@ def test_black_pixels_leave_no_light_but_finite_values() -> None:
         assert fresh.values[inside].max() < 0.5
 
 
+@pytest.mark.slow
 def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
     """The last camera's image does not change voxels outside its view.
 

@@ -71,6 +71,7 @@ def test_split_voxels_have_finer_displacements() -> None:
     assert made.origin == (11.5, 7.5, 3.5)  # the middle of 24, 16 and 8 fine voxels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, 3])
 def test_particles_coincide_in_the_guesses_and_ghosts_fade(count: int) -> None:
     move = linear()

@@ -177,6 +177,7 @@ def test_large_shifts_are_found_by_spectra() -> None:
     assert np.median(peaks.ratio[good]) > 1.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [
@@ -324,6 +325,7 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
     assert widen(values, (0.8, 0.9, 1.0), 0.8) is values
 
 
+@pytest.mark.slow
 def test_weighted_windows_resolve_more() -> None:
     """A Gaussian's weights see more of a wave than equal ones.
 

@@ -13,6 +13,7 @@ from sabench.utils.errors import InputError
 from tests.conftest import Command
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("base", "wanted"),
     [
@@ -58,6 +59,7 @@ def test_bases_that_cannot_be_scaled_are_refused(base: str, sentence: str) -> No
         design_scene(load_scene(base), Wanted(10.0, 0.1, 0.05))
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_scene_that_can_be_planned(command: Command, tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     words = ("--depth", "8", "--density", "0.5", "--resolution", "0.05")

@@ -81,12 +81,14 @@ def smooth_process(noise: float = 0.0, count: int = 60) -> GaussianProcess:
     return GaussianProcess(points, np.sin(points[:, 0]) + points[:, 1], kernel)
 
 
+@pytest.mark.slow
 def test_the_fit_finds_the_likeliest_lengths() -> None:
     process = load_model().processes["q_mart"]
     started = replace(process, kernel=planner._as_kernel(planner._START))
     assert process.surprise() < started.surprise()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["q_synthetic_aperture", "q_mart"])
 def test_scores_change_in_the_right_direction(key: str) -> None:
     model, middle = load_model(), typical()
@@ -137,6 +139,7 @@ def test_the_record_is_of_the_scenes_that_the_benchmark_draws() -> None:
     np.testing.assert_allclose(expected, features, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_errors_on_scenes_that_were_not_fitted_are_as_documented() -> None:
     model = load_model()
     others = [RECORD[str(number)] for number in planner.TESTED]

@@ -128,6 +128,7 @@ def test_defocus_falls_as_the_f_number_rises() -> None:
     assert value(narrow, "diffraction_px") == pytest.approx(2 * value(wide, "diffraction_px"))
 
 
+@pytest.mark.slow
 def test_photons_and_diameters_are_those_of_simulated_images() -> None:
     scene = load_scene("quick")
     made, shot = plan(scene), simulate(scene)
@@ -138,6 +139,7 @@ def test_photons_and_diameters_are_those_of_simulated_images() -> None:
     assert value(made, "image_px") == pytest.approx(4.0 * np.mean(widths))
 
 
+@pytest.mark.slow
 def test_the_brightest_pixel_is_that_of_a_simulated_particle_at_a_pixel_s_centre() -> None:
     scene = changed(
         particles__count=1,

@@ -99,6 +99,7 @@ def test_rays_carry_the_light_of_near_and_large_particles() -> None:
     assert traced.sum() == pytest.approx(formula.sum(), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_rays_of_a_strongly_distorted_lens_meet_the_formulas() -> None:
     camera = replace(
         SMALL,
@@ -179,6 +180,7 @@ def test_the_same_render_twice_gives_the_same_bytes() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("z_mm", [191.0, 200.0, 212.0])
 def test_rays_and_formulas_make_the_same_ellipses(z_mm: float) -> None:
     scene, camera = oblique_camera(8.0)

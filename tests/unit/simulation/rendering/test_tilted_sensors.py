@@ -63,6 +63,7 @@ def light_on_sensor(camera: Camera, leaving: F64, aperture: F64) -> F64:
     return np.asarray(places + np.asarray(camera.principal_point_px))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wall", [False, True])
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (8.0, -11.0), (0.0, 25.0)])
 def test_the_blur_is_that_of_rays_through_a_thin_lens(
@@ -118,6 +119,7 @@ def test_particles_in_the_tilted_plane_of_focus_are_sharp(tilt: tuple[float, flo
     assert flat.sigma_px.max() > 3.0 * airy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_rays_and_formulas_make_the_same_picture_on_tilted_sensors(number: int) -> None:
     own = [
@@ -147,6 +149,7 @@ def test_a_scene_s_plane_of_focus_is_sharp_through_its_walls(number: int) -> Non
     assert widths[1].max() > 1.3 * widths[0].max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 3])
 def test_both_renderers_agree_on_a_scene_with_tilted_sensors(number: int) -> None:
     scene = load_scene("scheimpflug")

@@ -126,6 +126,7 @@ def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio:
     )  # the upper side is +Z
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("function", "radius", "inside", "outside"),
     [
@@ -256,6 +257,7 @@ def turned(points_mm: F64, angle: float) -> F64:
     return np.asarray(points_mm @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]).T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("blades", "pitch"), [(3, 25.0), (5, -40.0)])
 def test_a_propeller_has_its_blades_and_its_pitch(blades: int, pitch: float) -> None:
     step = 0.3
@@ -285,6 +287,7 @@ def test_a_propeller_has_its_blades_and_its_pitch(blades: int, pitch: float) -> 
         )  # sections are thickest at 0.3 of the chord, where +X comes from
 
 
+@pytest.mark.slow
 def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
     one, again, other = (body("reef", seed, step_mm=0.6) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one.vertices_mm, again.vertices_mm)

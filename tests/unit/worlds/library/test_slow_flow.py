@@ -33,6 +33,7 @@ def directions(count: int = 2000) -> F64:
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
 
 
+@pytest.mark.slow
 def test_drag_is_that_of_hasimoto_and_converges() -> None:
     """F = 6 pi mu a U / (1 - 1.7601 c^(1/3) + c - 1.5593 c^2), Hasimoto (1959)."""
     part = 4.0 / 3.0 * np.pi * _RADIUS_MM**3 / _EDGE_MM**3
@@ -63,6 +64,7 @@ def test_field_is_free_of_divergence_and_gradient_is_that_of_differences() -> No
     np.testing.assert_allclose(gradient, np.stack(differences, axis=-1), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_convection_leaves_a_wake_downstream() -> None:
     behind, before = (
         flow(24, viscosity=0.2).velocity(np.array([[x, 0.0, 0.0]]))[0, 0] for x in (6.0, -6.0)
