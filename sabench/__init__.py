@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sabench.dataset.reader import Dataset, open_dataset
     from sabench.dataset.results import Result, open_result
     from sabench.dataset.sample_set import SampleSet, open_samples
-    from sabench.dataset.splits import split_of
+    from sabench.dataset.shards import split_of
     from sabench.dataset.verification import verify
     from sabench.evaluation.gates.comparison import check_file as check
     from sabench.evaluation.leaderboard.submissions import submit
@@ -84,7 +84,7 @@ _HOMES = {
     "score": "tasks.solve_and_score",
     "simulate": "simulation.in_memory",
     "solve": "tasks.solve_and_score",
-    "split_of": "dataset.splits",
+    "split_of": "dataset.shards",
     "stream": "simulation.streaming:stream_samples",
     "stream_key": "simulation.streaming",
     "submit": "evaluation.leaderboard.submissions",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -359,3 +360,33 @@ def _cost(value: Any, where: str) -> float | None:
     if not isinstance(value, int | float) or not 0.0 <= value < float("inf"):
         raise InputError(f"{where}: expected one number that is not negative, got {value!r}")
     return float(value)
+
+
+_LEFT_OUT = "track"  # sabench numbers trajectories where a file does not
+
+
+def estimate_hash(path: Path) -> str:
+    """Hash the names, shapes and values of all arrays of a result that sabench wrote.
+
+    The solver's name, its parameters and costs, estimates after iterations, the numbers of
+    trajectories and the compression do not count.
+    """
+    found: dict[str, Any] = {}
+
+    def collect(name: str, node: Any) -> None:
+        on_the_way = name.startswith(f"{ITERATIONS}/")
+        if (
+            isinstance(node, h5py.Dataset)
+            and name.rpartition("/")[2] != _LEFT_OUT
+            and not on_the_way
+        ):
+            found[name] = node
+
+    content = hashlib.sha256()
+    with open_hdf5(path) as file:
+        file.visititems(collect)
+        for name in sorted(found):
+            node = found[name]
+            content.update(f"{name}\0{node.shape}\0{node.dtype.str}\0".encode())
+            content.update(node[...].tobytes())
+    return content.hexdigest()

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.observation_side import copy_observation
+from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import identity_of, seal
 from sabench.evaluation.leaderboard.submissions import submit

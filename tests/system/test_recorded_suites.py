@@ -339,7 +339,7 @@ def test_folders_by_any_path(made: Path, folder: Path, monkeypatch: pytest.Monke
 def test_other_folders_are_refused_in_one_sentence(
     written: str, sentence: str, made: Path, tmp_path: Path
 ) -> None:
-    from sabench.dataset.observation_side import pack
+    from sabench.dataset.copies import pack
 
     if not (made / "blind").is_dir():
         pack(open_dataset(made / "data"), made / "blind", blind=True)

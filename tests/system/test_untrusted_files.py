@@ -21,9 +21,8 @@ import tifffile
 from sabench.api import Calibration, Camera, Flow
 from sabench.api.make import generator_of
 from sabench.dataset.hdf5 import open_hdf5, read_array
-from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.verification import verify
+from sabench.dataset.verification import probe, verify
 from sabench.evaluation.hidden_split import read_secret
 from sabench.geometry.grid import Grid, check_volume
 from sabench.images.tiff_exr import read_exr, read_tiff, write_exr

@@ -26,7 +26,7 @@ from sabench.metrics.edge_depth import (
 )
 from sabench.plotting.charts import Figure, Panel, Slice
 from sabench.scenes import load_scene
-from sabench.simulation.frame_content import FrameContent
+from sabench.simulation.frames import FrameContent
 from sabench.utils.arrays import F64
 
 SEEDS = 3

@@ -21,9 +21,8 @@ from sabench.metrics.bubble_detection import detection_scores
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.plotting.charts import Figure, Panel, Picture
 from sabench.scenes import Scene, build_rig, load_scene
-from sabench.simulation.camera_view import render
+from sabench.simulation.camera_view import record_image, render
 from sabench.simulation.frames import Frames
-from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import observation_of
 from sabench.utils.arrays import Bool
 from sabench.utils.progress import console
