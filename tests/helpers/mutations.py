@@ -371,7 +371,7 @@ def _virtual(file: Any, name: str, rng: random.Random) -> None:
 
 
 def _odd_attribute(file: Any, _: str, rng: random.Random) -> None:
-    names = [*file.attrs, "parameters", "seconds", "solver", "task", "track"]
+    names = [*file.attrs, "parameters", "seconds", "solver", "task"]
     name = rng.choice(names)
     made: tuple[Any, ...] = (
         "",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -221,15 +220,3 @@ def test_suite_makes_records_and_page_and_survives_a_failing_solver(
     assert "no luck <script>" not in page
     again = command("board")
     assert again.returncode == 0
-
-
-def test_results_of_version_1_are_read(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
-    """Version 1 called the task `track`."""
-    import h5py
-
-    old = Path(shutil.copy(quick_result, tmp_path / "old.h5"))
-    with h5py.File(old, "r+") as file:
-        assert file.attrs["version"] == 2
-        file.attrs["version"], file.attrs["track"] = 1, file.attrs["task"]
-        del file.attrs["task"]
-    assert sabench.score(quick, old) == sabench.score(quick, quick_result)

@@ -136,7 +136,7 @@ def test_attributes_of_other_kinds(quick: Dataset, quick_result: Path, file: Pat
     shutil.copy(quick_result, file)
     with h5py.File(file, "r+") as made:
         made.attrs["version"], made.attrs["seconds"], made.attrs["solver"] = (
-            np.array([1]),
+            np.array([2]),
             np.array([2.5]),
             np.bytes_("\x1b[2Jmine"),
         )
