@@ -34,11 +34,9 @@ import numpy as np
 
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import put_together
-from sabench.simulation.recording.job import Job, record_task
-from sabench.simulation.recording.parts import Parts
-from sabench.simulation.recording.recorders import recorder_of
-from sabench.simulation.recording.schedule import Schedule, Task
-from sabench.simulation.recording.workers import ProcessPool, run_schedule
+from sabench.simulation.recording.parts import Job, Parts
+from sabench.simulation.recording.recorders import record_task, recorder_of
+from sabench.simulation.recording.schedule import ProcessPool, Schedule, Task, run_schedule
 from sabench.utils.progress import progress_bar
 
 _FLOW = {

@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sabench.dataset.agreement import disagreements
+from sabench.dataset.copies import disagreements
 from sabench.dataset.reader import open_dataset
 from sabench.scenes import Scene, load_scene, parse_scene
-from sabench.simulation.renderer_choice import Renderer
+from sabench.utils.backend import Renderer
 from sabench.utils.files import read_json
 
 Make = Callable[[], tuple[Scene, Renderer]]

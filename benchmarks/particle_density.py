@@ -61,7 +61,7 @@ from sabench.api.make import make_algorithm  # noqa: E402
 from sabench.scenes import Scene, parse_scene  # noqa: E402
 from sabench.scenes.bundled import find  # noqa: E402
 from sabench.simulation.in_memory import Shot, simulate  # noqa: E402
-from sabench.simulation.renderer_choice import Renderer  # noqa: E402
+from sabench.utils.backend import Renderer  # noqa: E402
 
 EQUAL = {"scattering": "isotropic", "pulse_energy_mj": 6.5}  # light of the scene's Mie particles
 _SMALL = {"diameter_mm": 0.002}  # of 2 um: the lobes of their light are wide

@@ -209,21 +209,21 @@ BUGS = (
     ),
     Bug(
         "two cameras share their sensor's noise",
-        "sabench/simulation/frame_content.py",
+        "sabench/simulation/frames.py",
         'stream(self.seed, "sensor", self.number, camera)',
         'stream(self.seed, "sensor", self.number, camera // 2)',
         tests="tests/unit/simulation/test_frame_content.py",
     ),
     Bug(
         "the sensor's noise ignores the seed",
-        "sabench/simulation/frame_content.py",
+        "sabench/simulation/frames.py",
         'stream(self.seed, "sensor", self.number, camera)',
         'stream(0, "sensor", self.number, camera)',
         tests="tests/unit/simulation/test_frame_content.py",
     ),
     Bug(
         "the sensor's noise is the same in all frames",
-        "sabench/simulation/frame_content.py",
+        "sabench/simulation/frames.py",
         'stream(self.seed, "sensor", self.number, camera)',
         'stream(self.seed, "sensor", 0, camera)',
         tests="tests/unit/simulation/test_frame_content.py",
@@ -337,7 +337,7 @@ BUGS = (
     ),
     Bug(
         "two cameras share their sensor's pattern",
-        "sabench/simulation/grey_values.py",
+        "sabench/simulation/camera_view.py",
         'stream(frame.seed, "sensor pattern", camera)',
         'stream(frame.seed, "sensor pattern", camera // 2)',
         tests="tests/unit/simulation/test_grey_values.py",

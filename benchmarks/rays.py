@@ -32,8 +32,7 @@ from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene, build_rig, load_scene
 from sabench.simulation import camera_view
 from sabench.simulation.camera_view import lights_of, tank_of
-from sabench.simulation.frame_content import FrameContent
-from sabench.simulation.frames import Frames
+from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.rendering import particles_traced
 from sabench.simulation.rendering.bubble_stage_builder import Stager
 from sabench.utils import backend

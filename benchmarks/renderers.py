@@ -21,7 +21,7 @@ from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene, build_rig, load_scene
 from sabench.simulation import camera_view
-from sabench.simulation.frame_content import FrameContent, Tracers
+from sabench.simulation.frames import FrameContent, Tracers
 from sabench.simulation.rendering.particle_light import scatterers_of
 from sabench.utils import backend
 from sabench.utils.arrays import F64, I64

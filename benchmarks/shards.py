@@ -38,13 +38,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import sabench
 from benchmarks.generation import Times, measure_independent, round_all, simulate_workers, small
 from sabench.dataset.schema import FileEntry, ShardOrigin, shard_file
-from sabench.dataset.shard_writer import Kept, ShardFolder, describe
+from sabench.dataset.shards import Kept, ShardFolder, describe
 from sabench.scenes import load_scene
-from sabench.simulation.recording.job import Job
-from sabench.simulation.recording.schedule import Schedule, Task
-from sabench.simulation.recording.workers import ProcessPool, run_schedule
-from sabench.simulation.sample_shards import generate_samples, merge_shards
-from sabench.simulation.shard_job import ShardJob, ShardMaker
+from sabench.simulation.recording.parts import Job
+from sabench.simulation.recording.schedule import ProcessPool, Schedule, Task, run_schedule
+from sabench.simulation.sample_shards import ShardJob, ShardMaker, generate_samples, merge_shards
 from sabench.utils.progress import progress_bar
 
 _SPLIT = "80/10/10"

@@ -35,10 +35,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from sabench.scenes import Scene, build_rig, parse_scene
-from sabench.simulation.camera_view import render
-from sabench.simulation.frame_content import FrameContent
-from sabench.simulation.frames import Frames
-from sabench.simulation.grey_values import record_image
+from sabench.simulation.camera_view import record_image, render
+from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.in_memory import record_frame
 from sabench.simulation.streaming import stream
 from sabench.utils.philox import draw_key, fill_blocks

@@ -16,8 +16,7 @@ from sabench.metrics.plunging_jet import DEPTH_MM, JetFigures
 from sabench.plotting.charts import Figure, Panel, Space
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.camera_view import render
-from sabench.simulation.frame_content import FrameContent
-from sabench.simulation.frames import Frames
+from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.in_memory import observation_of
 from sabench.simulation.rendering.sensor import expose
 from sabench.tasks.bubbles import jet_figures, jet_of

@@ -16,9 +16,8 @@ from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene
-from sabench.simulation.camera_view import render
+from sabench.simulation.camera_view import record_image, render
 from sabench.simulation.frames import Frames
-from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import Shot, observation_of, simulate_sequence
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.confidence import mean_of

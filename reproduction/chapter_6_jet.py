@@ -19,7 +19,7 @@ from sabench.metrics.bubble_detection import LARGE_MM, AnyBubbles, detection_sco
 from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting.charts import Curve, Figure, Panel, Picture, Slice
 from sabench.scenes import Scene, load_scene
-from sabench.simulation.frame_content import FrameContent
+from sabench.simulation.frames import FrameContent
 from sabench.utils.arrays import F64, I64
 from sabench.utils.confidence import mean_of
 

@@ -16,7 +16,7 @@ from .dataset.import_recording import (
 from .dataset.reader import Dataset as Dataset, open_dataset as open_dataset
 from .dataset.results import Result as Result, open_result as open_result
 from .dataset.sample_set import SampleSet as SampleSet, open_samples as open_samples
-from .dataset.splits import split_of as split_of
+from .dataset.shards import split_of as split_of
 from .dataset.verification import verify as verify
 from .evaluation.gates.comparison import check as check
 from .evaluation.leaderboard.submissions import submit as submit

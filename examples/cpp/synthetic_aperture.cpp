@@ -449,7 +449,7 @@ static void solve(const std::string& dataset, const std::string& out, double k) 
     Rig rig(read_json(dataset + "/cameras.json"));
     ResultFile result(out);
     result.attribute("format", std::string("sabench-result"));
-    result.attribute("version", 1);
+    result.attribute("version", 2);
     result.attribute("dataset", read_json(dataset + "/manifest.json")["content_hash"].string);
     result.attribute("solver", std::string("C++ example"));
     for (int frame = 0; frame < rig.frames; frame++) {

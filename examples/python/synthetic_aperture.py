@@ -120,7 +120,7 @@ def main(dataset, result, *parameters):
         file.attrs.update(
             {
                 "format": "sabench-result",
-                "version": 1,
+                "version": 2,
                 "dataset": content,
                 "solver": "python example",
             }

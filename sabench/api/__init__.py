@@ -60,9 +60,6 @@ from sabench.utils.fields import Direction, LensNumber, Vector
 from sabench.utils.progress import progress_bar
 from sabench.utils.rng import stream
 
-Film = ImageSequence  # the old name, for older plug-ins
-Track = TaskName  # its name until format version 2
-
 __all__ = [
     "F32",
     "F64",
@@ -89,7 +86,6 @@ __all__ = [
     "Distortion",
     "Domain",
     "FileParameters",
-    "Film",
     "Flaws",
     "Flow",
     "FoundParticles",
@@ -123,7 +119,6 @@ __all__ = [
     "Target",
     "TargetGenerator",
     "TaskName",
-    "Track",
     "Vector",
     "VelocimetryParameters",
     "VelocimetrySolver",

@@ -1,4 +1,4 @@
-"""Declared arrays: names, shapes and types of the arrays of truth and of estimates.
+"""Declared arrays of truth and of estimates: names, shapes and types.
 
 A class declares its arrays in `ARRAYS`. One writer and one reader (`sabench.dataset.arrays`) and
 one check (`Arrays.check`) serve all of them by these declarations.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import InitVar, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,8 +52,7 @@ class FoundParticles(Estimate):
     velocity_mm_s, velocity_covariance : (n, 3) and (n, 3, 3) mm2/s2, at the time of the frame.
     acceleration_mm_s2, acceleration_covariance : (n, 3) and (n, 3, 3) mm2/s4.
     trajectory : (n,) numbers of trajectories, different within a frame: particles with the same
-        number in several frames are the same particle. None: sabench links them. The keyword
-        `track` is accepted for it.
+        number in several frames are the same particle. None: sabench links them.
 
     Raises
     ------
@@ -79,7 +78,6 @@ class FoundParticles(Estimate):
     position_mm: F64
     intensity: F64 | None = None
     trajectory: I64 | None = None
-    track: InitVar[I64 | None] = None
     light: F64 | None = None
     covariance_mm2: F64 | None = None
     probability: F64 | None = None
@@ -88,10 +86,8 @@ class FoundParticles(Estimate):
     acceleration_mm_s2: F64 | None = None
     acceleration_covariance: F64 | None = None
 
-    def __post_init__(self, track: I64 | None) -> None:
-        """Accept `track` for `trajectory`, and check the arrays."""
-        if self.trajectory is None and track is not None:
-            object.__setattr__(self, "trajectory", track)
+    def __post_init__(self) -> None:
+        """Check the arrays."""
         self.check()
         if self.probability is not None:
             _check_probabilities(self.probability)

@@ -231,11 +231,6 @@ class CalibrationCase:
                 )
 
     @property
-    def rough_mm(self) -> F64:
-        """Old name of `initial_mm`, for older plug-ins."""
-        return self.initial_mm
-
-    @property
     def found(self) -> Bool:
         """Flags (camera, frame, point) of the points that were found."""
         return np.asarray(np.isfinite(self.pixels).all(axis=-1))

@@ -1,4 +1,4 @@
-"""Truth of a frame: particles, bubbles, bodies, targets, and how cameras see them.
+"""Truth of a frame: particles, bubbles, bodies, targets and their images.
 
 Each class declares its arrays: see `sabench.api.arrays`.
 """
@@ -22,7 +22,7 @@ _WIDEST_PX = 1000.0  # standard deviation of a particle image: wider than any se
 
 
 class Truth(Arrays):
-    """Base of truth; generators may make other types of numbers than the declared ones."""
+    """Base of truth; generators may make other types of numbers."""
 
     EXACT = False
 

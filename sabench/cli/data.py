@@ -30,7 +30,7 @@ from sabench.utils.errors import InputError
 if TYPE_CHECKING:
     from sabench.plugins import Entry
     from sabench.scenes import Scene
-    from sabench.simulation.renderer_choice import Renderer
+    from sabench.utils.backend import Renderer
 
 
 def list_all(
@@ -259,7 +259,7 @@ def verify(
     ] = None,
 ) -> None:
     """Check every byte and every shape of a data set."""
-    from sabench.dataset.agreement import disagreements
+    from sabench.dataset.copies import disagreements
     from sabench.dataset.reader import open_dataset
     from sabench.dataset.verification import describe_contents, verify as faults_of
 
@@ -312,7 +312,7 @@ def pack(
 
 def _pack_dataset(dataset: Path, output: Path, blind: bool, overwrite: bool) -> None:
     from sabench.dataset import schema as layout
-    from sabench.dataset.observation_side import pack as copy, pack_samples
+    from sabench.dataset.copies import pack as copy, pack_samples
     from sabench.dataset.reader import open_dataset
 
     contents = layout.read_manifest(dataset)

@@ -42,7 +42,7 @@ def quality(
     overwrite: Overwrite = False,
 ) -> None:
     """Judge a result by the images that it came from, without truth."""
-    from sabench.dataset.hdf5_probe import probe, probe_dataset
+    from sabench.dataset.verification import probe, probe_dataset
     from sabench.tasks.quality import quality as judge, write_quality
     from sabench.utils.progress import announce_compiling
 

@@ -44,7 +44,7 @@ def refocus(
     overwrite: Overwrite = False,
 ) -> None:
     """Refocus one frame on a plane, a cylinder or a height map."""
-    from sabench.dataset.hdf5_probe import probe_dataset
+    from sabench.dataset.verification import probe_dataset
     from sabench.tasks.surface_refocusing import refocus as make
 
     probe_dataset(dataset)

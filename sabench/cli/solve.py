@@ -46,7 +46,7 @@ def solve(
     overwrite: Overwrite = False,
 ) -> None:
     """Run a solver on a data set and write its result file."""
-    from sabench.dataset.hdf5_probe import probe_dataset
+    from sabench.dataset.verification import probe_dataset
     from sabench.tasks.solve_and_score import solve as run_solver
     from sabench.utils.processes.program import limits_of
     from sabench.utils.progress import announce_compiling
@@ -86,7 +86,7 @@ def score(
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
-    from sabench.dataset.hdf5_probe import probe, probe_dataset
+    from sabench.dataset.verification import probe, probe_dataset
     from sabench.tasks.solve_and_score import score as scores_of
     from sabench.utils.progress import announce_compiling
 

@@ -1,4 +1,4 @@
-"""Reader and writer of declared arrays, in files of truth, parts, shards and results."""
+"""Reader and writer of declared arrays, for truth, shards and results."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ _CHUNK = 256  # voxels along a side of the pieces in which volumes are compresse
 
 
 def group_of(kind: type[Arrays], frame: int = 0, which: str | int = "") -> str:
-    """Name the group of arrays in a file; `which` is one of several, such as a camera's name."""
+    """Name the group of arrays in a file.
+
+    `which` is one of several, such as a camera's name.
+    """
     names = (schema.frame_group(frame) if kind.OF_FRAME else "", kind.GROUP.format(which))
     return "/".join(name for name in names if name)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sabench.dataset import schema
-from sabench.dataset.splits import Shard
+from sabench.dataset.shards import Shard
 from sabench.utils.files import canonical_json, sha256
 
 CROISSANT, CARD = "croissant.json", "README.md"

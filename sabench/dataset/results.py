@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -33,14 +34,12 @@ from sabench.utils.files import complete_or_nothing
 from sabench.utils.validation import printable
 
 FORMAT, VERSION = "sabench-result", 2
-_TASK_ATTRIBUTE = {1: "track", 2: "task"}  # by version
 _ATTRIBUTES = (
     "format",
     "version",
     "dataset",
     "identity",
     "task",
-    "track",
     "solver",
     "parameters",
     "seconds",
@@ -206,7 +205,7 @@ def result_writer(
         with delay_interrupts():
             file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
             file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
-            file.attrs[_TASK_ATTRIBUTE[VERSION]] = task
+            file.attrs["task"] = task
             file.attrs["parameters"] = json.dumps(parameters, sort_keys=True)
             if dataset.identity is not None:
                 file.attrs["identity"] = dataset.identity
@@ -321,22 +320,20 @@ def _head(file: Any) -> dict[str, Any]:
     """Read the attributes of a result file, and check its format."""
     head = read_attributes(file, _ATTRIBUTES)
     version = head.get("version")
-    known = version in _TASK_ATTRIBUTE
-    if head.get("format") != FORMAT or not known:
+    if head.get("format") != FORMAT or version != VERSION:
         got = f"{head.get('format')!r} version {version}"
         raise InputError(
-            f"{file.filename}: expected format {FORMAT!r} version {VERSION} or 1, got {got}"
+            f"{file.filename}: expected format {FORMAT!r} version {VERSION}, got {got}"
         )
     return head
 
 
 def _task(head: dict[str, Any], path: str | Path) -> Any:
-    """Read the task of a result; in files of version 1 its key is `track`."""
-    name = _TASK_ATTRIBUTE[int(head["version"])]
-    task, known = str(head.get(name, "reconstruction")), get_args(TaskName)
+    """Read the task of a result."""
+    task, known = str(head.get("task", "reconstruction")), get_args(TaskName)
     if task not in known:
         raise InputError(
-            f"{path}: attribute {name}: expected one of {', '.join(known)}, got {task!r}"
+            f"{path}: attribute task: expected one of {', '.join(known)}, got {task!r}"
         )
     return task
 
@@ -359,3 +356,33 @@ def _cost(value: Any, where: str) -> float | None:
     if not isinstance(value, int | float) or not 0.0 <= value < float("inf"):
         raise InputError(f"{where}: expected one number that is not negative, got {value!r}")
     return float(value)
+
+
+_LEFT_OUT = "track"  # sabench numbers trajectories where a file does not
+
+
+def estimate_hash(path: Path) -> str:
+    """Hash the names, shapes and values of all arrays of a result that sabench wrote.
+
+    The solver's name, its parameters and costs, estimates after iterations, the numbers of
+    trajectories and the compression do not count.
+    """
+    found: dict[str, Any] = {}
+
+    def collect(name: str, node: Any) -> None:
+        on_the_way = name.startswith(f"{ITERATIONS}/")
+        if (
+            isinstance(node, h5py.Dataset)
+            and name.rpartition("/")[2] != _LEFT_OUT
+            and not on_the_way
+        ):
+            found[name] = node
+
+    content = hashlib.sha256()
+    with open_hdf5(path) as file:
+        file.visititems(collect)
+        for name in sorted(found):
+            node = found[name]
+            content.update(f"{name}\0{node.shape}\0{node.dtype.str}\0".encode())
+            content.update(node[...].tobytes())
+    return content.hexdigest()

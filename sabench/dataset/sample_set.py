@@ -12,21 +12,200 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
 from sabench.dataset import schema
-from sabench.dataset.batches import Batch, make_batch
-from sabench.dataset.camera_files import CamerasFile
-from sabench.dataset.frame_groups import FrameGroups
+from sabench.dataset.cameras import CamerasFile
 from sabench.dataset.reader import Dataset
 from sabench.dataset.stored_shard import StoredShard
 from sabench.geometry.camera import Camera
-from sabench.utils.arrays import F32, I64, U16
+from sabench.utils.arrays import F32, F64, I64, U16
 from sabench.utils.errors import InputError
+
+
+class AnySample(Protocol):
+    """Sample of a stream or of a data set."""
+
+    @property
+    def number(self) -> int:
+        """Number of the sample."""
+
+    @property
+    def images(self) -> U16:
+        """Grey values (frame, camera, row, column)."""
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Values of the keys that vary."""
+
+    @property
+    def particles(self) -> tuple[Particles, ...]:
+        """True particles of each frame."""
+
+
+S = TypeVar("S", bound=AnySample, covariant=True)
+
+
+@dataclass(frozen=True)
+class Batch(Generic[S]):
+    """Samples whose images have one shape.
+
+    Attributes
+    ----------
+    samples : one after the other.
+    images : (sample, frame, camera, row, column) grey values.
+    """
+
+    samples: tuple[S, ...]
+    images: U16
+
+    @property
+    def numbers(self) -> I64:
+        """Numbers (sample,)."""
+        return np.array([one.number for one in self.samples])
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Values (sample,) of each key that varies; lists where they are no numbers."""
+        keys = self.samples[0].drawn
+        return {key: np.asarray([one.drawn[key] for one in self.samples]) for key in keys}
+
+    def displacements_mm(self, first: int = 0, second: int = 1) -> list[tuple[F64, F64]]:
+        """Give positions and displacements between two frames, for each sample.
+
+        Both are (n, 3), those of the particles that both frames have.
+        """
+        return [_moves(one.particles[first], one.particles[second]) for one in self.samples]
+
+    def arrays(self, particles: int | None = None) -> dict[str, npt.NDArray[Any]]:
+        """Give arrays whose first axis is the sample, for libraries of machine learning.
+
+        `number` and `images`; with `particles`, the largest number of them in any frame, also
+        `position_mm` (sample, frame, particle, 3), zero where there is none, and `present` (sample,
+        frame, particle).
+
+        Raises
+        ------
+        InputError
+            A frame with more particles.
+        """
+        arrays: dict[str, npt.NDArray[Any]] = {"number": self.numbers, "images": self.images}
+        if particles is not None:
+            shape = (*self.images.shape[:2], particles)
+            positions, present = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.bool_)
+            for row, one in enumerate(self.samples):
+                for frame, own in enumerate(one.particles):
+                    _check_count(one.number, len(own), particles)
+                    positions[row, frame, : len(own)] = own.position_mm
+                    present[row, frame, : len(own)] = True
+            arrays |= {"position_mm": positions, "present": present}
+        return arrays
+
+
+def _check_count(number: int, count: int, most: int) -> None:
+    if count > most:
+        raise InputError(f"sample {number}: expected at most {most} particles, got {count}")
+
+
+def make_batch(samples: Sequence[S]) -> Batch[S]:
+    """Put samples together.
+
+    Raises
+    ------
+    InputError
+        Images of different shapes.
+    """
+    images = [one.images for one in samples]
+    for one, own in zip(samples, images, strict=True):
+        if own.shape != images[0].shape:
+            raise InputError(
+                f"sample {one.number}: expected images (frame, camera, row, column) of one shape "
+                f"in all samples, got {images[0].shape} in sample {samples[0].number} and "
+                f"{own.shape} here"
+            )
+    return Batch(tuple(samples), np.stack(images))
+
+
+def _moves(first: Particles, second: Particles) -> tuple[F64, F64]:
+    _, i, j = np.intersect1d(first.id, second.id, assume_unique=True, return_indices=True)
+    return first.position_mm[i], second.position_mm[j] - first.position_mm[i]
+
+
+class FrameGroups:
+    """Groups of frames of one data set."""
+
+    def __init__(self, data: Dataset) -> None:
+        self._data = data
+        pulses = data.setup.pulses
+        self._size = pulses if pulses > 1 else 1
+        if data.setup.frames % self._size:
+            raise InputError(f"{data.root}: expected frames in groups of {self._size}")
+
+    def __len__(self) -> int:
+        """Return the number of groups."""
+        return self._data.setup.frames // self._size
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+    def number(self, row: int) -> int:
+        """Return the number of a group."""
+        return row
+
+    def images(self, row: int) -> U16:
+        """Read the grey values (frame, camera, row, column) of a group."""
+        cameras = range(len(self._data.setup.cameras))
+        return np.stack(
+            [[self._data.raw_image(n, frame) for n in cameras] for frame in self._frames(row)]
+        )
+
+    def setup(self, row: int) -> CamerasFile:
+        """Select the cameras and times of a group."""
+        times = [self._data.setup.time_s(frame) for frame in self._frames(row)]
+        return self._data.setup.model_copy(update={"frames": self._size, "times_s": tuple(times)})
+
+    def observation(self, row: int, frame: int, images: U16) -> Observation:
+        """Build what a solver sees of a frame of a group."""
+        if not 0 <= frame < self._size:
+            raise InputError(f"frame {frame}: expected 0 to {self._size - 1}")
+        return self._data.observation(self._frames(row)[frame])
+
+    def true_cameras(self, row: int) -> tuple[Camera, ...]:
+        """Read the cameras that took the images."""
+        return self._data.true_cameras
+
+    def seed(self, row: int) -> int:
+        """Read the seed of the data set."""
+        return self._data.manifest.seed
+
+    def redrawn(self, row: int) -> int:
+        """Return 0: nothing varies."""
+        return 0
+
+    def drawn(self, row: int) -> dict[str, Any]:
+        """Return no values: nothing varies."""
+        return {}
+
+    def particles(self, row: int) -> tuple[Particles, ...]:
+        """Read the true particles of each frame."""
+        return tuple(self._data.particles(frame) for frame in self._frames(row))
+
+    def views(self, row: int) -> tuple[tuple[View, ...], ...]:
+        """Read the true particle images of each frame and camera."""
+        return tuple(tuple(self._data.views(frame)) for frame in self._frames(row))
+
+    def radiance(self, row: int) -> F32:
+        """Read the radiance (frame, camera, row, column) without noise."""
+        return np.stack([self._data.radiance(frame) for frame in self._frames(row)])
+
+    def _frames(self, row: int) -> range:
+        return range(row * self._size, (row + 1) * self._size)
+
 
 _OPEN = 128  # shards whose files are open, two each
 Store = StoredShard | FrameGroups

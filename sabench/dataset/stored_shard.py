@@ -18,10 +18,9 @@ from sabench.api import Observation
 from sabench.api.truth import Particles, View
 from sabench.dataset import schema
 from sabench.dataset.arrays import read_arrays
-from sabench.dataset.build_observation import build_observation
-from sabench.dataset.camera_files import CamerasFile, check_setup, check_true_cameras
-from sabench.dataset.hdf5 import find_array, read_array
-from sabench.dataset.hdf5_chunks import check_streams
+from sabench.dataset.cameras import CamerasFile, check_setup, check_true_cameras
+from sabench.dataset.hdf5 import check_streams, find_array, read_array
+from sabench.dataset.reader import build_observation
 from sabench.geometry.camera import Camera
 from sabench.images.preprocessing import takes_all_frames
 from sabench.utils.arrays import F32, I64, U16

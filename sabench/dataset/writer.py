@@ -15,9 +15,8 @@ from sabench.api import Shown
 from sabench.api.truth import Sight, Sighting, Target, TargetPoints
 from sabench.dataset import schema
 from sabench.dataset.arrays import Named, group_of, named_arrays, write_arrays
-from sabench.dataset.camera_files import list_cameras
+from sabench.dataset.cameras import list_cameras, wall_entry
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
-from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene
 from sabench.utils.files import canonical_json, complete_or_nothing, file_series, sha256

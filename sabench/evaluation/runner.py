@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from sabench import tasks
-from sabench.dataset.estimate_hash import estimate_hash
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.results import open_result
+from sabench.dataset.results import estimate_hash, open_result
 from sabench.dataset.verification import verify
 from sabench.evaluation.environment import machine, version_of, versions
 from sabench.evaluation.hidden_split import read_secret
@@ -29,10 +28,10 @@ from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import Case, RecordedCase, SceneCase, SolverEntry, Suite
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate
-from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.quality import middle_residuals
 from sabench.tasks.solve_and_score import check_result_task, score, score_iterations
 from sabench.tasks.visible_files import hide_from_solvers
+from sabench.utils.backend import Renderer
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.files import complete_or_nothing, digest
 from sabench.utils.progress import console

@@ -32,9 +32,9 @@ from sabench.evaluation.suites import (
 )
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
 from sabench.scenes.loading import read_scene
-from sabench.simulation.renderer_choice import choose_renderer
 from sabench.tasks.external_programs import find_program
 from sabench.tasks.solve_and_score import describe_solver
+from sabench.utils.backend import choose_renderer
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest, is_file
 from sabench.utils.validation import printable, validate

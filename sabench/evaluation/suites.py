@@ -15,9 +15,9 @@ from sabench.api.solvers import TaskName
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.record_schema import Difficulty, Name
 from sabench.scenes import Scene
-from sabench.simulation.renderer_choice import Renderer
 from sabench.tasks.external_programs import is_program, solver_name
 from sabench.tasks.solve_and_score import describe_solver
+from sabench.utils.backend import Renderer
 from sabench.utils.code_hash import code_hash
 from sabench.utils.processes.program import Limits, limits_of
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from sabench.dataset.camera_files import read_calibrated
-from sabench.dataset.hdf5_probe import probe
+from sabench.dataset.cameras import read_calibrated
 from sabench.dataset.results import read_result_cameras
 from sabench.dataset.schema import CAMERAS
+from sabench.dataset.verification import probe
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.interop.cameras import CameraFormat, read_cameras

@@ -1,4 +1,4 @@
-"""View of one camera: photons that it receives of a frame, and their truth."""
+"""View of one camera: photons of a frame, their truth, and grey values."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes import Scene
 from sabench.scenes.tank import build_wall
-from sabench.simulation.frame_content import FrameContent, Tracers
-from sabench.simulation.obstacles import find_hidden
+from sabench.simulation.frames import FrameContent, Tracers, find_hidden
 from sabench.simulation.rendering import (
     bubbles_traced,
     particles_splatted,
@@ -21,12 +20,14 @@ from sabench.simulation.rendering import (
     targets_traced,
 )
 from sabench.simulation.rendering.airy_rings import render_with_rings
+from sabench.simulation.rendering.background import flicker, static_light
 from sabench.simulation.rendering.bubble_stage_builder import Lights, Tank
 from sabench.simulation.rendering.light_routes import Route, direct, reflections
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.pixel_truth import see
-from sabench.simulation.rendering.sensor import full_well_photons
-from sabench.utils.arrays import F64, Bool
+from sabench.simulation.rendering.sensor import expose, full_well_photons, make_pattern
+from sabench.utils.arrays import F64, U16, Bool
+from sabench.utils.rng import stream
 
 _ERROR = 0.04  # of pixels that show bubbles and bodies, unless the scene says otherwise
 _GLOW_ERROR = 1.0  # of tracers among bubbles: few rays, as their images are smooth
@@ -238,3 +239,31 @@ def _render_target(frame: FrameContent, number: int) -> CameraView:
         scene.render.samples_per_pixel,
     )
     return CameraView(camera, full_well_photons(scene.sensor) * saturation)
+
+
+def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:
+    """Record what a camera receives of a frame, by its number in the rig.
+
+    Its sensor's pattern and the background are the same in every frame, and other ones in every
+    camera: each has its own random stream.
+    """
+    scene, photons = frame.scene, _with_background(frame, view.photons, camera)
+    sensor = scene.sensor.of_camera(camera)
+    if scene.sensor.camera_exposure is not None:
+        photons = photons * scene.sensor.camera_exposure[camera]
+    pattern = None
+    if sensor.has_pattern:
+        rng = stream(frame.seed, "sensor pattern", camera)
+        pattern = make_pattern(sensor, (view.camera.rows, view.camera.columns), rng)
+    return expose(sensor, photons, frame.sensor_noise(camera), pattern)
+
+
+def _with_background(frame: FrameContent, photons: F64, camera: int) -> F64:
+    """Add the static light of a camera, as bright as it is in this frame."""
+    table = frame.scene.background
+    if table is None:
+        return photons
+    rows, columns = photons.shape
+    light = static_light(table, (rows, columns), stream(frame.seed, "background", camera))
+    bright = flicker(table, stream(frame.seed, "flicker", frame.number))
+    return photons + bright * full_well_photons(frame.scene.sensor) * light

@@ -3,24 +3,145 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.api.truth import Bubbles, Particles
+from sabench.api import Material
+from sabench.api.truth import NOTHING, Bubbles, Particles, Sight, Solid, Target
 from sabench.geometry.camera import Camera
+from sabench.geometry.frames import Pose
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
 from sabench.scenes.exposures import recorded_part
-from sabench.simulation.frame_content import FrameContent, Tracers
-from sabench.simulation.obstacles import find_obstructed, inside
 from sabench.simulation.rendering.laser_sheet import enter_fluid
+from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.simulation.rendering.particle_light import Scatterers, scatterers_of
+from sabench.simulation.rendering.pixel_truth import depth_of, meets
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
+from sabench.utils.rng import stream
 from sabench.worlds import calibration_targets
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.tracers import Motion, moments, pulse
+
+
+@dataclass(frozen=True)
+class Tracers:
+    """Tracers of one frame and how they scatter.
+
+    Attributes
+    ----------
+    particles : at the middle of the pulse.
+    positions_mm : their positions (n, 3) in the middle of equal parts of the pulse; one array for a
+        short pulse.
+    scatterers : how they scatter; None for isotropic scattering.
+    illuminated : (n,) whether the laser reaches each; None where nothing throws shadows.
+    share : of the pulse that is recorded.
+    exposed : gives the particles and positions of the part of the pulse that a camera records, by
+        its number in the rig, and its share; None where all cameras record the whole pulse.
+    """
+
+    particles: Particles
+    positions_mm: tuple[F64, ...]
+    scatterers: Scatterers | None
+    illuminated: Bool | None = None
+    share: float = 1.0
+    exposed: Callable[[int], tuple[Particles, tuple[F64, ...], float]] | None = None
+
+    def of_camera(self, number: int) -> Tracers:
+        """Give the tracers as one camera records them, by its number in the rig."""
+        if self.exposed is None:
+            return self
+        particles, positions, share = self.exposed(number)
+        return replace(self, particles=particles, positions_mm=positions, share=share, exposed=None)
+
+
+@dataclass(frozen=True)
+class FrameContent:
+    """Objects of one frame, with the optics, the seed and the renderer.
+
+    Attributes
+    ----------
+    scene : with the laser as it is in this frame.
+    rig : the true optics.
+    seed, number : of the data set, and of the frame.
+    renderer : mitsuba or splat.
+    bubbles : None in a scene without bubbles and bodies.
+    bodies : closed surfaces and what they are made of.
+    target, pose : the calibration target, and its position and rotation.
+    """
+
+    scene: Scene
+    rig: Rig
+    seed: int
+    number: int
+    renderer: str
+    bubbles: Bubbles | None = None
+    bodies: tuple[tuple[Solid, Material], ...] = ()
+    tracers: Tracers | None = None
+    target: Target | None = None
+    pose: Pose | None = None
+
+    @property
+    def solids(self) -> list[Solid]:
+        """Surfaces of the bodies."""
+        return [solid for solid, _ in self.bodies]
+
+    def path_seed(self, camera: int) -> int:
+        """Seed of the random light paths to one camera, by its number in the rig."""
+        return int(stream(self.seed, "light paths", self.number, camera).integers(1 << 20))
+
+    def sensor_noise(self, camera: int) -> np.random.Generator:
+        """Random numbers of one camera's sensor, by its number in the rig."""
+        return stream(self.seed, "sensor", self.number, camera)
+
+
+def inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
+    """Find which points (n, 3) lie in a bubble or a body."""
+    if not solids:
+        return _in_bubbles(bubbles, points_mm)
+    return _in_bubbles(bubbles, points_mm) | BodySearch(solids).contains(points_mm)
+
+
+def find_obstructed(
+    bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64, directions: F64
+) -> Bool:
+    """Find which lines from points (n, 3) meet a bubble or a body.
+
+    `directions` are unit vectors (n, 3).
+    """
+    met = meets(bubbles, points_mm, directions)
+    if solids:
+        met |= BodySearch(solids).first(points_mm, directions)[1] >= 0
+    return met
+
+
+def find_hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
+    """Find which points (n, 3) lie behind what their pixels (n, 2) show first."""
+    with np.errstate(invalid="ignore"):
+        on_sensor = camera.contains(pixels)
+    rounded = np.where(on_sensor[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(np.int64)
+    column = np.clip(rounded[:, 0], 0, camera.columns - 1)
+    row = np.clip(rounded[:, 1], 0, camera.rows - 1)
+    behind = sight.depth_mm[row, column] < depth_of(camera, points_mm)
+    return np.asarray(on_sensor & (sight.number[row, column] != NOTHING) & behind)
+
+
+def _in_bubbles(bubbles: Bubbles, points_mm: F64) -> Bool:
+    from scipy.spatial import cKDTree
+
+    found = np.zeros(len(points_mm), dtype=np.bool_)
+    if not len(bubbles) or not len(points_mm):
+        return found
+    near = cKDTree(points_mm).query_ball_point(bubbles.center_mm, bubbles.semi_axes_mm.max(axis=1))
+    for number, neighbours in enumerate(near):
+        which = np.asarray(neighbours, dtype=np.int64)
+        offset = points_mm[which] - bubbles.center_mm[number]
+        in_ball = offset @ bubbles.to_ball[number].T
+        found[which[np.linalg.norm(in_ball, axis=1) < 1.0]] = True
+    return found
+
 
 _STREAK_PX = 0.5  # of a streak, for each position that stands for it
 

@@ -9,16 +9,14 @@ import numpy as np
 
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
-from sabench.dataset.build_observation import build_observation
+from sabench.dataset.reader import build_observation
 from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import Scene, build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.simulation.camera_view import render
-from sabench.simulation.frame_content import FrameContent
-from sabench.simulation.frames import Frames
-from sabench.simulation.grey_values import record_image
-from sabench.simulation.renderer_choice import Renderer, choose_renderer
+from sabench.simulation.camera_view import record_image, render
+from sabench.simulation.frames import FrameContent, Frames
 from sabench.utils.arrays import U16
+from sabench.utils.backend import Renderer, choose_renderer
 from sabench.worlds.tracers import Motion
 
 

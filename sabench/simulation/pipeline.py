@@ -6,7 +6,7 @@ import contextlib
 import functools
 import glob
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from filelock import FileLock, Timeout
@@ -14,26 +14,64 @@ from filelock import FileLock, Timeout
 from sabench.api import Shown
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.writer import dataset_writer
-from sabench.scenes import BubbleWorld, Scene, TargetWorld, build_rig, load_scene
+from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld, build_rig, load_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.simulation.recording.job import Job, record_task
-from sabench.simulation.recording.parts import Parts
-from sabench.simulation.recording.recorders import Recorder, recorder_of
-from sabench.simulation.recording.schedule import Schedule, WorkerPool
-from sabench.simulation.recording.workers import (
+from sabench.simulation.recording.parts import Job, Parts
+from sabench.simulation.recording.recorders import Recorder, record_task, recorder_of
+from sabench.simulation.recording.schedule import (
     InProcess,
     ProcessPool,
+    Schedule,
+    Task,
     UnfinishedError,
-    dask_pool,
+    WorkerPool,
     run_schedule,
 )
-from sabench.simulation.renderer_choice import Renderer, choose_renderer
-from sabench.simulation.size_check import check_affordable
 from sabench.utils import memory
+from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
 from sabench.utils.files import refuse_existing
 from sabench.utils.progress import progress_bar
 from sabench.worlds.readable_codes import has_code
+
+# per pixel of the picture in work: photons, radiance and noise in double precision, then grey
+# values
+_WORKING_BYTES = 40
+_STORED_BYTES = 2  # per pixel of each picture on the disk: grey values are not compressed
+
+
+def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies: int = 1) -> None:
+    """Refuse a scene that cannot fit into memory or on the disk.
+
+    One image at a time must fit into memory, and all images on the disk of the folder.
+
+    Both are lower bounds: a scene that passes may still need too much, one that does not pass would
+    have failed.
+
+    Parameters
+    ----------
+    copies : number of samples of the scene.
+    """
+    pixels = scene.cameras.rows * scene.cameras.columns
+    pictures = copies * scene.frames * len(rig.cameras)
+    there, need = memory.available_mb(), pixels * _WORKING_BYTES / 1e6
+    if there is not None and need > there:
+        size = f"{scene.cameras.rows} x {scene.cameras.columns}"
+        raise InputError(
+            f"{name}: cameras: expected pictures that fit into memory, but one of {size} pixels "
+            f"needs {need:.0f} MB where {there:.0f} are there"
+        )
+    world = scene.world
+    if isinstance(world, TargetWorld) and world.lighting is None:  # without images
+        return
+    there_now = next(path for path in (folder, *folder.parents) if path.exists())
+    free, stored = shutil.disk_usage(there_now).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
+    if stored > free:
+        key = "frames" if copies == 1 else "samples"
+        raise InputError(
+            f"{name}: {key}: expected a data set that fits on the disk, but {pictures} pictures "
+            f"need {stored:.0f} MB where {free:.0f} are free"
+        )
 
 
 def generate(
@@ -81,11 +119,8 @@ def generate(
     check_affordable(label, loaded, build_rig(loaded, label), target.parent)
     with _parts(target, job) as parts:
         recorder = recorder_of(loaded, seed, job.renderer, label)
-        if scheduler:
-            workers: WorkerPool = dask_pool(scheduler, parts.root)
-        else:
-            do = functools.partial(record_task, recorder, parts)
-            workers = InProcess(do) if jobs == 1 else ProcessPool(parts.root, jobs)
+        do = functools.partial(record_task, recorder, parts)
+        workers = worker_pool(parts.root, do, jobs, scheduler)
         with contextlib.closing(workers):
             run_schedule(
                 workers,
@@ -96,6 +131,32 @@ def generate(
             )
         put_together(target, job, recorder, parts, overwrite=overwrite)
     return open_dataset(target)
+
+
+def worker_pool(
+    root: Path, do: Callable[[Task], None], jobs: int, scheduler: str | None
+) -> WorkerPool:
+    """Open this process, some processes or the workers of a Dask scheduler as a pool.
+
+    Parameters
+    ----------
+    root : folder of the job, whose tasks `do` does in this process.
+
+    Raises
+    ------
+    InputError
+        Dask is not installed, or there is no scheduler at the address.
+    """
+    if not scheduler:
+        return InProcess(do) if jobs == 1 else ProcessPool(root, jobs)
+    try:
+        from sabench.simulation.recording.dask_workers import DaskPool
+    except ImportError as error:
+        raise InputError(
+            f"scheduler: expected the package distributed, got {error}: "
+            "run pip install 'sabench[dask]'"
+        ) from error
+    return DaskPool(scheduler, root)
 
 
 @contextlib.contextmanager

@@ -18,22 +18,18 @@ from filelock import FileLock, Timeout
 from sabench.dataset import schema
 from sabench.dataset.data_card import write_card
 from sabench.dataset.sample_set import SampleSet, open_samples
-from sabench.dataset.shard_writer import Compression, Kept, ShardFolder, Truth
-from sabench.dataset.splits import check_shares
+from sabench.dataset.shards import Compression, Kept, ShardFolder, TruthKind, check_shares
 from sabench.dataset.writer import file_entry, list_versions, with_copies
 from sabench.scenes import Scene, build_rig, load_scene
-from sabench.simulation.recording.job import Job
-from sabench.simulation.recording.schedule import Schedule, WorkerPool
-from sabench.simulation.recording.workers import (
-    InProcess,
-    ProcessPool,
+from sabench.simulation.pipeline import check_affordable, worker_pool
+from sabench.simulation.recording.parts import Job
+from sabench.simulation.recording.schedule import (
+    Schedule,
     UnfinishedError,
-    dask_pool,
     run_schedule,
 )
-from sabench.simulation.renderer_choice import Renderer, choose_renderer
 from sabench.simulation.shard_job import PLAN, ShardJob, ShardMaker
-from sabench.simulation.size_check import check_affordable
+from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
 from sabench.utils.files import put_in_place, refuse_existing
 
@@ -48,7 +44,7 @@ def generate_samples(
     split: Sequence[float] = (100.0,),
     seed: int = 0,
     backend: Renderer = "splat",
-    truth: Sequence[Truth] = ("particles", "views"),
+    truth: Sequence[TruthKind] = ("particles", "views"),
     compression: Compression = "none",
     size: int | None = None,
     name: str | None = None,
@@ -157,10 +153,7 @@ def _make(job: ShardJob, root: Path, jobs: int, scheduler: str | None) -> None:
     """Have workers make all shards."""
     shards = job.shards
     maker = ShardMaker(job, root)  # finds what is wrong with the scene before anything is rendered
-    if scheduler:
-        workers: WorkerPool = dask_pool(scheduler, root)
-    else:
-        workers = InProcess(maker) if jobs == 1 else ProcessPool(root, jobs)
+    workers = worker_pool(root, maker, jobs, scheduler)
     with contextlib.closing(workers):
         schedule = Schedule(len(shards), 0, chained=False, ahead=workers.ahead)
         doing = f"make shards of {job.job.label} with {job.job.renderer}"

@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from sabench.dataset.shard_writer import Kept, SampleRecord, ShardFolder
-from sabench.dataset.splits import Shard, plan_shards
+from sabench.dataset.shards import Kept, SampleRecord, Shard, ShardFolder, plan_shards
 from sabench.dataset.writer import list_setups
 from sabench.scenes import build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
-from sabench.simulation.recording.job import JOB, Job, read_job
+from sabench.simulation.recording.parts import JOB, Job, read_job
 from sabench.simulation.recording.schedule import Task
 from sabench.simulation.streaming import Sample, SampleMaker
 from sabench.utils.arrays import F32

@@ -18,20 +18,18 @@ import numpy as np
 
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
-from sabench.dataset.batches import Batch, make_batch
-from sabench.dataset.splits import check_shares, split_names, split_of
+from sabench.dataset.sample_set import Batch, make_batch
+from sabench.dataset.shards import check_shares, split_names, split_of
 from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.variation import draw_values, extremes, with_values
-from sabench.simulation.camera_view import render
+from sabench.simulation.camera_view import record_image, render
 from sabench.simulation.frames import Frames
-from sabench.simulation.grey_values import record_image
 from sabench.simulation.in_memory import observation_of
-from sabench.simulation.recording.job import Job
-from sabench.simulation.renderer_choice import Renderer, choose_renderer
+from sabench.simulation.recording.parts import Job
 from sabench.utils import memory
 from sabench.utils.arrays import U16
-from sabench.utils.backend import limit_kernels
+from sabench.utils.backend import Renderer, choose_renderer, limit_kernels
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream as random_stream
 

@@ -14,7 +14,7 @@ import numpy as np
 from sabench.algorithms.particles.linking import link
 from sabench.api import Detections
 from sabench.api.truth import Bubbles
-from sabench.dataset.camera_files import CamerasFile
+from sabench.dataset.cameras import CamerasFile
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group

@@ -15,7 +15,7 @@ from sabench.algorithms.calibration.initial_poses import place_boards, upright_a
 from sabench.algorithms.calibration.target_detection import detect
 from sabench.api import CalibrationCase
 from sabench.api.truth import Target
-from sabench.dataset.camera_files import read_calibrated
+from sabench.dataset.cameras import read_calibrated
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens_distortion import Distortion
 from sabench.images.photographs import read_photographs

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from sabench import plugins, tasks
-from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
+from sabench.dataset.verification import probe
 from sabench.tasks.visible_files import Desk, open_desk, view_of_program
 from sabench.utils.errors import InputError
 from sabench.utils.files import clear_abandoned, is_file, refuse_existing

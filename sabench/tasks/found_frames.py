@@ -10,7 +10,7 @@ import numpy as np
 
 from sabench.algorithms.particles import link
 from sabench.api import FoundParticles, ImageSequence
-from sabench.dataset.camera_files import CamerasFile
+from sabench.dataset.cameras import CamerasFile
 from sabench.tasks.sequence_call import answers_of_frames
 from sabench.tasks.solver_call import SolverClock
 from sabench.utils.errors import InputError

@@ -17,9 +17,8 @@ import numpy as np
 from sabench.algorithms.calibration.unknown_selection import Nested, select_unknowns
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
-from sabench.dataset.camera_files import write_cameras
+from sabench.dataset.cameras import wall_entry, write_cameras
 from sabench.dataset.schema import CAMERAS
-from sabench.dataset.wall_entries import wall_entry
 from sabench.geometry.camera import Camera
 from sabench.plotting import pictures
 from sabench.tasks.calibration_folder import Recording, read_case

@@ -9,7 +9,7 @@ import numpy as np
 
 from sabench.dataset import schema
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.recorded_writer import RecordedWriter, recorded_writer
+from sabench.dataset.recorded import RecordedWriter, recorded_writer
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils.arrays import U16
 from sabench.utils.files import inside, read_json

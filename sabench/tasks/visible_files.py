@@ -19,7 +19,7 @@ from typing import Any
 
 from sabench import plugins
 from sabench.dataset import schema
-from sabench.dataset.observation_side import copy_observation
+from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.utils.errors import InputError
 from sabench.utils.kernel_folder import kernel_folder

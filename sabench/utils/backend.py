@@ -18,11 +18,12 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 
+Renderer = Literal["auto", "mitsuba", "splat"]
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 CHOICE_VARIABLE = "SABENCH_BACKEND"
 OLDEST_LLVM = 19  # tested: Dr.Jit refuses 14; 15 and 16 abort during renders; 19 and 23 work
@@ -219,3 +220,18 @@ def limit_kernels(threads: int) -> Iterator[None]:
         yield
     finally:
         numba.set_num_threads(before)
+
+
+def choose_renderer(asked: Renderer) -> str:
+    """Choose mitsuba or splat; "auto" takes splat where nothing runs Mitsuba."""
+    if asked not in ("auto", "mitsuba", "splat"):
+        raise InputError(f"backend: expected auto, mitsuba or splat, got {asked!r}")
+    if asked == "splat":
+        return asked
+    try:
+        choose()
+    except InputError:
+        if asked == "mitsuba":
+            raise
+        return "splat"
+    return "mitsuba"

@@ -6,7 +6,7 @@ import re
 import tomllib
 
 from sabench.dataset import writer
-from sabench.simulation.recording import job
+from sabench.simulation.recording import parts
 from tests.docs.pages import ROOT
 
 
@@ -17,5 +17,5 @@ def test_recorded_packages_are_dependencies() -> None:
         {re.split(r"[\[<>=~! ]", one)[0].lower() for one in packages}
         for packages in (project["dependencies"], project["optional-dependencies"]["full"])
     )
-    recorded = {*writer._RECORDED, *job._RENDERING}
+    recorded = {*writer._RECORDED, *parts._RENDERING}
     assert {name.lower() for name in recorded} <= always | full

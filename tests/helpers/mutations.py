@@ -314,7 +314,7 @@ def _virtual(file: Any, name: str, rng: random.Random) -> None:
 
 
 def _odd_attribute(file: Any, _: str, rng: random.Random) -> None:
-    names = [*file.attrs, "parameters", "seconds", "solver", "task", "track"]
+    names = [*file.attrs, "parameters", "seconds", "solver", "task"]
     name = rng.choice(names)
     made: tuple[Any, ...] = (
         *("", "x" * 70_000, "\x00", b"\xff\xfe", 0, -1, 1.5, float("nan"), float("inf"), 2**63),

@@ -333,7 +333,7 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 def blind(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     """Run `sabench verify` and `solve` on a damaged observation side, as participants do."""
-    from sabench.dataset.observation_side import copy_observation
+    from sabench.dataset.copies import copy_observation
 
     root = inputs / "set"
     root.mkdir()
@@ -420,7 +420,7 @@ def _verified(root: Path, out: Path) -> None:
 
 
 def _probed(root: Path, out: Path) -> None:
-    from sabench.dataset.hdf5_probe import probe_dataset
+    from sabench.dataset.verification import probe_dataset
 
     probe_dataset(root)
 
@@ -495,7 +495,7 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         export(root, out / "vtk", path)
 
     def feed() -> None:
-        from sabench.dataset.hdf5_probe import probe
+        from sabench.dataset.verification import probe
 
         probe(path)  # as both commands do before anything else
         _all_of((scored, adopted, exported), data.root, out)

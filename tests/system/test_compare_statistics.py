@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.observation_side import pack
+from sabench.dataset.copies import pack
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.recording_comparison import measure_dataset
 from sabench.evaluation.suite_loading import override

@@ -206,7 +206,4 @@ def test_estimates_name_their_wrong_arrays() -> None:
         field.check()
     with pytest.raises(InputError, match="volume: expected float32 of shape"):
         Reconstruction(np.zeros((4, 3, 2), np.float32)).check(z=2, y=3, x=4)
-    old = FoundParticles(np.zeros((2, 3)), track=np.array([1, 2]))
-    assert old.trajectory is not None
-    assert old.trajectory.tolist() == [1, 2]
     assert CalibrationSolver.task == "calibration"

@@ -23,8 +23,7 @@ import tifffile
 import sabench
 from benchmarks.instruction_sets import SMALL
 from sabench.dataset import schema
-from sabench.dataset.agreement import disagreements
-from sabench.dataset.observation_side import pack
+from sabench.dataset.copies import disagreements, pack
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard.submissions import submit

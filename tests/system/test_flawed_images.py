@@ -12,7 +12,7 @@ from benchmarks.flawed_images import (
     part_of_standard,
 )
 from sabench.api import Camera
-from sabench.dataset.build_observation import build_observation
+from sabench.dataset.reader import build_observation
 from sabench.images.preprocessing import Gaussian, SlidingMinimum
 from sabench.simulation.in_memory import Shot, simulate
 

@@ -16,9 +16,9 @@ import pytest
 
 import sabench
 from sabench.api import FoundParticles
-from sabench.dataset.camera_files import write_cameras
+from sabench.dataset.cameras import write_cameras
+from sabench.dataset.copies import pack
 from sabench.dataset.import_recording import import_recording
-from sabench.dataset.observation_side import pack
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result
 from sabench.dataset.verification import verify

@@ -11,7 +11,7 @@ import pytest
 
 import sabench
 from sabench import plugins, tasks
-from sabench.dataset.observation_side import pack
+from sabench.dataset.copies import pack
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.tasks.conformance import example
 from sabench.tasks.solve_and_score import score, solve

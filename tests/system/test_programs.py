@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.observation_side import copy_observation
+from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.dataset.schema import identity_of, seal
 from sabench.evaluation.leaderboard.submissions import submit
@@ -53,7 +53,7 @@ def write(path: Path, body: str) -> Path:
 WHOLE = """
 rig = json.loads(Path(dataset, "cameras.json").read_text())
 with h5py.File(result, "w") as file:
-    file.attrs.update({"format": "sabench-result", "version": 1, "solver": "liar"})
+    file.attrs.update({"format": "sabench-result", "version": 2, "solver": "liar"})
     file.attrs.update({"seconds": 1e-6, "peak_mb": 1e-6})
     file.attrs["dataset"] = json.loads(Path(dataset, "manifest.json").read_text())["content_hash"]
     for frame in range(rig["frames"]):

@@ -311,7 +311,7 @@ def test_one_case_whatever_the_seeds_are(folder: Path, command: Command) -> None
 def test_other_folders_are_refused_in_one_sentence(
     written: str, sentence: str, made: Path, tmp_path: Path
 ) -> None:
-    from sabench.dataset.observation_side import pack
+    from sabench.dataset.copies import pack
 
     if not (made / "blind").is_dir():
         pack(open_dataset(made / "data"), made / "blind", blind=True)

@@ -19,9 +19,9 @@ from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation import pipeline
 from sabench.simulation.camera_view import render
 from sabench.simulation.pipeline import generate
-from sabench.simulation.recording import job, recorders, workers
-from sabench.simulation.recording.job import Job
-from sabench.simulation.recording.workers import ProcessPool
+from sabench.simulation.recording import recorders, schedule
+from sabench.simulation.recording.parts import Job
+from sabench.simulation.recording.schedule import ProcessPool
 from sabench.utils import backend
 from sabench.utils.errors import InputError
 from tests.conftest import Command
@@ -197,7 +197,7 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     def interrupted(recorder: Any, parts: Any, task: Any) -> None:
         if task.frame == 2:
             raise KeyboardInterrupt
-        job.record_task(recorder, parts, task)
+        recorders.record_task(recorder, parts, task)
 
     def counted(frame: Any, camera: int) -> Any:
         shots.append((frame.number, camera))
@@ -216,7 +216,7 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
 def test_another_scene_or_seed_takes_nothing_of_what_was_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_schedule = workers.run_schedule
+    run_schedule = schedule.run_schedule
 
     def stop(*arguments: Any) -> None:
         run_schedule(*arguments)

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 import pytest
 
-from sabench.dataset.estimate_hash import estimate_hash
+from sabench.dataset.results import estimate_hash
 from sabench.evaluation import runner
 from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.runner import dataset_of

@@ -11,8 +11,8 @@ import h5py
 import numpy as np
 import pytest
 
-from sabench.dataset.estimate_hash import estimate_hash
 from sabench.dataset.reader import Dataset
+from sabench.dataset.results import estimate_hash
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.evaluation.records import read_records
 from sabench.evaluation.solver_card import read_card

@@ -12,7 +12,7 @@ import pytest
 
 from sabench import plugins
 from sabench.api import F64, DeclinedError, ImageSequence
-from sabench.dataset import camera_files, schema
+from sabench.dataset import cameras as camera_files, schema
 from sabench.dataset.reader import open_dataset
 from sabench.geometry.camera_records import decode_cameras, encode_cameras
 from sabench.geometry.cylinder_wall import CylinderWall

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.camera_files import write_cameras
+from sabench.dataset.cameras import write_cameras
 from sabench.geometry.refraction import Wall
 from sabench.utils.errors import InputError
 from tests.conftest import Command

@@ -19,9 +19,8 @@ import tifffile
 from sabench.api import Calibration, Camera
 from sabench.api.make import generator_of
 from sabench.dataset.hdf5 import open_hdf5, read_array
-from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.verification import verify
+from sabench.dataset.verification import probe, verify
 from sabench.images.tiff_exr import read_tiff, write_exr
 from sabench.tasks.calibration_folder import read_case
 from sabench.tasks.own_calibration import check_finite

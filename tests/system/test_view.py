@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import sabench
-from sabench.dataset.observation_side import copy_observation
+from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from tests.conftest import Command
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sabench import tasks
-from sabench.dataset.observation_side import pack
+from sabench.dataset.copies import pack
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.challenge.contents import Challenge, write_challenge
 from sabench.evaluation.challenge.pages import CARD_TEMPLATE, NAMES, page

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import cast
 
 from sabench.api.solvers import TaskName
-from sabench.dataset.observation_side import copy_observation
+from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from sabench.evaluation.challenge.codabench import write_bundle
 from sabench.evaluation.challenge.contents import Challenge, write_challenge

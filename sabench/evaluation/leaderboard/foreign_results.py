@@ -8,13 +8,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from sabench.dataset.agreement import disagreements
-from sabench.dataset.estimate_hash import estimate_hash
-from sabench.dataset.hdf5_probe import probe
+from sabench.dataset.copies import disagreements
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.dataset.results import read_dataset_names
+from sabench.dataset.results import estimate_hash, read_dataset_names
 from sabench.dataset.schema import MANIFEST
-from sabench.dataset.verification import verify
+from sabench.dataset.verification import probe, verify
 from sabench.tasks.external_programs import adopt
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import tomli_w
 
-from sabench.dataset.hdf5_probe import probe
 from sabench.dataset.results import read_solver
+from sabench.dataset.verification import probe
 from sabench.evaluation.leaderboard.archives import Submitted
 from sabench.evaluation.solver_card import (
     CARD,

@@ -13,7 +13,7 @@ from sabench.evaluation.planning.optics import DIAMETER
 from sabench.evaluation.planning.quantities import Advice, Quantity, Section
 from sabench.scenes import Scene
 from sabench.scenes.sensor import Sensor
-from sabench.simulation.frame_content import FrameContent, Tracers
+from sabench.simulation.frames import FrameContent, Tracers
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 
 _SAMPLE = 2000  # particles that are imaged

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from sabench.dataset.hdf5_probe import probe, probe_dataset
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result, read_dataset_names
 from sabench.dataset.schema import MANIFEST
+from sabench.dataset.verification import probe, probe_dataset
 from sabench.evaluation.viewer.contents import Contents, of_cameras, of_dataset, of_scene
 from sabench.evaluation.viewer.page import render
 from sabench.interop.camera_sources import read_camera_source

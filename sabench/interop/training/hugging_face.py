@@ -7,8 +7,7 @@ from typing import Any
 
 import datasets
 
-from sabench.dataset.batches import make_batch
-from sabench.dataset.sample_set import SampleSet
+from sabench.dataset.sample_set import SampleSet, make_batch
 
 _PARTS = 64  # that workers share
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 
-from sabench.dataset.batches import AnySample, Batch
+from sabench.dataset.sample_set import AnySample, Batch
 
 
 def jax_batches(

@@ -8,8 +8,7 @@ from typing import Any
 import torch
 from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
-from sabench.dataset.batches import AnySample, Batch, make_batch
-from sabench.dataset.sample_set import SampleSet
+from sabench.dataset.sample_set import AnySample, Batch, SampleSet, make_batch
 
 Tensors = dict[str, Any]
 

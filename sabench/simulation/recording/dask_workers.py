@@ -10,7 +10,7 @@ from dask import config
 from distributed import Client, wait
 
 from sabench.simulation.recording.schedule import Outcome, Task
-from sabench.simulation.recording.tasks import run_task
+from sabench.simulation.recording.worker import run_task
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 

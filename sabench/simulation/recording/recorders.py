@@ -21,11 +21,11 @@ from sabench.api.truth import (
 from sabench.dataset.writer import DatasetWriter
 from sabench.scenes import Scene, TargetWorld, build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.simulation.camera_view import CameraView, render
-from sabench.simulation.frame_content import FrameContent
-from sabench.simulation.frames import Frames
-from sabench.simulation.grey_values import record_image
+from sabench.simulation.camera_view import CameraView, record_image, render
+from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.recording.parts import Entry, Kept, Part, Parts, Recall, Taken
+from sabench.simulation.recording.schedule import Task
+from sabench.utils import memory
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.worlds import calibration_targets
@@ -43,7 +43,7 @@ class _State(Particles):
 
 @dataclass(frozen=True)
 class _Illuminated(Kept):
-    """Whether the laser reaches each tracer (n,)."""
+    """Flags (n,) of the tracers that the laser reaches."""
 
     ARRAYS = (Array("illuminated", ("n",), np.bool_),)
 
@@ -52,7 +52,7 @@ class _Illuminated(Kept):
 
 @dataclass(frozen=True)
 class _Detected(Kept):
-    """Pixels (point, 2) of a target's points in one camera; NaN where one was not detected."""
+    """Pixels (point, 2) of a target's points in one camera; NaN if undetected."""
 
     ARRAYS = (Array("detected", ("point", 2), finite=False),)
 
@@ -178,6 +178,18 @@ def recorder_of(scene: Scene, seed: int, renderer: str, label: str) -> Recorder:
     """Choose the recorder of a scene."""
     kind = TargetRecorder if isinstance(scene.world, TargetWorld) else Recorder
     return kind(scene, seed, renderer, label)
+
+
+def record_task(recorder: Recorder, parts: Parts, task: Task) -> None:
+    """Record a frame's truth or one camera's view of it, unless that is there."""
+    if task.camera is None:
+        if not parts.has_frame(task.frame):
+            parts.put_frame(task.frame, recorder.frame(task.frame, parts.frame))
+        return
+    camera = recorder.cameras[task.camera].name
+    if not parts.has_view(task.frame, camera):
+        parts.put_view(task.frame, camera, recorder.view(task.frame, task.camera, parts.frame))
+    memory.trim()
 
 
 def _tracers(part: Part, number: int) -> Particles:

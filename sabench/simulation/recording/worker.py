@@ -1,4 +1,4 @@
-"""Process that does tasks of a job.
+"""Process that does tasks of a job: frames and views, or shards of samples.
 
 Run as `python -m sabench.simulation.recording.worker FOLDER THREADS`. It reads lines of JSON,
 [frame, camera], and answers each with [kind, reason].
@@ -6,18 +6,40 @@ Run as `python -m sabench.simulation.recording.worker FOLDER THREADS`. It reads 
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import TextIO
 
-from sabench.simulation.recording.job import JOB
+from sabench.simulation.recording.parts import JOB, Parts, read_job
+from sabench.simulation.recording.recorders import record_task, recorder_of
 from sabench.simulation.recording.schedule import Task
-from sabench.simulation.recording.tasks import run_task
+from sabench.simulation.shard_job import PLAN, ShardMaker, read_shard_job
 from sabench.utils import backend
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json
+
+_ONE_AT_A_TIME = threading.Lock()  # renderers cannot run in two threads
+
+
+def run_task(root: str, task: Task) -> None:
+    """Do one task of the job in a folder, unless its result is there."""
+    with _ONE_AT_A_TIME:
+        _open(root)(task)
+
+
+@functools.lru_cache(maxsize=1)
+def _open(root: str) -> Callable[[Task], None]:
+    folder = Path(root)
+    if (folder / PLAN).is_file():
+        return ShardMaker(read_shard_job(folder), folder)
+    job = read_job(folder)
+    recorder = recorder_of(job.scene, job.seed, job.renderer, job.label)
+    return functools.partial(record_task, recorder, Parts(folder))
 
 
 def _main() -> None:

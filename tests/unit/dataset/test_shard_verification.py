@@ -12,7 +12,7 @@ import pytest
 
 import sabench
 from sabench.dataset import schema
-from sabench.dataset.observation_side import pack_samples
+from sabench.dataset.copies import pack_samples
 from sabench.dataset.sample_set import SampleSet
 from sabench.utils.errors import InputError
 from sabench.utils.files import sha256

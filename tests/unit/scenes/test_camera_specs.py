@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.camera_files import read_cameras
+from sabench.dataset.cameras import read_cameras
 from sabench.geometry.camera import Camera
 from sabench.geometry.lens_distortion import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene

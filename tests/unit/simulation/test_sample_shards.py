@@ -18,11 +18,10 @@ from filelock import FileLock
 import sabench
 from sabench.dataset import sample_set
 from sabench.dataset.sample_set import SampleSet
-from sabench.dataset.splits import plan_shards, split_of
+from sabench.dataset.shards import plan_shards, split_of
 from sabench.simulation import shard_job
-from sabench.simulation.recording import job as recording_job
-from sabench.simulation.recording.schedule import Task
-from sabench.simulation.recording.workers import UnfinishedError
+from sabench.simulation.recording import parts as recording_parts
+from sabench.simulation.recording.schedule import Task, UnfinishedError
 from sabench.simulation.streaming import stream
 from sabench.utils.errors import InputError
 from tests.conftest import Command
@@ -149,7 +148,7 @@ def test_another_version_of_the_code_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begin(tmp_path, monkeypatch)
-    monkeypatch.setattr(recording_job, "code_hash", lambda: "0" * 64)
+    monkeypatch.setattr(recording_parts, "code_hash", lambda: "0" * 64)
     with pytest.raises(InputError, match="another version of sabench or of a library"):
         make(tmp_path / "set")
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.dataset.splits import split_names, split_of
+from sabench.dataset.shards import split_names, split_of
 from sabench.scenes import Scene, find, parse_scene
 from sabench.scenes.variation import Draw, Vary, draw_values
 from sabench.simulation.in_memory import simulate
-from sabench.simulation.recording import job
+from sabench.simulation.recording import parts
 from sabench.simulation.streaming import Sample, stream, stream_key
 from sabench.utils.errors import InputError
 
@@ -237,6 +237,6 @@ def test_a_stream_of_another_scene_seed_or_version_is_refused(
     for changed, seed in ((other, 3), (scene, 4)):
         with pytest.raises(InputError, match=r"expected the stream .* the scene, the seed"):
             stream(changed, seed=seed, start=5, key=key)
-    monkeypatch.setattr(job, "code_hash", lambda: "of another version")
+    monkeypatch.setattr(parts, "code_hash", lambda: "of another version")
     with pytest.raises(InputError, match="or the version of sabench"):
         stream(scene, seed=3, start=5, key=key)

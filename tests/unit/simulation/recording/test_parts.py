@@ -11,8 +11,7 @@ import pytest
 from sabench.api.arrays import Array
 from sabench.api.truth import Materials, View
 from sabench.scenes import load_scene
-from sabench.simulation.recording.job import Job, read_job
-from sabench.simulation.recording.parts import Entry, Kept, Parts, Taken
+from sabench.simulation.recording.parts import Entry, Job, Kept, Parts, Taken, read_job
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 

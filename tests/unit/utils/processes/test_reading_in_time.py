@@ -11,7 +11,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from sabench.dataset.hdf5_probe import probe
+from sabench.dataset.verification import probe
 from sabench.utils.errors import InputError, UncheckedError
 from sabench.utils.processes import call
 from sabench.utils.processes.call import read_isolated
@@ -22,7 +22,7 @@ import os
 import sys
 
 os.environ["PARENT"] = str(os.getpid())
-from sabench.dataset.hdf5_probe import probe
+from sabench.dataset.verification import probe
 from sabench.utils.processes import call
 from slow_to_import import SlowPath
 

@@ -1,12 +1,12 @@
-"""Cameras of a data set: `cameras.json` and `true_cameras.json`."""
+"""Cameras of a data set, in `cameras.json` and `true_cameras.json`."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -20,17 +20,139 @@ from sabench.dataset.schema import (
     check_versioned,
     read_versioned,
 )
-from sabench.dataset.setup_limits import check_lengths, check_shown
-from sabench.dataset.wall_entries import behind, check_walls
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import CameraEntry, record_camera
 from sabench.geometry.grid import Grid
+from sabench.geometry.refraction import Wall
 from sabench.geometry.wall_records import WallRecord, WallsRecord
 from sabench.images.preprocessing import Step
+from sabench.scenes.wall import MOST_LAYERS
 from sabench.utils.errors import InputError
 from sabench.utils.fields import LensNumber, WallNumber
 from sabench.utils.files import canonical_json, inside, read_json
+
+_FARTHEST_MM = 1e9  # a thousand kilometres
+_LONGEST = 1_000_000  # voxels or pixels along a side
+
+
+def check_shown(path: Path, shows: Sequence[str]) -> None:
+    """Check the kinds of objects that frames show.
+
+    Raises
+    ------
+    InputError
+        None, one twice, or a code without the body that carries it.
+    """
+    distinct = set(shows)
+    if not distinct or len(distinct) != len(shows) or _lone_code(shows):
+        expected = "particles, bubbles or both, each once, and code after bubbles only"
+        raise InputError(f"{path}: shows: expected {expected}, got {list(shows)}")
+
+
+def _lone_code(shows: Sequence[str]) -> bool:
+    return "code" in shows and tuple(shows[-2:]) != ("bubbles", "code")
+
+
+def check_lengths(
+    path: Path, walls: Sequence[WallRecord | None], cameras: Sequence[CameraModel], grid: Grid
+) -> None:
+    """Check that lengths and coordinates are such as a laboratory has.
+
+    Raises
+    ------
+    InputError
+        A wall of too many layers, a grid or image of too many voxels or pixels along a side, or a
+        length beyond a thousand kilometres.
+    """
+    for wall in walls:
+        if wall is not None and len(wall.layers) > MOST_LAYERS:
+            got = len(wall.layers)
+            raise InputError(f"{path}: wall: expected at most {MOST_LAYERS} layers, got {got}")
+    for name, counts in (("grid", grid.shape), *((c.name, (c.rows, c.columns)) for c in cameras)):
+        if max(counts) > _LONGEST:
+            expected = f"expected at most {_LONGEST} voxels or pixels along a side"
+            raise InputError(f"{path}: {name}: {expected}, got {max(counts)}")
+    for name, values in _lengths(walls, cameras, grid):
+        largest = max(map(abs, values))
+        if largest > _FARTHEST_MM:
+            raise InputError(
+                f"{path}: {name}: expected at most {_FARTHEST_MM:g} mm, got {largest:g}"
+            )
+
+
+def _lengths(
+    walls: Sequence[WallRecord | None], cameras: Sequence[CameraModel], grid: Grid
+) -> Iterator[tuple[str, Sequence[float]]]:
+    size = [step * count for step, count in zip(grid.voxel_mm, grid.shape[::-1], strict=True)]
+    yield "grid", [*grid.low_mm, *size]
+    for camera in (one for one in cameras if isinstance(one, Camera)):
+        lens = (camera.principal_distance_mm, camera.focal_length_mm, camera.pixel_mm)
+        yield camera.name, [*camera.center_mm, *lens]
+    for wall in walls:
+        if wall is not None:
+            yield "wall", _wall_lengths(wall)
+
+
+def _wall_lengths(wall: WallRecord) -> list[float]:
+    thick = [layer.thickness_mm for layer in wall.layers]
+    if isinstance(wall, Wall):
+        return [*wall.point_mm, *thick, wall.depth_mm or 0.0]
+    return [*wall.axis_point_mm, *thick, wall.outer_radius_mm]
+
+
+AnyCamera = TypeVar("AnyCamera", bound=CameraModel)
+
+
+def wall_entry(cameras: Sequence[CameraModel]) -> Any:
+    """Make the key `wall` of cameras.json: one wall, or one for each camera."""
+    walls = [camera.wall if isinstance(camera, Camera) else None for camera in cameras]
+    if all(wall == walls[0] for wall in walls):
+        return walls[0] if walls else None
+    return [wall and dataclasses.asdict(wall) for wall in walls]
+
+
+def behind(
+    walls: Sequence[WallRecord | None], cameras: Sequence[AnyCamera]
+) -> tuple[AnyCamera, ...]:
+    """Put each pinhole behind its own wall; other camera models include refraction."""
+    pairs = zip(cameras, walls, strict=True)
+    return tuple(
+        dataclasses.replace(camera, wall=wall) if isinstance(camera, Camera) else camera
+        for camera, wall in pairs
+    )
+
+
+def check_walls(path: Path, walls: Sequence[WallRecord | None], cameras: int) -> None:
+    """Check what the types cannot express of the walls of some cameras.
+
+    Raises
+    ------
+    InputError
+        Another number of walls than of cameras, a direction that is not a unit vector, or a size
+        or index that is not positive.
+    """
+    if len(walls) != cameras:
+        raise InputError(
+            f"{path}: wall: expected one, or one for each of {cameras} cameras, got {len(walls)}"
+        )
+    for one in walls:
+        if one is not None and not _is_sound(one):
+            expected = (
+                "a unit normal and positive indices and thicknesses"
+                if isinstance(one, Wall)
+                else "a unit axis and positive radii, indices and thicknesses"
+            )
+            raise InputError(f"{path}: wall: expected {expected}, got {one}")
+
+
+def _is_sound(wall: WallRecord) -> bool:
+    sizes = [*wall.indices, *(layer.thickness_mm for layer in wall.layers)]
+    direction = wall.normal if isinstance(wall, Wall) else wall.axis
+    if not isinstance(wall, Wall):
+        sizes += [*wall.radii_mm]
+    return abs(float(np.linalg.norm(direction)) - 1.0) <= 1e-9 and min(sizes) > 0.0
+
 
 _MOST_DN = 65535  # of 16 bits
 

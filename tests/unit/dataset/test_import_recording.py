@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from sabench.dataset.camera_pairs import check_numbers
+from sabench.dataset.import_recording import check_numbers
 from sabench.images.image_files import Files
 from sabench.utils.errors import InputError
 

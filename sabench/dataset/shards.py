@@ -1,15 +1,20 @@
-"""Writer of shards: observations of many samples in a file, truth in another.
+"""Shards of independent samples: which sample is in which, and their writer.
 
-A process that is killed leaves neither; the entry of a shard is written last and completes it.
+A sample's split follows from a hash of its number, and a shard holds samples of one split: none can
+get into two splits, however many samples there are and whoever makes them. Observations of many
+samples are in one file, their truth in another. A process that is killed leaves neither; the entry
+of a shard is written last and completes it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import shutil
 import tempfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,14 +25,77 @@ import numpy as np
 from sabench.api.truth import Particles, View
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
-from sabench.dataset.splits import Shard
 from sabench.dataset.writer import file_entry
-from sabench.utils.arrays import F32, U8, U16
+from sabench.utils.arrays import F32, I64, U8, U16
 from sabench.utils.errors import InputError
 from sabench.utils.files import atomic_file, canonical_json, read_json, sha256
 from sabench.utils.validation import validate
 
-Truth = Literal["particles", "views", "radiance"]
+
+def split_of(number: int, shares: Sequence[float]) -> str:
+    """Name the split of a sample: "train", "validation", "test", "split-3" and on.
+
+    By a hash of its number, so that a sample stays in its split however many are made.
+    """
+    check_shares(shares)
+    place = zlib.crc32(number.to_bytes(8, "little")) / 2.0**32 * sum(shares)
+    ends = list(itertools.accumulate(shares))
+    index = next((n for n, end in enumerate(ends) if place < end), len(shares) - 1)
+    return split_names(len(shares))[index]
+
+
+def split_names(count: int) -> list[str]:
+    """Name a number of splits."""
+    return ["train", "validation", "test", *(f"split-{n}" for n in range(3, count))][:count]
+
+
+def check_shares(shares: Sequence[float]) -> None:
+    """Refuse shares that no sample can be divided by."""
+    if not shares or min(shares) < 0.0 or not 0.0 < sum(shares) < float("inf"):
+        raise InputError(
+            f"split: expected shares of 0 or more, not all of them 0, got {list(shares)}"
+        )
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Samples of one shard.
+
+    Attributes
+    ----------
+    name : "train-00000" and on; of its files, too.
+    split : of all its samples.
+    numbers : (n,) of its samples, ascending.
+    """
+
+    name: str
+    split: str
+    numbers: I64
+
+
+def plan_shards(samples: int, shares: Sequence[float], size: int) -> list[Shard]:
+    """Divide samples from 0 on into shards of at most `size`, split by split.
+
+    All shards of a split but its last are full.
+    """
+    check_shares(shares)
+    hashes = np.array([zlib.crc32(n.to_bytes(8, "little")) for n in range(samples)])
+    ends = np.array(list(itertools.accumulate(shares)))
+    splits = np.searchsorted(ends, hashes / 2.0**32 * sum(shares), side="right")
+    splits = np.minimum(splits, len(shares) - 1)  # as `split_of`, all at a time
+    return [
+        shard
+        for index, name in enumerate(split_names(len(shares)))
+        for shard in _shards(name, np.flatnonzero(splits == index), size)
+    ]
+
+
+def _shards(split: str, numbers: I64, size: int) -> Iterator[Shard]:
+    for index, first in enumerate(range(0, len(numbers), size)):
+        yield Shard(f"{split}-{index:05d}", split, numbers[first : first + size])
+
+
+TruthKind = Literal["particles", "views", "radiance"]
 Compression = Literal["none", "gzip"]
 _NO_IMAGES = np.empty((0, 0, 0, 0), dtype=np.uint16)
 _MAKING = "making"  # folder of shards that are being written
@@ -63,15 +131,15 @@ class SampleRecord:
 class Kept:
     """Contents of shards: the kinds of truth, and how pixels are compressed."""
 
-    truth: tuple[Truth, ...] = ("particles", "views")
+    truth: tuple[TruthKind, ...] = ("particles", "views")
     compression: Compression = "none"
 
     def __post_init__(self) -> None:
         """Check the words."""
         for word in self.truth:
-            if word not in get_args(Truth):
+            if word not in get_args(TruthKind):
                 raise InputError(
-                    f"truth: expected some of {', '.join(get_args(Truth))}, got {word!r}"
+                    f"truth: expected some of {', '.join(get_args(TruthKind))}, got {word!r}"
                 )
         if "views" in self.truth and "particles" not in self.truth:
             raise InputError("truth: expected particles wherever there are views of them")
