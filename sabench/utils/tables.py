@@ -1,4 +1,4 @@
-"""Tables in text files of other programs: encodings, separators and numbers as they come.
+"""Tables in text files: encodings, separators and numbers as they come.
 
 UTF-8 with or without a mark, UTF-16 with one, and Latin-1 are read; so are line ends of all
 systems, columns apart by commas, semicolons, tabs or spaces, and decimal commas between semicolons.

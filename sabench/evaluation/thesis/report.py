@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -93,7 +93,11 @@ def render(
         "plots": plots,
         "small": any(row["pixels"] for row in rows),
     }
-    filters = {"value": significant, "grade": _grade, "interval": _interval}
+    filters: dict[str, Callable[..., object]] = {
+        "value": significant,
+        "grade": _grade,
+        "interval": _interval,
+    }
     return render_page(_PAGE, values, filters)
 
 

@@ -349,7 +349,7 @@ def test_junit_has_a_case_for_the_data_and_each_solver(tmp_path: Path) -> None:
 
 
 def test_the_table_names_figure_change_and_tolerance(capsys: pytest.CaptureFixture[str]) -> None:
-    from sabench.cli.evaluate import show_report
+    from sabench.cli.compare import show_report
 
     bad = Finding("a", 1, "msa", "q", 0.8, 0.6, 0.008, worse=True)
     news = Finding("a", 1, "asa", "q", 0.5, 0.7, 0.008, worse=False)
