@@ -248,7 +248,7 @@ def import_recording(
     """Make a data set without truth of your own images and calibration."""
     from sabench.dataset.import_recording import ImportOptions
     from sabench.dataset.import_recording import import_recording as make
-    from sabench.interop.camera_sources import read_camera_source
+    from sabench.interop.cameras import read_camera_source
 
     given = {name: value for name, value in keys.items() if value not in (None, [])}
     readers = {name: key.read for name, key in _KEYS.items() if key.read}

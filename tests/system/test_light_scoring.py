@@ -27,7 +27,7 @@ class Missing:
 find = importlib.util.find_spec
 importlib.util.find_spec = lambda name: None if name in {missing!r} else find(name)
 sys.meta_path.insert(0, Missing())
-import sabench.evaluation.challenge.score, sabench.interop.import_results
+import sabench.evaluation.challenge.score, sabench.interop.tracks
 from sabench.cli.main import main
 sys.argv = ["sabench", *{words!r}]
 main()
