@@ -144,7 +144,7 @@ def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int
 def read_records(
     path: Path, needed: Sequence[str], possible: Sequence[str], aliases: Mapping[str, str]
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the lines below a header as words by name, each with its place for errors.
+    """Yield the lines below a header as words by name, with their places.
 
     Capitals and blanks in the header do not matter. Decimal commas become points.
 
