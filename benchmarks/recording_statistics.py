@@ -16,7 +16,7 @@ import tempfile
 import tomllib
 from pathlib import Path
 
-from sabench.cli.recordings import ROWS, cell
+from sabench.cli.own_recordings import ROWS, cell
 from sabench.evaluation.recording_comparison import Measured, measure_dataset
 from sabench.scenes import parse_scene
 from sabench.scenes.bundled import find

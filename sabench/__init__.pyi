@@ -26,7 +26,7 @@ from .evaluation.viewer.view import View as View, view as view
 from .geometry.camera import Camera as Camera
 from .geometry.grid import Grid as Grid
 from .geometry.refraction import Layer as Layer, Wall as Wall
-from .interop.camera_sources import read_camera_source as read_camera_source
+from .interop.cameras import read_camera_source as read_camera_source
 from .interop.export import export as export
 from .plugins import (
     list_generators as list_generators,

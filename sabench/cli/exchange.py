@@ -99,7 +99,7 @@ def import_result(
 
     `sabench score` and all other commands take it.
     """
-    from sabench.interop.import_results import import_result as make
+    from sabench.interop.tracks import import_result as make
 
     with notes_shown():
         made = make(
@@ -119,7 +119,7 @@ def import_result(
 @contextlib.contextmanager
 def notes_shown() -> Iterator[None]:
     """Print the warnings about foreign formats, each as one line on standard error."""
-    from sabench.interop.foreign_world import ForeignFormatWarning
+    from sabench.interop.foreign import ForeignFormatWarning
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ForeignFormatWarning)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -19,6 +22,191 @@ if TYPE_CHECKING:
     from sabench.interop.cameras import CameraFormat
 
 
+def _pairs(words: list[str]) -> dict[str, str]:
+    parted = [word.partition("=") for word in words]
+    if not all(of and own for of, _, own in parted):
+        raise InputError(f"--pair: expected IMAGES=CAMERA, got {', '.join(words)}")
+    return {of: own for of, _, own in parted}
+
+
+def _numbers(option: str, text: str, expected: str, count: int) -> list[float]:
+    try:
+        values = [float(one) for one in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise InputError(f"{option}: expected {expected}, got {text!r}")
+    return values
+
+
+def _box(text: str) -> Box:
+    x0, x1, y0, y1, z0, z1 = _numbers("--volume", text, "x0,x1,y0,y1,z0,z1 in mm", 6)
+    return x0, x1, y0, y1, z0, z1
+
+
+def _frames(text: str) -> slice:
+    try:
+        parts = [int(one) if one else None for one in text.split(":")]
+    except ValueError:
+        parts = []
+    if not 2 <= len(parts) <= 3 or any(one is not None and one < 0 for one in parts):
+        raise InputError(f"--frames: expected START:STOP or START:STOP:STEP, got {text!r}")
+    return slice(*parts)
+
+
+def _raw(text: str) -> RawLayout:
+    from sabench.images.image_reading import RawLayout
+
+    dtype, _, header = text.partition(",")
+    if header and not header.isdigit():
+        raise InputError(f"--raw: expected TYPE or TYPE,HEADER in bytes, got {text!r}")
+    return RawLayout(dtype, int(header or 0))
+
+
+# label, key, factor, decimals
+@dataclass(frozen=True)
+class _Key:
+    """Option of `import` that is a key of `ImportOptions`.
+
+    Attributes
+    ----------
+    flags : names of the option.
+    kind : type of its value on the command line.
+    default : value if it is not given; one of None means that of `ImportOptions`.
+    least : smallest value.
+    read : converts what is given.
+    """
+
+    flags: str
+    kind: Any
+    metavar: str | None
+    help: str
+    default: Any = None
+    least: float | None = None
+    shown: bool = True
+    read: Callable[[Any], Any] | None = None
+
+    @property
+    def annotation(self) -> Any:
+        """Type of the parameter, as Typer reads it."""
+        option = typer.Option(
+            self.flags,
+            metavar=self.metavar,
+            help=self.help,
+            min=self.least,
+            show_default=self.shown,
+        )
+        return Annotated[self.kind, option]
+
+
+def _with_keys(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of `_KEYS` in place of its parameter `keys`."""
+    own = inspect.signature(command, eval_str=True)
+    before = [one for one in own.parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD]
+    after = [one for one in own.parameters.values() if one.kind is one.KEYWORD_ONLY]
+    keys = [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=key.default, annotation=key.annotation
+        )
+        for name, key in _KEYS.items()
+    ]
+    signature = own.replace(parameters=[*before, *keys, *after])
+    command.__signature__ = signature  # type: ignore[attr-defined]
+    command.__annotations__ = {one.name: one.annotation for one in signature.parameters.values()}
+    return command
+
+
+_KEYS = {
+    "pattern": _Key(
+        "--pattern",
+        str | None,
+        "PATTERN",
+        "Path of an image in the folder, as in '{camera}/img_{frame}.tif'; * stands for anything.",
+    ),
+    "pairs": _Key(
+        "--pair",
+        list[str] | None,
+        "IMAGES=CAMERA",
+        "Name of a camera's images and of its calibration; repeatable. Others are left out.",
+        read=_pairs,
+    ),
+    "frames": _Key(
+        "--frames",
+        str | None,
+        "START:STOP",
+        "Take these images of each camera only; the first one is 0.",
+        read=_frames,
+    ),
+    "interval_s": _Key(
+        "--interval", float, "SECONDS", "Time between frames.", default=1.0, least=1e-12
+    ),
+    "pulses": _Key(
+        "--pulses", int, "N", "Frames in a group: 2 for double frames.", default=1, least=1
+    ),
+    "period_s": _Key("--period", float | None, "SECONDS", "Time from group to group.", shown=False),
+    "volume_mm": _Key(
+        "--volume",
+        str | None,
+        "X0,X1,Y0,Y1,Z0,Z1",
+        "The box that is lit, mm; by default what all cameras see.",
+        shown=False,
+        read=_box,
+    ),
+    "voxel_mm": _Key(
+        "--voxel",
+        float | None,
+        "MM",
+        "Size of voxels; by default that of a pixel.",
+        shown=False,
+    ),
+    "black_dn": _Key(
+        "--black",
+        float | None,
+        "DN",
+        "Grey value of no light; by default estimated for each camera.",
+        shown=False,
+    ),
+    "white_dn": _Key(
+        "--white",
+        float | None,
+        "DN",
+        "Grey value of saturation; by default estimated for each camera.",
+        shown=False,
+    ),
+    "masks": _Key(
+        "--masks",
+        Path | None,
+        "FOLDER",
+        "Images by the cameras' names; 0 leaves pixels out.",
+    ),
+    "preprocessing": _Key(
+        "--step",
+        list[str] | None,
+        "NAME[,KEY=VALUE]",
+        "Step of preprocessing, as in sliding_minimum,window_px=9; repeatable.",
+        read=parse_steps,
+    ),
+    "backlit": _Key(
+        "--backlit", bool, None, "The images show bubbles or bodies, not particles.", default=False
+    ),
+    "raw": _Key(
+        "--raw",
+        str | None,
+        "TYPE[,HEADER]",
+        "Pixels of raw files: uint8, uint16 or uint16-big, and bytes of their header.",
+        read=_raw,
+    ),
+    "referenced": _Key(
+        "--reference",
+        bool,
+        None,
+        "Leave the images where they are, and do not copy them.",
+        default=False,
+    ),
+}
+
+
+@_with_keys
 def import_recording(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of images.")],
     output: Annotated[
@@ -52,118 +240,21 @@ def import_recording(
             show_default=False,
         ),
     ] = None,
-    pattern: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Path of an image in the folder, as in '{camera}/img_{frame}.tif'; * stands for "
-            "anything.",
-        ),
-    ] = None,
-    pair: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="IMAGES=CAMERA",
-            help="Name of a camera's images and of its calibration; repeatable. Others are left "
-            "out.",
-        ),
-    ] = None,
-    frames: Annotated[
-        str | None,
-        typer.Option(
-            metavar="START:STOP", help="Take these images of each camera only; the first one is 0."
-        ),
-    ] = None,
-    interval: Annotated[
-        float, typer.Option(min=1e-12, metavar="SECONDS", help="Time between frames.")
-    ] = 1.0,
-    pulses: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Frames in a group: 2 for double frames.")
-    ] = 1,
-    period: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Time from group to group.", show_default=False),
-    ] = None,
-    volume: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X0,X1,Y0,Y1,Z0,Z1",
-            help="The box that is lit, mm; by default what all cameras see.",
-            show_default=False,
-        ),
-    ] = None,
-    voxel: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MM", help="Size of voxels; by default that of a pixel.", show_default=False
-        ),
-    ] = None,
-    black: Annotated[
-        float | None,
-        typer.Option(
-            metavar="DN",
-            help="Grey value of no light; by default estimated for each camera.",
-            show_default=False,
-        ),
-    ] = None,
-    white: Annotated[
-        float | None,
-        typer.Option(
-            metavar="DN",
-            help="Grey value of saturation; by default estimated for each camera.",
-            show_default=False,
-        ),
-    ] = None,
-    masks: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Images by the cameras' names; 0 leaves pixels out."),
-    ] = None,
-    step: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME[,KEY=VALUE]",
-            help="Step of preprocessing, as in sliding_minimum,window_px=9; repeatable.",
-        ),
-    ] = None,
-    backlit: Annotated[
-        bool, typer.Option("--backlit", help="The images show bubbles or bodies, not particles.")
-    ] = False,
-    raw: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TYPE[,HEADER]",
-            help="Pixels of raw files: uint8, uint16 or uint16-big, and bytes of their header.",
-        ),
-    ] = None,
-    reference: Annotated[
-        bool,
-        typer.Option("--reference", help="Leave the images where they are, and do not copy them."),
-    ] = False,
+    *,
     as_json: AsJson = False,
     overwrite: Overwrite = False,
+    **keys: Any,
 ) -> None:
     """Make a data set without truth of your own images and calibration."""
     from sabench.dataset.import_recording import ImportOptions, import_recording as make
-    from sabench.interop.camera_sources import read_camera_source
+    from sabench.interop.cameras import read_camera_source
 
+    given = {name: value for name, value in keys.items() if value not in (None, [])}
+    readers = {name: key.read for name, key in _KEYS.items() if key.read}
     options = ImportOptions(
-        pattern=pattern,
-        pairs=_pairs(pair),
-        frames=_frames(frames),
-        raw=_raw(raw),
-        masks=masks,
-        volume_mm=_box(volume),
-        voxel_mm=voxel,
-        interval_s=interval,
-        pulses=pulses,
-        period_s=period,
-        black_dn=black,
-        white_dn=white,
-        preprocessing=parse_steps(step or []),
-        backlit=backlit,
-        referenced=reference,
+        **{name: readers[name](one) if name in readers else one for name, one in given.items()}
     )
-    size = _first_size(folder, pattern) if form else None
+    size = _first_size(folder, options.pattern) if form else None
     lit = None if options.volume_mm is None else _grid(options.volume_mm)
     with notes_shown():  # the reader checks the word
         source = read_camera_source(
@@ -211,25 +302,6 @@ def _import_record(made: Imported) -> dict[str, object]:
     }
 
 
-def _pairs(words: list[str] | None) -> dict[str, str] | None:
-    if not words:
-        return None
-    parted = [word.partition("=") for word in words]
-    if not all(of and own for of, _, own in parted):
-        raise InputError(f"--pair: expected IMAGES=CAMERA, got {', '.join(words)}")
-    return {of: own for of, _, own in parted}
-
-
-def _numbers(option: str, text: str, expected: str, count: int) -> list[float]:
-    try:
-        values = [float(one) for one in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        raise InputError(f"{option}: expected {expected}, got {text!r}")
-    return values
-
-
 def _first_size(folder: Path, pattern: str | None) -> tuple[int, int] | None:
     """Return rows and columns of the first image, which some calibrations leave out."""
     from sabench.images.image_files import find_image_files
@@ -237,13 +309,6 @@ def _first_size(folder: Path, pattern: str | None) -> tuple[int, int] | None:
 
     files = find_image_files(folder, [], pattern)
     return image_size(next(iter(files.values()))[0])
-
-
-def _box(text: str | None) -> Box | None:
-    if text is None:
-        return None
-    x0, x1, y0, y1, z0, z1 = _numbers("--volume", text, "x0,x1,y0,y1,z0,z1 in mm", 6)
-    return x0, x1, y0, y1, z0, z1
 
 
 def _grid(box: Box) -> Grid:
@@ -254,26 +319,3 @@ def _grid(box: Box) -> Grid:
 
     low, high = np.array(box[::2]), np.array(box[1::2])
     return grid_of_box(low, high, float(np.cbrt(np.prod(high - low) / 1000.0)))
-
-
-def _frames(text: str | None) -> slice:
-    if text is None:
-        return slice(None)
-    try:
-        parts = [int(one) if one else None for one in text.split(":")]
-    except ValueError:
-        parts = []
-    if not 2 <= len(parts) <= 3 or any(one is not None and one < 0 for one in parts):
-        raise InputError(f"--frames: expected START:STOP or START:STOP:STEP, got {text!r}")
-    return slice(*parts)
-
-
-def _raw(text: str | None) -> RawLayout | None:
-    from sabench.images.image_reading import RawLayout
-
-    if text is None:
-        return None
-    dtype, _, header = text.partition(",")
-    if header and not header.isdigit():
-        raise InputError(f"--raw: expected TYPE or TYPE,HEADER in bytes, got {text!r}")
-    return RawLayout(dtype, int(header or 0))

@@ -12,58 +12,91 @@ from collections.abc import Callable
 from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from sabench.cli import data, evaluate, exchange, solve
-from sabench.cli.challenge import challenge, participate
-from sabench.cli.doctor import doctor
-from sabench.cli.help_pages import Command, Group
-from sabench.cli.importing import import_recording
-from sabench.cli.new import new
+from sabench.cli import (
+    compare,
+    exchange,
+    importing,
+    maintain,
+    make_data,
+    own_recordings,
+    solve_and_judge,
+)
 from sabench.cli.options import say
-from sabench.cli.planning import plan
-from sabench.cli.preprocess import preprocess
-from sabench.cli.quality import quality
-from sabench.cli.recordings import compare_statistics
-from sabench.cli.refocus import refocus
 from sabench.cli.reproduce import reproduce
-from sabench.cli.view import view
-from sabench.cli.warmup import warmup
 from sabench.utils.errors import InputError
 from sabench.utils.installed import lacking
 from sabench.utils.version import __version__
 
+
+def _tidy(params: list[Any]) -> list[Any]:
+    """Show nothing for the value of a flag, which has none."""
+    for param in params:
+        if getattr(param, "is_flag", False):
+            param.metavar = ""
+    return params
+
+
+class Command(TyperCommand):
+    """A subcommand."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """List the arguments and options."""
+        return _tidy(super().get_params(ctx))
+
+
+class Group(TyperGroup):
+    """The command itself."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """List the options."""
+        return _tidy(super().get_params(ctx))
+
+
+_PANELS: dict[str, tuple[Callable[..., None], ...]] = {
+    "Make data": (make_data.plan, make_data.generate, make_data.verify, make_data.pack),
+    "Solve and judge": (
+        solve_and_judge.solve,
+        solve_and_judge.score,
+        solve_and_judge.refocus,
+        solve_and_judge.quality,
+        solve_and_judge.view,
+        exchange.export,
+        exchange.import_result,
+    ),
+    "Compare": (
+        compare.run,
+        compare.check,
+        compare.submit,
+        compare.board,
+        reproduce,
+        compare.challenge,
+        compare.participate,
+    ),
+    "Your own recordings": (
+        own_recordings.calibrate,
+        importing.import_recording,
+        own_recordings.preprocess,
+        own_recordings.compare_statistics,
+    ),
+    "Maintain": (
+        maintain.list_all,
+        maintain.schema,
+        maintain.new,
+        solve_and_judge.conform,
+        maintain.warmup,
+        maintain.doctor,
+    ),
+}
+_NAMES = {"list_all": "list", "import_recording": "import"}
+
 app = typer.Typer(cls=Group)
-app.command("list", cls=Command)(data.list_all)
-for _command in (
-    data.schema,
-    plan,
-    data.generate,
-    data.verify,
-    data.pack,
-    compare_statistics,
-    preprocess,
-    solve.solve,
-    solve.score,
-    refocus,
-    quality,
-    view,
-    exchange.export,
-    exchange.import_result,
-    solve.conform,
-    solve.calibrate,
-    evaluate.run,
-    evaluate.check,
-    reproduce,
-    evaluate.submit,
-    challenge,
-    participate,
-    new,
-    evaluate.board,
-    doctor,
-    warmup,
-):
-    app.command(_command.__name__.replace("_", "-"), cls=Command)(_command)
-app.command("import", cls=Command)(import_recording)
+for _panel, _commands in _PANELS.items():
+    for _command in _commands:
+        _word = _command.__name__
+        _name = _NAMES.get(_word, _word.replace("_", "-"))
+        app.command(_name, cls=Command, rich_help_panel=_panel)(_command)
 
 _INTERRUPTED = "interrupted: finished work is kept, nothing is left half-written"
 _AGAIN_S = 0.05  # until a Ctrl-C is repeated

@@ -19,17 +19,30 @@ from sabench.dataset.results import Result, open_result
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.images.tiff_exr import write_tiff
-from sabench.interop import coco, openlpt, openptv, vtkhdf
-from sabench.interop.cameras import check_writable, openptv_project, read_cameras, write_into
-from sabench.interop.foreign_world import ForeignWorld, note
+from sabench.interop import coco, openlpt, openptv, openptv_files, vtkhdf
+from sabench.interop.cameras import check_writable, read_cameras, write_into
+from sabench.interop.foreign import ForeignWorld, Recording, note, of_estimates
 from sabench.interop.image_statistics import measure_frame
-from sabench.interop.paraview_state import write_state
+from sabench.interop.openptv_files import FIRST
 from sabench.interop.tracks import TrackFormat, write_tracks
-from sabench.interop.tracks.openptv_files import FIRST
-from sabench.interop.tracks.track_table import Recording, of_estimates
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
 from sabench.utils.progress import progress_bar
+
+NAME = "state.py"
+_TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
+
+
+def write_state(root: Path, home: Path) -> None:
+    """Write a state into an export's folder, whose files it finds when it is loaded.
+
+    Parameters
+    ----------
+    home : where the folder will lie, for a ParaView that does not tell where the state is.
+    """
+    text = _TEMPLATE.read_text(encoding="utf-8").replace("{{ folder }}", repr(str(home)))
+    (root / NAME).write_text(text, encoding="utf-8")
+
 
 Format = Literal[
     "vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv", "coco"
@@ -161,7 +174,7 @@ def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:
     setup = data.setup
     span = (FIRST, FIRST + setup.frames - 1)
     cameras = tuple(camera for camera in setup.cameras if isinstance(camera, Camera))
-    openptv_project.write_parameters(root, setup.grid, cameras, span, settings)
+    openptv_files.write_parameters(root, setup.grid, cameras, span, settings)
 
 
 def _write_for_openlpt(root: Path, data: Dataset, home: Path) -> None:

@@ -9,7 +9,7 @@ listed from the fluid to the camera, with a point on the face to the fluid and t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,12 +22,16 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
-from sabench.interop.tracks import openlpt_files
-from sabench.utils.arrays import F32, F64
+from sabench.interop.foreign import Recording, TrackTable
+from sabench.interop.named_columns import table_of_columns
+from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.errors import InputError
 from sabench.utils.processes import python
+from sabench.utils.tables import Array, read_table
 
-if TYPE_CHECKING:  # it loads numba, which scores do without
+if TYPE_CHECKING:
     from sabench.interop.image_statistics import FrameStatistics
+
 
 LEAST_FRAMES = 5  # needed to estimate the optical transfer function
 _TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
@@ -268,9 +272,9 @@ def _tracer(settings: Settings, ends: F64) -> list[str]:
     ]
 
 
-def read_tracks(folder: Path, frames: int) -> list[FoundParticles]:
+def read_result(folder: Path, frames: int) -> list[FoundParticles]:
     """Read the particles of every frame from OpenLPT's files of tracks."""
-    table = openlpt_files.read_files(openlpt_files.track_files(folder), None)
+    table = read_files(track_files(folder), None)
     return [table.estimate(frame) for frame in range(frames)]
 
 
@@ -291,4 +295,82 @@ def solve(folder: Path, frames: int) -> list[FoundParticles]:
     python.run_module(
         "sabench.interop.openlpt_process", folder, "OpenLPT", "Total time for frame", frames
     )
-    return read_tracks(folder, frames) if frames >= LEAST_FRAMES else read_particles(folder, frames)
+    return read_result(folder, frames) if frames >= LEAST_FRAMES else read_particles(folder, frames)
+
+
+# files that OpenLPT's own programs read as the result
+_KINDS = ("LongTrackActive", "LongTrackInactive", "ExitTrack")
+_HEAD = ("TrackID", "FrameID", "WorldX", "WorldY", "WorldZ")
+_NONE = np.zeros(0, dtype=np.int64)
+LOST_OF_TRACKS = (
+    "intensities, velocities and accelerations",
+    "light of each camera, covariances and probabilities",
+)
+
+
+def track_files(path: Path) -> list[Path]:
+    """List the files of tracks of a result folder or of the folder above it."""
+    if not path.is_dir():
+        return [path]
+    places = (path / "results" / "ConvergeTrack", path / "ConvergeTrack", path)
+    folder = next((place for place in places if place.is_dir()), path)
+    return [file for kind in _KINDS for file in sorted(folder.glob(f"{kind}_*.csv"))]
+
+
+def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
+    """Read all tracks of a result.
+
+    Raises
+    ------
+    InputError
+        No file of tracks, or a broken one.
+    """
+    files = track_files(path)
+    if not files:
+        raise InputError(f"{path}: expected files of tracks, ConvergeTrack/*_*.csv, found none")
+    return read_files(files, unit)
+
+
+def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
+    """Read files of tracks; numbers of a file follow those of the file before."""
+    frame, position, number = list[I64](), [np.zeros((0, 3))], list[I64]()
+    before = 0
+    for file in files:
+        made = _read_file(file, unit)
+        own = np.asarray(made.trajectory) + before
+        before = int(own.max(initial=before - 1)) + 1
+        frame, position, number = (
+            [*frame, made.frame],
+            [*position, made.position_mm],
+            [*number, own],
+        )
+    numbers = [np.concatenate([_NONE, *one]) for one in (frame, number)]
+    return TrackTable(numbers[0], np.concatenate(position), numbers[1]).sorted()
+
+
+def _read_file(file: Path, unit: str | None) -> TrackTable:
+    """Read columns by names; pixels of cameras, which follow, are left out."""
+    table = read_table(file, 5)
+    there = [name.strip() for name in table.names]
+    if not len(table.values):
+        return TrackTable(_NONE, np.zeros((0, 3)), _NONE)
+    missing = next((name for name in _HEAD if name not in there), None)
+    if missing:
+        raise InputError(
+            f"{file}: expected a column {missing}, got {', '.join(there) or 'no names'}"
+        )
+    columns = {name: Array(table.values[:, there.index(name)], None) for name in _HEAD}
+    return table_of_columns(str(file), columns, unit)
+
+
+def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
+    """Write all tracks into LongTrackActive_N.csv, N the last frame."""
+    place = folder / "results" / "ConvergeTrack"
+    place.mkdir(parents=True)
+    number = np.arange(len(table)) if table.trajectory is None else table.trajectory
+    rows = zip(number.tolist(), table.frame.tolist(), table.position_mm.tolist(), strict=True)
+    lines = [",".join(_HEAD)]
+    lines += [f"{track},{frame},{x!r},{y!r},{z!r}" for track, frame, (x, y, z) in rows]
+    last = int(table.frame.max(initial=0))
+    file = place / f"LongTrackActive_{last}.csv"
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")

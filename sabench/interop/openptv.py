@@ -25,7 +25,7 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Wall
 from sabench.geometry.sensor_tilt import UPRIGHT
-from sabench.interop.foreign_world import ForeignWorld
+from sabench.interop.foreign import ForeignWorld
 from sabench.utils.arrays import F32, F64, I64, U8, triple
 from sabench.utils.files import read_json
 from sabench.utils.processes import python

@@ -1,4 +1,4 @@
-"""HTML pages that are one file: templates, and scripts, styles and data inside them."""
+"""HTML pages of one file: templates with scripts, styles and data inside them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables in text files of other programs: encodings, separators and numbers as they come.
+"""Tables in text files: encodings, separators and numbers as they come.
 
 UTF-8 with or without a mark, UTF-16 with one, and Latin-1 are read; so are line ends of all
 systems, columns apart by commas, semicolons, tabs or spaces, and decimal commas between semicolons.
@@ -144,7 +144,7 @@ def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int
 def read_records(
     path: Path, needed: Sequence[str], possible: Sequence[str], aliases: Mapping[str, str]
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the lines below a header as words by name, each with the place that errors name.
+    """Yield the lines below a header as words by name, with their places.
 
     Capitals and blanks in the header do not matter. Decimal commas become points.
 

@@ -15,9 +15,8 @@ from sabench.api import FoundParticles
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.interop.export import Format, export
-from sabench.interop.foreign_world import ForeignFormatWarning, read_world
-from sabench.interop.import_results import import_result
-from sabench.interop.tracks import TrackFormat
+from sabench.interop.foreign import ForeignFormatWarning, read_world
+from sabench.interop.tracks import TrackFormat, import_result
 from sabench.scenes import load_scene
 from sabench.tasks import of
 from sabench.tasks.solve_and_score import score

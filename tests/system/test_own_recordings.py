@@ -26,7 +26,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import lattice_of
 from sabench.geometry.polynomial_cameras import fit_planes, fit_soloff
 from sabench.geometry.projective_camera import fit_projective
-from sabench.interop.camera_sources import read_camera_source
+from sabench.interop.cameras import read_camera_source
 from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.recordings import (

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.bubbles import transmission
+from sabench.algorithms.bubbles.transmission import transmission
 from sabench.algorithms.refocus import find_edge_on, refocus_on_surface, refocus_sum
 from sabench.api import Observation
 from sabench.dataset.reader import Dataset

@@ -12,7 +12,7 @@ from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import probe, probe_dataset
 from sabench.evaluation.viewer.contents import Contents, of_cameras, of_dataset, of_scene
 from sabench.evaluation.viewer.page import render
-from sabench.interop.camera_sources import read_camera_source
+from sabench.interop.cameras import read_camera_source
 from sabench.scenes import Scene, load_scene
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, is_file, is_folder

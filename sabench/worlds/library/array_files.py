@@ -1,4 +1,4 @@
-"""Arrays with units from the files of other programs: text, HDF5, NetCDF, MATLAB and VTK.
+"""Arrays with units from text, HDF5, NetCDF, MATLAB and VTK files.
 
 A limited child process reads the file, which the libraries may not survive.
 """
@@ -87,7 +87,7 @@ def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[s
 
 
 def read_all_arrays(path: Path, suffix: str) -> dict[str, Array]:
-    """Read the arrays of numbers at the root of a file, as files of that suffix are read.
+    """Read the arrays of numbers at the root of a file as that suffix is read.
 
     Raises
     ------

@@ -162,7 +162,7 @@ def test_openlpts_tracks_are_read(tmp_path: Path) -> None:
         head + "0,0,1.0,2.0,3.0,9,9\n0,1,1.5,2.0,3.0,9,9\n1,1,7.0,8.0,9.0,9,9\n", encoding="utf-8"
     )
     (folder / "ExitTrack_2.csv").write_text(head + "0,0,4.0,5.0,6.0,9,9\n", encoding="utf-8")
-    first, second, third = openlpt.read_tracks(tmp_path, 3)
+    first, second, third = openlpt.read_result(tmp_path, 3)
     np.testing.assert_array_equal(first.position_mm, [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     assert first.trajectory is not None
     assert second.trajectory is not None

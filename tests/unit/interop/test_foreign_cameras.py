@@ -20,7 +20,7 @@ from sabench.geometry.grid import Grid
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.rotations import rotation_matrices
 from sabench.interop.cameras import CameraFormat, read_cameras, write_cameras
-from sabench.interop.foreign_world import ForeignFormatWarning, ForeignWorld, read_world
+from sabench.interop.foreign import ForeignFormatWarning, ForeignWorld, read_world
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from tests.unit.interop.test_camera_files import LENS, TILT, rig, walls

@@ -12,9 +12,14 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file, savemat
 
-from sabench.interop.foreign_world import ForeignFormatWarning, ForeignWorld, read_world
+from sabench.interop.foreign import (
+    ForeignFormatWarning,
+    ForeignWorld,
+    Recording,
+    TrackTable,
+    read_world,
+)
 from sabench.interop.tracks import TrackFormat, read_tracks, write_tracks
-from sabench.interop.tracks.track_table import Recording, TrackTable
 from sabench.utils.errors import InputError
 from tests.unit.interop.test_camera_files import rig
 

@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from sabench.interop import vtkhdf
-from sabench.interop.paraview_state import NAME, write_state
+from sabench.interop.export import NAME, write_state
 
 
 def _value(tree: ast.Module, name: str) -> ast.expr:

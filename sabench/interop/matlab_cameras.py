@@ -19,8 +19,8 @@ import numpy as np
 from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens_distortion import Distortion
-from sabench.interop.cameras.lenses import Extent, Pose, camera_of_matrix, center_of
-from sabench.interop.foreign_world import ForeignWorld
+from sabench.interop.foreign import ForeignWorld
+from sabench.interop.lenses import Extent, Pose, camera_of_matrix, center_of
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 
@@ -36,7 +36,7 @@ _FIELDS = (
     "RotationMatrix",
     "TranslationVector",
 )
-LOST: tuple[str, ...] = ()
+LOST_OF_CAMERAS: tuple[str, ...] = ()
 Structure = dict[str, F64]
 
 

@@ -1,123 +1,141 @@
-"""Commands on data: list, schema, generate, verify, export."""
+"""Commands that make data: plan, generate, verify, pack."""
 
 from __future__ import annotations
 
-import itertools
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sabench import plugins
 from sabench.cli import tables
 from sabench.cli.options import (
-    KINDS,
     AsJson,
     Cards,
     DataSet,
     Jobs,
     Overwrite,
     SceneName,
-    complete_kind,
-    complete_task,
+    complete_scene,
     say,
     say_json,
 )
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
-    from sabench.plugins import Entry
+    from sabench.evaluation.planning.plan import Plan
     from sabench.scenes import Scene
     from sabench.utils.backend import Renderer
 
 
-def list_all(
-    kind: Annotated[
+_BASE = "standard-particles"  # scene that a design changes
+
+
+def plan(
+    scene: Annotated[
         str | None,
-        typer.Option(
-            metavar="KIND",
-            help="List this kind only: generator, solver, scene or suite.",
-            autocompletion=complete_kind,
+        typer.Argument(
+            metavar="SCENE",
+            help="A scene file, or the name of a bundled scene; with --depth, the scene to change.",
+            autocompletion=complete_scene,
         ),
     ] = None,
-    task: Annotated[
-        str | None,
+    page: Annotated[
+        Path | None,
         typer.Option(
-            metavar="TASK",
-            help="List the solvers of this task only.",
-            autocompletion=complete_task,
+            "--html", metavar="FILE", help="Write the plan with drawings of the rig as a page."
         ),
+    ] = None,
+    bus_mb_s: Annotated[
+        float, typer.Option(metavar="X", help="Transfer rate of one bus, MB/s.")
+    ] = 80.0,
+    memory_gb: Annotated[
+        float, typer.Option(metavar="X", help="Memory for the images of a recording, GB.")
+    ] = 8.0,
+    gap_us: Annotated[
+        float, typer.Option(metavar="X", help="Shortest time between two exposures, us.")
+    ] = 250.0,
+    depth: Annotated[
+        float | None, typer.Option(metavar="X", help="Wanted depth of the volume, mm.")
+    ] = None,
+    density: Annotated[
+        float | None, typer.Option(metavar="X", help="Wanted density, particles per mm3.")
+    ] = None,
+    resolution: Annotated[
+        float | None, typer.Option(metavar="X", help="Wanted width of a pixel in the volume, mm.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Write the scene that is wanted."),
     ] = None,
     as_json: AsJson = False,
+    overwrite: Overwrite = False,
 ) -> None:
-    """List generators, solvers, scenes and suites."""
-    entries, faults = _entries(kind)
-    if task is not None:
-        entries = _of_task(entries, task)
-    for fault in faults:
-        print(f"warning: {fault}", file=sys.stderr)
-    if as_json:
-        say_json([_record(entry) for entry in entries])
-    elif sys.stdout.isatty():
-        _show_groups(entries)
+    """Plan an experiment: resolution, depth, light, density and data rate of a scene."""
+    from sabench.evaluation.planning.plan import plan as make
+    from sabench.evaluation.planning.recording import Recorder
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    recorder = Recorder(bus_mb_s, memory_gb, gap_us)
+    wanted = {"depth": depth, "density": density, "resolution": resolution, "output": output}
+    if any(value is not None for value in wanted.values()):
+        made = make(_design(scene, wanted, overwrite=overwrite), recorder)
+    elif scene is None:
+        raise InputError("SCENE: expected a scene file, or the name of a bundled scene, got none")
     else:
-        for entry in entries:
-            say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
+        made = make(scene, recorder)
+    if page is not None:
+        _write_page(made, page, overwrite=overwrite)
+    if as_json:
+        say_json(made.to_dict())
+    else:
+        _show(made)
+        if output is not None:
+            say(f"{output}: the scene that is wanted")
+        if page is not None:
+            say(f"{page}: the plan with drawings")
 
 
-def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
-    if kind is not None and kind not in KINDS:
-        raise InputError(f"--kind: expected one of {', '.join(KINDS)}, got {kind!r}")
-    entries: list[Entry] = []
-    faults: list[str] = []
-    for plural in plugins.KINDS:
-        if kind in (None, plural[:-1]):
-            found, broken = plugins.readable(plural)
-            entries += sorted(found, key=lambda entry: (entry.group, entry.name))
-            faults += broken
-    if kind in (None, "scene"):
-        entries += plugins.tables("scene")
-    if kind in (None, "suite"):
-        entries += plugins.tables("suite")
-    return entries, faults
+def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Scene:
+    """Design a scene and write it."""
+    from sabench.evaluation.planning.design import Wanted, design_scene
+    from sabench.scenes import load_scene
+    from sabench.utils.files import complete_or_nothing, refuse_existing
+
+    if missing := [f"--{name}" for name, value in wanted.items() if value is None]:
+        raise InputError(f"{', '.join(missing)}: expected next to the other options of a design")
+    refuse_existing(wanted["output"], overwrite=overwrite)
+    numbers = Wanted(wanted["depth"], wanted["density"], wanted["resolution"])
+    designed = design_scene(load_scene(scene or _BASE), numbers)
+    with complete_or_nothing(wanted["output"], overwrite=overwrite) as partial:
+        partial.write_text(designed.to_toml(), encoding="utf-8")
+    return designed
 
 
-def _of_task(entries: list[Entry], task: str) -> list[Entry]:
-    solvers = [entry for entry in entries if entry.kind == "solver"]
-    known = sorted({entry.group for entry in solvers})
-    if solvers and task not in known:
-        raise InputError(f"--task: expected one of {', '.join(known)}, got {task!r}")
-    return [entry for entry in solvers if entry.group == task]
+def _write_page(made: Plan, file: Path, *, overwrite: bool) -> None:
+    from sabench.evaluation.planning.page import render
+    from sabench.utils.files import complete_or_nothing
+
+    with complete_or_nothing(file, overwrite=overwrite) as partial:
+        partial.write_text(render(made), encoding="utf-8")
 
 
-def _record(entry: Entry) -> dict[str, str]:
-    group = {"solver": "task", "generator": "makes"}.get(entry.kind)
-    own = {group: entry.group} if group else {}
-    head = {"kind": entry.kind, "name": entry.name, **own}
-    return {**head, "summary": entry.summary, "file": str(entry.file)}
-
-
-def _show_groups(entries: list[Entry]) -> None:
-    """Print one heading for each kind and group, and one line for each entry.
-
-    A line is cut to the width of the terminal.
-    """
-    for (kind, group), found in itertools.groupby(entries, lambda one: (one.kind, one.group)):
-        own = list(found)
-        say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
-        names = max(len(entry.name) for entry in own)
-        for entry in own:
-            columns = tables.width() - names - 4
-            say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
-
-
-def schema() -> None:
-    """Print the JSON schema of a scene file, for editors."""
-    from sabench.scenes import scene_schema
-
-    say(json.dumps(scene_schema(), indent=1))
+def _show(made: Plan) -> None:
+    rows = [
+        (
+            section.title if number == 0 else "",
+            one.key,
+            one.text,
+            one.meaning,
+            one.source,
+        )
+        for section in made.sections
+        for number, one in enumerate(section.quantities)
+    ]
+    say(made.scene.title)
+    tables.show_wrapped(("", "figure", "value", "meaning", "equation or source"), rows)
+    for advice in made.advice:
+        say(f"warning: {advice.key}: {advice.sentence}")
 
 
 def generate(

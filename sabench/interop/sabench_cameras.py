@@ -14,13 +14,13 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import read_camera
 from sabench.geometry.wall_records import WallsRecord
-from sabench.interop.cameras.lenses import Extent
-from sabench.interop.foreign_world import ForeignWorld
+from sabench.interop.foreign import ForeignWorld
+from sabench.interop.lenses import Extent
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json
 
-LOST: tuple[str, ...] = ()
+LOST_OF_CAMERAS: tuple[str, ...] = ()
 _WALLS: TypeAdapter[Any] = TypeAdapter(WallsRecord | None)
 
 

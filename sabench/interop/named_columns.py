@@ -17,8 +17,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from sabench.interop.foreign_world import note
-from sabench.interop.tracks.track_table import Recording, TrackTable, number_strangers
+from sabench.interop.foreign import Recording, TrackTable, note, number_strangers
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.tables import Array, read_table
@@ -59,7 +58,7 @@ class NamedColumns:
     file: str
     read: Callable[[Path], dict[str, Array]]
     write: Callable[[Path, Mapping[str, npt.NDArray[Any]]], None]
-    LOST = ("light of each camera", "covariances", "probabilities")
+    LOST_OF_TRACKS = ("light of each camera", "covariances", "probabilities")
 
     def read_tracks(self, path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
         """Read a file, or the file of a folder.

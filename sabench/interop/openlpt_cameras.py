@@ -16,7 +16,8 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.interop import openlpt
-from sabench.interop.cameras.lenses import (
+from sabench.interop.foreign import ForeignWorld
+from sabench.interop.lenses import (
     Extent,
     Pose,
     camera_of_matrix,
@@ -24,12 +25,11 @@ from sabench.interop.cameras.lenses import (
     check_media,
     check_positive,
 )
-from sabench.interop.foreign_world import ForeignWorld
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.tables import content_lines, split_numbers
 
-LOST = ("f-numbers and focal lengths", "the pixel pitch", "the depth of the tank")
+LOST_OF_CAMERAS = ("f-numbers and focal lengths", "the pixel pitch", "the depth of the tank")
 _COUNTS = (2, 3, 3, 3, None, 3, 3, 3, 3, 3, 3, 3, 3, 3)  # numbers on the lines of a pinhole
 
 

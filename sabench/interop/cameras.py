@@ -8,24 +8,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from sabench.dataset.cameras import read_calibrated
+from sabench.dataset.results import read_result_cameras
+from sabench.dataset.schema import CAMERAS
+from sabench.dataset.verification import probe
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.interop.cameras import (
-    matlab_files,
-    myptv_files,
-    opencv_files,
-    openlpt_files,
-    openptv_project,
-    point_lists,
-    sabench_files,
+from sabench.interop import (
+    lpt_challenge,
+    matlab_cameras,
+    myptv,
+    opencv_cameras,
+    openlpt_cameras,
+    openptv_files,
+    sabench_cameras,
 )
-from sabench.interop.cameras.exchanged_indices import choose_indices
-from sabench.interop.cameras.lenses import Extent, check_unit, scaled_camera
-from sabench.interop.foreign_world import ForeignWorld, note, unit_mm
+from sabench.interop.foreign import ForeignWorld, note, unit_mm
+from sabench.interop.lenses import Extent, check_unit, choose_indices, scaled_camera
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing
@@ -34,13 +37,13 @@ CameraFormat = Literal[
     "openptv", "myptv", "openlpt", "opencv", "matlab", "lpt-challenge", "sabench-calibration"
 ]
 _MODULES: dict[str, ModuleType] = {
-    "openptv": openptv_project,
-    "myptv": myptv_files,
-    "openlpt": openlpt_files,
-    "opencv": opencv_files,
-    "matlab": matlab_files,
-    "lpt-challenge": point_lists,
-    "sabench-calibration": sabench_files,
+    "openptv": openptv_files,
+    "myptv": myptv,
+    "openlpt": openlpt_cameras,
+    "opencv": opencv_cameras,
+    "matlab": matlab_cameras,
+    "lpt-challenge": lpt_challenge,
+    "sabench-calibration": sabench_cameras,
 }
 
 
@@ -99,7 +102,7 @@ def write_cameras(
     """Write cameras into a new folder, and say what the format cannot carry.
 
     With a grid, OpenPTV's world has its origin in the grid's centre, its Y axis up and its Z axis
-    towards the cameras; `foreign_world.read_world` finds it. The point list needs the grid, and so
+    towards the cameras; `foreign.read_world` finds it. The point list needs the grid, and so
     do MyPTV's polynomials.
 
     Raises
@@ -120,7 +123,7 @@ def write_into(
 ) -> ForeignWorld:
     """Write cameras into a folder that is there; return the world of its files."""
     world = world_for(form, grid)
-    points = None if grid is None else point_lists.lattice(grid)
+    points = None if grid is None else lpt_challenge.lattice(grid)
     try:
         _MODULES[form].write_cameras(folder, cameras, world, points)
     except ValueError as error:
@@ -142,7 +145,7 @@ def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
 
 def losses(form: CameraFormat) -> tuple[str, ...]:
     """List what a format's camera files do not carry."""
-    return tuple(_MODULES[form].LOST)
+    return tuple(_MODULES[form].LOST_OF_CAMERAS)
 
 
 def world_for(form: CameraFormat, grid: Grid | None) -> ForeignWorld:
@@ -171,3 +174,55 @@ def _check_names(path: Path, cameras: Sequence[CameraModel]) -> None:
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"{path}: expected cameras of different names, got {twice} twice")
+
+
+_RESULTS = (".h5", ".hdf5")
+
+
+class CameraSource(NamedTuple):
+    """Calibrated cameras, and the grid of their data set if they are of one."""
+
+    cameras: tuple[CameraModel, ...]
+    grid: Grid | None = None
+
+
+def read_camera_source(
+    path: Path,
+    form: CameraFormat | None = None,
+    *,
+    unit: str | None = None,
+    size: tuple[int, int] | None = None,
+    grid: Grid | None = None,
+) -> CameraSource:
+    """Read calibrated cameras from a file or folder.
+
+    They are a `cameras.json` of `sabench calibrate` or of a data set, a folder that holds one, the
+    result file of a solver of the task `calibration`, as `volume_self_calibration`, or files of
+    another program, of which `interop.cameras.read_cameras` tells more.
+
+    Parameters
+    ----------
+    form : format of another program; None: sabench's own.
+    unit : of the other program's lengths; None: mm.
+    size : rows and columns of the images, for formats that leave them out.
+    grid : measured volume, for cameras that are polynomials of it.
+
+    Raises
+    ------
+    InputError
+        No cameras there, or broken ones; a unit of sabench's own cameras, which are in mm.
+    """
+    if form is not None:
+        return CameraSource(read_cameras(path, form, unit=unit, size=size, grid=grid))
+    if unit is not None:
+        raise InputError(f"{path}: expected no unit for cameras of sabench, in mm, got {unit}")
+    if path.suffix in _RESULTS:
+        probe(path)
+        return CameraSource(read_result_cameras(path))
+    file = path / CAMERAS if path.is_dir() else path
+    if not file.is_file() or file.suffix != ".json":
+        raise InputError(
+            f"{path}: expected {CAMERAS} of `sabench calibrate` or of a data set, or a folder with "
+            "it; cameras of another program need --from"
+        )
+    return CameraSource(*read_calibrated(file))

@@ -18,19 +18,19 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens_distortion import Distortion
 from sabench.geometry.rotations import rotation_matrices
-from sabench.interop.cameras.lenses import (
+from sabench.interop.foreign import ForeignWorld, note
+from sabench.interop.lenses import (
     Extent,
     Pose,
     camera_of_lens,
     camera_of_matrix,
     center_of,
 )
-from sabench.interop.foreign_world import ForeignWorld, note
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.tables import read_text
 
-LOST = ("f-numbers and focal lengths in mm", "the pixel pitch")
+LOST_OF_CAMERAS = ("f-numbers and focal lengths in mm", "the pixel pitch")
 _SUFFIXES = (".yml", ".yaml", ".xml", ".json")
 _MATRIX = ("camera_matrix", "K", "cameraMatrix", "intrinsic_matrix", "M")
 _BENT = ("distortion_coefficients", "D", "distCoeffs", "dist_coeffs", "distortion")

@@ -1,0 +1,325 @@
+"""Commands that list, add and check parts: list, schema, new, doctor, warmup."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import platform
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sabench import plugins
+from sabench.cli import tables
+from sabench.cli.options import (
+    KINDS,
+    AsJson,
+    complete_kind,
+    complete_scene,
+    complete_solver,
+    complete_task,
+    say,
+    say_json,
+)
+from sabench.utils.errors import InputError
+from sabench.utils.version import __version__
+
+if TYPE_CHECKING:
+    from sabench.plugins import Entry
+
+
+def list_all(
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND",
+            help="List this kind only: generator, solver, scene or suite.",
+            autocompletion=complete_kind,
+        ),
+    ] = None,
+    task: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TASK",
+            help="List the solvers of this task only.",
+            autocompletion=complete_task,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List generators, solvers, scenes and suites."""
+    entries, faults = _entries(kind)
+    if task is not None:
+        entries = _of_task(entries, task)
+    for fault in faults:
+        print(f"warning: {fault}", file=sys.stderr)
+    if as_json:
+        say_json([_record(entry) for entry in entries])
+    elif sys.stdout.isatty():
+        _show_groups(entries)
+    else:
+        for entry in entries:
+            say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
+
+
+def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
+    if kind is not None and kind not in KINDS:
+        raise InputError(f"--kind: expected one of {', '.join(KINDS)}, got {kind!r}")
+    entries: list[Entry] = []
+    faults: list[str] = []
+    for plural in plugins.KINDS:
+        if kind in (None, plural[:-1]):
+            found, broken = plugins.readable(plural)
+            entries += sorted(found, key=lambda entry: (entry.group, entry.name))
+            faults += broken
+    if kind in (None, "scene"):
+        entries += plugins.tables("scene")
+    if kind in (None, "suite"):
+        entries += plugins.tables("suite")
+    return entries, faults
+
+
+def _of_task(entries: list[Entry], task: str) -> list[Entry]:
+    solvers = [entry for entry in entries if entry.kind == "solver"]
+    known = sorted({entry.group for entry in solvers})
+    if solvers and task not in known:
+        raise InputError(f"--task: expected one of {', '.join(known)}, got {task!r}")
+    return [entry for entry in solvers if entry.group == task]
+
+
+def _record(entry: Entry) -> dict[str, str]:
+    group = {"solver": "task", "generator": "makes"}.get(entry.kind)
+    own = {group: entry.group} if group else {}
+    head = {"kind": entry.kind, "name": entry.name, **own}
+    return {**head, "summary": entry.summary, "file": str(entry.file)}
+
+
+def _show_groups(entries: list[Entry]) -> None:
+    """Print one heading for each kind and group, and one line for each entry.
+
+    A line is cut to the width of the terminal.
+    """
+    for (kind, group), found in itertools.groupby(entries, lambda one: (one.kind, one.group)):
+        own = list(found)
+        say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
+        names = max(len(entry.name) for entry in own)
+        for entry in own:
+            columns = tables.width() - names - 4
+            say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
+
+
+def schema() -> None:
+    """Print the JSON schema of a scene file, for editors."""
+    from sabench.scenes import scene_schema
+
+    say(json.dumps(scene_schema(), indent=1))
+
+
+_TEMPLATES = ("scene", "solver", "suite", "gate")
+
+
+def complete_template(incomplete: str) -> list[str]:
+    """List the templates whose names start so."""
+    return [kind for kind in _TEMPLATES if kind.startswith(incomplete)]
+
+
+def new(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND", help="scene, solver, suite or gate.", autocompletion=complete_template
+        ),
+    ],
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="The folder, or the scene file, to create.")
+    ],
+    like: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SCENE",
+            help="Bundled scene to copy. [default: quick]",
+            autocompletion=complete_scene,
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Create a copy of a scene to change, or a folder for a solver, suite or gate.
+
+    A folder also has tests and a workflow; its README says what to run first.
+    """
+    if kind not in _TEMPLATES:
+        raise InputError(f"KIND: expected one of {', '.join(_TEMPLATES)}, got {kind!r}")
+    if kind == "scene":
+        _copy_scene(like or "quick", path)
+    elif like is not None:
+        raise InputError(f"--like: expected with a scene, got {like!r} with a {kind}")
+    else:
+        _copy_template(kind, path)
+
+
+def _copy_scene(name: str, file: Path) -> None:
+    from sabench.scenes.bundled import find
+    from sabench.utils.files import complete_or_nothing
+
+    source = find(name, "scenes")
+    with complete_or_nothing(file) as partial:
+        partial.write_bytes(source.read_bytes())
+    say(f"{file}: the scene {source.stem}, to be changed")
+
+
+def _copy_template(kind: str, folder: Path) -> None:
+    import shutil
+
+    from sabench.utils.files import complete_or_nothing
+
+    ignored = shutil.ignore_patterns("__pycache__")
+    with complete_or_nothing(folder) as partial:
+        shutil.copytree(plugins.bundled_folder("templates") / kind, partial, ignore=ignored)
+    say(f"{folder}: template of a {kind}; read README.md")
+
+
+_PATIENCE_S = 180
+_LEAST_GB = 2.0  # what the suite demo needs
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report; `remedy` is empty if all is well."""
+
+    subject: str
+    well: bool
+    text: str
+    remedy: str = ""
+
+
+def doctor() -> None:
+    """Check the rendering and compute back ends and say how to fix what is missing."""
+    findings = examine()
+    for finding in findings:
+        say(f"{'ok ' if finding.well else 'BAD'} {finding.subject:<16} {finding.text}")
+        if finding.remedy and not finding.well:
+            say(f"    remedy: {finding.remedy}")
+    if not all(finding.well for finding in findings):
+        raise typer.Exit(1)
+
+
+def examine() -> list[Finding]:
+    """Examine the installation.
+
+    Trials run in child processes, which a bad library may abort.
+    """
+    from sabench.utils import backend
+
+    system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+    version = f"{__version__} on Python {platform.python_version()}, {system}"
+    findings = [Finding("sabench", True, version)]
+    try:
+        chosen = backend.choose()
+    except InputError as error:  # its message includes the remedy
+        return [*findings, Finding("backend", False, str(error))]
+    findings.append(Finding("backend", True, f"{chosen.kind}: {chosen.why}"))
+    findings.append(_try("Dr.Jit kernel", "compute", backend.REMEDY))
+    findings.append(_try("Mitsuba render", "render", backend.REMEDY))
+    return [*findings, _examine_disk(), *_examine_plugins()]
+
+
+def _try(subject: str, name: str, remedy: str) -> Finding:
+    """Call `try_<name>` in a child process."""
+    from sabench.utils.processes.python import run_code
+
+    code = f"from sabench.cli.maintain import try_{name}; print(try_{name}())"
+    try:
+        return Finding(subject, True, run_code(code, "the trial", _PATIENCE_S))
+    except InputError as error:
+        return Finding(subject, False, str(error), remedy)
+
+
+def try_compute() -> str:
+    """Sum a million numbers with a kernel and compare with the closed form."""
+    from sabench.utils import backend
+
+    dr, types = backend.drjit()
+    count = 1_000_001
+    total = float(dr.sum(dr.arange(types.Float, count) / (count - 1))[0])
+    if abs(total - count / 2) > 1e-3 * count:
+        raise SystemExit(f"expected {count / 2}, got {total}")
+    return "sums a million numbers correctly"
+
+
+def try_render() -> str:
+    """Render the first camera of the scene `quick` and check its light.
+
+    It is compared with the analytic value.
+    """
+    from sabench.scenes import build_rig, load_scene
+    from sabench.simulation.in_memory import make_particles
+    from sabench.simulation.rendering.particle_images import image_particles
+    from sabench.simulation.rendering.particle_light import scatterers_of
+    from sabench.simulation.rendering.particles_traced import render
+
+    scene = load_scene("quick")
+    camera, particles = build_rig(scene).cameras[0], make_particles(scene, 0, 0)
+    images = image_particles(scene, camera, particles, scatterers_of(scene, (camera,), 0))
+    rendered = render(camera, images, particles.position_mm, 9) * camera.etendue()
+    ratio = float(rendered.sum() / images.photons[images.visible].sum())
+    if not abs(ratio - 1.0) < 0.05:
+        raise SystemExit(f"expected the light of the analytic sum, got {ratio:.3f} of it")
+    return f"renders through glass and water, {ratio:.4f} of the analytic light"
+
+
+def _examine_disk() -> Finding:
+    free = shutil.disk_usage(Path.cwd()).free / 1e9
+    remedy = f"free some space: `sabench run demo` needs {_LEAST_GB:.0f} GB"
+    return Finding("disk", free > _LEAST_GB, f"{free:.1f} GB free in this folder", remedy)
+
+
+def _examine_plugins() -> list[Finding]:
+    """Import every plug-in."""
+    faults = []
+    for kind in plugins.KINDS:
+        for name in plugins.names(kind):
+            try:
+                plugins.load(kind, name)
+            except InputError as error:
+                subject, remedy = f"{kind[:-1]} {name}", "correct or remove its file"
+                faults.append(Finding(subject, False, str(error), remedy))
+    count = sum(len(plugins.names(kind)) for kind in plugins.KINDS)
+    return faults or [Finding("plug-ins", True, f"all {count} can be imported")]
+
+
+def warmup(
+    solvers: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="SOLVER",
+            help="Names of solvers; by default all.",
+            show_default=False,
+            autocompletion=complete_solver,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compile the kernels of solvers now, for images of containers.
+
+    The exit code is 1 if a solver fails.
+    """
+    from dataclasses import asdict
+
+    from sabench.tasks.warm_up import warm_up
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    warmed = []
+    for one in warm_up(solvers or ()):
+        warmed.append(one)
+        if not as_json:
+            say(f"{one.compile_s:6.1f} s {one.solver}{': ' + one.text if one.text else ''}")
+    if as_json:
+        say_json([asdict(one) for one in warmed])
+    if any(one.verdict == "broken" for one in warmed):
+        raise typer.Exit(1)

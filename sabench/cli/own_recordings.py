@@ -1,0 +1,329 @@
+"""Commands on your own recordings: calibrate, preprocess, compare-statistics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sabench.cli import tables
+from sabench.cli.options import (
+    AsJson,
+    DataSet,
+    Overwrite,
+    ParameterPairs,
+    complete_calibration_solver,
+    parse_parameters,
+    parse_steps,
+    say,
+    say_json,
+)
+
+if TYPE_CHECKING:
+    from sabench.dataset.preprocessing_preview import Preview, Stage
+    from sabench.evaluation.recording_comparison import Measured
+    from sabench.tasks.calibration_report import Report
+
+
+def calibrate(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="A folder with calibration.toml and images or points.csv "
+            "(see docs/using/calibrating.md).",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FOLDER",
+            help="The folder to create. [default: result, in that folder]",
+            show_default=False,
+        ),
+    ] = None,
+    solver: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Name of a calibration solver.",
+            autocompletion=complete_calibration_solver,
+        ),
+    ] = "refractive_autocal",
+    parameter: ParameterPairs = None,
+    unknowns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Unknowns besides the focal lengths, separated by commas, in place of those of "
+            "calibration.toml; or auto: those that make held-out frames fit better.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Calibrate your own cameras from images or points of a target."""
+    from dataclasses import asdict
+
+    from sabench.tasks.own_calibration import calibrate as make
+    from sabench.utils.progress import announce_compiling
+
+    announce_compiling()
+    out = output or folder / "result"
+    report = make(
+        folder,
+        out,
+        solver,
+        parse_parameters(parameter),
+        unknowns=unknowns,
+        overwrite=overwrite,
+    )
+    if as_json:
+        say_json(asdict(report))
+    else:
+        _show_calibration(report, out)
+
+
+def _show_unknowns(report: Report) -> None:
+    lines = []
+    for row in report.compared:
+        name = f"+ {' and '.join(row.added)}" if row.added else "focal lengths"
+        figures = [
+            tables.format_number(value, 4)
+            for value in (row.held_out_px, row.change_px, row.sigma_px)
+        ]
+        lines.append([name, *figures, row.remark or ("yes" if row.chosen else "no")])
+    tables.show(["unknowns", "held-out px", "change", "standard error", "keep"], lines)
+    quoted = ", ".join(f'"{name}"' for name in report.unknown)
+    say(f"recommended and used: unknown = [{quoted}]")
+
+
+def _show_calibration(report: Report, out: Path) -> None:
+    for sentence in report.summary:
+        say(sentence)
+    if report.compared:
+        _show_unknowns(report)
+    rows = []
+    for line in (*report.cameras, *report.frames):
+        name = line["name"] if isinstance(line["name"], str) else f"frame {line['name']}"
+        errors = [tables.format_number(line[key], 3) for key in ("mean_px", "largest_px")]
+        rows.append([name, str(line["found"]), str(line["used"]), *errors])
+    tables.show(["camera or frame", "found", "used", "mean px", "largest px"], rows)
+    say(f"residuals: {report.noise_px:.4f} px, of which neighbours share {report.misfit_px:.4f} px")
+    if report.true_px is not None:
+        say(f"expected true error, misfit included: {report.true_px:.4f} px")
+    if held := report.held_out:
+        figures = [
+            (f"reprojection {held.reprojection_px:.4f} px", held.reprojection_px),
+            (f"off a rigid target {held.rigidity_mm or 0.0:.4f} mm", held.rigidity_mm),
+            (f"off known places {held.known_mm or 0.0:.4f} mm", held.known_mm),
+        ]
+        what = "frames" if held.frames <= len(report.frames) else "points"
+        lost = f" ({held.failed} fits failed)" if held.failed else ""
+        good = ", ".join(text for text, there in figures if there)
+        say(f"{held.frames} {what} held out{lost}: {good}")
+    _show_expected(report)
+    _show_wall(report)
+    say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
+
+
+def _show_wall(report: Report) -> None:
+    if not report.wall:
+        return
+    rows = []
+    for one in report.wall:
+        figures = [tables.format_number(value, 4) for value in (one.nominal, one.found, one.std)]
+        rows.append([one.name, one.unit or "-", *figures, "yes" if one.shown else "no"])
+    tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], rows)
+
+
+def _show_expected(report: Report) -> None:
+    where = "along the wall's X and Y and its normal"
+    for name, std in (("misfit included", report.std_mm), ("noise alone", report.noise_std_mm)):
+        if std is not None:
+            x, y, z = std
+            say(f"expected scatter of points {where}, {name}: {x:.4f}, {y:.4f}, {z:.4f} mm")
+    if report.depth_mm is not None:
+        say(f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm")
+
+
+ROWS = (
+    ("saturated pixels, %", "saturated", 100.0, 3),
+    ("background p5, of 255", "background_p5", 1.0, 1),
+    ("background p50, of 255", "background_p50", 1.0, 1),
+    ("background p95, of 255", "background_p95", 1.0, 1),
+    ("dim pixels, fixed, of 255", "fixed", 1.0, 2),
+    ("the same, pixel to pixel", "fixed_near", 1.0, 2),
+    ("dim pixels, temporal, of 255", "temporal", 1.0, 2),
+    ("image width p10, px", "width_p10", 1.0, 2),
+    ("image width p50, px", "width_p50", 1.0, 2),
+    ("image width p90, px", "width_p90", 1.0, 2),
+    ("ln flux, standard deviation", "ln_flux", 1.0, 2),
+    ("ln flux ratio of cameras, std", "ln_ratio", 1.0, 2),
+    ("the same, robust", "ln_ratio_robust", 1.0, 2),
+    ("peaks per pixel", "per_pixel", 1.0, 4),
+    ("contrast", "contrast", 1.0, 2),
+)
+
+
+def compare_statistics(
+    dataset: DataSet,
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Images (tif, png, bmp) of your cameras, in one folder for each or all in one; or "
+            "a data set.",
+        ),
+    ],
+    frames: Annotated[
+        int,
+        typer.Option(min=1, max=200, metavar="N", help="Images of each camera to read, at most."),
+    ] = 20,
+    white: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0,
+            max=65535.0,
+            metavar="DN",
+            help="Grey value of a saturated pixel of your images; by default of the bit depth.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare a data set's images with your own recordings.
+
+    Light, noise, and widths and brightness of particle images, as medians over the cameras.
+    """
+    from sabench.dataset.reader import open_dataset
+    from sabench.evaluation.recording_comparison import measure, measure_dataset
+
+    data = open_dataset(dataset)
+    both = measure_dataset(data, frames), measure(recording, frames, white)
+    if as_json:
+        say_json(dict(zip(("dataset", "recording"), (one.to_json() for one in both), strict=True)))
+        return
+    columns = [one.medians() for one in both]
+    rows = [
+        (label, *(cell(one.get(key), factor, decimals) for one in columns))
+        for label, key, factor, decimals in ROWS
+    ]
+    tables.show(("median over the cameras", "data set", "recording"), rows)
+    for name, one in zip(("data set", "recording"), both, strict=True):
+        say(f"{name}: {_describe(one)}")
+
+
+def cell(value: float | None, factor: float, decimals: int) -> str:
+    """Format a figure of the table, a missing one as a dash."""
+    return tables.format_number(None if value is None else factor * value, decimals)
+
+
+def _describe(measured: Measured) -> str:
+    low, high = min(measured.white_dn.values()), max(measured.white_dn.values())
+    white = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    size = f"cameras: {len(measured.cameras)}, images of each: {measured.frames}, white: {white}"
+    if measured.ratio is None:
+        return f"{size}\n  flux ratios: they need a calibration"
+    return f"{size}\n  flux ratios: {measured.ratio.pairs}, matched by {measured.matched}"
+
+
+def preprocess(
+    source: Annotated[
+        Path, typer.Argument(metavar="DATASET", help="A data set folder, or an image file.")
+    ],
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Name or number of the camera; by default the first one.",
+            show_default=False,
+        ),
+    ] = None,
+    frame: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Frame, or page of an image file.")
+    ] = 0,
+    step: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[,KEY=VALUE]",
+            help="Step of preprocessing, as in sliding_minimum,window_px=9; repeatable. By default "
+            "the steps of the data set.",
+        ),
+    ] = None,
+    false_alarms: Annotated[
+        float,
+        typer.Option(
+            min=1e-12, max=0.1, metavar="P", help="Probability that noise makes a peak of a pixel."
+        ),
+    ] = 1e-5,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="The PNG file to create."),
+    ] = None,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Preview the steps of preprocessing on one image, with the peaks in it."""
+    from sabench.dataset.preprocessing_preview import preview, preview_figure
+    from sabench.plotting.drawing import draw
+    from sabench.utils.files import complete_or_nothing, refuse_existing
+
+    if output is not None:
+        refuse_existing(output, overwrite=overwrite)
+    shown = preview(
+        source,
+        camera=camera,
+        frame=frame,
+        steps=parse_steps(step) if step else None,
+        false_alarms=false_alarms,
+    )
+    if output is not None:
+        with complete_or_nothing(output, overwrite=overwrite) as file:
+            file.write_bytes(draw(preview_figure(shown)))
+    if as_json:
+        say_json([_record(one, false_alarms) for one in shown.stages])
+    else:
+        _show(shown, false_alarms, output)
+
+
+def _record(stage: Stage, false_alarms: float) -> dict[str, object]:
+    return {
+        "step": stage.name,
+        "black": stage.black_dn,
+        "noise": stage.noise_dn,
+        "noise_least": float(stage.dark.noise.min()),
+        "noise_most": float(stage.dark.noise.max()),
+        "threshold": stage.threshold_dn,
+        "false_alarms": false_alarms,
+        "peaks": len(stage.peaks),
+        "false_peaks_at_most": stage.expected_false,
+    }
+
+
+def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
+    say(shown.title)
+    tables.show(
+        ("after", "black", "noise", "threshold", "peaks", "false at most"),
+        [
+            (
+                one.name,
+                f"{one.black_dn:.1f}",
+                f"{one.noise_dn:.2f}",
+                f"{one.threshold_dn:.1f}",
+                f"{len(one.peaks)}",
+                f"{one.expected_false:.1f}",
+            )
+            for one in shown.stages
+        ],
+    )
+    say(
+        f"black, noise and threshold: medians over the pixels; false alarms: {false_alarms:g} per "
+        "pixel at most"
+    )
+    if output is not None:
+        say(f"{output}: pictures after each step; circles mark peaks")
