@@ -9,9 +9,9 @@ Each bug is one line changed in a copy of the source; `sabench check ci` there m
 code 1, and with 0 where nothing was changed. A bug that the gate cannot see names the unit tests
 that must fail. `--narrow` runs only the case of `ci` that is meant to catch a bug, and only the
 tests of a bug that is theirs to catch. `--jobs` is the number of reruns side by
-side. The copy's compiled kernels are kept, except those that may call what was changed. Prints a
-line for every run and a summary; exit code 1 if a bug was missed, a rerun was not silent, or a
-replacement does not fit.
+side. Kernels are compiled anew where a file with kernels, or one that these import, was changed.
+Prints a line for every run and a summary; exit code 1 if a bug was missed, a rerun was not silent,
+or a replacement does not fit.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def copy_tree(source: Path, target: Path) -> Path:
-    """Copy the parts of a source tree that a check needs, and compiled kernels."""
+    """Copy the parts of a source tree that a check needs."""
     for name in _COPIED:
         if (source / name).is_dir():
             shutil.copytree(source / name, target / name)
@@ -147,7 +147,7 @@ def is_tested(bug: Bug, tree: Path) -> bool:
     """Run the tests of a bug on a copy with it; print the first that fails."""
     start = time.perf_counter()
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", bug.tests]
-    environment = os.environ | {"PYTHONPATH": str(tree)}
+    environment = _environment(tree)
     done = subprocess.run(
         words, cwd=tree, env=environment, capture_output=True, text=True, check=False
     )
@@ -158,6 +158,11 @@ def is_tested(bug: Bug, tree: Path) -> bool:
         flush=True,
     )
     return bool(failed)
+
+
+def _environment(tree: Path) -> dict[str, str]:
+    """Return the variables of a run in a source tree, next to which its kernels are stored."""
+    return os.environ | {"PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(tree.parent / "kernels")}
 
 
 def honest(tree: Path, baseline: Path, number: int) -> bool:
@@ -192,7 +197,7 @@ def check(tree: Path, baseline: Path, suite: str = "ci") -> tuple[int, float, di
     done = subprocess.run(
         words,
         cwd=tree,
-        env=os.environ | {"PYTHONPATH": str(tree)},
+        env=_environment(tree),
         capture_output=True,
         text=True,
         check=False,

@@ -1,4 +1,4 @@
-"""numba as sabench uses it: the folder of compiled kernels, and a clock of the compiler.
+"""numba with the folder of sabench's kernels, and a clock of its compiler.
 
 All modules with kernels import numba from here, so that the folder is set before the first kernel.
 """
@@ -50,9 +50,10 @@ event.register("numba:compiler_lock", _CLOCK)
 
 
 def compile_s() -> float:
-    """Return the seconds in which any thread of this process compiled or loaded kernels.
+    """Return the seconds in which this process compiled or loaded kernels.
 
-    This happens once for a kernel and a machine, or a process, and is no part of a solver's time.
+    Those of all threads count once. This happens once for a kernel and a machine, or a process, and
+    is no part of a solver's time.
     """
     return _CLOCK.seconds
 

@@ -1,4 +1,4 @@
-"""Folder of compiled kernels, named by the hash of the sources that they are compiled from.
+"""Folder of compiled kernels, named by the hash of their sources.
 
 numba compiles a kernel again when its own file has changed, but not when another file has changed
 whose kernels or constants it uses. Other sources therefore have another folder.
@@ -35,10 +35,10 @@ def folder_of_folders() -> Path:
 
 @functools.cache
 def kernel_folder() -> Path:
-    """Return the folder of the kernels of these sources, which is made if it is missing.
+    """Return the folder of the kernels of these sources.
 
-    It is in the temporary folder if the usual one cannot be written. Folders of other sources are
-    removed when a new one is made, but for the last few and those that were used within a week.
+    It is made if it is missing, in the temporary folder if the usual one cannot be written. Folders
+    of other sources are removed then, but for the last few and those that were used within a week.
     """
     name = f"kernels-{hash_sources(_PACKAGE)[:16]}"
     user = os.getuid() if hasattr(os, "getuid") else ""
@@ -68,7 +68,7 @@ def _remove_old(parent: Path) -> None:
 
 
 def hash_sources(package: Path) -> str:
-    """Compute the SHA-256 of a package's files with kernels and of all files that they import."""
+    """Compute the SHA-256 of a package's files with kernels and of their imports."""
     files = [one for one in package.rglob("*.py") if "_plugins" not in one.parts]
     contents = {one: one.read_bytes() for one in files}
     kernels = [one for one, content in contents.items() if b"numba" in content]

@@ -1,1 +1,1 @@
-"""Child processes: calls of functions, external programs, and Python's own modules and servers."""
+"""Child processes: calls of functions, programs, Python modules and servers."""

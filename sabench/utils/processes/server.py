@@ -1,4 +1,4 @@
-"""What the server of child processes does once for all that it forks; it imports this last."""
+"""Preparation of the server of child processes, which imports this last."""
 
 import atexit
 import os
