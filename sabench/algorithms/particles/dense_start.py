@@ -99,9 +99,8 @@ def search_window(
         if len(found) < len(cases) or min(len(one.position_mm) for one in found) <= _NEIGHBOURS:
             return list(alone)
         finds = [_finds(one, time, maps) for one, time in zip(found, times_s, strict=True)]
-        known = confirm_tracks(
-            finds, mean_spacing(maps, np.mean([len(one.position_mm) for one in found]))
-        )
+        count = float(np.mean([len(one.position_mm) for one in found]))
+        known = confirm_tracks(finds, mean_spacing(maps, count))
         before, confirmed = confirmed, sum(len(one.position) for one in known)
         if not confirmed:
             return list(alone)

@@ -179,13 +179,13 @@ def test_three_equations_are_solved_unless_they_say_too_little() -> None:
     assert solve_three(np.zeros((3, 3)), right, step) == 0.0
 
 
-TYPICAL = np.array([100.0, 120.0, 80.0, 100.0])
+MEDIANS = np.array([100.0, 120.0, 80.0, 100.0])
 
 
 def best(signal: F64, weight: F64, precision: F64) -> tuple[F64, float]:
     logs = np.zeros(4)
-    guess_light(signal, weight, TYPICAL, logs)
-    cost = find_light(signal, weight, TYPICAL, precision, logs, np.zeros(4), np.zeros((4, 4)))
+    guess_light(signal, weight, MEDIANS, logs)
+    cost = find_light(signal, weight, MEDIANS, precision, logs, np.zeros(4), np.zeros((4, 4)))
     return logs, cost
 
 
@@ -195,12 +195,12 @@ def test_the_light_found_is_the_most_probable(scatter: float, noise: float) -> N
     precision: F64 = np.linalg.inv(even_covariance(4, scatter, 0.5)).astype(np.float64)
     rng = np.random.default_rng(1)
     for _ in range(5):
-        light = TYPICAL * np.exp(rng.multivariate_normal(np.zeros(4), np.linalg.inv(precision)))
+        light = MEDIANS * np.exp(rng.multivariate_normal(np.zeros(4), np.linalg.inv(precision)))
         weight = np.full(4, 1.0 / noise**2)
         signal = weight * (light + noise * rng.standard_normal(4))
 
         def cost(logs: F64, signal: F64 = signal, weight: F64 = weight) -> float:
-            return float(light_cost(signal, weight, TYPICAL, precision, logs))
+            return float(light_cost(signal, weight, MEDIANS, precision, logs))
 
         logs, least = best(signal, weight, precision)
         starts = [minimize(cost, start * np.ones(4)).fun for start in (-1.0, 0.0, 0.5)]
@@ -211,7 +211,7 @@ def test_the_light_found_is_the_most_probable(scatter: float, noise: float) -> N
 def test_a_camera_that_sees_nothing_gets_the_light_that_the_others_suggest() -> None:
     precision: F64 = np.linalg.inv(even_covariance(4, 0.05, 0.5)).astype(np.float64)
     weight = np.array([1.0, 1.0, 1.0, 0.0])
-    logs, _ = best(1.5 * TYPICAL * weight, weight, precision)
+    logs, _ = best(1.5 * MEDIANS * weight, weight, precision)
     np.testing.assert_allclose(logs, math.log(1.5), atol=0.02)
 
 
@@ -220,10 +220,10 @@ def test_the_cost_is_a_log_probability() -> None:
     covariance = even_covariance(4, 0.3, 0.4)
     weight, data = np.array([0.2, 0.3, 0.1, 0.4]), np.array([90.0, 130.0, 70.0, 20.0])
     logs = np.array([0.1, -0.2, 0.3, -0.4])
-    light = TYPICAL * np.exp(logs)
+    light = MEDIANS * np.exp(logs)
     squares = weight * ((data - light) ** 2 - data**2)
     expected = 0.5 * squares.sum() + 0.5 * logs @ np.linalg.solve(covariance, logs)
-    cost = light_cost(weight * data, weight, TYPICAL, np.linalg.inv(covariance), logs)
+    cost = light_cost(weight * data, weight, MEDIANS, np.linalg.inv(covariance), logs)
     assert cost == pytest.approx(expected)
 
 
