@@ -12,7 +12,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 import tifffile
-from synthetic_aperture import project
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from synthetic_aperture import project  # noqa: E402
 
 
 def main(dataset):
