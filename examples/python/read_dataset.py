@@ -14,7 +14,7 @@ import numpy as np
 import tifffile
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from synthetic_aperture import project  # noqa: E402
+from synthetic_aperture import project
 
 
 def main(dataset):
