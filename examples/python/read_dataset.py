@@ -12,6 +12,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import tifffile
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 from synthetic_aperture import project
 
 
