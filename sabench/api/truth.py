@@ -6,7 +6,7 @@ Each class declares its arrays: see `sabench.api.arrays`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -397,7 +397,7 @@ class View(Truth):
     """
 
     GROUP = "cameras/{}"
-    ARRAYS = (
+    ARRAYS: ClassVar[tuple[Array, ...]] = (
         Array("pixel", ("n", 2), finite=False, largest=_ANY),
         Array("photons", ("n",), largest=_ANY),
         Array("sigma_px", ("n",), finite=False, largest=_WIDEST_PX, file_dtype=np.float32),

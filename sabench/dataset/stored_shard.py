@@ -17,7 +17,7 @@ import numpy.typing as npt
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
 from sabench.dataset import schema
-from sabench.dataset.arrays import read_arrays
+from sabench.dataset.arrays import Fetch, read_arrays
 from sabench.dataset.cameras import CamerasFile, check_setup, check_true_cameras
 from sabench.dataset.hdf5 import check_streams, find_array, read_array
 from sabench.dataset.reader import build_observation
@@ -183,10 +183,13 @@ class StoredShard:
         def stored(name: str, shape: tuple[int | None, ...], kinds: str) -> npt.NDArray[Any]:
             return self._part("truth", name, (self._rows, cameras, *shape[1:]), kinds, part)
 
+        def of_camera(camera: int) -> Fetch:
+            return lambda name, shape, kinds: stored(name, shape, kinds)[:, camera]
+
         return tuple(
             read_arrays(
                 View,
-                lambda name, shape, kinds, camera=camera: stored(name, shape, kinds)[:, camera],
+                of_camera(camera),
                 "views",
                 self._path("truth"),
                 {"n": count},
