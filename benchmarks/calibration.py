@@ -27,9 +27,9 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     residuals,
 )
 from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.joint_fit import adjust
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
-from sabench.algorithms.calibration.robust import adjust
 from sabench.geometry.rigid_motion import fit_lateral_motion
 from sabench.scenes import build_rig, parse_scene
 from sabench.utils.arrays import F64

@@ -26,25 +26,24 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.calibration.initial_poses import place_boards
+from sabench.algorithms.calibration.resection import place_boards
 from sabench.algorithms.calibration.unknown_selection import select_unknowns
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.api.truth import Target
+from sabench.apps.own_calibration.folder import Recording
+from sabench.apps.own_calibration.held_out import hold_out
+from sabench.apps.own_calibration.report import report_on
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.rigid_motion import fit_lateral_motion
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import fit_lateral_motion, rotation_matrices
 from sabench.geometry.triangulation import triangulate
-from sabench.tasks.calibration_folder import Recording
-from sabench.tasks.calibration_report import report_on
-from sabench.tasks.held_out_calibration import hold_out
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
-from sabench.utils.fields import Unknown
 from sabench.utils.files import canonical_json
 from sabench.utils.progress import progress_bar
+from sabench.utils.validation import Unknown
 
 NOISE_PX = 0.05
 _BOARDS = 10

@@ -26,16 +26,16 @@ from sabench.algorithms.calibration.parameters import Frame, FreeParameters  # n
 from sabench.algorithms.calibration.problem import make_anchors  # noqa: E402
 from sabench.api import CalibrationCase  # noqa: E402
 from sabench.api.make import make_algorithm  # noqa: E402
+from sabench.apps.own_calibration.report import WallUnknown, wall_unknowns  # noqa: E402
 from sabench.geometry.camera import Camera  # noqa: E402
-from sabench.geometry.lens_distortion import Distortion  # noqa: E402
+from sabench.geometry.lens import Distortion  # noqa: E402
 from sabench.geometry.refraction import Wall  # noqa: E402
 from sabench.scenes.calibration import Calibration as Nominal  # noqa: E402
 from sabench.scenes.nominal_cameras import draw_nominal_wall  # noqa: E402
-from sabench.tasks.wall_report import WallUnknown, wall_unknowns  # noqa: E402
 from sabench.utils.arrays import F64  # noqa: E402
-from sabench.utils.fields import Unknown  # noqa: E402
 from sabench.utils.files import canonical_json  # noqa: E402
 from sabench.utils.progress import progress_bar  # noqa: E402
+from sabench.utils.validation import Unknown  # noqa: E402
 
 _UNKNOWNS: tuple[tuple[Unknown, ...], ...] = (
     ("wall",),

@@ -37,7 +37,7 @@ from sabench.api.make import make_algorithm
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import true_field
 from sabench.scenes import Scene, parse_scene
-from sabench.scenes.bundled import find
+from sabench.scenes.loading import find
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F32, F64, Bool
 

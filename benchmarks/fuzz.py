@@ -266,7 +266,7 @@ def _warm_up(base: Base, root: Path) -> None:
         score(data, out / f"{data.root.name}.h5")
     for task, path in base.results.items():
         score(base.data_of(task), path)
-    from sabench.tasks.own_calibration import calibrate
+    from sabench.apps.own_calibration.calibrate import calibrate
 
     describe_calibration(base.target, out / "mine")
     calibrate(out / "mine", out / "calibrated", "refractive_autocal", {})

@@ -43,7 +43,7 @@ from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.geometry.volume_polynomials import points_in_mm
 from sabench.metrics.particle_detection import challenge_pairs, count_challenge
 from sabench.scenes import Scene, parse_scene
-from sabench.scenes.bundled import find
+from sabench.scenes.loading import find
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64
 

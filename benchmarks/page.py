@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from sabench import tasks
-from sabench.evaluation.leaderboard import page, rows
+from sabench.evaluation.leaderboard import board
 from sabench.evaluation.record_schema import Record
 from tests.helpers.browser import Browser, chromium
 
@@ -103,7 +103,7 @@ def measure(browser: Browser | None, count: int, seeds: int, folder: Path) -> di
     """Build one page and use it."""
     records, file = made_up(count, seeds), folder / "index.html"
     start = time.perf_counter()
-    rows.build_page(records, folder, file)
+    board.build_page(records, folder, file)
     built = {
         "records": count,
         "rows": count // seeds,
@@ -120,7 +120,7 @@ def main() -> None:
     print(
         json.dumps(
             {
-                "library_mb": round(len(page.library()) / 1e6, 2),
+                "library_mb": round(len(board.library()) / 1e6, 2),
                 "library_s": round(time.perf_counter() - start, 3),
             }
         )

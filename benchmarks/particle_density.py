@@ -59,7 +59,7 @@ from benchmarks.particle_scores import (  # noqa: E402
 from sabench.api import Camera, Observation  # noqa: E402
 from sabench.api.make import make_algorithm  # noqa: E402
 from sabench.scenes import Scene, parse_scene  # noqa: E402
-from sabench.scenes.bundled import find  # noqa: E402
+from sabench.scenes.loading import find  # noqa: E402
 from sabench.simulation.in_memory import Shot, simulate  # noqa: E402
 from sabench.utils.backend import Renderer  # noqa: E402
 

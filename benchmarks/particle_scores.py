@@ -13,8 +13,7 @@ import numpy as np
 
 from sabench.api import Camera, FoundParticles, ImageSequence, Observation
 from sabench.images.position_bounds import position_bounds
-from sabench.metrics.claimed_accuracy import coverage, rms_over_bound
-from sabench.metrics.particle_bounds import true_spots
+from sabench.metrics.particle_bounds import coverage, rms_over_bound, true_spots
 from sabench.metrics.particle_detection import challenge_pairs, count_challenge, detect_peaks
 from sabench.scenes.sensor import Sensor
 from sabench.simulation.in_memory import Shot

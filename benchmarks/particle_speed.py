@@ -36,7 +36,7 @@ from benchmarks.particle_density import cpu_s, warm_up  # noqa: E402
 from sabench.api import ImageSequence, Observation  # noqa: E402
 from sabench.api.make import make_algorithm  # noqa: E402
 from sabench.scenes import Scene, parse_scene  # noqa: E402
-from sabench.scenes.bundled import find  # noqa: E402
+from sabench.scenes.loading import find  # noqa: E402
 from sabench.simulation.in_memory import simulate, simulate_sequence  # noqa: E402
 
 PARTS = ("density", "peer", "large")

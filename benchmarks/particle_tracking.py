@@ -37,7 +37,7 @@ from sabench.api.make import make_algorithm  # noqa: E402
 from sabench.metrics.particle_detection import challenge_pairs, count_challenge  # noqa: E402
 from sabench.metrics.trajectories import link_scores  # noqa: E402
 from sabench.scenes import Scene, parse_scene  # noqa: E402
-from sabench.scenes.bundled import find  # noqa: E402
+from sabench.scenes.loading import find  # noqa: E402
 from sabench.simulation.in_memory import Shot, simulate_sequence  # noqa: E402
 from sabench.utils.arrays import F64, I64, Bool  # noqa: E402
 

@@ -17,7 +17,7 @@ import numpy as np
 from sabench.api import CalibrationCase, Camera
 from sabench.api.make import make_algorithm
 from sabench.geometry.camera import aim
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.scenes import build_rig, load_scene, parse_scene
 from sabench.utils.confidence import mean_of
 from sabench.worlds.calibration_targets import exact_pixels, place

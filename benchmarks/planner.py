@@ -9,7 +9,7 @@ to 0.15 particles per pixel, 1.5 to 12 mm deep, and solves them by `msa`, `mlos_
 particles, noise and calibration errors, eight in the first 280 scenes and three in the others: Q
 and F1 are means, ghosts geometric means, because those of `msa` differ by factors between draws.
 What the record holds of other numbers stays. `fit` fits all scenes but numbers 220 to 279, writes
-`sabench/evaluation/planning/expected_scores.json`, and prints the errors on 240 to 279. The 20
+`sabench/apps/planning/expected_scores.json`, and prints the errors on 240 to 279. The 20
 before them guided the choice of the model, and count for neither.
 """
 
@@ -33,12 +33,12 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.particle_scores import find_particles, score_particles  # noqa: E402
 from sabench.api.make import make_algorithm, make_solver  # noqa: E402
 from sabench.api.solvers import Solver  # noqa: E402
-from sabench.evaluation.planning import expected_scores as model  # noqa: E402
-from sabench.evaluation.planning.gaussian_process import GaussianProcess, Kernel  # noqa: E402
-from sabench.evaluation.planning.plan import plan  # noqa: E402
+from sabench.apps.planning import expected_scores as model  # noqa: E402
+from sabench.apps.planning.expected_scores import GaussianProcess, Kernel  # noqa: E402
+from sabench.apps.planning.plan import plan  # noqa: E402
 from sabench.metrics.reconstruction_error import score_frame  # noqa: E402
 from sabench.scenes import Scene, build_rig, parse_scene  # noqa: E402
-from sabench.scenes.bundled import find  # noqa: E402
+from sabench.scenes.loading import find  # noqa: E402
 from sabench.simulation.in_memory import Shot, simulate  # noqa: E402
 from sabench.utils.arrays import F64  # noqa: E402
 

@@ -61,7 +61,7 @@ BUGS = (
     ),
     Bug(
         "sign of the distortion's p1",
-        "sabench/geometry/lens_distortion.py",
+        "sabench/geometry/lens.py",
         "u = x * radial + 2.0 * lens.p1 * x * y",
         "u = x * radial - 2.0 * lens.p1 * x * y",
         case="particles",
@@ -260,7 +260,7 @@ BUGS = (
     ),
     Bug(
         "Snell's law upside down at a cylinder",
-        "sabench/geometry/cylinder_kernels.py",
+        "sabench/geometry/cylinder_wall.py",
         "if _cross(faces[m], indices[m] / indices[m + 1], at",
         "if _cross(faces[m], indices[m + 1] / indices[m], at",
         tests="tests/unit/geometry/test_cylinder_wall.py",
@@ -274,7 +274,7 @@ BUGS = (
     ),
     Bug(
         "bubbles' radii drawn as diameters",
-        "sabench/worlds/library/size_distributions.py",
+        "sabench/worlds/library/sizes.py",
         "out[left] = spectrum.radius_mm * np.exp(",
         "out[left] = 0.5 * spectrum.radius_mm * np.exp(",
         case="bubbles",
@@ -358,7 +358,7 @@ BUGS = (
     ),
     Bug(
         "a tilted sensor's two turns in the other order",
-        "sabench/geometry/sensor_tilt.py",
+        "sabench/geometry/lens.py",
         "np.array(about_y) @ np.array(about_x)",
         "np.array(about_x) @ np.array(about_y)",
         tests="tests/unit/geometry/test_sensor_tilt.py",

@@ -20,7 +20,7 @@ import numpy as np
 
 from sabench.geometry import projection_kernels
 from sabench.geometry.camera import Camera, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.path_slope import solve_slope
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
 from sabench.scenes import build_rig, load_scene

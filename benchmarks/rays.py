@@ -34,7 +34,7 @@ from sabench.simulation import camera_view
 from sabench.simulation.camera_view import lights_of, tank_of
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.rendering import particles_traced
-from sabench.simulation.rendering.bubble_stage_builder import Stager
+from sabench.simulation.rendering.bubble_stage import Stager
 from sabench.utils import backend
 
 RECORD = Path(__file__).with_name("records") / "epyc-2-cores-llvm.json"

@@ -15,7 +15,7 @@ import tomllib
 from pathlib import Path
 
 from sabench.evaluation.records import latest, read_records
-from sabench.scenes.bundled import find
+from sabench.scenes.loading import find
 from sabench.utils.confidence import mean_of
 
 Scores = dict[tuple[str, str], dict[int, float]]  # (effect, solver): seed: score

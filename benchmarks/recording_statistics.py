@@ -16,10 +16,10 @@ import tempfile
 import tomllib
 from pathlib import Path
 
+from sabench.apps.recordings import Measured, measure_dataset
 from sabench.cli.own_recordings import ROWS, cell
-from sabench.evaluation.recording_comparison import Measured, measure_dataset
 from sabench.scenes import parse_scene
-from sabench.scenes.bundled import find
+from sabench.scenes.loading import find
 from sabench.simulation.pipeline import generate
 
 _SCENES = ("standard-particles", "realistic-particles")

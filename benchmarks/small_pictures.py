@@ -21,7 +21,7 @@ from typing import Any
 
 import cv2
 
-from sabench.evaluation.leaderboard.page_figures import stem_of
+from sabench.evaluation.leaderboard.board import stem_of
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS = ROOT / "leaderboard" / "records"

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from sabench import plugins, tasks
-from sabench.evaluation.environment import machine, versions
+from sabench.evaluation.records import machine, versions
 from sabench.tasks.conformance import example
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar

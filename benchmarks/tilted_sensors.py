@@ -22,7 +22,7 @@ from sabench.algorithms.calibration.bundle_adjustment import (
 )
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.api.truth import Particles
-from sabench.geometry.sensor_tilt import UPRIGHT
+from sabench.geometry.lens import UPRIGHT
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.utils.arrays import F64

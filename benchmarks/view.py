@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 import psutil
 
-from sabench.evaluation.viewer.clouds import KINDS, Cloud
-from sabench.evaluation.viewer.contents import Contents, Frame, of_scene
-from sabench.evaluation.viewer.page import render
+from sabench.apps.viewer.contents import Contents, Frame, of_scene
+from sabench.apps.viewer.points import KINDS, Cloud
+from sabench.apps.viewer.view import render
 from sabench.scenes import Scene, load_scene
 from tests.helpers.browser import Browser, chromium
 

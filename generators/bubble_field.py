@@ -18,7 +18,7 @@ from sabench.api import (
     triple,
 )
 from sabench.worlds.library.random_packing import place
-from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
+from sabench.worlds.library.sizes import Spectrum, spheroids, within
 
 
 class BubbleFieldParameters(BubbleParameters, Spectrum):

@@ -10,7 +10,7 @@ from sabench.worlds.library.implicit_surfaces import capsules
 from sabench.worlds.library.jet_in_crossflow import Cones, Crossflow, Spray
 from sabench.worlds.library.overlaps import overlapping
 from sabench.worlds.library.random_packing import place
-from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
+from sabench.worlds.library.sizes import Spectrum, spheroids, within
 
 _GAP = 0.1  # between drops and the column, in nozzle diameters: its surface is rippled
 

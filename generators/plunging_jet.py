@@ -11,7 +11,7 @@ from sabench.api import F64, I64, Bool, BubbleGenerator, BubbleParameters, Bubbl
 from sabench.worlds.library.overlaps import overlapping
 from sabench.worlds.library.plunging_jet import LN2, JetLaw, rotation_from_y
 from sabench.worlds.library.random_packing import place
-from sabench.worlds.library.size_distributions import Spectrum, spheroids, within
+from sabench.worlds.library.sizes import Spectrum, spheroids, within
 
 _NODES = 4001  # of the distribution over depth
 _CORE = 6.2  # a turbulent jet's speed on its axis: 6.2 diameters over the depth (Rajaratnam 1976)

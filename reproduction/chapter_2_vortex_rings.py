@@ -18,7 +18,7 @@ from sabench.metrics.velocity_error import precision_interval
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.tasks.figures.velocity import error_scatter, slice_panel
+from sabench.tasks.velocity_figures import error_scatter, slice_panel
 from sabench.utils.arrays import F64
 from sabench.utils.confidence import mean_of
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.calibration.alternating import alternate
+from sabench.algorithms.calibration.joint_fit import alternate
 from sabench.algorithms.calibration.parameters import FreeParameters
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.geometry.triangulation import triangulate
-from sabench.metrics.alignment import fit_alignment
+from sabench.metrics.calibration_error import fit_alignment
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.nominal_cameras import nominal_cameras

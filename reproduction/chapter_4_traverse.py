@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import refine
-from sabench.algorithms.calibration.parameters import FreeParameters
+from sabench.algorithms.calibration.parameters import FreeParameters, fit_similarity
 from sabench.algorithms.calibration.problem import CalibrationProblem
 from sabench.algorithms.calibration.target_detection import detect
-from sabench.algorithms.calibration.wall_frame import fit_similarity
 from sabench.api import Calibration
 from sabench.evaluation.reproduction import Item
 from sabench.evaluation.suite_loading import override

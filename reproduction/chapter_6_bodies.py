@@ -13,7 +13,7 @@ from sabench.api.truth import BODY, Bubbles, Particles, Sight
 from sabench.evaluation.reproduction import Item
 from sabench.metrics.bubble_detection import detection_scores
 from sabench.metrics.particle_detection import challenge_pairs
-from sabench.metrics.velocity_sampling import evaluation_lattice, sample_velocity
+from sabench.metrics.velocity_error import evaluation_lattice, sample_velocity
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.camera_view import record_image, render
@@ -22,7 +22,7 @@ from sabench.simulation.in_memory import Shot, observation_of, simulate_sequence
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.confidence import mean_of
 from sabench.worlds.bubbles_and_bodies import Phases
-from sabench.worlds.library.containment import contains
+from sabench.worlds.library.overlaps import contains
 
 from .common import (
     coarsen,

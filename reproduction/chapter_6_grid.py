@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.signal.windows import tukey
 
-from sabench.algorithms.calibration.wall_frame import fit_similarity
+from sabench.algorithms.calibration.parameters import fit_similarity
 from sabench.algorithms.refocus import refocus_sum
 from sabench.evaluation.reproduction import Item
 from sabench.geometry.camera_model import CameraModel

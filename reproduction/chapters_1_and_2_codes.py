@@ -8,6 +8,7 @@ import numpy as np
 
 from sabench.algorithms.refocus import Join
 from sabench.api import Code, Observation
+from sabench.apps.surfaces import refocus_frame
 from sabench.evaluation.reproduction import Item
 from sabench.evaluation.suite_loading import override
 from sabench.geometry.grid import Grid
@@ -19,10 +20,8 @@ from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering.sensor import expose
 from sabench.tasks.see_through import code_plane
-from sabench.tasks.surface_refocusing import refocus_frame
 from sabench.utils.arrays import F32, F64
-from sabench.worlds.bubbles_and_bodies import bodies_of
-from sabench.worlds.readable_codes import code_of
+from sabench.worlds.bubbles_and_bodies import bodies_of, code_of
 
 from .chapter_5 import render_first_frame
 from .common import claim, coarsen, image_panel, make_row, run

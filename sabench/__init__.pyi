@@ -9,6 +9,8 @@ from . import (
     tasks as tasks,
 )
 from .api.truth import Bubbles as Bubbles, Particles as Particles
+from .apps.own_calibration.calibrate import calibrate as calibrate
+from .apps.viewer.view import View as View, view as view
 from .dataset.import_recording import (
     ImportOptions as ImportOptions,
     import_recording as import_recording,
@@ -22,7 +24,6 @@ from .evaluation.gates.comparison import check as check
 from .evaluation.leaderboard.submissions import submit as submit
 from .evaluation.reproduction import reproduce as reproduce
 from .evaluation.runner import run_suite as run_suite
-from .evaluation.viewer.view import View as View, view as view
 from .geometry.camera import Camera as Camera
 from .geometry.grid import Grid as Grid
 from .geometry.refraction import Layer as Layer, Wall as Wall
@@ -39,7 +40,6 @@ from .simulation.in_memory import simulate as simulate
 from .simulation.pipeline import generate as generate
 from .simulation.sample_shards import generate_samples as generate_samples
 from .simulation.streaming import stream as stream, stream_key as stream_key
-from .tasks.own_calibration import calibrate as calibrate
 from .tasks.quality import quality as quality
 from .tasks.solve_and_score import score as score, solve as solve
 from .utils.version import __version__ as __version__

@@ -26,7 +26,7 @@ from _pytest.runner import runtestprotocol
 import sabench
 from sabench.cli.main import main
 from sabench.dataset.reader import Dataset
-from sabench.evaluation.gates.reference_kernel import reference_s
+from sabench.evaluation.timed_solving import reference_s
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils import backend

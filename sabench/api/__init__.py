@@ -47,18 +47,17 @@ from sabench.api.solvers import (
 from sabench.api.truth import Bubbles, Particles, Solid, Target
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.frames import Domain, Pose
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Rays, Wall
-from sabench.geometry.rotations import frame_along, rotation_matrices
+from sabench.geometry.rigid_motion import Domain, Pose, frame_along, rotation_matrices
 from sabench.geometry.surfaces import bend
 from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
-from sabench.utils.fields import Direction, LensNumber, Vector
 from sabench.utils.progress import progress_bar
 from sabench.utils.rng import stream
+from sabench.utils.validation import Direction, LensNumber, Vector
 
 __all__ = [
     "F32",

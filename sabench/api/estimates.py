@@ -9,7 +9,7 @@ import numpy as np
 from sabench.api.arrays import LARGEST, Array, Arrays
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import decode_cameras, encode_cameras
-from sabench.geometry.rotations import cross
+from sabench.geometry.rigid_motion import cross
 from sabench.utils.arrays import F32, F64, I64, Bool, triple
 from sabench.utils.errors import InputError
 

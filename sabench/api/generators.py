@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.api.parameters import Parameters, PlugIn
 from sabench.api.truth import Bubbles, Particles, Solid, Target
-from sabench.geometry.frames import Domain, Pose
+from sabench.geometry.rigid_motion import Domain, Pose
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.fields import Vector
+from sabench.utils.validation import Vector
 
 
 class Generator(PlugIn):

@@ -19,7 +19,7 @@ from sabench.geometry.grid import Grid
 from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.fields import Unknown
+from sabench.utils.validation import Unknown
 
 Shown = Literal["particles", "target", "bubbles", "code"]  # kinds of objects in a data set's frames
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.api.arrays import Array, Arrays
-from sabench.geometry.frames import Pose
+from sabench.geometry.rigid_motion import Pose
 from sabench.utils.arrays import F32, F64, I32, I64, Bool, triple
 from sabench.utils.errors import InputError
 

@@ -28,7 +28,7 @@ from sabench.cli.options import (
 if TYPE_CHECKING:
     from sabench.api.solvers import TaskName
     from sabench.evaluation.gates.comparison import Report
-    from sabench.evaluation.leaderboard.score_columns import Table
+    from sabench.evaluation.leaderboard.page_content import Table
     from sabench.evaluation.leaderboard.submissions import Standing
     from sabench.tasks.task import Score
 
@@ -70,7 +70,7 @@ def run(
     Results that have a record already are not computed again.
     """
     from sabench.evaluation.runner import run_suite
-    from sabench.evaluation.selection import Only
+    from sabench.evaluation.suites import Only
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
@@ -97,9 +97,8 @@ def _show_records(records: list[dict[str, Any]]) -> None:
 
     There is a table for each task, with the best first, and one of its recorded data sets.
     """
-    from sabench.evaluation.leaderboard.page_content import rank_of
-    from sabench.evaluation.leaderboard.rows import over_seeds
-    from sabench.evaluation.leaderboard.score_columns import every_table, table_of
+    from sabench.evaluation.leaderboard.board import over_seeds
+    from sabench.evaluation.leaderboard.page_content import every_table, rank_of, table_of
 
     rows = over_seeds(records)
     cases = list(dict.fromkeys(row["case"] for row in rows))
@@ -176,8 +175,7 @@ def check(
 
     The exit code is 1 if a score got worse.
     """
-    from sabench.evaluation.gates.comparison import check as compare
-    from sabench.evaluation.gates.junit import write_junit
+    from sabench.evaluation.gates.comparison import check as compare, write_junit
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
@@ -296,7 +294,7 @@ def challenge(
 
     If interrupted, run the same command again to resume.
     """
-    from sabench.evaluation.challenge.organiser import BUNDLE, PARTICIPANT, make_challenge
+    from sabench.apps.challenge.organiser import BUNDLE, PARTICIPANT, make_challenge
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
@@ -340,7 +338,7 @@ def participate(
 
     If interrupted, run the same command again to resume.
     """
-    from sabench.evaluation.challenge.participant import participate as solve_all
+    from sabench.apps.challenge.participant import participate as solve_all
     from sabench.utils.processes.program import limits_of
     from sabench.utils.progress import announce_compiling
 

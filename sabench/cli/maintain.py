@@ -163,7 +163,7 @@ def new(
 
 
 def _copy_scene(name: str, file: Path) -> None:
-    from sabench.scenes.bundled import find
+    from sabench.scenes.loading import find
     from sabench.utils.files import complete_or_nothing
 
     source = find(name, "scenes")
@@ -310,7 +310,7 @@ def warmup(
     """
     from dataclasses import asdict
 
-    from sabench.tasks.warm_up import warm_up
+    from sabench.tasks.conformance import warm_up
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()

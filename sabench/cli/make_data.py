@@ -22,7 +22,7 @@ from sabench.cli.options import (
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
-    from sabench.evaluation.planning.plan import Plan
+    from sabench.apps.planning.plan import Plan
     from sabench.scenes import Scene
     from sabench.utils.backend import Renderer
 
@@ -71,8 +71,7 @@ def plan(
     overwrite: Overwrite = False,
 ) -> None:
     """Plan an experiment: resolution, depth, light, density and data rate of a scene."""
-    from sabench.evaluation.planning.plan import plan as make
-    from sabench.evaluation.planning.recording import Recorder
+    from sabench.apps.planning.plan import Recorder, plan as make
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
@@ -98,7 +97,7 @@ def plan(
 
 def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Scene:
     """Design a scene and write it."""
-    from sabench.evaluation.planning.design import Wanted, design_scene
+    from sabench.apps.planning.design import Wanted, design_scene
     from sabench.scenes import load_scene
     from sabench.utils.files import complete_or_nothing, refuse_existing
 
@@ -113,7 +112,7 @@ def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Sc
 
 
 def _write_page(made: Plan, file: Path, *, overwrite: bool) -> None:
-    from sabench.evaluation.planning.page import render
+    from sabench.apps.planning.page import render
     from sabench.utils.files import complete_or_nothing
 
     with complete_or_nothing(file, overwrite=overwrite) as partial:
@@ -343,8 +342,7 @@ def _pack_dataset(dataset: Path, output: Path, blind: bool, overwrite: bool) -> 
 
 
 def _pack_results(path: Path, output: Path, cards: list[Path], overwrite: bool) -> None:
-    from sabench.evaluation.leaderboard.archives import submitted_files
-    from sabench.evaluation.leaderboard.result_packs import pack_results
+    from sabench.evaluation.leaderboard.archives import pack_results, submitted_files
 
     with submitted_files(path) as files:
         count, carded = pack_results(files, output, cards, overwrite=overwrite)

@@ -21,9 +21,9 @@ from sabench.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from sabench.apps.own_calibration.report import Report
+    from sabench.apps.recordings import Measured
     from sabench.dataset.preprocessing_preview import Preview, Stage
-    from sabench.evaluation.recording_comparison import Measured
-    from sabench.tasks.calibration_report import Report
 
 
 def calibrate(
@@ -69,7 +69,7 @@ def calibrate(
     """Calibrate your own cameras from images or points of a target."""
     from dataclasses import asdict
 
-    from sabench.tasks.own_calibration import calibrate as make
+    from sabench.apps.own_calibration.calibrate import calibrate as make
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
@@ -200,8 +200,8 @@ def compare_statistics(
 
     Light, noise, and widths and brightness of particle images, as medians over the cameras.
     """
+    from sabench.apps.recordings import measure, measure_dataset
     from sabench.dataset.reader import open_dataset
-    from sabench.evaluation.recording_comparison import measure, measure_dataset
 
     data = open_dataset(dataset)
     both = measure_dataset(data, frames), measure(recording, frames, white)

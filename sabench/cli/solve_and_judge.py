@@ -172,8 +172,8 @@ def refocus(
     overwrite: Overwrite = False,
 ) -> None:
     """Refocus one frame on a plane, a cylinder or a height map."""
+    from sabench.apps.surfaces import refocus as make
     from sabench.dataset.verification import probe_dataset
-    from sabench.tasks.surface_refocusing import refocus as make
 
     probe_dataset(dataset)
     made = make(
@@ -284,7 +284,7 @@ def view(
     The page shows cameras and their light paths, the wall, the light, particles that were found and
     missed, ghosts, trajectories, refocused planes and every camera's image. It needs no network.
     """
-    from sabench.evaluation.viewer.view import view as make
+    from sabench.apps.viewer.view import view as make
     from sabench.utils.files import refuse_existing
     from sabench.utils.progress import announce_compiling
 

@@ -23,14 +23,14 @@ from sabench.dataset.schema import (
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import CameraEntry, record_camera
+from sabench.geometry.cylinder_wall import WallRecord, WallsRecord
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
-from sabench.geometry.wall_records import WallRecord, WallsRecord
 from sabench.images.preprocessing import Step
 from sabench.scenes.wall import MOST_LAYERS
 from sabench.utils.errors import InputError
-from sabench.utils.fields import LensNumber, WallNumber
 from sabench.utils.files import canonical_json, inside, read_json
+from sabench.utils.validation import LensNumber, WallNumber
 
 _FARTHEST_MM = 1e9  # a thousand kilometres
 _LONGEST = 1_000_000  # voxels or pixels along a side

@@ -24,9 +24,8 @@ from sabench.images.tiff_exr import read_exr, read_tiff, write_tiff
 from sabench.scenes.sensor import Sensor
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.files import complete_or_nothing, inside, read_json, sha256
+from sabench.utils.files import complete_or_nothing, inside, read_json, sha256, zip_folder
 from sabench.utils.progress import progress_bar
-from sabench.utils.zip_archives import zip_folder
 
 
 def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) -> None:

@@ -1,17 +1,29 @@
-"""Recorded data sets as cases of suites: opened and checked."""
+"""Recorded data sets as cases of suites: opened and checked.
+
+recorded_cases: Recorded data sets as cases of suites: opened and checked.
+
+judged_without_truth: Results of recorded cases, judged without truth.
+"""
 
 from __future__ import annotations
 
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import verify
 from sabench.evaluation.suites import RecordedCase, RecordingSpec
+from sabench.tasks.quality import quality, residual_picture
+from sabench.tasks.quality_figures import FIGURES_OF
+from sabench.tasks.solve_and_score import costs_of
 from sabench.utils.errors import InputError
 from sabench.utils.files import is_file, is_folder
+from sabench.utils.progress import console
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -74,3 +86,35 @@ def check_intact(case: RecordedCase) -> Dataset:
     if open_dataset(root).content_hash != case.data_hash:
         raise InputError(f"{root}: expected no change of the recording during the run")
     return case.data
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Scores of a result, or its figures without truth.
+
+    Attributes
+    ----------
+    scores : what its record says of it.
+    residuals : a PNG of what particles leave of recorded images; None for other results.
+    """
+
+    scores: dict[str, Any]
+    residuals: bytes | None = None
+
+
+def judge(case: RecordedCase, out: Path) -> Judged:
+    """Judge a result of a recorded case by its images; its costs come with it.
+
+    Results of tasks that have no figures without truth have their costs alone.
+    """
+    result = open_result(out, case.data)
+    scores = {"task": result.task, "quality": None, **costs_of(result)}
+    if result.task not in FIGURES_OF:
+        return Judged(scores)
+    options = case.quality
+    judged = quality(case.data, out, frames=options.frames, solve_again=options.again)
+    for note in judged.notes:
+        console.print(f"note: {note}", markup=False, highlight=False)
+    scores["quality"] = {**options.model_dump(), "figures": judged.figures}
+    left = judged.left
+    return Judged(scores, None if left is None else residual_picture(case.data, left))

@@ -1,4 +1,8 @@
-"""Records of runs, as JSON lines.
+"""Machine and versions of a run, which its records name.
+
+environment: Machine and versions of a run, which its records name.
+
+records: Records of runs, as JSON lines.
 
 Many processes may append to a file without losing or tearing a line. Readers do not trust its
 content.
@@ -7,8 +11,10 @@ content.
 from __future__ import annotations
 
 import datetime
+import importlib.metadata
 import json
 import os
+import platform
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,9 +22,48 @@ from typing import Any
 from filelock import FileLock
 
 from sabench.evaluation.record_schema import FORMAT, LONGEST_LINE, VERSION, Record, parse
+from sabench.utils import backend
 from sabench.utils.errors import InputError
 from sabench.utils.progress import console
 from sabench.utils.validation import printable
+from sabench.utils.version import __version__
+
+
+def versions() -> dict[str, str]:
+    """List the versions of everything that affects the scores."""
+    libraries = {name: version_of(name) for name in ("mitsuba", "drjit", "numpy", "scipy")}
+    return libraries | {"sabench": __version__, "python": platform.python_version()}
+
+
+def machine() -> dict[str, Any]:
+    """Describe the machine of this run."""
+    info = Path("/proc/cpuinfo")
+    models = (
+        [
+            line.split(":", 1)[1].strip()
+            for line in info.read_text().splitlines()
+            if line.startswith("model name")
+        ]
+        if info.exists()
+        else []
+    )
+    try:
+        kind = backend.choose().kind
+    except InputError:
+        kind = "none"
+    cpu = models[0] if models else platform.processor() or platform.machine()
+    return {
+        "cpu": cpu,
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "backend": kind,
+    }
+
+
+def version_of(package: str) -> str:
+    """Return the version of an installed package."""
+    return importlib.metadata.version(package)
+
 
 _MOST_WARNINGS = 100  # for one file
 

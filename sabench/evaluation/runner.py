@@ -15,17 +15,22 @@ from sabench import tasks
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import estimate_hash, open_result
 from sabench.dataset.verification import verify
-from sabench.evaluation.environment import machine, version_of, versions
-from sabench.evaluation.hidden_split import read_secret
-from sabench.evaluation.judged_without_truth import Judged, judge
-from sabench.evaluation.leaderboard import rows
-from sabench.evaluation.leaderboard.page_figures import stem_of
+from sabench.evaluation.leaderboard import board
+from sabench.evaluation.leaderboard.board import stem_of
 from sabench.evaluation.record_schema import Record, score_faults
-from sabench.evaluation.recorded_cases import check_intact
-from sabench.evaluation.records import append, key_of, latest, now, read_records
-from sabench.evaluation.selection import WHOLE, Only
-from sabench.evaluation.suite_loading import load_suite
-from sabench.evaluation.suites import Case, RecordedCase, SceneCase, SolverEntry, Suite
+from sabench.evaluation.recorded_cases import Judged, check_intact, judge
+from sabench.evaluation.records import (
+    append,
+    key_of,
+    latest,
+    machine,
+    now,
+    read_records,
+    version_of,
+    versions,
+)
+from sabench.evaluation.suite_loading import load_suite, read_secret
+from sabench.evaluation.suites import WHOLE, Case, Only, RecordedCase, SceneCase, SolverEntry, Suite
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.simulation.pipeline import generate
 from sabench.tasks.quality import middle_residuals
@@ -151,7 +156,7 @@ def build_board(leaderboard: Path) -> Path:
     """Build the page from the records; return its path."""
     page, records = leaderboard / "index.html", latest(read_records(leaderboard / "records"))
     console.print(f"page of {len(records)} records", markup=False, highlight=False)
-    rows.build_page(records, leaderboard / "pictures", page)
+    board.build_page(records, leaderboard / "pictures", page)
     return page
 
 

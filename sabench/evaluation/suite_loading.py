@@ -1,4 +1,10 @@
-"""Suite files, read and checked before any work starts.
+"""Private test sets: data sets that only their organiser can make.
+
+hidden_split: Private test sets: data sets that only their organiser can make.
+
+Their seeds come from a file with a secret, which only the organiser has.
+
+suite_loading: Suite files, read and checked before any work starts.
 
 A suite becomes a list of cases, one for each combination of its varied values and each seed, and
 one for each recording.
@@ -8,6 +14,8 @@ from __future__ import annotations
 
 import copy
 import functools
+import hashlib
+import hmac
 import itertools
 import math
 import re
@@ -18,18 +26,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
+from pydantic import BaseModel, ConfigDict, Field
+
 from sabench import plugins
 from sabench.api.solvers import TaskName
-from sabench.evaluation.hidden_split import Secret
 from sabench.evaluation.recorded_cases import open_recording, recording_name
-from sabench.evaluation.suites import (
-    Case,
-    CaseSpec,
-    RecordingSpec,
-    SceneCase,
-    SolverEntry,
-    Suite,
-)
+from sabench.evaluation.suites import Case, CaseSpec, RecordingSpec, SceneCase, SolverEntry, Suite
 from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene
 from sabench.scenes.loading import read_scene
 from sabench.tasks.external_programs import find_program
@@ -38,6 +40,49 @@ from sabench.utils.backend import choose_renderer
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest, is_file
 from sabench.utils.validation import printable, validate
+
+
+class Secret(BaseModel):
+    """Content of the file: a secret, and the number of seeds of each case."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    secret: str = Field(min_length=16, description="random text, as from `openssl rand -hex 16`")
+    seeds: int = Field(5, ge=1, description="data sets of each case")
+
+    def seeds_of(self, suite: str, version: int, case: str) -> tuple[int, ...]:
+        """Derive the seeds of a case from the secret.
+
+        A seed is HMAC-SHA256 (RFC 2104) of suite, version, case and number, so that seeds disclose
+        neither the secret nor each other.
+        """
+        purposes = (f"{suite}\0{version}\0{case}\0{number}" for number in range(self.seeds))
+        drawn = (
+            hmac.new(self.secret.encode(), purpose.encode(), hashlib.sha256).digest()
+            for purpose in purposes
+        )
+        return tuple(int.from_bytes(one[:8], "big") >> 1 for one in drawn)
+
+
+def read_secret(path: Path) -> Secret:
+    """Read the secret of a TOML file.
+
+    Raises
+    ------
+    InputError
+        No such file, no TOML, or a secret of fewer than 16 characters, which the error does not
+        repeat.
+    """
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected a TOML file, got {type(error).__name__}") from error
+    if isinstance(values.get("secret"), str) and len(values["secret"]) < 16:
+        raise InputError(
+            f"{path}: secret: expected 16 characters or more, got {len(values['secret'])}"
+        )
+    return validate(Secret, values, str(path))
+
 
 _MOST_CASES = 1000
 _LONGEST_CASE = 200  # characters of a name

@@ -15,13 +15,20 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera_model import on_sensor
-from sabench.geometry.lens_distortion import Distortion, distort, undistort
+from sabench.geometry.cylinder_wall import WallRecord
+from sabench.geometry.lens import (
+    UPRIGHT,
+    Distortion,
+    distort,
+    from_sensor,
+    onto_sensor,
+    sensor_axes,
+    undistort,
+)
 from sabench.geometry.refraction import Rays, Wall, trace_into_fluid, trace_to_points
-from sabench.geometry.rotations import cross, frame_of_normal
-from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, onto_sensor, sensor_axes
-from sabench.geometry.wall_records import WallRecord
+from sabench.geometry.rigid_motion import cross, frame_of_normal
 from sabench.utils.arrays import F64, Bool, all_in_row, rows_of, triple
-from sabench.utils.fields import TiltAngle
+from sabench.utils.validation import TiltAngle
 
 if TYPE_CHECKING:
     from sabench.geometry.projection_kernels import Media

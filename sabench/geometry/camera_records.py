@@ -21,9 +21,9 @@ from pydantic import (
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.central_camera import CentralCamera
+from sabench.geometry.lens import UPRIGHT
 from sabench.geometry.polynomial_cameras import PlanePolynomials, Soloff
 from sabench.geometry.projective_camera import Projective
-from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.utils.arrays import U8
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.plane_polynomials import slopes, terms
 from sabench.geometry.refraction import Rays, trace_into_fluid, trace_to_points
-from sabench.geometry.wall_records import WallRecord
 from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of
 from sabench.utils.errors import InputError
 

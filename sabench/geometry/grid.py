@@ -1,7 +1,15 @@
-"""Voxel grids, and the intensity field that a perfect reconstruction would show."""
+"""Voxel grids, and the intensity field that a perfect reconstruction would show.
+
+grid: Voxel grids, and the intensity field that a perfect reconstruction would show.
+
+plane_sections: Plane sections of boxes.
+
+vector_calculus: Derivatives of vector fields: gradients on lattices, curl and divergence.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -147,3 +155,70 @@ def _profile(voxels: F64, nearest: I64, radius: int, sigma: float) -> F32:
     edges = np.arange(-radius, radius + 2)[None] - 0.5 + (nearest - voxels)[:, None]
     mean = sigma * np.sqrt(2.0 * np.pi) * gaussian_shares(edges, sigma)
     return np.asarray(mean, dtype=np.float32)
+
+
+def cut_box(low_mm: F64, high_mm: F64, point_mm: F64, normal: F64) -> F64:
+    """Cut the edges of a box along the world's axes with a plane.
+
+    Parameters
+    ----------
+    low_mm, high_mm : (3,) corners of the box with the smallest and largest coordinates.
+    point_mm, normal : (3,) a point of the plane, and its unit normal.
+
+    Returns
+    -------
+    Corners (n, 3) of the part of the plane in the box, in no order, some of them repeatedly where
+    the plane passes through corners of the box; none where it misses the box.
+    """
+    corners = np.array(list(itertools.product(*zip(low_mm, high_mm, strict=True))))
+    away = (corners - point_mm) @ normal
+    cuts = []
+    for one, other in itertools.combinations(range(8), 2):
+        if (one ^ other).bit_count() == 1 and away[one] * away[other] <= 0.0:
+            length = away[one] - away[other]
+            share = away[one] / length if length else 0.0
+            cuts.append(corners[one] + share * (corners[other] - corners[one]))
+    return np.array(cuts).reshape(-1, 3)
+
+
+def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:
+    """Compute gradients du_i / dx_j of a field on a lattice by central differences.
+
+    Parameters
+    ----------
+    velocity : (z, y, x, 3).
+    step_mm : spacing of the nodes along x, y, z.
+
+    Returns
+    -------
+    (z, y, x, 3, 3), one-sided differences at the lattice's ends, NaN along axes of a single node.
+    """
+    parts: list[F64] = []
+    for axis in range(3):
+        along = 2 - axis  # x varies along the last of the first three
+        if velocity.shape[along] < 2:
+            parts.append(np.full(velocity.shape, np.nan))
+        else:
+            parts.append(np.asarray(np.gradient(velocity, step_mm[axis], axis=along)))
+    return np.stack(parts, axis=-1)
+
+
+def inner(shape: tuple[int, int, int]) -> Bool:
+    """Mark the nodes (z, y, x) of a lattice whose differences are central ones.
+
+    Axes of a single node do not count.
+    """
+    out = np.zeros(shape, dtype=np.bool_)
+    out[tuple(slice(1, -1) if count > 1 else slice(None) for count in shape)] = True
+    return out
+
+
+def vorticity(gradient: F64) -> F64:
+    """Compute the curl (..., 3) of a field with gradients (..., 3, 3), du_i / dx_j."""
+    parts = [gradient[..., i, j] - gradient[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))]
+    return np.stack(parts, axis=-1)
+
+
+def divergence(gradient: F64) -> F64:
+    """Compute the divergence (...) of a field with gradients (..., 3, 3)."""
+    return np.asarray(np.trace(gradient, axis1=-2, axis2=-1))

@@ -1,4 +1,13 @@
-"""Rigid motions and their least-squares fits to points."""
+"""Rotations, rigid motions and frames of reference.
+
+rotations: Rotation matrices of rotation vectors, and frames along an axis.
+
+rigid_motion: Rigid motions and their least-squares fits to points.
+
+frames: Frames of reference.
+
+They are the box of a volume, and poses of bodies in the world frame.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +15,61 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.geometry.rotations import rotation_matrices
 from sabench.utils.arrays import F64
+
+
+def rotation_matrices(vectors: F64) -> F64:
+    """Compute rotation matrices of rotation vectors (..., 3) by Rodrigues' formula.
+
+    The matrices are (..., 3, 3). scipy's `Rotation.from_rotvec` goes by quaternions and differs in
+    the last digit, by which every data set with a rotation in it would change.
+    """
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    cross = skew(vectors)
+    small = angle < 1e-8
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 1.0, np.sin(safe) / safe)
+    second = np.where(small, 0.5, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2)
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
+def skew(vectors: F64) -> F64:
+    """Compute the matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
+    made = np.zeros((*vectors.shape, 3))
+    for row, column, axis in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        made[..., row, column] = vectors[..., axis]
+        made[..., column, row] = -vectors[..., axis]
+    return made
+
+
+def frame_along(axis: tuple[float, float, float]) -> F64:
+    """Make a right-handed frame (3, 3) whose third row points along an axis.
+
+    The axis may be of any length. The first row is as near to X as it can be.
+    """
+    third = np.asarray(axis, dtype=np.float64)
+    return frame_of_normal(third / np.linalg.norm(third))
+
+
+def frame_of_normal(normal: F64) -> F64:
+    """Make a right-handed frame (3, 3) whose third row is a unit vector.
+
+    The first row is as near to X as it can be.
+    """
+    x = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    second = cross(normal, x)
+    second /= np.linalg.norm(second)
+    return np.stack([cross(second, normal), second, normal])
+
+
+def cross(one: F64, other: F64) -> F64:
+    """Compute the cross product of two vectors (3,).
+
+    numpy.cross, which takes any shapes, needs ten times as long for so little, to the same bits.
+    """
+    a, b, c = one.tolist()
+    d, e, f = other.tolist()
+    return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
 
 
 @dataclass(frozen=True)
@@ -69,3 +131,46 @@ def fit_lateral_motion(points: F64, targets: F64) -> RigidMotion:
     angle = np.arctan2(np.sum(x * q - y * p), np.sum(x * p + y * q))
     rotation = rotation_matrices(np.array([0.0, 0.0, angle]))
     return RigidMotion(rotation, np.append((goal - rotation @ middle)[:2], 0.0))
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Box that a generator fills, along the world's axes.
+
+    Attributes
+    ----------
+    center_mm, size_mm : centre and edges of the box in the world frame.
+    pixels : pixels of one camera's image, for densities per pixel.
+    """
+
+    center_mm: tuple[float, float, float]
+    size_mm: tuple[float, float, float]
+    pixels: int
+
+    @property
+    def low_mm(self) -> F64:
+        """Corner (3,) with the smallest coordinates."""
+        return np.asarray(self.center_mm) - np.asarray(self.size_mm) / 2.0
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the box."""
+        return float(np.prod(self.size_mm))
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Rotation and position of a target: the map x -> rotation x + position_mm.
+
+    Attributes
+    ----------
+    rotation : (3, 3) from the target's frame to the world's.
+    position_mm : (3,) the target's own origin in the world frame.
+    """
+
+    rotation: F64
+    position_mm: F64
+
+    def __call__(self, points_mm: F64) -> F64:
+        """Compute world points (n, 3) of points in the target's frame."""
+        return np.asarray(points_mm @ self.rotation.T + self.position_mm)

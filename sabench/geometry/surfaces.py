@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from sabench.geometry.frames import Pose
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import Pose, rotation_matrices
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.utils.fields import Positive, Table, Vector
 from sabench.utils.tables import read_table
+from sabench.utils.validation import Positive, Table, Vector
 
 _MOST = 100_000_000  # pixels of a surface
 _IMAGES = (".tif", ".tiff")  # files of heights at pixels; others are tables of points

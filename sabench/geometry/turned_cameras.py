@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.geometry.camera import Camera
+from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
-from sabench.geometry.wall_records import WallRecord
 from sabench.utils.arrays import F64, triple
 
 

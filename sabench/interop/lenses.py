@@ -18,11 +18,11 @@ from sabench.geometry.central_camera import (
     image_lattice,
     invert_lens,
 )
-from sabench.geometry.lens_distortion import Distortion, distort
+from sabench.geometry.cylinder_wall import WallRecord
+from sabench.geometry.lens import Distortion, distort
 from sabench.geometry.polynomial_cameras import Soloff
 from sabench.geometry.projective_camera import Projective
 from sabench.geometry.refraction import Wall
-from sabench.geometry.wall_records import WallRecord
 from sabench.interop.foreign import note
 from sabench.utils.arrays import F64, nested, triple
 from sabench.utils.errors import InputError

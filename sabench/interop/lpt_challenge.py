@@ -24,7 +24,7 @@ from scipy.linalg import rq
 
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.polynomial_cameras import fit_soloff
 from sabench.geometry.projective_camera import Projective, fit_projective
 from sabench.interop.foreign import ForeignWorld, Recording, TrackTable, note, unit_mm

@@ -18,7 +18,7 @@ import numpy as np
 
 from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.interop.foreign import ForeignWorld
 from sabench.interop.lenses import Extent, Pose, camera_of_matrix, center_of
 from sabench.utils.arrays import F64

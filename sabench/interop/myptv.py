@@ -30,7 +30,7 @@ from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.central_camera import image_lattice
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.polynomial_cameras import Soloff
 from sabench.interop.foreign import (
     ForeignWorld,

@@ -16,8 +16,8 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.lens_distortion import Distortion
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.lens import Distortion
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.interop.foreign import ForeignWorld, note
 from sabench.interop.lenses import (
     Extent,

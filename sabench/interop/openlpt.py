@@ -20,8 +20,8 @@ import tifffile
 from sabench.api import FoundParticles
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
+from sabench.geometry.lens import UPRIGHT
 from sabench.geometry.refraction import Wall
-from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.interop.foreign import Recording, TrackTable
 from sabench.interop.named_columns import table_of_columns
 from sabench.utils.arrays import F32, F64, I64

@@ -13,7 +13,7 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.interop import openlpt
 from sabench.interop.foreign import ForeignWorld

@@ -22,9 +22,8 @@ import tifffile
 from sabench.api import FoundParticles
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.refraction import Wall
-from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.interop.foreign import ForeignWorld
 from sabench.utils.arrays import F32, F64, I64, U8, triple
 from sabench.utils.files import read_json

@@ -26,7 +26,7 @@ import numpy as np
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion, distort
+from sabench.geometry.lens import Distortion, distort
 from sabench.geometry.refraction import Layer, Wall
 from sabench.interop import openptv
 from sabench.interop.foreign import ForeignWorld, Recording, TrackTable, note, unit_mm

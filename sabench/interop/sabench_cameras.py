@@ -13,7 +13,7 @@ from sabench.dataset.schema import CAMERAS
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import read_camera
-from sabench.geometry.wall_records import WallsRecord
+from sabench.geometry.cylinder_wall import WallsRecord
 from sabench.interop.foreign import ForeignWorld
 from sabench.interop.lenses import Extent
 from sabench.utils.arrays import F64

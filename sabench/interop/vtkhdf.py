@@ -17,9 +17,8 @@ from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.frusta import border_pixels, light_paths
-from sabench.geometry.grid import Grid
-from sabench.geometry.vector_calculus import divergence, gradient, vorticity
+from sabench.geometry.common_view import border_pixels, light_paths
+from sabench.geometry.grid import Grid, divergence, gradient, vorticity
 from sabench.metrics.bubble_detection import AnyBubbles, match
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.metrics.synthesised_field import true_field

@@ -1,7 +1,12 @@
-from .alignment import fit_alignment as fit_alignment
-from .bubble_detection import detection_scores as detection_scores
+from .bubble_detection import (
+    counts_per_frame as counts_per_frame,
+    detection_scores as detection_scores,
+    sauter_mm as sauter_mm,
+    size_scores as size_scores,
+)
 from .calibration_error import (
     calibration_scores as calibration_scores,
+    fit_alignment as fit_alignment,
     held_out_scores as held_out_scores,
     point_scores as point_scores,
     self_calibration_scores as self_calibration_scores,
@@ -22,11 +27,6 @@ from .particle_detection import (
 from .plunging_jet import analyse as analyse
 from .quality_factor import quality as quality
 from .reconstruction_error import score_frame as score_frame
-from .size_distributions import (
-    counts_per_frame as counts_per_frame,
-    sauter_mm as sauter_mm,
-    size_scores as size_scores,
-)
 from .synthesised_field import brightness as brightness, true_field as true_field
 from .trajectories import (
     link_scores as link_scores,

@@ -1,25 +1,50 @@
-"""Errors of a calibration: reprojection, target and held-out points, wall."""
+"""Alignment of estimated with true points, before errors are counted.
+
+alignment: Alignment of estimated with true points, before errors are counted.
+
+calibration_error: Errors of a calibration: reprojection, target and held-out points, wall.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.cramer_rao import Limit, limit
-from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, common_plane
 from sabench.algorithms.calibration.problem import make_anchors
-from sabench.algorithms.calibration.wall_frame import common_plane
 from sabench.api import Calibration, CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.refraction import Wall
-from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion
+from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
 from sabench.geometry.triangulation import triangulate
-from sabench.metrics.alignment import ALIGNMENTS, fit_alignment
 from sabench.metrics.averages import finite_or_none, root_mean_square
 from sabench.utils.arrays import F64, Bool
+
+Alignment = Literal["raw", "shift", "lateral", "rigid"]
+ALIGNMENTS: tuple[Alignment, ...] = ("raw", "shift", "lateral", "rigid")
+
+
+def fit_alignment(how: Alignment, estimate: F64, truth: F64) -> RigidMotion:
+    """Fit the motion that brings estimated points (n, 3) nearest to true ones.
+
+    Both are in the frame of the wall.
+
+    Parameters
+    ----------
+    how : raw: no motion. shift: along X and Y, as in the thesis (section 4.4.2). lateral: also a
+        rotation about Z, which is all that a plane wall leaves open. rigid: any rigid motion.
+    """
+    if how == "raw":
+        return RigidMotion(np.eye(3), np.zeros(3))
+    if how == "shift":
+        return RigidMotion(np.eye(3), np.append((truth - estimate).mean(axis=0)[:2], 0.0))
+    return (fit_lateral_motion if how == "lateral" else fit_rigid_motion)(estimate, truth)
+
 
 Scores = dict[str, float | None]
 

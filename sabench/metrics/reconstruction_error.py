@@ -1,16 +1,28 @@
-"""Errors of a reconstructed volume: quality factor, particles, intensities."""
+"""Intensity of a volume's blobs, summed over all voxels that lead up to a peak.
+
+blob_intensity: Intensity of a volume's blobs, summed over all voxels that lead up to a peak.
+
+It depends on how bright a blob is, not on its shape.
+
+reconstruction_error: Errors of a reconstructed volume: quality factor, particles, intensities.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
 
 from sabench.api import Reconstruction
 from sabench.api.truth import Particles, View
 from sabench.geometry.grid import Grid
-from sabench.metrics.blob_intensity import intensity_error
 from sabench.metrics.particle_detection import (
+    CHALLENGE_RADIUS,
     MATCHING_DISTANCES,
     Counts,
+    challenge_pairs,
     count_challenge,
     count_thesis,
     detect,
@@ -20,7 +32,139 @@ from sabench.metrics.particle_detection import (
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import brightness, true_field
 from sabench.utils import memory
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F32, F64, I64, U8, Bool
+
+FACE = 4.0  # voxels from the volume's faces, which cut blobs
+APART = 3.0  # voxels along some axis between particles whose blobs are told apart
+_HERE = 13  # of the numbers of 27 neighbours
+
+
+def blob_intensities(volume: F32, peaks: F64) -> F64:
+    """Sum the intensity of the blob of each peak.
+
+    From every voxel above zero, steps to the brightest of its 26 neighbours lead to a summit, which
+    belongs to the nearest peak if that is less than 1 voxel away along every axis.
+
+    Parameters
+    ----------
+    volume : (z, y, x).
+    peaks : (n, 3) fractional voxel indices of x, y, z.
+    """
+    sums = np.zeros(len(peaks))
+    if not len(peaks):
+        return sums
+    step = _find_steps(volume)
+    summits = np.flatnonzero((step == _HERE) & (volume > 0.0))
+    light = _climb(volume, step, summits)
+    places = np.stack(np.unravel_index(summits, volume.shape)[::-1], axis=1).astype(np.float64)
+    distance, nearest = cKDTree(peaks).query(places, p=np.inf)
+    near = distance < CHALLENGE_RADIUS
+    np.add.at(sums, nearest[near], light[near])
+    return sums
+
+
+def intensity_error(
+    volume: F32, estimate: F64, truth: F64, brightness: F64, scored_truth: Bool
+) -> float | None:
+    """Compute the relative error of intensities; None without true particles.
+
+    It is the root mean square difference between the intensities of matched peaks, after the scale
+    that makes it smallest, and the brightness of all true particles, relative to the brightness's
+    root mean square. Particles without a peak have the intensity 0.
+
+    Parameters
+    ----------
+    estimate, truth : peaks (n, 3) and true particles (m, 3) in voxels, paired as by
+        `count_challenge`.
+    brightness, scored_truth : (m,) of the true particles, and which of them are in the scored part.
+        Those within `FACE` of the volume's faces, or of `APART` of another one, are left out.
+    """
+    kept = scored_truth & _alone(truth, brightness > 0.0, volume.shape)
+    if not kept.any():
+        return None
+    a, b = challenge_pairs(estimate, truth)
+    light = np.zeros(len(truth))
+    light[b] = blob_intensities(volume, estimate)[a]
+    found, true = light[kept], brightness[kept]
+    own, other = np.linalg.norm(found), np.linalg.norm(true)
+    cosine = np.vdot(found / own, true / other) if own > 0.0 else 0.0
+    return float(np.sqrt(max(0.0, 1.0 - cosine**2)))
+
+
+def _alone(truth: F64, lit: Bool, shape: tuple[int, ...]) -> Bool:
+    """Mark the lit particles (n, 3) whose blobs neither a face nor another one cuts."""
+    last = np.asarray(shape[::-1]) - 1.0
+    alone = np.asarray(lit & ((truth >= FACE) & (truth <= last - FACE)).all(axis=1))
+    distance, _ = cKDTree(truth[lit]).query(truth[alone], k=2, p=np.inf)
+    alone[alone] = distance[:, 1] >= APART
+    return alone
+
+
+def _find_steps(volume: F32) -> U8:
+    """Find the number of each voxel's brightest neighbour, 13 for itself.
+
+    Of equally bright ones it is the first.
+    """
+    step = np.empty(volume.shape, dtype=np.uint8)
+    last = len(volume) - 1
+    before = here = _brightest_in_plane(volume[0])
+    for z, plane in enumerate(volume):
+        after = _brightest_in_plane(volume[min(z + 1, last)])
+        best, number = here[0].copy(), here[1] + np.uint8(9)
+        if z > 0:
+            np.copyto(number, before[1], where=before[0] >= best)
+            np.maximum(best, before[0], out=best)
+        if z < last:
+            np.copyto(number, after[1] + np.uint8(18), where=after[0] > best)
+            np.maximum(best, after[0], out=best)
+        step[z] = np.where(best > plane, number, np.uint8(_HERE))
+        before, here = here, after
+    return step
+
+
+def _brightest_in_plane(plane: F32) -> tuple[F32, U8]:
+    """Find the brightest of each pixel and its 8 neighbours.
+
+    Returns it, and the number of the first such one.
+    """
+    numbers = np.full_like(plane, 4, dtype=np.uint8)
+    along_rows = (slice(None), slice(None, -1)), (slice(None), slice(1, None))
+    across = _brightest_of_three(plane, numbers, np.uint8(1), *along_rows)
+    return _brightest_of_three(*across, np.uint8(3), slice(None, -1), slice(1, None))
+
+
+def _brightest_of_three(
+    values: F32, numbers: U8, stride: np.uint8, first: Any, second: Any
+) -> tuple[F32, U8]:
+    """Find the brightest of three in a line, and the first such one's number.
+
+    Numbers are those of the middle one, and the others' are a stride lower and higher. The first
+    and the second of each pair of neighbours are given as slices.
+    """
+    best, number = values.copy(), numbers.copy()
+    np.copyto(number[second], numbers[first] - stride, where=values[first] >= values[second])
+    np.maximum(best[second], values[first], out=best[second])
+    np.copyto(number[first], numbers[second] + stride, where=values[second] > best[first])
+    np.maximum(best[first], values[second], out=best[first])
+    return best, number
+
+
+def _climb(volume: F32, step: U8, summits: I64) -> F64:
+    """Add up the intensity of all voxels that lead to each summit."""
+    _, rows, columns = volume.shape
+    z, y, x = np.unravel_index(np.arange(27), (3, 3, 3))
+    away = ((z - 1) * rows + y - 1) * columns + x - 1
+    light, flat = np.zeros(len(summits)), step.reshape(-1)
+    for number, plane in enumerate(volume):
+        lit = np.flatnonzero(plane > 0.0)
+        at = number * plane.size + lit
+        moving = np.arange(len(at))
+        while len(moving):
+            at[moving] += away[flat[at[moving]]]
+            moving = moving[flat[at[moving]] != _HERE]
+        np.add.at(light, np.searchsorted(summits, at), plane.reshape(-1)[lit].astype(np.float64))
+    return light
+
 
 _DETECTION = ("true_percent", "ghost_percent", "precision", "recall", "rms_px")
 SCORES = ("q", "peak_f1", "intensity_error", *_DETECTION, *(f"peak_{key}" for key in _DETECTION))

@@ -1,23 +1,167 @@
-"""Estimated trajectories against true ones: links, velocities, and coverage.
+"""Errors, links, identity and smoothness of trajectories.
+
+motion_errors: Errors of velocities and accelerations of particles.
+
+track_identity: Identities of trajectories: HOTA, switches, fragments, completeness.
+
+HOTA (higher order tracking accuracy) is that of J. Luiten et al., Int. J. Computer Vision 129
+(2021) 548. One difference: it pairs detections anew for every distance so as to help identities;
+here the closest pairs come first, whatever their identities. Switches and fragments are those of
+K. Bernardin and R. Stiefelhagen, EURASIP J. Image and Video Processing (2008) 246309, relative to
+the true links.
+
+trajectories: Estimated trajectories against true ones: links, velocities, and coverage.
 
 Links are counted as the vectors of the first challenge on Lagrangian Particle Tracking are
 (Leclaire et al. 2021). One difference: its recall counts undetected particles as missed, too. The
 coverage of a true trajectory by one estimated trajectory is the target effectiveness of Bise et
 al., "Reliable cell tracking by global data association", ISBI 2011.
+
+track_smoothness: Smoothness of trajectories, which tells errors of positions without truth.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from sabench.api.truth import Bubbles
 from sabench.metrics.averages import ratio
 from sabench.metrics.bubble_detection import AnyBubbles, match
-from sabench.metrics.motion_errors import median_errors
 from sabench.utils.arrays import F64, I64
+
+
+def accelerations(frames: Sequence[tuple[I64, F64]], duration: float) -> tuple[I64, F64]:
+    """Compute second differences of three frames' positions over duration squared.
+
+    Parameters
+    ----------
+    frames : numbers (n,) and positions (n, 3) in each of the three, n differs.
+    duration : between two frames; equal for both pairs.
+
+    Returns
+    -------
+    Rows (k,) of the middle frame whose numbers are in all three, and accelerations (k, 3).
+    """
+    (first, before), (middle, now), (last, after) = frames
+    _, i, j = np.intersect1d(first, middle, return_indices=True)
+    _, k, m = np.intersect1d(middle[j], last, return_indices=True)
+    rows = j[k]
+    return rows, (before[i[k]] - 2.0 * now[rows] + after[m]) / duration**2
+
+
+def claimed_errors(pairs: Sequence[tuple[F64, F64]]) -> tuple[F64, F64]:
+    """Compute the lengths of the errors of all vectors (n, 3), and true lengths."""
+    none = np.zeros((0, 3))
+    estimate = np.concatenate([none, *(one for one, _ in pairs)])
+    true = np.concatenate([none, *(other for _, other in pairs)])
+    return np.linalg.norm(estimate - true, axis=1), np.linalg.norm(true, axis=1)
+
+
+def median_errors(off: F64, size: F64) -> tuple[float, float]:
+    """Compute the median error, and the median error over the true size in percent.
+
+    The latter is of what is not zero; NaN without any.
+    """
+    some = size > 0.0
+    return _median(off), 100.0 * _median(off[some] / size[some])
+
+
+def _median(values: F64) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+_LEVELS = np.arange(1, 20) / 20.0  # of similarity
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Estimated and true objects of one frame.
+
+    Attributes
+    ----------
+    trajectory, identity : numbers (n,) of the estimated trajectories, and (m,) of the true ones.
+    pairs : rows of the estimated and of the true objects that form pairs.
+    apart : distance of each pair, relative to the largest that makes one.
+    """
+
+    trajectory: I64
+    identity: I64
+    pairs: tuple[I64, I64]
+    apart: F64
+
+
+def identity_scores(sequences: Sequence[Sequence[Sightings]]) -> dict[str, float]:
+    """Score the identities in the frames of each sequence.
+
+    NaN where there is nothing to score. Keys: hota; complete, the share of true trajectories of two
+    frames or more that one estimated one has in all frames; switch_percent and fragment_percent,
+    relative to the true links.
+    """
+    quality, complete = [], []
+    links = switches = fragments = 0
+    for frames in sequences:
+        quality.append(_hota(frames))
+        for seen in _by_object(frames).values():
+            if len(seen) < 2:
+                continue
+            there = [number for number in seen if number is not None]
+            links += len(seen) - 1
+            switches += sum(one != other for one, other in itertools.pairwise(there))
+            runs = [found for found, _ in itertools.groupby(seen, lambda one: one is not None)]
+            fragments += max(sum(runs) - 1, 0)
+            complete.append(len(there) == len(seen) and len(set(there)) == 1)
+    return {
+        "hota": float(np.mean(quality)) if quality else math.nan,
+        "complete": float(np.mean(complete)) if complete else math.nan,
+        "switch_percent": 100.0 * switches / links if links else math.nan,
+        "fragment_percent": 100.0 * fragments / links if links else math.nan,
+    }
+
+
+def _by_object(frames: Sequence[Sightings]) -> dict[int, list[int | None]]:
+    """List for each true object what follows it in its frames: a trajectory, or None."""
+    every: dict[int, list[int | None]] = {}
+    for frame in frames:
+        i, j = frame.pairs
+        partner = dict(zip(j.tolist(), frame.trajectory[i].tolist(), strict=True))
+        for row, number in enumerate(frame.identity.tolist()):
+            every.setdefault(number, []).append(partner.get(row))
+    return every
+
+
+def _hota(frames: Sequence[Sightings]) -> float:
+    """Average over the levels of similarity; NaN without true or estimated objects."""
+    every = [
+        np.concatenate([getattr(frame, name) for frame in frames])
+        for name in ("trajectory", "identity")
+    ]
+    if not len(every[0]) and not len(every[1]):
+        return math.nan
+    estimates, of_estimate = np.unique(every[0], return_counts=True)
+    truths, of_truth = np.unique(every[1], return_counts=True)
+    both = np.concatenate(
+        [
+            np.stack([frame.trajectory[frame.pairs[0]], frame.identity[frame.pairs[1]]], axis=1)
+            for frame in frames
+        ]
+    )
+    near = 1.0 - np.concatenate([frame.apart for frame in frames])
+    levels = []
+    for level in _LEVELS:
+        together, times = np.unique(both[near >= level], axis=0, return_counts=True)
+        right = int(times.sum())
+        whole = of_estimate[np.searchsorted(estimates, together[:, 0])]
+        whole = whole + of_truth[np.searchsorted(truths, together[:, 1])] - times
+        association = float(np.sum(times * times / whole)) / max(right, 1)
+        detection = right / (len(every[0]) + len(every[1]) - right)
+        levels.append(math.sqrt(detection * association))
+    return float(np.mean(levels))
+
 
 _KEYS = ("link_recall", "link_precision", "effectiveness", "velocity_mm_s", "velocity_percent")
 
@@ -167,3 +311,58 @@ def _coverage(trajectory: Sequence[I64], identity: Sequence[I64], every: Sequenc
 
 def _mean(values: F64) -> float:
     return float(values.mean()) if len(values) else float("nan")
+
+
+_FACTORS = {3: np.array([1.0, -2.0, 1.0]), 4: np.array([1.0, -3.0, 3.0, -1.0])}
+
+
+def differences(numbers: Sequence[I64], positions: Sequence[F64], order: int) -> F64:
+    """Compute differences (k, 3) of positions of trajectories over frames in a row.
+
+    Parameters
+    ----------
+    numbers, positions : trajectories (n,) and positions (n, 3) in each frame.
+    order : 2 or 3, of differences over 3 or 4 frames.
+    """
+    factors = _FACTORS[order + 1]
+    found = [np.zeros((0, 3))]
+    for first in range(len(numbers) - order):
+        window = range(first, first + order + 1)
+        common = numbers[first]
+        for frame in window:
+            common = np.intersect1d(common, numbers[frame])
+        total = np.zeros((len(common), 3))
+        for factor, frame in zip(factors, window, strict=True):
+            sorter = np.argsort(numbers[frame])
+            rows = sorter[np.searchsorted(numbers[frame], common, sorter=sorter)]
+            total += factor * positions[frame][rows]
+        found.append(total)
+    return np.concatenate(found)
+
+
+def jitter_mm(numbers: Sequence[I64], positions: Sequence[F64]) -> float:
+    """Estimate the standard deviation of positions along each axis from their jitter.
+
+    Third differences of four frames in a row vanish for smooth trajectories, and errors of
+    positions give them 20 times their variance; with three frames it is second differences, and 6
+    times. The median over all distances resists wrong links. NaN without three frames in a row.
+    """
+    order = 3 if len(numbers) > 3 else 2
+    jumps = differences(numbers, positions, order)
+    if not len(jumps):
+        return float("nan")
+    # median of the length of normal vectors in space, over the deviation along an axis
+    scale = 1.5382 * np.sqrt((_FACTORS[order + 1] ** 2).sum())
+    return float(np.median(np.linalg.norm(jumps, axis=1)) / scale)
+
+
+def share_followed(numbers: Sequence[I64], frames: int) -> float:
+    """Compute the share of found particles in trajectories of enough frames.
+
+    NaN without any.
+    """
+    every = np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
+    if not len(every):
+        return float("nan")
+    counts = np.unique(every, return_counts=True)[1]
+    return float(counts[counts >= frames].sum() / len(every))

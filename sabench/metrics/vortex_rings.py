@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from sabench.api import Velocity
-from sabench.geometry.vector_calculus import gradient, vorticity
+from sabench.geometry.grid import gradient, vorticity
 from sabench.utils.arrays import F64
 
 Vector = tuple[float, float, float]

@@ -1,4 +1,11 @@
-"""Construction of a scene's rig.
+"""Checks of a rig's geometry.
+
+checks: Checks of a rig's geometry.
+
+Wall, tank, occluders, backlight and the cameras' views. Each raises an InputError of one sentence
+that begins with the scene's key.
+
+build: Construction of a scene's rig.
 
 The wall, the aimed and focused cameras, the voxel grid, occluders.
 """
@@ -7,18 +14,20 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sabench.geometry import array_layouts
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.frames import Domain
+from sabench.geometry.common_view import any_in_view
+from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.occluders import Disc
-from sabench.geometry.sensor_tilt import UPRIGHT
-from sabench.scenes import checks
+from sabench.geometry.refraction import Wall
+from sabench.geometry.rigid_motion import Domain
 from sabench.scenes.cameras import (
     Cameras,
     CrossLayout,
@@ -30,6 +39,7 @@ from sabench.scenes.cameras import (
 )
 from sabench.scenes.exposures import skew_faults
 from sabench.scenes.focusing import focus, tilt_sensor
+from sabench.scenes.illumination import Backlight
 from sabench.scenes.scene import Scene
 from sabench.scenes.tank import (
     TankWall,
@@ -43,6 +53,154 @@ from sabench.scenes.wall import OccluderSpec
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.validation import Collector
+
+
+def check_tank(walls: Sequence[Wall | CylinderWall], corners: F64) -> None:
+    """Check that a volume's corners (8, 3) are in the fluid."""
+    for wall in walls:
+        if isinstance(wall, CylinderWall):
+            _check_in_cylinder(wall, corners)
+        else:
+            _check_behind(wall, corners)
+
+
+def _check_in_cylinder(wall: CylinderWall, corners: F64) -> None:
+    outside = float((wall.thickness_mm - wall.depth_of(corners)).max())
+    if outside >= 0.0:
+        inner = wall.outer_radius_mm - wall.thickness_mm
+        raise InputError(
+            f"volume: expected it inside the cylinder's inner face, of radius {inner:g} mm, but it "
+            f"reaches {inner + outside:.4g} mm from the axis"
+        )
+
+
+def _check_behind(wall: Wall, corners: F64) -> None:
+    """Check that a volume's corners (8, 3) are between a wall and the back wall."""
+    depth = wall.depth_of(corners) - wall.thickness_mm
+    if depth.min() <= 0.0:
+        raise InputError(
+            "volume: expected it to lie behind the wall's inner face, "
+            f"but it reaches {-depth.min():.4g} mm in front of it"
+        )
+    if wall.depth_mm is not None and depth.max() > wall.depth_mm:
+        raise InputError(
+            "volume: expected it to lie in front of the back wall "
+            f"(wall.depth_mm = {wall.depth_mm:g}), but it reaches {depth.max():.4g} mm deep"
+        )
+
+
+def check_rotation(matrix: F64, where: str) -> None:
+    """Check that a matrix (3, 3) is a rotation."""
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-9:
+        raise InputError(f"{where}: expected an orthonormal matrix")
+    if np.linalg.det(matrix) < 0.0:
+        raise InputError(f"{where}: expected a right-handed matrix, got a mirrored one")
+
+
+def check_views(cameras: tuple[Camera, ...], corners: F64) -> None:
+    """Check that at least one camera sees one of 9 x 9 x 9 points of the volume."""
+    steps = np.linspace(0.0, 1.0, 9)
+    lattice = corners[0] + np.array(list(itertools.product(steps, repeat=3))) * (
+        corners[-1] - corners[0]
+    )
+    if not any_in_view(cameras, lattice):
+        raise InputError(
+            "volume: expected it in view of at least one camera, "
+            f"but no camera of {len(cameras)} sees any of it"
+        )
+
+
+def check_occluder(
+    disc: Disc,
+    walls: Sequence[Wall | CylinderWall],
+    cameras: tuple[Camera, ...],
+    corners: F64,
+    where: str,
+) -> None:
+    """Check that all light to the cameras passes a disc on straight lines."""
+    depth = min((_reach(disc, wall) for wall in walls), default=-1.0)
+    if depth >= 0.0:
+        raise InputError(
+            f"{where}: expected it wholly in front of the wall, "
+            f"but it reaches {depth:.4g} mm behind the wall's outer face"
+        )
+    for camera in cameras:
+        forward = np.asarray(camera.rotation[2])
+        near, far = (
+            end - float(np.dot(camera.center_mm, forward)) for end in disc.span_mm(forward)
+        )
+        if near <= 0.0:
+            raise InputError(
+                f"{where}: expected it wholly in front of all cameras, "
+                f"but it reaches {-near:.4g} mm behind {camera.name}"
+            )
+        excess = far - float(((corners - camera.center_mm) @ forward).min())
+        if not walls and excess >= 0.0:
+            raise InputError(
+                f"{where}: expected it wholly between the cameras and the volume, "
+                f"but for {camera.name} it reaches {excess:.4g} mm into the volume"
+            )
+
+
+def _reach(disc: Disc, wall: Wall | CylinderWall) -> float:
+    """Compute how far a disc reaches behind a wall's outer face, mm."""
+    if isinstance(wall, CylinderWall):
+        return float(wall.depth_of(disc.points_mm()).max())
+    return disc.span_mm(np.asarray(wall.normal))[1] - float(np.dot(wall.point_mm, wall.normal))
+
+
+def is_beside(disc: Disc, camera: Camera) -> bool:
+    """Return whether a disc is on a camera's side of the tank.
+
+    Only there it can hide something. For a cylinder it is the side of the axis.
+    """
+    wall, center = camera.wall, np.asarray(disc.center_mm)
+    if isinstance(wall, CylinderWall):
+        from_axis = center - np.asarray(wall.axis_point_mm)
+        return float(from_axis @ wall.normal_at(np.asarray(camera.center_mm))) < 0.0
+    return wall is None or float(wall.depth_of(center)) < 0.0
+
+
+def check_backlight(
+    spec: Backlight,
+    walls: Sequence[Wall | CylinderWall],
+    rear_mm: float,
+    cameras: tuple[Camera, ...],
+    corners: F64,
+) -> None:
+    """Check that a diffuser is behind the volume for all cameras and behind the tank.
+
+    `rear_mm` is the thickness of the back wall.
+    """
+    center, where = np.asarray(spec.center_mm), "backlight.center_mm"
+    for wall in walls:
+        if isinstance(wall, Wall):  # any other is refused
+            _check_behind_tank(wall, rear_mm, center, where)
+    for camera in cameras:
+        forward = np.asarray(camera.rotation[2])
+        depth = float((center - camera.center_mm) @ forward)
+        far = float(((corners - camera.center_mm) @ forward).max())
+        if depth <= far:
+            raise InputError(
+                f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, "
+                f"got {depth:.4g} mm"
+            )
+
+
+def _check_behind_tank(wall: Wall, rear_mm: float, center: F64, where: str) -> None:
+    if wall.depth_mm is None:
+        raise InputError(
+            f"{where}: expected wall.depth_mm, the back wall's position, "
+            "for light from behind the tank"
+        )
+    outer = wall.thickness_mm + wall.depth_mm + rear_mm
+    depth = float(wall.depth_of(center))
+    if depth <= outer:
+        raise InputError(
+            f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, "
+            f"got {depth:.4g} mm"
+        )
+
 
 _MOST_CAMERAS = 1000
 
@@ -64,7 +222,7 @@ class Rig:
 
     def occluders_of(self, camera: Camera) -> tuple[Disc, ...]:
         """Give the occluders on a camera's side of the tank."""
-        return tuple(disc for disc in self.occluders if checks.is_beside(disc, camera))
+        return tuple(disc for disc in self.occluders if is_beside(disc, camera))
 
 
 def build_rig(scene: Scene, source: str = "scene") -> Rig:
@@ -94,12 +252,12 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         if scene.bubbles or scene.solids or scene.backlight:
             check_one_plane(scene)
         walls = build_walls(scene.wall)
-        checks.check_tank(walls, corners)  # cameras are aimed at the volume: not built if it fails
+        check_tank(walls, corners)  # cameras are aimed at the volume: not built if it fails
         cameras = _build_cameras(scene, walls, corners)
         discs = tuple(_build_occluder(spec) for spec in scene.occluders or ())
         _check_light(scene, walls, cameras, corners, discs, check)
         if not check.faults:
-            checks.check_views(cameras, corners)
+            check_views(cameras, corners)
     check.finish()
     return Rig(cameras, grid, discs)
 
@@ -115,12 +273,12 @@ def _check_light(
     """Collect the faults of occluders and of the backlight."""
     for number, disc in enumerate(discs):
         with check.collect():
-            checks.check_occluder(disc, walls, cameras, corners, f"occluders.{number}")
+            check_occluder(disc, walls, cameras, corners, f"occluders.{number}")
     if scene.backlight:
         rear = scene.rear
         with check.collect():
             thickness = sum(layer.thickness_mm for layer in rear)
-            checks.check_backlight(scene.backlight, walls, thickness, cameras, corners)
+            check_backlight(scene.backlight, walls, thickness, cameras, corners)
 
 
 def _build_grid(scene: Scene) -> Grid:
@@ -247,7 +405,7 @@ def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: P
         except ValueError as error:
             raise InputError(f"cameras.aim_mm: {error}") from error
     else:
-        checks.check_rotation(np.asarray(place.rotation), f"cameras: {name}: rotation")
+        check_rotation(np.asarray(place.rotation), f"cameras: {name}: rotation")
     camera = focus(camera, target, spec.focus_mm)
     if own.tilt_deg is None and spec.focus_normal is not None:
         return tilt_sensor(camera, target, _unit(spec.focus_normal))

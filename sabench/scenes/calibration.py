@@ -9,7 +9,7 @@ from typing import Annotated, get_args
 
 from pydantic import Field, model_validator
 
-from sabench.utils.fields import LensNumber, Positive, Table, WallNumber
+from sabench.utils.validation import LensNumber, Positive, Table, WallNumber
 
 
 class KnownPoint(Table):

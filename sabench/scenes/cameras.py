@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from sabench.utils.fields import Direction, Positive, Table, TiltAngle, Vector
+from sabench.utils.validation import Direction, Positive, Table, TiltAngle, Vector
 
 
 class GridLayout(Table):

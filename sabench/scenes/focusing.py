@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.lens_distortion import Distortion
-from sabench.geometry.rotations import frame_of_normal
-from sabench.geometry.sensor_tilt import UPRIGHT
+from sabench.geometry.lens import UPRIGHT, Distortion
+from sabench.geometry.rigid_motion import frame_of_normal
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 

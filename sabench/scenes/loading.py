@@ -1,19 +1,58 @@
-"""Loading of scene files with the parameters of their generators."""
+"""Scenes and suites that come with this installation, found by name.
+
+bundled: Scenes and suites that come with this installation, found by name.
+
+loading: Loading of scene files with the parameters of their generators.
+
+json_schema: The JSON schema of scene files, for editors.
+"""
 
 from __future__ import annotations
 
+import difflib
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from sabench import plugins
 from sabench.scenes.build import build_rig
-from sabench.scenes.bundled import find
 from sabench.scenes.scene import WORLDS, Scene, plain
 from sabench.scenes.variation import check_keys
 from sabench.utils.errors import InputError
 from sabench.utils.files import file_series, series_hash
 from sabench.utils.validation import Collector, validate
+
+
+def find(name: str | Path, folder: str) -> Path:
+    """Find a file by its path, or by its stem in a bundled folder.
+
+    Bundled folders are scenes and scenes/suites; suites are also found in reproduction/suites.
+
+    Raises
+    ------
+    InputError
+        No such file, with the nearest name.
+    """
+    direct = Path(name)
+    if any(len(part.encode("utf-8", "replace")) > 255 for part in direct.parts) or "\0" in str(
+        name
+    ):
+        raise InputError(f"{name}: expected a file's name")
+    if direct.is_file():
+        return direct
+    inside = [plugins.bundled_folder("scenes").parent / folder]
+    if folder == "scenes/suites":
+        inside = plugins.suite_folders()
+    stem = direct.name.removesuffix(".toml")
+    files = {file.stem: file for one in inside for file in one.glob("*.toml")}
+    if stem in files and direct.parent in (Path(), Path(folder), Path("suites")):
+        return files[stem]
+    known = sorted(files)
+    near = difflib.get_close_matches(stem, known, 1)
+    raise InputError(
+        f"{name}: expected a file or one of {', '.join(known)}"
+        + (f"; did you mean {near[0]}?" if near else "")
+    )
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -110,3 +149,31 @@ def _find_file(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]
         changed = f"{made['sha256'][:12]}... of {path}, got {content[:12]}..."
         raise InputError(f"{table}.sha256: expected {changed}: the file has changed")
     return {"file": str(path), "sha256": content}
+
+
+def scene_schema() -> dict[str, Any]:
+    """Make the JSON schema of a scene.
+
+    It includes the parameters of every installed generator. A generator's parameters are an option
+    of the table that it fills.
+    """
+    whole = Scene.model_json_schema()
+    choices: dict[str, list[Any]] = {table: [{"type": "null"}] for table in WORLDS} | {"solids": []}
+    for name in plugins.names("generators"):
+        plugin = plugins.load("generators", name)
+        table = plugin.Parameters.model_json_schema(ref_template=f"#/$defs/{name}.{{model}}")
+        whole["$defs"].update(
+            {f"{name}.{key}": value for key, value in table.pop("$defs", {}).items()}
+        )
+        generator = {"const": name, "description": plugins.summary(plugin)}
+        table["properties"] = {"generator": generator, **table.get("properties", {})}
+        table["required"] = ["generator", *table.get("required", [])]
+        choices[plugin.makes].append(table)
+    types: dict[str, Any] = {table: {"oneOf": choices[table]} for table in WORLDS}
+    types["solids"] = {
+        "oneOf": [{"type": "null"}, {"type": "array", "items": {"oneOf": choices["solids"]}}]
+    }
+    for table, one in types.items():
+        shared = whole["properties"][table]
+        whole["properties"][table] = {"description": shared["description"], "default": None, **one}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole}

@@ -8,7 +8,7 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Wall
-from sabench.geometry.rotations import frame_of_normal, rotation_matrices
+from sabench.geometry.rigid_motion import frame_of_normal, rotation_matrices
 from sabench.scenes.calibration import Calibration
 from sabench.scenes.scene import Scene
 from sabench.utils.arrays import triple

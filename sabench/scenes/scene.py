@@ -1,25 +1,36 @@
-"""The whole scene: the world, its light, the cameras and the wall between them."""
+"""Tables of a scene: the volume and the voxels that solvers reconstruct.
+
+volume: Tables of a scene: the volume and the voxels that solvers reconstruct.
+
+idle_keys: Keys of a scene that would change nothing, or that contradict others.
+
+scene: The whole scene: the world, its light, the cameras and the wall between them.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import tomli_w
 from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
 
 from sabench.images.preprocessing import Step, step_faults
-from sabench.scenes.background import Background
 from sabench.scenes.calibration import Calibration, Detection
 from sabench.scenes.cameras import Cameras
 from sabench.scenes.exposures import exposure_faults
-from sabench.scenes.idle_keys import idle_keys
-from sabench.scenes.illumination import Backlight, Illumination, Lighting, Timing, Tracer
-from sabench.scenes.inertia import Inertia
-from sabench.scenes.materials import fill_indices
+from sabench.scenes.illumination import (
+    Background,
+    Backlight,
+    Illumination,
+    Lighting,
+    Timing,
+    Tracer,
+)
+from sabench.scenes.materials import Inertia, fill_indices
 from sabench.scenes.sensor import Render, Sensor
 from sabench.scenes.variation import Vary
-from sabench.scenes.volume import GridSpec, Volume
 from sabench.scenes.wall import (
     CylinderSpec,
     LayerSpec,
@@ -30,9 +41,62 @@ from sabench.scenes.wall import (
 )
 from sabench.scenes.world import BubbleWorld, ParticleWorld, TargetWorld, World, world_faults
 from sabench.utils.errors import InputError
-from sabench.utils.fields import LensNumber, Positive, Table, WallNumber
 from sabench.utils.files import digest
-from sabench.utils.validation import join_faults, nearest, refuse
+from sabench.utils.validation import (
+    LensNumber,
+    Positive,
+    Table,
+    Vector,
+    WallNumber,
+    join_faults,
+    nearest,
+    refuse,
+)
+
+
+class Volume(Table):
+    """Box that the generators fill, world frame."""
+
+    center_mm: Vector = Field(description="centre of the box")
+    size_mm: tuple[Positive, Positive, Positive] = Field(
+        description="edge lengths along x, y and z"
+    )
+
+
+class GridSpec(Table):
+    """Voxels that solvers reconstruct; they fill the volume."""
+
+    voxel_mm: tuple[Positive, Positive, Positive] = Field(description="voxel size along x, y and z")
+    crop_mm: tuple[
+        Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]
+    ] = Field((0.0, 0.0, 0.0), description="margin on each side that scores leave out")
+
+
+def idle_keys(
+    world: World,
+    walls: Sequence[WallSpec | CylinderSpec],
+    cameras: Cameras,
+    light: Illumination | None,
+) -> Iterator[tuple[str, str]]:
+    """Find keys that a world does not heed; yields pairs of a key and a sentence."""
+    alone = isinstance(world, ParticleWorld)
+    for number, wall in enumerate(walls):
+        if isinstance(wall, WallSpec) and wall.mirrors and not alone:
+            place = "wall" if len(walls) == 1 else f"wall.{number}"
+            yield (
+                f"{place}.mirrors",
+                "expected a scene of particles alone: only theirs are mirrored",
+            )
+    if cameras.airy_rings and not alone:
+        yield (
+            "cameras.airy_rings",
+            "expected a scene of particles alone: only their images have rings",
+        )
+    if cameras.airy_rings and cameras.particle_sigma_px is not None:
+        yield "cameras.airy_rings", "expected none beside particle_sigma_px, which sets the image"
+    if light and light.scattering == "isotropic" and light.polarisation is not None:
+        yield "illumination.polarisation", 'expected none with scattering = "isotropic"'
+
 
 WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator` is a plug-in
 

@@ -8,8 +8,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from sabench.utils.fields import Positive, Table
-from sabench.utils.validation import refuse
+from sabench.utils.validation import Positive, Table, refuse
 
 
 class Sensor(Table):

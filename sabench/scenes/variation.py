@@ -9,9 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from sabench.utils.fields import Positive, Table
 from sabench.utils.rng import stream
-from sabench.utils.validation import refuse
+from sabench.utils.validation import Positive, Table, refuse
 
 # what all samples of a stream share: the shape of their images, and the draws themselves
 _SHARED = ("title", "vary", "frames", "cameras.rows", "cameras.columns")

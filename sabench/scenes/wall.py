@@ -14,8 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from sabench.utils.fields import Direction, Index, Positive, Table, Vector
-from sabench.utils.validation import refuse
+from sabench.utils.validation import Direction, Index, Positive, Table, Vector, refuse
 
 MOST_LAYERS = 20  # of a wall
 MOST_FACES = 12  # of a tank

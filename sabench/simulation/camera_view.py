@@ -19,11 +19,11 @@ from sabench.simulation.rendering import (
     particles_traced,
     targets_traced,
 )
-from sabench.simulation.rendering.airy_rings import render_with_rings
 from sabench.simulation.rendering.background import flicker, static_light
-from sabench.simulation.rendering.bubble_stage_builder import Lights, Tank
+from sabench.simulation.rendering.bubble_stage import Lights, Tank
 from sabench.simulation.rendering.light_routes import Route, direct, reflections
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
+from sabench.simulation.rendering.particles_splatted import render_with_rings
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import expose, full_well_photons, make_pattern
 from sabench.utils.arrays import F64, U16, Bool

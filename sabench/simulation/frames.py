@@ -11,7 +11,7 @@ import numpy as np
 from sabench.api import Material
 from sabench.api.truth import NOTHING, Bubbles, Particles, Sight, Solid, Target
 from sabench.geometry.camera import Camera
-from sabench.geometry.frames import Pose
+from sabench.geometry.rigid_motion import Pose
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
 from sabench.scenes.exposures import recorded_part
 from sabench.simulation.rendering.laser_sheet import enter_fluid

@@ -32,7 +32,7 @@ from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
 from sabench.utils.files import refuse_existing
 from sabench.utils.progress import progress_bar
-from sabench.worlds.readable_codes import has_code
+from sabench.worlds.bubbles_and_bodies import has_code
 
 # per pixel of the picture in work: photons, radiance and noise in double precision, then grey
 # values

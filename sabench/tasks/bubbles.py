@@ -1,4 +1,10 @@
-"""Task `bubbles`: solvers find the bubbles of one observation, frame by frame.
+"""Figures of bubbles from the front and from the side.
+
+bubbles: Figures of bubbles from the front and from the side.
+
+They follow figures 5-18 to 5-20 of the thesis.
+
+bubbles: Task `bubbles`: solvers find the bubbles of one observation, frame by frame.
 
 The bubbles of all frames are linked afterwards.
 """
@@ -18,12 +24,13 @@ from sabench.dataset.cameras import CamerasFile
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.metrics.averages import finite_or_none, mean_of_each
-from sabench.metrics.bubble_detection import AnyBubbles, detection_scores
+from sabench.metrics.bubble_detection import AnyBubbles, detection_scores, match
 from sabench.metrics.plunging_jet import JetFigures, analyse
 from sabench.metrics.trajectories import trajectory_scores
 from sabench.plotting import pictures
+from sabench.plotting.charts import Circles, Discs, Figure, Panel
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (
@@ -37,10 +44,57 @@ from sabench.tasks.task import (
     share_near,
 )
 from sabench.utils import memory
-from sabench.utils.arrays import I64
+from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.library.plunging_jet import EDGE
+
+_WIDE, _HIGH = 3.8, (2.6, 7.0)  # inches of a panel
+
+
+def bubble_figure(bubbles: AnyBubbles, name: str, title: str = "") -> Figure:
+    """Draw positions and sizes across X-Y and Z-Y."""
+    x, y, z = bubbles.center_mm.T
+    views = (("front", "X, mm", x), ("side", "Z, mm", z))
+    panels = [
+        Panel(view, label, "Y, mm", (Discs("radius, mm", across, y, bubbles.radius_mm),))
+        for view, label, across in views
+    ]
+    return Figure(name, title or f"{len(x)} bubbles", tuple(panels), inch=_inch(bubbles.center_mm))
+
+
+def _inch(center_mm: F64) -> tuple[float, float]:
+    """Compute the width and height of a panel that shows these positions."""
+    x, y, z = np.ptp(center_mm, axis=0) if len(center_mm) else np.ones(3)
+    return _WIDE, float(np.clip(0.6 * _WIDE * y / max(x, z, 1e-9), *_HIGH))
+
+
+def detection_figure(found: AnyBubbles, true: AnyBubbles) -> Figure:
+    """Draw the found, missed and false bubbles across X-Y and Z-Y."""
+    i, j = match(found.center_mm, true.center_mm, true.radius_mm)
+    ghosts, missed = (
+        np.setdiff1d(np.arange(len(one.radius_mm)), hit) for one, hit in ((found, i), (true, j))
+    )
+    kinds = (("missed", true, missed), ("not there", found, ghosts), ("found", true, j))
+    panels = tuple(
+        Panel(
+            view,
+            label,
+            "Y, mm",
+            tuple(
+                Circles(
+                    kind, one.center_mm[which, axis], one.center_mm[which, 1], one.radius_mm[which]
+                )
+                for kind, one, which in kinds
+            ),
+        )
+        for view, label, axis in (("front", "X, mm", 0), ("side", "Z, mm", 2))
+    )
+    title = f"{len(j)} found, {len(missed)} missed, {len(ghosts)} not there"
+    return Figure(
+        "errors", title, panels, inch=_inch(np.concatenate([true.center_mm, found.center_mm]))
+    )
+
 
 JET = {
     "penetration_percent": "penetration_mm",
@@ -211,14 +265,12 @@ class BubblesTask(FrameByFrame):
     def picture(self, data: Dataset, source: Source) -> bytes:
         """Draw the bubbles of the first frame, front and side view, as a PNG."""
         from sabench.plotting.drawing import draw
-        from sabench.tasks.figures.bubbles import bubble_figure
 
         return draw(bubble_figure(self.read(data, source, 0), "bubbles"))
 
     def error_picture(self, data: Dataset, result: Result) -> bytes:
         """Draw the found, the missed and the false bubbles as a PNG."""
         from sabench.plotting.drawing import draw
-        from sabench.tasks.figures.bubbles import detection_figure
 
         return draw(detection_figure(self.read(data, result, 0), data.bubbles(0)))
 

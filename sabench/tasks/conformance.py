@@ -1,14 +1,22 @@
 """Laws that every solver obeys, bundled or not.
 
+conformance: Laws that every solver obeys, bundled or not.
+
 `check_solver` tries them on a small data set of the solver's task, which it generates from
 `scenes/conformance/`. The command `sabench conform` and the fixture `sabench_conform` of the pytest
 plug-in call it.
+
+warm_up: Kernels compiled in advance, so that no later command has to.
+
+Each solver is called on the small data set of its task, and its result scored: that makes, compiles
+and stores all that `generate`, `solve` and `score` call. Images of containers and nodes of clusters
+begin with their kernels then.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -33,8 +41,8 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.images.flaws import Flaws
 from sabench.scenes import load_scene
 from sabench.simulation.pipeline import generate
-from sabench.tasks.sequence_call import image_sequence
 from sabench.tasks.solve_and_score import score, solve
+from sabench.tasks.solver_call import image_sequence
 from sabench.tasks.task import Task
 from sabench.utils.errors import DeclinedError, InputError
 
@@ -327,3 +335,39 @@ def _reverse_cameras(case: Any) -> Any:
     if isinstance(case, CalibrationCase):
         return replace(case, pixels=case.pixels[::-1].copy(), cameras=case.cameras[::-1])
     raise _SkippedError("its cases have no cameras")
+
+
+@dataclass(frozen=True)
+class Warmed:
+    """A solver that was called.
+
+    Attributes
+    ----------
+    compile_s : seconds of compilation and of loading kernels: few if all were there.
+    verdict, text : as `conform` gives for a result that is worth something.
+    """
+
+    solver: str
+    compile_s: float
+    verdict: Verdict
+    text: str
+
+
+def warm_up(solvers: Sequence[str] = ()) -> Iterator[Warmed]:
+    """Compile the kernels of some solvers, or of all.
+
+    Raises
+    ------
+    InputError
+        An unknown solver.
+    """
+    from sabench.utils.compiled import compile_s  # numba takes half a second to import
+
+    names = solvers or plugins.names("solvers")
+    for name in names:
+        plugins.load("solvers", name)
+    with tempfile.TemporaryDirectory(prefix="sabench-warmup-") as scratch:
+        for name in names:
+            before = compile_s()
+            found = next(check_solver(name, folder=Path(scratch), laws=(beat_nothing,)))
+            yield Warmed(name, compile_s() - before, found.verdict, found.text)

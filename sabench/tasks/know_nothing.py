@@ -18,7 +18,7 @@ from sabench.api import Calibration, Detections, FoundParticles, Reconstruction,
 from sabench.api.estimates import Estimate
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import result_writer
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.tasks.solve_and_score import score
 from sabench.tasks.task import Figures, Task
 from sabench.utils.arrays import F64, triple

@@ -17,7 +17,7 @@ from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
 from sabench.geometry.grid import synthesise
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
-from sabench.metrics.claimed_accuracy import brier_score, coverage, rms_over_bound
+from sabench.metrics.particle_bounds import brier_score, coverage, rms_over_bound
 from sabench.metrics.particle_detection import (
     MATCHING_DISTANCES,
     challenge_pairs,
@@ -26,16 +26,15 @@ from sabench.metrics.particle_detection import (
     f1_over_distance,
 )
 from sabench.plotting import pictures
-from sabench.tasks.found_frames import (
+from sabench.tasks.particles_over_time import (
     TrajectoryNumbers,
     find_in_each_frame,
     link_frames,
     link_sequence,
+    score_over_time,
 )
-from sabench.tasks.particles_over_time import score_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
-from sabench.tasks.sequence_call import image_sequence
-from sabench.tasks.solver_call import SolverClock
+from sabench.tasks.solver_call import SolverClock, image_sequence
 from sabench.tasks.task import (
     Captions,
     Figures,

@@ -21,12 +21,17 @@ from sabench.api import FoundParticles, Reconstruction
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result
 from sabench.metrics.averages import finite_or_none, mean_of_finite, root_mean_square
-from sabench.metrics.track_smoothness import jitter_mm, share_followed
+from sabench.metrics.trajectories import jitter_mm, share_followed
 from sabench.plotting import pictures
-from sabench.tasks.found_frames import link_frames
-from sabench.tasks.image_evidence import FrameEvidence, volume_correlation
+from sabench.tasks.image_evidence import (
+    FrameEvidence,
+    scramble_shift,
+    volume_correlation,
+    with_scrambled_camera,
+    without_camera,
+)
+from sabench.tasks.particles_over_time import link_frames
 from sabench.tasks.quality_figures import FIGURES, FIGURES_OF
-from sabench.tasks.reduced_data import scramble_shift, with_scrambled_camera, without_camera
 from sabench.tasks.solve_and_score import solve
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError

@@ -12,16 +12,20 @@ from sabench.api import IterativeSolver, Observation, Reconstruction, SequenceSo
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
+from sabench.geometry.common_view import any_in_view
 from sabench.geometry.grid import Grid
-from sabench.geometry.visibility import any_in_view
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.particle_detection import MATCHING_DISTANCES
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.reconstruction_error import peak_f1_over_distance, score_frame
 from sabench.metrics.synthesised_field import true_field
 from sabench.plotting import pictures
-from sabench.tasks.sequence_call import answers_of_frames, image_sequence
-from sabench.tasks.solver_call import SolverClock, call_iterations
+from sabench.tasks.solver_call import (
+    SolverClock,
+    answers_of_frames,
+    call_iterations,
+    image_sequence,
+)
 from sabench.tasks.task import (
     Captions,
     Figures,

@@ -32,7 +32,7 @@ from sabench.tasks.task import (
 )
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.progress import progress_bar
-from sabench.worlds.readable_codes import code_of
+from sabench.worlds.bubbles_and_bodies import code_of
 
 _ENLARGED_PX, _DRAWN_PX = 400, 200  # longer side of a picture, and of the code itself
 _MARGIN = 3.0  # voxels around the code that are shown

@@ -34,7 +34,7 @@ preload(
     "sabench.algorithms.tomography.problem",
     # what solvers import while they solve, which would count in their seconds
     "cv2",
-    "sabench.geometry.cylinder_kernels",
+    "sabench.geometry.cylinder_wall",
     "sabench.geometry.projection_kernels",
     "scipy.ndimage",
     "scipy.spatial",

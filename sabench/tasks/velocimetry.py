@@ -1,4 +1,8 @@
-"""Task `velocimetry`: solvers turn two frames into a velocity field.
+"""Light sheets of data sets, in which velocities are scored.
+
+light_sheet: Light sheets of data sets, in which velocities are scored.
+
+velocimetry: Task `velocimetry`: solvers turn two frames into a velocity field.
 
 Some solvers take the images, others volumes that are reconstructed from them.
 """
@@ -6,8 +10,8 @@ Some solvers take the images, others volumes that are reconstructed from them.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -25,27 +29,87 @@ from sabench.api import (
 from sabench.api.make import make_reconstruction_solver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
+from sabench.geometry.grid import Grid
 from sabench.metrics.averages import finite_or_none
-from sabench.metrics.velocity_error import velocity_scores
-from sabench.metrics.velocity_sampling import (
+from sabench.metrics.velocity_error import (
     evaluation_lattice,
     lengths_along,
     planar_lattice,
     sample_velocity,
+    velocity_scores,
 )
 from sabench.plotting.drawing import draw
+from sabench.simulation.rendering.laser_sheet import enter_fluid
 from sabench.tasks import reconstruction
-from sabench.tasks.figures.velocity import field_figure
-from sabench.tasks.light_sheet import light_sheet
 from sabench.tasks.solver_call import SolverClock, call_solver
 from sabench.tasks.task import Captions, Figures, Gate, Score, Source, Task, check_estimate
+from sabench.tasks.velocity_figures import field_figure
 from sabench.utils import memory
 from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
-from sabench.worlds.library.containment import contains
+from sabench.worlds.library.overlaps import contains
 from sabench.worlds.tracers import TOLERANCE, flow_of
+
+_POINTS = 5  # of the quadrature across a sheet
+_THIN = 0.5  # of the grid's extent across it: light that is thinner is a sheet
+
+
+@dataclass(frozen=True)
+class LightSheet:
+    """Plane of a thin laser sheet, and the weights of its light across it.
+
+    Attributes
+    ----------
+    point_mm, normal : (3,) a point in its middle, and its unit normal.
+    offsets_mm, weights : (k,) distances from the plane and shares of the light there.
+    """
+
+    point_mm: F64
+    normal: F64
+    offsets_mm: F64
+    weights: F64
+
+    def average(self, velocity: Callable[[F64], F64], points_mm: F64) -> F64:
+        """Average a velocity at points (n, 3) of the plane over the light across it."""
+        layers = (velocity(points_mm + offset * self.normal) for offset in self.offsets_mm)
+        return np.asarray(sum(w * one for w, one in zip(self.weights, layers, strict=True)))
+
+
+def light_sheet(data: Dataset) -> LightSheet | None:
+    """Find the light sheet of a data set with particles; None where a volume is lit.
+
+    Light is a sheet where its thickness is at most half of the grid's extent along its normal, or
+    where the grid has a single plane of voxels across it.
+    """
+    scene, grid = data.scene, data.setup.grid
+    center = np.asarray(scene.volume.center_mm)
+    light = enter_fluid(scene.light, center, scene.fluid_index)
+    normal = np.asarray(light.sheet_normal) / np.linalg.norm(light.sheet_normal)
+    if light.thickness_mm > _thickest(grid, normal):
+        return None
+    shifts = scene.timing.shift_mm if scene.timing and scene.timing.shift_mm else (0.0,)
+    offset = (light.shift_mm or 0.0) + float(np.mean(shifts))
+    offsets, weights = _across(light.profile, light.thickness_mm)
+    return LightSheet(center + offset * normal, normal, offsets, weights)
+
+
+def _thickest(grid: Grid, normal: F64) -> float:
+    voxel, across = np.asarray(grid.voxel_mm), np.abs(normal)
+    single = np.asarray(grid.shape[::-1]) == 1
+    share = np.where(single, 1.0, _THIN)
+    return float(across @ (share * voxel * grid.shape[::-1]))
+
+
+def _across(profile: str, thickness_mm: float) -> tuple[F64, F64]:
+    """Place points (k,) across a sheet, with weights (k,) by Gaussian quadrature."""
+    if profile == "top-hat":
+        points, weights = np.polynomial.legendre.leggauss(_POINTS)
+        return points * thickness_mm / 2.0, weights / 2.0
+    points, weights = np.polynomial.hermite_e.hermegauss(_POINTS)
+    return points * thickness_mm / 4.0, weights / weights.sum()
+
 
 _NEIGHBOURS = 8  # true particles whose mean replaces the flow where a data set has none
 

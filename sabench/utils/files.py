@@ -1,4 +1,9 @@
-"""Atomic writing of files and folders, and safe reading of JSON and of paths."""
+"""Atomic writing of files and folders, and safe reading of JSON and of paths.
+
+files: Atomic writing of files and folders, and safe reading of JSON and of paths.
+
+zip_archives: Zip archives of folders.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +14,13 @@ import os
 import re
 import shutil
 import threading
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from sabench.utils.errors import InputError
+from sabench.utils.progress import progress_bar
 
 _ABANDONED = re.compile(r"^\.(?P<name>.+)\.(?P<what>partial|retired)-(?P<pid>\d+)$")
 
@@ -227,3 +234,12 @@ def inside(root: Path, name: str) -> Path:
 
 def _short(error: Exception) -> str:
     return f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no detail'}"
+
+
+def zip_folder(folder: Path, out: Path) -> None:
+    """Write a folder's files into an archive, without dates and without compression."""
+    with zipfile.ZipFile(out, "w") as archive:
+        for file in progress_bar(sorted(one for one in folder.rglob("*") if one.is_file()), "pack"):
+            entry = zipfile.ZipInfo(file.relative_to(folder).as_posix())
+            with file.open("rb") as source, archive.open(entry, "w", force_zip64=True) as place:
+                shutil.copyfileobj(source, place)

@@ -1,4 +1,9 @@
-"""Advection of particles by velocity fields."""
+"""Advection of particles by velocity fields.
+
+advection: Advection of particles by velocity fields.
+
+inertial: Particles with inertia and weight, which do not follow the fluid exactly.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,7 @@ import itertools
 import numpy as np
 
 from sabench.api import Flow
+from sabench.scenes.materials import Inertia
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 
@@ -71,3 +77,96 @@ def _advect_together(
     if path.status == "failed":  # velocities that are not finite, or that change too fast
         raise complaint(f"the integration failed: {reason}")
     return np.asarray(path.y.reshape(-1, 3))
+
+
+_STEP_S = 1e-6  # of the difference that gives the fluid's acceleration
+_LARGEST = 0.2  # Stokes number
+_FASTEST = 1.0  # Reynolds number
+
+
+class InertialFlow(Flow):
+    """Velocity of inertial particles, one row of points for each particle.
+
+    v = u + s (g - Du/Dt),  s = (rho_p / rho_f - 1) d^2 / (18 nu)
+
+    It is the slow solution of the equation of motion of Maxey and Riley with drag, added mass,
+    pressure gradient and buoyancy, without Basset's and Faxen's terms, to first order in the time
+    scale: Maxey, J. Fluid Mech. 174 (1987) 441-465; Ferry and Balachandar, Int. J. Multiphase Flow
+    27 (2001) 1199-1226.
+
+    Parameters
+    ----------
+    flow : of the fluid.
+    inertia : densities, viscosity and gravity.
+    diameter_mm : (n,) of the particles.
+    """
+
+    def __init__(self, flow: Flow, inertia: Inertia, diameter_mm: F64) -> None:
+        super().__init__(flow.parameters)
+        self._flow, self._gravity = flow, 1e3 * np.asarray(inertia.gravity_m_s2)
+        self._response_s = inertia.response_s(diameter_mm)[:, None]
+        self.name = flow.name  # type: ignore[misc]  # the flow that errors name
+
+    def velocity(self, points_mm: F64, time_s: float) -> F64:
+        """Compute velocities (n, 3) in mm/s of particles at points (n, 3)."""
+        fluid = self._flow.velocity(points_mm, time_s)
+        once, twice = (
+            self._flow.velocity(points_mm, time_s + n * _STEP_S) - fluid for n in (1.0, 2.0)
+        )  # forwards only: a field may begin at this time
+        carried = np.einsum("nij,nj->ni", self._flow.gradient(points_mm, time_s), fluid)
+        acceleration = (4.0 * once - twice) / (2.0 * _STEP_S) + carried
+        return np.asarray(fluid + self._response_s * (self._gravity - acceleration))
+
+
+def velocity_of(
+    flow: Flow, inertia: Inertia | None, points_mm: F64, diameter_mm: F64, time_s: float
+) -> F64:
+    """Compute the velocities of particles; without inertia, those of the fluid."""
+    if inertia is None:
+        return flow.velocity(points_mm, time_s)
+    return InertialFlow(flow, inertia, diameter_mm).velocity(points_mm, time_s)
+
+
+def move_particles(
+    flow: Flow,
+    inertia: Inertia | None,
+    points_mm: F64,
+    diameter_mm: F64,
+    start_s: float,
+    end_s: float,
+    tolerance_mm: float,
+) -> F64:
+    """Move particles (n, 3) from one time to another.
+
+    Without inertia they move with the fluid.
+    """
+    if inertia is None:
+        return advect(flow, points_mm, start_s, end_s, tolerance_mm)
+    moved = np.array(points_mm, dtype=np.float64)
+    for first in range(0, len(moved), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        own = InertialFlow(flow, inertia, diameter_mm[part])
+        moved[part] = advect(own, moved[part], start_s, end_s, tolerance_mm)
+    return moved
+
+
+def check_inertia(
+    flow: Flow, inertia: Inertia, points_mm: F64, diameter_mm: F64, time_s: float, title: str
+) -> None:
+    """Raise an InputError for particles that the first order does not describe."""
+    if not len(points_mm):
+        return
+    rate = np.linalg.norm(flow.gradient(points_mm, time_s), ord=2, axis=(1, 2))
+    stokes = float((inertia.relaxation_s(diameter_mm) * rate).max())
+    own = InertialFlow(flow, inertia, diameter_mm).velocity(points_mm, time_s)
+    slip = np.linalg.norm(own - flow.velocity(points_mm, time_s), axis=1)
+    reynolds = float((slip * diameter_mm).max() / inertia.viscosity_mm2_s)
+    for what, value, most in (
+        ("Stokes number (relaxation time times the gradient)", stokes, _LARGEST),
+        ("Reynolds number of their slip", reynolds, _FASTEST),
+    ):
+        if value > most:
+            raise InputError(
+                f"{title}: inertia: expected particles with a {what} of at most {most:g}, "
+                f"got {value:.3g}"
+            )

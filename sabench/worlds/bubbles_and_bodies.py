@@ -1,18 +1,29 @@
 """Bubbles and bodies of a scene's frames, checked for impossible ones.
 
+bubbles_and_bodies: Bubbles and bodies of a scene's frames, checked for impossible ones.
+
 Refused are bubbles that a wall cuts, two objects in one place, and bodies that are not closed.
+
+readable_codes: Readable codes on bodies: dark cells and their world positions.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from sabench.api import BubbleGenerator, Material, SolidGenerator, SolidParameters
+from sabench import plugins
+from sabench.api import (
+    BubbleGenerator,
+    Code,
+    CodeGenerator,
+    Material,
+    SolidGenerator,
+    SolidParameters,
+)
 from sabench.api.make import generator_of
 from sabench.api.truth import Bubbles, Solid
-from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import Wall
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import Pose, rotation_matrices
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.build import domain_of
 from sabench.scenes.tank import build_wall, check_one_plane
@@ -199,3 +210,28 @@ def _describe(bubbles: Bubbles, which: I64) -> str:
         for n in which[:_NAMED]
     ]
     return "; ".join(shown) + (" ..." if len(which) > _NAMED else "")
+
+
+def has_code(scene: Scene) -> bool:
+    """Return whether one of a scene's bodies has a code."""
+    return any(
+        issubclass(plugins.load("generators", given["generator"]), CodeGenerator)
+        for given in bodies_of(scene)
+    )
+
+
+def code_of(scene: Scene, seed: int, frame: int) -> Code:
+    """Make all cells of a frame's codes, world frame: truth, not for solvers."""
+    parts = []
+    for generator in (generator_of(given) for given in bodies_of(scene)):
+        if isinstance(generator, CodeGenerator):
+            own, pose = generator.code(seed), pose_of(generator.parameters, scene.time_s(frame))
+            parts.append(
+                Code(pose(own.points_mm.reshape(-1, 3)).reshape(own.points_mm.shape), own.dark)
+            )
+    if not parts:
+        raise InputError(f"{scene.title}: expected a body with a code, got none")
+    return Code(
+        np.concatenate([part.points_mm for part in parts]),
+        np.concatenate([part.dark for part in parts]),
+    )

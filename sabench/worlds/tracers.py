@@ -12,16 +12,16 @@ import numpy as np
 from sabench.api import BodyFlow, Flow, Generator, Velocity
 from sabench.api.make import generator_of
 from sabench.api.truth import Particles
-from sabench.geometry.frames import Domain
+from sabench.geometry.rigid_motion import Domain
 from sabench.scenes import Scene
 from sabench.scenes.build import domain_of
 from sabench.scenes.illumination import Illumination
 from sabench.utils.arrays import F64, Bool, in_box, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
+from sabench.worlds.advection import check_inertia, move_particles, velocity_of
 from sabench.worlds.bubbles_and_bodies import Phases, bodies_of
-from sabench.worlds.inertial import check_inertia, move_particles, velocity_of
-from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
+from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 
 TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path
 _SIZES = (0.01, 4000.0)  # size parameters, pi d n / lambda

@@ -15,7 +15,9 @@ FLOORS = (
     {"api", "scenes"},
     {"algorithms", "metrics", "dataset", "worlds"},
     {"tasks", "simulation"},
-    {"evaluation", "interop"},
+    {"evaluation"},
+    {"apps"},
+    {"interop"},
     {"cli"},
 )
 

@@ -21,11 +21,10 @@ from typing import Any
 import tomli_w
 
 import sabench
-from sabench.evaluation.hidden_split import read_secret
-from sabench.evaluation.suite_loading import load_suite
+from sabench.apps.own_calibration.folder import Configuration
+from sabench.evaluation.suite_loading import load_suite, read_secret
 from sabench.evaluation.suites import Suite
 from sabench.scenes import scene_schema
-from sabench.tasks.calibration_configuration import Configuration
 from tests.docs.pages import ROOT, Block
 
 

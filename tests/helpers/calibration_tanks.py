@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.calibration.initial_poses import place_boards
+from sabench.algorithms.calibration.resection import place_boards
 from sabench.api import Calibration, CalibrationCase
 from sabench.api.make import make_algorithm
 from sabench.api.truth import Target
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.utils.arrays import F64, triple
 
 BOARD = Target("checkerboard", 6, 5, 10.0, 0.0)

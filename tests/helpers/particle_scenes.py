@@ -11,7 +11,7 @@ import pytest
 
 from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.focusing import focus
 from sabench.simulation.rendering import particles_splatted

@@ -311,7 +311,7 @@ def calibration(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
         _damaged_images(folder, [c.name for c in base.target.setup.cameras], rng)
 
     def feed() -> None:
-        from sabench.tasks.own_calibration import calibrate
+        from sabench.apps.own_calibration.calibrate import calibrate
 
         calibrate(folder, out / "result", "refractive_autocal", {})
 
@@ -382,7 +382,7 @@ def secret(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
     write_toml(inputs / "secret.toml", {"secret": "0123456789abcdef", "seeds": 3}, rng)
 
     def feed() -> None:
-        from sabench.evaluation.hidden_split import read_secret
+        from sabench.evaluation.suite_loading import read_secret
 
         drawn = read_secret(inputs / "secret.toml")
         if drawn.seeds < 1000:

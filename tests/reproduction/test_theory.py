@@ -10,7 +10,7 @@ import pytest
 from reproduction import theory
 from reproduction.theory import TABLE_3_1, Algorithm, normality, operations, plane_spacing_ratio
 from sabench.geometry.camera import Camera
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.metrics.particle_detection import ghost_ratio
 
 S_O, S_I, PIXEL = 510.0, 102.0, 0.01  # mm: M(0) = -0.2

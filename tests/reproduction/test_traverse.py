@@ -20,7 +20,7 @@ from reproduction.chapter_4_traverse import (
 from reproduction.chapter_6_grid import _join, _reference, _scene, _to_reference
 from sabench.api import Calibration
 from sabench.geometry.projective_camera import fit_projective
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.utils.arrays import F64
 
 PAIR = ("test 1", "test 2")

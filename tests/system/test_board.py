@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.evaluation.leaderboard import page, page_content, rows
+from sabench.evaluation.leaderboard import board, page_content
 from sabench.evaluation.record_schema import Record
 from sabench.plotting import pictures
 from sabench.tasks import NAMES
@@ -55,7 +55,7 @@ def record(solver: str, q: float | None = None, **changes: Any) -> Record:
 
 def page_of(records: list[Record], folder: Path) -> str:
     """The page of these records as text."""
-    rows.build_page(records, folder / "pictures", folder / "index.html")
+    board.build_page(records, folder / "pictures", folder / "index.html")
     return (folder / "index.html").read_text(encoding="utf-8")
 
 
@@ -161,7 +161,7 @@ def test_the_page_loads_nothing_and_runs_two_scripts_only(tmp_path: Path) -> Non
     assert policy[0].count("sha256-") == 3
     assert not re.search(
         r"<link(?! rel=\"icon\" href=\"data:,\")|@import|url\(|<[a-z]+ src=",
-        text.replace(page.library(), ""),
+        text.replace(board.library(), ""),
     )
 
 
@@ -246,7 +246,7 @@ def test_a_solver_that_could_read_the_truth_is_marked(tmp_path: Path) -> None:
 def test_what_is_not_the_same_entry_is_another_row(changes: dict[str, Any]) -> None:
     assert [
         row["q"].mean
-        for row in rows.over_seeds([record("a", 0.5), record("a", 0.6, seed=2, **changes)])
+        for row in board.over_seeds([record("a", 0.5), record("a", 0.6, seed=2, **changes)])
     ] == [0.5, 0.6]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from sabench.evaluation.leaderboard import rows
+from sabench.evaluation.leaderboard import board
 from sabench.evaluation.record_schema import Record
 from sabench.utils.confidence import mean_of
 from tests.helpers.browser import Browser, chromium
@@ -103,7 +103,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         record("sees", task="see_through", read_percent=90.0),
     ]
-    rows.build_page(records, folder / "pictures", folder / "index.html")
+    board.build_page(records, folder / "pictures", folder / "index.html")
     return folder / "index.html"
 
 
@@ -144,7 +144,7 @@ def graded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         record("late", 0.6, seed=seed, case="standard", difficulty="standard", suite="volumes")
         for seed in (3, 4, 5)
     ]
-    rows.build_page([*levels(), *alone], folder / "pictures", folder / "index.html")
+    board.build_page([*levels(), *alone], folder / "pictures", folder / "index.html")
     return folder / "index.html"
 
 
@@ -459,7 +459,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for solver in range(20)
         for case in range(500)
     ]
-    rows.build_page(records, folder / "pictures", folder / "index.html")
+    board.build_page(records, folder / "pictures", folder / "index.html")
     return folder / "index.html"
 
 
@@ -513,7 +513,7 @@ def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Pa
         judged("b", 0.9, seconds=1.0),
         record("c", task="particles", f1=0.7, seconds=1.0),
     ]
-    rows.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
+    board.build_page(records, tmp_path / "pictures", tmp_path / "index.html")
     browser.open(tmp_path / "index.html", LOG)
     tables = "[...document.querySelectorAll('#tasks a')].map(one => one.firstChild.textContent)"
     assert browser.ask(tables) == ["particles", "particles, recorded"]

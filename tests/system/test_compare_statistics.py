@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import sabench
+from sabench.apps.recordings import measure_dataset
 from sabench.dataset.copies import pack
 from sabench.dataset.reader import Dataset
-from sabench.evaluation.recording_comparison import measure_dataset
 from sabench.evaluation.suite_loading import override
 from sabench.scenes import load_scene
 from tests.conftest import Command

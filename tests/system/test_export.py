@@ -11,7 +11,7 @@ import pytest
 from sabench.api import Detections, FoundParticles, Velocity
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result, result_writer
-from sabench.geometry.vector_calculus import vorticity
+from sabench.geometry.grid import vorticity
 from sabench.interop import vtkhdf
 from sabench.interop.vtkhdf import write_rig
 from sabench.metrics.synthesised_field import true_field

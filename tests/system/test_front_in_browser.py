@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from sabench.evaluation.leaderboard import rows
+from sabench.evaluation.leaderboard import board
 from sabench.evaluation.record_schema import Record
 from tests.helpers.browser import Browser, chromium
 from tests.system.test_board import HOSTILE, draw, record
@@ -102,7 +102,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for level in ("easy", "standard", "hard"):
         files = ["truth.png", *(f"{n}.png" for n in names), *(f"{n}.error.png" for n in names)]
         draw(folder / "pictures" / level, files)
-    rows.build_page(trial(), folder / "pictures", folder / "index.html")
+    board.build_page(trial(), folder / "pictures", folder / "index.html")
     return folder / "index.html"
 
 
@@ -262,7 +262,7 @@ def test_axe_finds_nothing(browser: Browser, page: Path, view: str, width: int, 
 
 def test_hostile_names_stay_text_in_the_ranking(browser: Browser, tmp_path: Path) -> None:
     records = [record(name, 0.5, suite=EVIL, case=EVIL, axis=EVIL) for name in (HOSTILE, EVIL)]
-    rows.build_page(records, tmp_path, tmp_path / "index.html")
+    board.build_page(records, tmp_path, tmp_path / "index.html")
     browser.open(tmp_path / "index.html")
     assert browser.ask("document.title") == "sabench leaderboard"
     assert browser.ask("document.querySelectorAll('[onerror], b img').length") == 0
@@ -281,7 +281,7 @@ def test_marks_of_results_are_kept_in_the_ranking(browser: Browser, tmp_path: Pa
         record("copy", 0.9, rms_px=0.1, **sent),
     ]
     records = [{**one, "suite": "trial"} for one in records]
-    rows.build_page(records, tmp_path, tmp_path / "index.html")
+    board.build_page(records, tmp_path, tmp_path / "index.html")
     browser.open(tmp_path / "index.html")
     chips = (
         "Object.fromEntries([...document.querySelectorAll('.board tbody tr')].map(row => "

@@ -16,7 +16,7 @@ from sabench.api.make import make_algorithm
 from sabench.geometry.volume_polynomials import points_in_mm
 from sabench.metrics.particle_detection import count_challenge
 from sabench.scenes import Scene, parse_scene
-from sabench.scenes.bundled import find
+from sabench.scenes.loading import find
 from sabench.simulation.in_memory import Shot, simulate, simulate_sequence
 
 TOP_LEFT = {3: (-151.5, -158.0), 2: (-72.5, -79.0)}  # of discs, by the cameras in a row

@@ -19,7 +19,7 @@ from sabench.api import Camera, CameraModel, ImageSequence, Observation
 from sabench.api.make import make_algorithm
 from sabench.geometry.camera import aim, aimed_rotation
 from sabench.geometry.cylinder_wall import CylinderWall
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.projective_camera import fit_projective
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.volume_polynomials import points_in_mm

@@ -23,7 +23,7 @@ class Missing:
         if name.split(".")[0] in {missing!r}:
             raise ModuleNotFoundError(name, name=name)
 sys.meta_path.insert(0, Missing())
-import sabench.evaluation.challenge.score, sabench.interop.tracks
+import sabench.apps.challenge.score, sabench.interop.tracks
 from sabench.cli.main import main
 sys.argv = ["sabench", *{words!r}]
 main()

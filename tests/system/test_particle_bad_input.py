@@ -16,7 +16,7 @@ import pytest
 
 from sabench.api import FoundParticles, ImageSequence, Observation
 from sabench.api.make import make_algorithm
-from sabench.tasks.found_frames import find_in_each_frame
+from sabench.tasks.particles_over_time import find_in_each_frame
 from sabench.tasks.solver_call import SolverClock
 from sabench.utils.arrays import F64
 from sabench.utils.errors import DeclinedError

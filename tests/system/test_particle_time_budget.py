@@ -10,7 +10,7 @@ import pytest
 
 from sabench.api import FoundParticles, ImageSequence
 from sabench.api.make import make_algorithm
-from sabench.tasks.found_frames import find_in_each_frame
+from sabench.tasks.particles_over_time import find_in_each_frame
 from sabench.tasks.solver_call import SolverClock
 from tests.helpers.small_particles import count_found, make_small
 

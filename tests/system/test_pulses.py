@@ -15,7 +15,7 @@ from sabench.api import FoundParticles
 from sabench.api.truth import Particles
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result, result_writer
-from sabench.metrics.claimed_accuracy import coverage
+from sabench.metrics.particle_bounds import coverage
 from sabench.metrics.particle_detection import challenge_pairs
 from sabench.scenes import find, parse_scene
 from sabench.simulation.pipeline import generate

@@ -278,7 +278,7 @@ def test_gates_compare_figures_without_truth(folder: Path, command: Command) -> 
 
 
 def test_a_private_test_set_has_scenes_alone(folder: Path) -> None:
-    from sabench.evaluation.hidden_split import Secret
+    from sabench.evaluation.suite_loading import Secret
 
     secret = Secret(secret="the organiser's own words", seeds=2)
     with pytest.raises(InputError, match="got recordings alone"):

@@ -127,7 +127,7 @@ import numpy as np
 
 from sabench.api import Generator, Parameters
 from sabench.api.truth import Particles
-from sabench.geometry.frames import Domain
+from sabench.geometry.rigid_motion import Domain
 
 
 class BreakerParameters(Parameters):

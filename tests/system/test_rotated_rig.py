@@ -13,7 +13,7 @@ from sabench.algorithms.particles import (
 )
 from sabench.algorithms.particles.candidate_search import rig_axes, turn_maps
 from sabench.api import FoundParticles, Observation
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.geometry.volume_polynomials import project_points
 from sabench.utils.arrays import F64
 from tests.helpers.small_particles import make_small, rotate_rig

@@ -19,10 +19,9 @@ import pytest
 
 from sabench.dataset.results import estimate_hash
 from sabench.evaluation import runner
-from sabench.evaluation.hidden_split import read_secret
 from sabench.evaluation.runner import dataset_of
-from sabench.evaluation.selection import Only
-from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suite_loading import load_suite, read_secret
+from sabench.evaluation.suites import Only
 from sabench.tasks.solve_and_score import score, score_iterations, solve
 from sabench.utils.errors import InputError, UncheckedError
 from tests.conftest import Command

@@ -26,7 +26,7 @@ from sabench.simulation.pipeline import generate
 from sabench.tasks.see_through import TASK
 from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
-from sabench.worlds.readable_codes import code_of
+from sabench.worlds.bubbles_and_bodies import code_of
 from tests.conftest import Command
 from tests.helpers.bubble_scenes import small
 

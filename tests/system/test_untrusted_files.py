@@ -18,12 +18,12 @@ import tifffile
 
 from sabench.api import Calibration, Camera
 from sabench.api.make import generator_of
+from sabench.apps.own_calibration.calibrate import check_finite
+from sabench.apps.own_calibration.folder import read_case
 from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.verification import probe, verify
 from sabench.images.tiff_exr import read_tiff, write_exr
-from sabench.tasks.calibration_folder import read_case
-from sabench.tasks.own_calibration import check_finite
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, read_json
 from sabench.utils.processes import call

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 import pytest
 
+from sabench.apps.viewer.contents import Contents, Frame, of_dataset, of_scene
+from sabench.apps.viewer.points import FOUND, MISSED, TRUE, Cloud
+from sabench.apps.viewer.view import render
 from sabench.dataset.reader import Dataset
-from sabench.evaluation.viewer.clouds import FOUND, MISSED, TRUE, Cloud
-from sabench.evaluation.viewer.contents import Contents, Frame, of_dataset, of_scene
-from sabench.evaluation.viewer.page import render
 from sabench.scenes import load_scene
 from tests.helpers.browser import Browser, chromium
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sabench.tasks.warm_up import warm_up
+from sabench.tasks.conformance import warm_up
 from sabench.utils.errors import InputError
 from sabench.utils.kernel_folder import kernel_folder
 

@@ -1,7 +1,12 @@
 """Bubbles: outlines, feature potentials and fits of backlit images."""
 
-from sabench.algorithms.bubbles.backlit_profile import Profile
-from sabench.algorithms.bubbles.ellipse_detection import find_edges, find_ellipses
+from sabench.algorithms.bubbles.backlit_images import Profile, transmission
+from sabench.algorithms.bubbles.ellipse_detection import (
+    find_edges,
+    find_ellipses,
+    radii_between,
+    vote,
+)
 from sabench.algorithms.bubbles.feature_peaks import (
     PLANES,
     STEP,
@@ -19,15 +24,18 @@ from sabench.algorithms.bubbles.feature_potential import (
     merge_overlaps,
     minimum_images,
 )
-from sabench.algorithms.bubbles.hough_circles import radii_between, vote
-from sabench.algorithms.bubbles.hypotheses import find_hypotheses, join_hypotheses, px_per_mm
 from sabench.algorithms.bubbles.phases import (
     SeparatedPhases,
     image_diameter_px,
     separate_phases,
 )
-from sabench.algorithms.bubbles.search import Limits, search_bubbles
-from sabench.algorithms.bubbles.transmission import transmission
+from sabench.algorithms.bubbles.search import (
+    Limits,
+    find_hypotheses,
+    join_hypotheses,
+    px_per_mm,
+    search_bubbles,
+)
 from sabench.geometry.turned_cameras import turn_camera, turn_grid, viewing_axes
 
 __all__ = [

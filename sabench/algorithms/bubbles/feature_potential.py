@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from sabench.algorithms.bubbles.transmission import transmission
+from sabench.algorithms.bubbles.backlit_images import transmission
 from sabench.algorithms.refocus import refocus_log2
 from sabench.api import Observation
 from sabench.geometry.grid import Grid

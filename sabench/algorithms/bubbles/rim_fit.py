@@ -1,4 +1,16 @@
-"""Bubbles fitted to all images simultaneously.
+"""Fit of spheroids to the rims of their shadows.
+
+ellipse_shadows: Transmission through a bubble whose image is an ellipse, pixel by pixel.
+
+An ellipse is its centre's column and row, and the inverse of its shape matrix as xx, xy, yy.
+
+spheroids: Spheroids as parameters, and the ellipses that they are in images.
+
+Parameters are x, y, z of the centre, the logarithms of the long and of the short semi-axis, and the
+tilts of the short axis about z and about x. The image in a camera is an ellipse, since a camera is
+almost linear over so small an object.
+
+rim_fit: Bubbles fitted to all images simultaneously.
 
 Light from behind several bubbles is dimmed by each of them. All bubbles together model the images
 by the product of their transmissions. One bubble, a spheroid, is fitted while the others stay, by
@@ -13,12 +25,172 @@ from typing import Any
 
 import numpy as np
 
-from sabench.algorithms.bubbles.backlit_profile import Profile
-from sabench.algorithms.bubbles.ellipse_shadows import DIM, box_of, shade_at, slopes_at
-from sabench.algorithms.bubbles.spheroids import images_of, linearise
+from sabench.algorithms.bubbles.backlit_images import LARGEST, REACH, SMALLEST, Profile
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
+
+DIM = 0.02  # transmission of the darkest model
+_MARGIN = 2.5  # px around a bubble that are looked at
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
+    """Interpolate transmission at a distance in px.
+
+    The distance is a part of the radius there. The profile's table is interpolated bilinearly.
+    """
+    radius = distance / part if part > 1e-9 else 1e9
+    radius = min(max(radius, SMALLEST), LARGEST)
+    across = distance / (radius + REACH * blur) * (table.shape[1] - 1)
+    if across >= table.shape[1] - 1:
+        return 1.0
+    position = np.log(radius / SMALLEST) / np.log(LARGEST / SMALLEST) * (table.shape[0] - 1)
+    i, j = min(int(position), table.shape[0] - 2), int(across)
+    u, v = position - i, across - j
+    upper = table[i, j] * (1.0 - v) + table[i, j + 1] * v
+    lower = table[i + 1, j] * (1.0 - v) + table[i + 1, j + 1] * v
+    return upper * (1.0 - u) + lower * u
+
+
+@numba.njit(cache=True, error_model="numpy")
+def shade_at(ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float) -> Any:
+    """Compute the transmission at a pixel; `middle` is the mean radius, px."""
+    x, y = column - ellipse[0], row - ellipse[1]
+    distance = np.sqrt(x * x + y * y)
+    part = np.sqrt(max(ellipse[2] * x * x + 2.0 * ellipse[3] * x * y + ellipse[4] * y * y, 0.0))
+    if distance < 1e-6:
+        return (
+            _shade(table, blur, 0.0, 0.0)
+            if middle <= 0.0
+            else _shade(table, blur, 1e-6 * middle, 1e-6)
+        )
+    return _shade(table, blur, distance, part)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def slopes_at(
+    ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float, out: Any
+) -> Any:
+    """Compute the transmission at a pixel, and its derivatives by the ellipse.
+
+    The transmission is at least `DIM`. Derivatives of the table are those of its bilinear
+    interpolation.
+    """
+    out[:] = 0.0
+    here = shade_at(ellipse, column, row, middle, table, blur)
+    x, y = column - ellipse[0], row - ellipse[1]
+    distance = np.sqrt(x * x + y * y)
+    part = np.sqrt(max(ellipse[2] * x * x + 2.0 * ellipse[3] * x * y + ellipse[4] * y * y, 0.0))
+    if here <= DIM or distance < 1e-6 or part <= 1e-9:
+        return max(here, DIM)
+    free = distance / part
+    radius = min(max(free, SMALLEST), LARGEST)
+    reach, most = radius + REACH * blur, table.shape[1] - 1
+    across = distance / reach * most
+    if across >= most:
+        return here
+    rate = (table.shape[0] - 1) / np.log(LARGEST / SMALLEST)
+    position = np.log(radius / SMALLEST) * rate
+    i, j = min(int(position), table.shape[0] - 2), int(across)
+    u, v = position - i, across - j
+    by_across = (table[i, j + 1] - table[i, j]) * (1.0 - u) + (
+        table[i + 1, j + 1] - table[i + 1, j]
+    ) * u
+    by_position = (table[i + 1, j] - table[i, j]) * (1.0 - v) + (
+        table[i + 1, j + 1] - table[i, j + 1]
+    ) * v
+    by_radius = by_position * rate / radius - by_across * across / reach if radius == free else 0.0
+    by_distance = by_across * most / reach + by_radius / part
+    by_part = -by_radius * distance / (part * part)
+    out[0] = -by_distance * x / distance - by_part * (ellipse[2] * x + ellipse[3] * y) / part
+    out[1] = -by_distance * y / distance - by_part * (ellipse[3] * x + ellipse[4] * y) / part
+    out[2] = by_part * x * x / (2.0 * part)
+    out[3] = by_part * x * y / part
+    out[4] = by_part * y * y / (2.0 * part)
+    return here
+
+
+@numba.njit(cache=True, error_model="numpy")
+def box_of(ellipse: Any, shape: Any, blur: float) -> Any:
+    """Find the rows and columns that an ellipse's image reaches, and its mean radius."""
+    determinant = ellipse[2] * ellipse[4] - ellipse[3] * ellipse[3]
+    width, height = np.sqrt(ellipse[4] / determinant), np.sqrt(ellipse[2] / determinant)
+    margin = REACH * blur + _MARGIN
+    top, bottom = (
+        int(max(np.floor(ellipse[1] - height - margin), 0)),
+        int(min(np.ceil(ellipse[1] + height + margin) + 1, shape[0])),
+    )
+    left, right = (
+        int(max(np.floor(ellipse[0] - width - margin), 0)),
+        int(min(np.ceil(ellipse[0] + width + margin) + 1, shape[1])),
+    )
+    return top, bottom, left, right, determinant**-0.25
+
+
+def start_of(center_mm: F64, radius_mm: float, aspect: float = 1.0) -> F64:
+    """Return parameters of a ball, or of a spheroid that lies flat."""
+    return np.array([*center_mm, np.log(radius_mm), np.log(aspect * radius_mm), 0.0, 0.0])
+
+
+def turn_of(parameters: F64) -> F64:
+    """Return the rotation (..., 3, 3) to the axes of bubbles (..., 7).
+
+    It is from the world; the second row is the short axis.
+    """
+    a, b = parameters[..., 5], parameters[..., 6]
+    x, y, z = np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b), np.sin(b)
+    length = np.hypot(x, y)
+    right, ahead, level = y / length, -x / length, np.zeros_like(x)
+    rows = [right, ahead, level, x, y, z, ahead * z, -right * z, right * y - ahead * x]
+    return np.stack(rows, axis=-1).reshape(*x.shape, 3, 3)
+
+
+def semi_axes_of(parameters: F64) -> F64:
+    """Compute the semi-axes (..., 3) along the rows of `turn_of`."""
+    long, short = np.exp(parameters[..., 3]), np.exp(parameters[..., 4])
+    return np.stack([long, short, long], axis=-1)
+
+
+def images_of(linear: tuple[F64, F64, F64], parameters: F64) -> F64:
+    """Compute the ellipses (camera, ..., 5) of bubbles (..., 7).
+
+    Centre column and row, and the inverse of its shape matrix as xx, xy, yy.
+
+    Parameters
+    ----------
+    linear : from `linearise`: a position, its pixels (camera, 2) and their derivatives (camera, 2,
+        3).
+    """
+    position, pixels, jacobians = linear
+    among = parameters.ndim - 1
+    pixels = pixels.reshape(-1, *(1,) * among, 2)
+    jacobians = jacobians.reshape(-1, *(1,) * among, 2, 3)
+    rotation, axes = turn_of(parameters), semi_axes_of(parameters)
+    half = jacobians @ (rotation.swapaxes(-1, -2) * axes[..., None, :])  # (camera, ..., 2, 3)
+    xx, yy = np.sum(half[..., 0, :] ** 2, axis=-1), np.sum(half[..., 1, :] ** 2, axis=-1)
+    xy = np.sum(half[..., 0, :] * half[..., 1, :], axis=-1)
+    out = np.empty((*half.shape[:-2], 5))
+    offset = parameters[..., :3] - position
+    out[..., :2] = pixels + np.sum(jacobians * offset[..., None, :], axis=-1)
+    determinant = xx * yy - xy**2
+    out[..., 2], out[..., 3], out[..., 4] = yy / determinant, -xy / determinant, xx / determinant
+    return out
+
+
+def linearise(cameras: Sequence[Camera], position: F64) -> tuple[F64, F64, F64]:
+    """Linearise every camera around a position."""
+    step = 0.05
+    points = np.concatenate(
+        [position[None], position + step * np.eye(3), position - step * np.eye(3)]
+    )
+    pixels = np.stack([camera.project(points)[0] for camera in cameras])
+    return (
+        position.copy(),
+        pixels[:, 0],
+        np.asarray((pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step)),
+    )
+
 
 # of the parameters of a spheroid
 _STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # of differences

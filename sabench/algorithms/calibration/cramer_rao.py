@@ -9,12 +9,15 @@ from scipy.linalg import block_diag
 from scipy.special import ellipe
 
 from sabench.algorithms.calibration import any_wall
-from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
+from sabench.algorithms.calibration.bundle_adjustment import (
+    BoardImages,
+    follow_wall,
+    normal_equations,
+)
 from sabench.algorithms.calibration.kernels import BOARD
-from sabench.algorithms.calibration.known_cameras import follow_wall
 from sabench.algorithms.calibration.normal_equations import spreads
 from sabench.algorithms.calibration.parameters import FreeParameters, State
-from sabench.geometry.rotations import skew
+from sabench.geometry.rigid_motion import skew
 from sabench.utils.arrays import F64, Bool
 
 # eigenvalues below this fraction of the largest belong to what the observations leave open

@@ -10,9 +10,8 @@ import itertools
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, residuals
-from sabench.algorithms.calibration.end_state import check_end
-from sabench.algorithms.calibration.parameters import Frame, State
-from sabench.algorithms.calibration.wall_frame import common_plane
+from sabench.algorithms.calibration.fit_checks import check_end
+from sabench.algorithms.calibration.parameters import Frame, State, common_plane
 from sabench.api import CalibrationCase
 from sabench.api.truth import Target
 from sabench.geometry.refraction import Wall

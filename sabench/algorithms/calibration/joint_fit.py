@@ -1,30 +1,138 @@
-"""Joint fit of cameras, boards and wall that ends in a possible state.
+"""Joint fit of cameras, wall and points: direct, robust and alternating.
+
+robust: Bundle adjustment with detection of outliers.
+
+joint_fit: Joint fit of cameras, boards and wall that ends in a possible state.
 
 Lenses and boards come first. What images hardly show, or not at all, follows: the known places fix
 the world and the depth, and nominal values hold the wall.
+
+alternating: Auto-calibration of the thesis.
+
+Cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
+
+Source: J. Belden, PhD thesis, MIT 2011, figure 4-1 and section 4.4.2.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import (
     Anchor,
     BoardImages,
+    Fit,
+    Moving,
     Prior,
     refine,
     residuals,
 )
-from sabench.algorithms.calibration.end_state import depths_of, list_faults, mirror_boards
+from sabench.algorithms.calibration.fit_checks import depths_of, list_faults, mirror_boards
 from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
-from sabench.algorithms.calibration.robust import Robust, adjust, median_noise
 from sabench.geometry.rigid_motion import RigidMotion
+from sabench.utils.arrays import F64, I64, Bool
+
+_NOTHING_ODD = 6.0  # standard deviations that no error of honest points exceeds: 3e-8 of them do
+_REJECT = 4.0  # standard deviations beyond which a point counts as an outlier
+_REWEIGHTINGS = 10
+_RAYLEIGH_MEDIAN = 1.17741  # median length of a pair of standard normal numbers
+_CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
+
+Held = Literal["richer model", "initial guess"]
+
+
+@dataclass(frozen=True)
+class Robust:
+    """Fit, the observations (camera, board, point) used, and their noise in px.
+
+    The noise is that of one coordinate. `held` says where the depth of the boards had to be
+    held, if it had to be.
+    """
+
+    fit: Fit
+    used: Bool
+    noise_px: float
+    held: Held | None = None
+
+
+def adjust(
+    state: State,
+    seen: BoardImages,
+    free: FreeParameters,
+    *,
+    noise_px: float | None = None,
+    moving: Moving = "all",
+) -> Robust:
+    """Fit by least squares, robustly if errors exceed normal noise.
+
+    The robust fit uses Cauchy's loss, then rejects outliers, then uses least squares again.
+
+    Parameters
+    ----------
+    noise_px : of the pixel coordinates, if it is known; by default it is estimated from the median
+        error.
+    moving : what is adjusted, as for `refine`.
+    """
+    start = np.asarray(seen.weights > 0.0)
+    fit, used = refine(state, seen, free, moving=moving), start
+    noise = noise_px or _noise(_lengths(fit.state, seen), used)
+    if _lengths(fit.state, seen)[used].max(initial=0.0) <= _NOTHING_ODD * max(noise, 1e-9):
+        return Robust(fit, used, noise)
+    fit = _fit_cauchy(fit.state, seen, free, moving)
+    for _ in range(_REWEIGHTINGS):
+        lengths = _lengths(fit.state, seen)
+        noise = _noise(lengths, used)
+        kept = start & (lengths <= _REJECT * max(noise, 1e-9))
+        if np.array_equal(kept, used):
+            break
+        used = kept
+        kept_only = replace(seen, weights=np.where(used, seen.weights, 0.0))
+        fit = refine(fit.state, kept_only, free, moving=moving)
+    return Robust(fit, used, noise)
+
+
+def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters, moving: Moving) -> Fit:
+    """Fit with Cauchy's loss, whose scale follows the errors down."""
+    used = np.asarray(seen.weights > 0.0)
+    scale = np.inf
+    for _ in range(_REWEIGHTINGS):
+        smaller = _CAUCHY * max(_noise(_lengths(state, seen), used), 1e-6)
+        if smaller > 0.9 * scale:
+            break
+        scale = smaller
+        fit = refine(state, seen, free, scale, moving=moving)
+        state = fit.state
+    return fit
+
+
+def _lengths(state: State, seen: BoardImages) -> F64:
+    """Compute reprojection errors (camera, board, point) in px.
+
+    Infinite where there is none.
+    """
+    lengths = np.linalg.norm(residuals(state, seen), axis=-1)
+    return np.where(np.isfinite(lengths), lengths, np.inf)
+
+
+def median_noise(lengths: F64) -> float:
+    """Compute the noise of coordinates whose pairs have this median length.
+
+    The noise is the standard deviation of normal coordinates.
+    """
+    return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
+
+
+def _noise(lengths: F64, used: Bool) -> float:
+    """Compute the standard deviation per coordinate that explains the median error."""
+    return median_noise(lengths[used])
+
 
 _LEAST_NOISE_PX = 1e-3  # with which known places are weighed
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
@@ -176,3 +284,100 @@ def hold_depth(
         for board in there.tolist()
     )
     return replace(seen, anchors=(*seen.anchors, *held))
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """End of an alternation and the errors on its way.
+
+    The errors are the largest mean reprojection error of a camera (px) before it began and after
+    every round.
+    """
+
+    state: State
+    errors_px: tuple[float, ...]
+
+
+def alternate(
+    state: State, seen: BoardImages, free: FreeParameters, tolerance_px: float, most: int
+) -> Rounds:
+    """Adjust cameras and boards in turn.
+
+    Stop when the largest of the cameras' mean reprojection errors changes by less than the
+    tolerance.
+    """
+    errors = [_largest(state, seen)]
+    while len(errors) <= most:
+        state = _boards(_cameras(state, seen, free), seen, free)
+        errors.append(_largest(state, seen))
+        if abs(errors[-1] - errors[-2]) < tolerance_px:
+            break
+    return Rounds(state, tuple(errors))
+
+
+def select_cameras(state: State, seen: BoardImages, cameras: I64) -> tuple[State, BoardImages]:
+    """Select some of the cameras, and what they see."""
+    part = replace(
+        state,
+        rotations=state.rotations[cameras],
+        centers=state.centers[cameras],
+        lenses=state.lenses[cameras],
+    )
+    return part, replace(
+        seen,
+        pixels=np.ascontiguousarray(seen.pixels[cameras]),
+        weights=np.ascontiguousarray(seen.weights[cameras]),
+        frame=seen.frame and seen.frame.select(cameras),
+    )
+
+
+def _cameras(state: State, seen: BoardImages, free: FreeParameters) -> State:
+    """Adjust every camera on its own to the boards as they are."""
+    fits = [
+        refine(*select_cameras(state, seen, np.array([number])), free, moving="cameras").state
+        for number in range(len(state.rotations))
+    ]
+    rotations, centers, lenses = (
+        np.concatenate([getattr(fit, name) for fit in fits])
+        for name in ("rotations", "centers", "lenses")
+    )
+    return replace(state, rotations=rotations, centers=centers, lenses=lenses)
+
+
+def _boards(state: State, seen: BoardImages, free: FreeParameters) -> State:
+    """Adjust every board on its own to the cameras as they are."""
+    rotations, positions = state.board_rotations.copy(), state.board_positions.copy()
+    for number in np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0).tolist():
+        own = slice(number, number + 1)
+        view = replace(
+            seen,
+            pixels=np.ascontiguousarray(seen.pixels[:, own]),
+            weights=np.ascontiguousarray(seen.weights[:, own]),
+            anchors=(),
+        )
+        fit = refine(
+            replace(
+                state, board_rotations=rotations[own].copy(), board_positions=positions[own].copy()
+            ),
+            view,
+            free,
+            moving="boards",
+        ).state
+        rotations[own], positions[own] = fit.board_rotations, fit.board_positions
+    return replace(state, board_rotations=rotations, board_positions=positions)
+
+
+def _largest(state: State, seen: BoardImages) -> float:
+    lengths = np.where(seen.weights > 0.0, np.linalg.norm(residuals(state, seen), axis=-1), np.nan)
+    return float(np.nanmax(np.nanmean(lengths.reshape(len(lengths), -1), axis=1)))
+
+
+def mean_rotation(rotations: F64) -> F64:
+    """Average rotations (n, ..., 3, 3) in the least-squares sense of their entries.
+
+    Returns (..., 3, 3).
+    """
+    left, _, right = np.linalg.svd(rotations.mean(axis=0))
+    sign = np.sign(np.linalg.det(left @ right))
+    left[..., :, 2] *= sign[..., None]
+    return np.asarray(left @ right)

@@ -21,7 +21,7 @@ from sabench.utils.compiled import numba
 CAMERA = 16
 BOARD = 6  # rotation 3, position 3
 BEND = 3  # of a board: along its X, its twist, along its Y
-_STEPS = 60
+_MOST_ITERATIONS = 60
 
 
 @numba.njit(cache=True)
@@ -35,7 +35,7 @@ def bend(indices: Any, depths: Any, radius: float) -> float:
     for i in range(len(indices)):
         paraxial += depths[i] * rarest / indices[i]
     slope = radius / paraxial
-    for _ in range(_STEPS):
+    for _ in range(_MOST_ITERATIONS):
         value, gradient = -radius, 0.0
         for i in range(len(indices)):
             r = indices[i] / rarest

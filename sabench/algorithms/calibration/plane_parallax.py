@@ -19,7 +19,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sabench.algorithms.calibration.misfit import correlated_part, neighbours
+from sabench.algorithms.calibration.fit_checks import correlated_part, neighbours
 from sabench.geometry.projective_camera import Projective
 from sabench.utils.arrays import F64, Bool, nested
 from sabench.utils.errors import InputError

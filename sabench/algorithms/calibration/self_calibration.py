@@ -13,8 +13,8 @@ import numpy as np
 
 from sabench.algorithms.calibration.bundle_adjustment import Anchor, BoardImages, refine, residuals
 from sabench.algorithms.calibration.disparity import Sets, correct, find_sets, pair_up
+from sabench.algorithms.calibration.joint_fit import median_noise
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
-from sabench.algorithms.calibration.robust import median_noise
 from sabench.algorithms.particles.candidate_search import rig_axes, turn_maps
 from sabench.algorithms.particles.matching import detect_in_cameras
 from sabench.api import Observation

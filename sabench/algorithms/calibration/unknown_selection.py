@@ -17,14 +17,14 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     refine,
     residuals,
 )
-from sabench.algorithms.calibration.end_state import list_faults
+from sabench.algorithms.calibration.fit_checks import list_faults
 from sabench.algorithms.calibration.joint_fit import fit_jointly, fixes_world, make_prior
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.api import CalibrationCase
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
-from sabench.utils.fields import Unknown
+from sabench.utils.validation import Unknown
 
 _GROUPS: tuple[tuple[Unknown, ...], ...] = (
     ("principal_point",),

@@ -4,8 +4,7 @@ Images of all cameras are summed or multiplied on planes of the world, or on oth
 """
 
 from sabench.algorithms.refocus.edges import Edges, find_edges
-from sabench.algorithms.refocus.plane_view import find_edge_on
-from sabench.algorithms.refocus.surface import Join, SurfaceImage, refocus_on_surface
+from sabench.algorithms.refocus.surface import Join, SurfaceImage, find_edge_on, refocus_on_surface
 from sabench.algorithms.refocus.synthetic_aperture import (
     count_views,
     refocus_by_shifts,

@@ -11,9 +11,8 @@ from scipy.ndimage import map_coordinates, uniform_filter
 from sabench.algorithms.velocimetry.multipass import Field
 from sabench.api import Observation, Velocity
 from sabench.geometry.camera_model import CameraModel
-from sabench.geometry.grid import Grid
-from sabench.geometry.plane_sections import cut_box
-from sabench.geometry.rotations import cross, frame_of_normal
+from sabench.geometry.grid import Grid, cut_box
+from sabench.geometry.rigid_motion import cross, frame_of_normal
 from sabench.utils.arrays import F32, F64, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
 

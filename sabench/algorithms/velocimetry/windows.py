@@ -1,4 +1,13 @@
-"""Windows of a volume, their correlation, and its peaks."""
+"""Correlation of windows and its peaks, on the CPU.
+
+correlation_kernels: Correlation of windows and its peaks, on the CPU.
+
+Overlapping windows share their voxels. A volume is cut into blocks whose edges are the windows'
+spacing. The products of one volume with the other, shifted, are summed over each block once, and a
+window is a sum of blocks: its cost does not depend on the overlap.
+
+windows: Windows of a volume, their correlation, and its peaks.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +15,250 @@ import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.fft
 
-from sabench.algorithms.velocimetry.correlation_kernels import (
-    block_sums,
-    circular_peaks,
-    cut_windows,
-    small_peaks,
-)
 from sabench.utils.arrays import F32, F64, I64
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def block_sums(
+    first: Any, second: Any, block: Any, search: Any, products: Any, squares: Any
+) -> None:
+    """Fill in block sums of first x shifted second, and of the latter's square.
+
+    The sums are filled in for every shift.
+
+    Parameters
+    ----------
+    first, second : (z, y, x) float32.
+    block : voxels (z, y, x) of a block.
+    search : largest shift (z, y, x).
+    products, squares : (block z, block y, block x, shifts), the shifts in the order of z, y, x from
+        -search to search. Voxels beyond the volume count as zero.
+    """
+    deep, high, wide = products.shape[:3]
+    rz, ry, rx = search
+    across = 2 * rx + 1
+    for job in numba.prange(deep * high):
+        bz, by = job // high, job % high
+        rows = np.zeros(
+            (across + 1, second.shape[2] + 2 * rx), dtype=np.float32
+        )  # products for every shift along x, and squares
+        for dz in range(-rz, rz + 1):
+            for dy in range(-ry, ry + 1):
+                rows[:] = 0.0
+                for z in range(bz * block[0], (bz + 1) * block[0]):
+                    for y in range(by * block[1], (by + 1) * block[1]):
+                        if 0 <= z + dz < second.shape[0] and 0 <= y + dy < second.shape[1]:
+                            _add_rows(first[z, y], second[z + dz, y + dy], rx, rows)
+                position = ((dz + rz) * (2 * ry + 1) + dy + ry) * across
+                for bx in range(wide):
+                    for n in range(across):
+                        product, square = np.float32(0.0), np.float32(0.0)
+                        for x in range(bx * block[2], (bx + 1) * block[2]):
+                            product += rows[n, x]
+                            square += rows[across, x + n]
+                        products[bz, by, bx, position + n] = product
+                        squares[bz, by, bx, position + n] = square
+
+
+@numba.njit(cache=True, fastmath=True)
+def _add_rows(one: Any, other: Any, search: int, rows: Any) -> None:
+    """Add the products of two rows for all shifts along them.
+
+    Also adds the second row's squares. The second begins `search` voxels further right.
+    """
+    count = len(one)
+    for n in range(2 * search + 1):
+        dx = n - search
+        low, high = max(0, -dx), min(count, count - dx)
+        target, left, right = rows[n, low:high], one[low:high], other[low + dx : high + dx]
+        for x in range(len(target)):
+            target[x] += left[x] * right[x]
+    target = rows[2 * search + 1, search : search + count]
+    for x in range(count):
+        target[x] += other[x] * other[x]
+
+
+@numba.njit(cache=True, fastmath=True, parallel=True)
+def small_peaks(
+    products: Any, squares: Any, weights: Any, search: Any, floor: float, shift: Any, height: Any
+) -> None:
+    """Fill in the peaks of the normalised correlation of windows.
+
+    The windows are weighted sums of blocks.
+
+    Parameters
+    ----------
+    products, squares : two each of what `block_sums` fills in, of the second volume shifted and of
+        the first one.
+    weights : three lines of the blocks of a window, along z, y and x.
+    search : largest shift (z, y, x).
+    floor : mean of both volumes' squares over a window below which there is no signal.
+    shift, height : (z, y, x, 3) displacements (x, y, z), and (z, y, x) the correlation there, 0
+        without signal.
+    """
+    deep, high, wide = height.shape
+    count = products[0].shape[3]
+    for job in numba.prange(deep * high):
+        z, y = job // high, job % high
+        sums, curve = np.empty((4, count), dtype=np.float32), np.empty(count, dtype=np.float32)
+        for x in range(wide):
+            sums[:] = 0.0
+            for i in range(len(weights[0])):
+                for j in range(len(weights[1])):
+                    for k in range(len(weights[2])):
+                        weight = weights[0][i] * weights[1][j] * weights[2][k]
+                        _add(weight, products[0][z + i, y + j, x + k], sums[0])
+                        _add(weight, products[1][z + i, y + j, x + k], sums[1])
+                        _add(weight, squares[0][z + i, y + j, x + k], sums[2])
+                        _add(weight, squares[1][z + i, y + j, x + k], sums[3])
+            _normalise(sums, floor, curve)
+            height[z, y, x] = _highest(curve, search, shift[z, y, x])
+
+
+@numba.njit(cache=True, fastmath=True)
+def _add(weight: Any, values: Any, total: Any) -> None:
+    for n in range(len(total)):
+        total[n] += weight * values[n]
+
+
+@numba.njit(cache=True, fastmath=True)
+def _normalise(sums: Any, floor: float, curve: Any) -> None:
+    """Compute the correlation over shifts, the mean of both directions.
+
+    Opposite shifts stand at opposite ends.
+    """
+    count = len(curve)
+    rest = sums[2, count // 2], sums[3, count // 2]
+    for n in range(count):
+        scale = np.sqrt(
+            max((sums[2, n] + rest[0]) * (sums[3, count - 1 - n] + rest[1]), np.float32(0.0))
+        )
+        curve[n] = (sums[0, n] + sums[1, count - 1 - n]) / scale if scale > 2.0 * floor else 0.0
+
+
+@numba.njit(cache=True, fastmath=True)
+def _highest(curve: Any, search: Any, shift: Any) -> Any:
+    """Fill in the position (x, y, z) of the best of small shifts; return its height.
+
+    It is accurate to fractions of a voxel where its neighbours were computed.
+    """
+    top = 0
+    for n in range(len(curve)):
+        if curve[n] > curve[top]:
+            top = n
+    across, along = 2 * search[2] + 1, (2 * search[2] + 1) * (2 * search[1] + 1)
+    position = (
+        top % across - search[2],
+        top % along // across - search[1],
+        top // along - search[0],
+    )
+    strides, ends = (1, across, along), (search[2], search[1], search[0])
+    for axis in range(3):
+        shift[axis] = position[axis]
+        if (
+            abs(position[axis]) < ends[axis]
+        ):  # at the edge of the search: the whole step, no more is known
+            shift[axis] += _vertex(
+                curve[top - strides[axis]], curve[top], curve[top + strides[axis]]
+            )
+        if curve[top] <= 0.0:
+            shift[axis] = 0.0
+    return curve[top]
+
+
+@numba.njit(cache=True, fastmath=True)
+def _vertex(before: float, here: float, after: float) -> float:
+    """Locate the peak of the Gaussian through three values, from the middle one.
+
+    A parabola replaces the Gaussian where not all values are positive.
+    """
+    if min(before, here, after) > 0.0:
+        before, here, after = math.log(before), math.log(here), math.log(after)
+    bend = before - 2.0 * here + after
+    return min(max(0.5 * (before - after) / bend, -1.0), 1.0) if bend < 0.0 else 0.0
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
+    """Fill in windows (n, z, y, x) of a volume less their means.
+
+    The windows begin at corners (n, 3). Also fills in the sums of their squares (n,).
+    """
+    _, deep, high, wide = out.shape
+    for n in range(len(corners)):
+        z, y, x = corners[n]
+        total = 0.0
+        for k in range(deep):
+            for j in range(high):
+                row, to = volume[z + k, y + j, x : x + wide], out[n, k, j]
+                for i in range(wide):
+                    to[i] = row[i]
+                    total += row[i]
+        mean, flat, squares = np.float32(total / (deep * high * wide)), out[n].ravel(), 0.0
+        for i in range(len(flat)):
+            flat[i] -= mean
+            squares += flat[i] * flat[i]
+        energy[n] = squares
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
+    """Fill in the highest peaks of circular correlations (n, z, y, x).
+
+    Displacements (n, 3) as x, y, z, the heights, and their ratios to the highest
+    values elsewhere. The surroundings of the peaks are set to zero.
+    """
+    count, deep, high, wide = planes.shape
+    for n in range(count):
+        plane = planes[n]
+        flat = plane.ravel()
+        top = _largest(flat)
+        z, y, x = top // (high * wide), top // wide % high, top % wide
+        here = flat[top]
+        shift[n, 0] = _to_displacement(x, wide) + _vertex(
+            plane[z, y, x - 1], here, plane[z, y, (x + 1) % wide]
+        )
+        shift[n, 1] = _to_displacement(y, high) + _vertex(
+            plane[z, y - 1, x], here, plane[z, (y + 1) % high, x]
+        )
+        shift[n, 2] = _to_displacement(z, deep) + _vertex(
+            plane[z - 1, y, x], here, plane[(z + 1) % deep, y, x]
+        )
+        for k in range(-1, 2):
+            for j in range(-1, 2):
+                for i in range(-1, 2):
+                    plane[(z + k) % deep, (y + j) % high, (x + i) % wide] = 0.0
+        height[n], ratio[n] = here, here / max(flat[_largest(flat)], 1e-12 * here, 1e-30)
+
+
+@numba.njit(cache=True, fastmath=True)
+def _largest(values: Any) -> int:
+    """Find the first of the largest values.
+
+    The largest is found without branches, then its position.
+    """
+    most = values[0]
+    for n in range(len(values)):
+        most = max(most, values[n])
+    for n in range(len(values)):
+        if values[n] == most:
+            return n
+    return 0
+
+
+@numba.njit(cache=True)
+def _to_displacement(position: int, count: int) -> int:
+    """Turn a circular shift into a displacement."""
+    return position - count if position > count // 2 else position
+
 
 Size = tuple[int, int, int]
 _AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms at once

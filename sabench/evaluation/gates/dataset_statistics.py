@@ -14,7 +14,7 @@ from sabench.dataset.reader import Dataset
 from sabench.evaluation.gates.independent_projection import retrace
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F64
-from sabench.worlds.readable_codes import code_of
+from sabench.worlds.bubbles_and_bodies import code_of
 
 _TRACED = 40  # points that are projected a second time
 

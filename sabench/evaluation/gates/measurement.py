@@ -1,4 +1,11 @@
-"""Measurement of a case: statistics of its data set, and figures of its solvers."""
+"""Estimates that are wrong in a known way, and their scores.
+
+known_wrong_estimates: Estimates that are wrong in a known way, and their scores.
+
+A bug in a metric that flatters every solver shows in these.
+
+measurement: Measurement of a case: statistics of its data set, and figures of its solvers.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +15,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from sabench import tasks
 from sabench.dataset.reader import Dataset
-from sabench.dataset.results import open_result
+from sabench.dataset.results import open_result, result_writer
 from sabench.evaluation.gates.baseline import (
     COSTS,
     QUALITY,
@@ -21,14 +29,40 @@ from sabench.evaluation.gates.baseline import (
 )
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.findings import compare, scale_times
-from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
-from sabench.evaluation.judged_without_truth import judge
+from sabench.evaluation.recorded_cases import judge
 from sabench.evaluation.runner import dataset_of, discard
 from sabench.evaluation.suites import Case, RecordedCase, SolverEntry
 from sabench.evaluation.timed_solving import solve_timed
 from sabench.tasks.external_programs import solver_name
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
+
+
+def score_known_wrong(data: Dataset, out: Path) -> dict[str, float]:
+    """Score the wrong estimates of all tasks that a data set serves.
+
+    Temporary results are written to `out`.
+
+    Returns
+    -------
+    Scores by names like `probe.reconstruction.q`.
+    """
+    figures: dict[str, float] = {}
+    for task in tasks.every():
+        if not task.accepts(data):
+            continue
+        with result_writer(out, data, "probe", task.name, {}, overwrite=True) as writer:
+            for frame in task.frames(data):
+                writer.add(task.wrong(data, frame), frame)
+        scores = score(data, out)
+        known = {one.key: scores.get(one.key) for one in task.all_scores}
+        figures |= {
+            f"probe.{task.name}.{key}": float(value)
+            for key, value in known.items()
+            if value is not None
+        }
+    return figures
+
 
 _AGAIN = 2  # repetitions for a solver that seems to have become slower
 _COMPILE = "compile_s"  # depends on what the cache holds, and on nothing that a gate is about

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sabench import plugins
-from sabench.evaluation.leaderboard.page_content import details_of
-from sabench.evaluation.leaderboard.score_columns import table_of
+from sabench.evaluation.leaderboard.page_content import details_of, table_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.evaluation.suite_loading import scenes_of

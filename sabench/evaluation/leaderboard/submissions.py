@@ -1,4 +1,12 @@
-"""Submitted results: checked, matched to data sets, scored and ranked.
+"""Description of a data set in the record of a submission.
+
+disclosure: Description of a data set in the record of a submission.
+
+It discloses neither scene nor seed of a private test set: its content hash identifies it.
+
+recognition: Submitted estimates that are those of an earlier record under another name.
+
+submissions: Submitted results: checked, matched to data sets, scored and ranked.
 
 Submissions are data only: sabench executes nothing of them.
 """
@@ -10,22 +18,126 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from sabench import tasks
+from sabench import plugins, tasks
 from sabench.dataset.reader import Dataset
+from sabench.dataset.schema import Manifest
 from sabench.evaluation.leaderboard.archives import submitted_files
-from sabench.evaluation.leaderboard.comparison import distinct
-from sabench.evaluation.leaderboard.disclosure import describe_data
+from sabench.evaluation.leaderboard.cells import distinct
 from sabench.evaluation.leaderboard.foreign_results import match_data_sets, score_safely
-from sabench.evaluation.leaderboard.recognition import bundled_records, recognise
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import append, encode, latest, read_records, run_key, same_data
 from sabench.evaluation.runner import build_board
 from sabench.evaluation.solver_card import SolverCard, check_solvers, read_cards
+from sabench.evaluation.suite_loading import is_public
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
 from sabench.utils.progress import console, progress_bar
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
+
+# keys of a record that describe the data set
+_CASE = (
+    "suite",
+    "case",
+    "scene",
+    "difficulty",
+    "axis",
+    "axes",
+    "scene_hash",
+    "seed",
+    "split",
+    "renderer",
+)
+
+
+def describe_data(data: Dataset, known: list[Record]) -> Record:
+    """Describe the data set of a record.
+
+    The values are those of a run's record of the same data set, if there is one. Else they are
+    those of its manifest, but only if its scene and seed are public.
+    """
+    runs = [one for one in known if not one["submission"] and not one["recorded"]]
+    here = {"dataset": data.content_hash, "identity": data.identity}
+    twin = next((record for record in runs if same_data(record, here)), None)
+    if twin:
+        return {key: twin.get(key) for key in _CASE if key in twin}
+    manifest = data.manifest
+    if not _is_public(manifest, runs):
+        return _undisclosed(data)
+    return {
+        "case": manifest.scene,
+        "scene": manifest.scene,
+        "axes": {},
+        "scene_hash": manifest.scene_hash,
+        "seed": manifest.seed,
+        "split": "public",
+        "renderer": manifest.renderer,
+    }
+
+
+def _is_public(manifest: Manifest, runs: list[Record]) -> bool:
+    """Check whether a data set's scene and seed are public already."""
+    recorded = any(
+        (one["scene_hash"], one["seed"], one["split"])
+        == (manifest.scene_hash, manifest.seed, "public")
+        for one in runs
+    )
+    return recorded or is_public(manifest.scene_hash, manifest.seed)
+
+
+def _undisclosed(data: Dataset) -> Record:
+    """Describe a private data set by its content hash alone."""
+    name = f"private-{data.content_hash[:12]}"
+    reason = "no public record and no bundled suite has its scene with its seed"
+    text = f"{data.root}: recorded as {name}: {reason}"
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    return {
+        "case": name,
+        "scene": "private",
+        "axes": {},
+        "scene_hash": data.content_hash,
+        "seed": 0,
+        "split": "hidden",
+        "renderer": data.manifest.renderer,
+    }
+
+
+def bundled_records(leaderboard: Path) -> list[Record]:
+    """Read the records that sabench brings, unless they are the leaderboard's own."""
+    folder = plugins.bundled_folder("leaderboard") / "records"
+    own = folder.resolve() == (leaderboard / "records").resolve()
+    return [] if own or not folder.is_dir() else read_records(folder)
+
+
+def recognise(record: Record, known: Sequence[Record]) -> str | None:
+    """Name the other solver entry whose estimates a submitted record has, if any.
+
+    Estimates are the same if they are of the same data set and have the same content hash. A run of
+    a solver is not another entry than a result of the solver by its own name. Records that repeat
+    others' estimates themselves do not count.
+    """
+    first = [
+        one
+        for one in known
+        if one.get("estimate_hash") == record["estimate_hash"]
+        and same_data(one, record)
+        and not one.get("same_estimates_as")
+    ]
+    other = all(_is_other(one, record) for one in first)
+    return _entry(first[0]) if first and other else None
+
+
+def _is_other(one: Record, record: Record) -> bool:
+    if one["solver"] != record["solver"]:
+        return True
+    sender = (one.get("submission") or {}).get("name")
+    return sender not in (None, record["submission"]["name"])
+
+
+def _entry(record: Record) -> str:
+    who = f" of {record['submission']['name']}" if record.get("submission") else ""
+    return printable(f"{record['solver']}{who}", 200)
+
 
 _LONGEST_NAME = 80
 

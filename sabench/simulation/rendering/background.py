@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.scenes.background import Background
+from sabench.scenes.illumination import Background
 from sabench.utils.arrays import F64
 
 _WAVES = 3  # of the smooth light along either axis

@@ -1,10 +1,15 @@
-"""Renderer of bubbles, drops, bodies and tracers, to a requested accuracy.
+"""Passes of pixels: mean, scatter, and how many an accuracy asks for.
+
+pass_tally: Passes of pixels: mean, scatter, and how many an accuracy asks for.
+
+bubbles_traced: Renderer of bubbles, drops, bodies and tracers, to a requested accuracy.
 
 A diffuser or lamps illuminate the scene.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,11 +20,173 @@ from sabench.api import Material
 from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
-from sabench.simulation.rendering.bubble_stage_builder import Lights, Stager, Tank
+from sabench.simulation.rendering.bubble_stage import Lights, Stager, Tank
 from sabench.simulation.rendering.particle_images import ParticleImages, diffract
-from sabench.simulation.rendering.pass_tally import STREAMS, PassTally
 from sabench.utils.arrays import F64, I64, Bool, in_portions
 from sabench.utils.compiled import numba
+
+# lattices of a pixel, whose passes take turns: the scatter of their means is the error
+STREAMS = 4
+# weight of the neighbours' errors next to `STREAMS` - 1 of a pixel's own: two images of bubbles
+# then differ by a little less than their errors tell
+_AROUND = 0.7
+# passes at least of pixels, and of those around them, with more than the error asked for
+_ROUGH = 16
+# factor of a pixel's passes, at most, from what they tell so far; trials of which get more passes
+_GROWTH, _TRIALS = 2, 4
+_MOST = 1 << 14  # passes of a pixel at most: a guard
+
+
+class PassTally:
+    """Number, mean and scatter of every pixel's passes.
+
+    Parameters
+    ----------
+    counted : (rows, columns) the pixels whose mean error is to be reached: those that show
+        something. With an even background among them, errors elsewhere could be of any size.
+
+    Attributes
+    ----------
+    count : (n,) of the pixels, row by row: a multiple of `STREAMS`.
+    """
+
+    def __init__(self, counted: Bool) -> None:
+        """Start without passes."""
+        size = counted.size
+        self._shape, self._counted = counted.shape, counted.ravel()
+        self.count = np.zeros(size, dtype=np.int64)
+        self._sums = np.zeros((size, STREAMS))
+
+    def add(self, where: I64, more: I64, values: F64) -> None:
+        """Add passes of some pixels, so many `more` of each, one pixel's after the other."""
+        _add_passes(self._sums, self.count, where, more, values)
+
+    @property
+    def mean(self) -> F64:
+        """Means (n,) of the pixels."""
+        return np.asarray(np.einsum("ij->i", self._sums) / self.count)
+
+    def errors(self, floor: float) -> F64:
+        """Compute standard errors over values, or over `floor` in darker pixels.
+
+        A few streams that have found a pixel dark may have missed what its neighbours show: the
+        variance of a pass is mixed with the mean over nine pixels.
+        """
+        from scipy.ndimage import uniform_filter  # takes long to load
+
+        variance, error = np.empty((2, len(self.count)))
+        _fill_variances(self._sums, self.count, variance)
+        around = uniform_filter(variance.reshape(self._shape), 3).ravel()
+        _fill_errors(self._sums, self.count, variance, around, max(floor, 1e-300), error)
+        return np.asarray(error)
+
+    def mean_error(self, off: F64) -> float:
+        """Compute the mean of errors `off` (n,) over pixels that count; 0 without any."""
+        return float(off[self._counted].mean()) if self._counted.any() else 0.0
+
+    def wanted(self, off: F64, error: float) -> I64:
+        """Tell how many passes (n,) bring the mean of the errors `off` to `error`.
+
+        The fewest rays do so if a pixel's passes go with the power 2/3 of a pass's error. Pixels
+        that do not count get as many as others of their error, until that is `error`.
+        """
+        from scipy.ndimage import maximum_filter
+
+        if self.mean_error(off) <= error:
+            return self.count
+        rough = maximum_filter((off > error).reshape(self._shape), 3).ravel()
+        wanted = np.empty(len(off), dtype=np.int64)
+        share, factor = _share_out(off, self.count, self._counted, error)
+        _fill_wanted(off, self.count, self._counted, rough, share, factor, error, wanted)
+        return wanted
+
+
+@numba.njit(cache=True)
+def _add_passes(
+    sums: Any, count: Any, where: Any, more: Any, values: Any
+) -> None:  # pragma: no cover
+    """Add `more` passes of each pixel `where` to its streams, which take turns."""
+    streams = sums.shape[1]
+    total, n = np.empty(streams), 0
+    for k in range(len(where)):
+        total[:] = 0.0
+        for turn in range(more[k]):
+            total[turn % streams] += values[n]
+            n += 1
+        for stream in range(streams):
+            sums[where[k], stream] += total[stream]
+        count[where[k]] += more[k]
+
+
+@numba.njit(cache=True)
+def _fill_variances(sums: Any, count: Any, variance: Any) -> None:
+    """Fill in the variances (n,) of passes, from the sums (n, stream) of streams."""
+    streams = sums.shape[1]
+    for n in range(len(sums)):
+        mean, squares = 0.0, 0.0
+        for k in range(streams):
+            mean += sums[n, k] / streams
+        for k in range(streams):
+            squares += (sums[n, k] - mean) ** 2
+        variance[n] = squares / (streams - 1) * streams / count[n]
+
+
+@numba.njit(cache=True)
+def _fill_errors(
+    sums: Any, count: Any, variance: Any, around: Any, floor: float, error: Any
+) -> None:
+    """Fill in the errors (n,) of pixels over their values."""
+    own = sums.shape[1] - 1
+    for n in range(len(sums)):
+        mean = 0.0
+        for k in range(sums.shape[1]):
+            mean += sums[n, k]
+        mixed = max((own * variance[n] + _AROUND * around[n]) / (own + _AROUND), 0.0)
+        error[n] = math.sqrt(mixed / count[n]) / max(mean / count[n], floor)
+
+
+@numba.njit(cache=True)
+def _share_out(off: Any, count: Any, counted: Any, error: float) -> Any:
+    """Share passes out among pixels.
+
+    Returns (n,) each one's share, and the passes for a share of 1. Pixels whose share is less than
+    the passes that they have keep their errors, and the others get the rest.
+    """
+    share, factor = np.empty(len(off)), 0.0
+    for n in range(len(off)):
+        share[n] = (off[n] * off[n] * count[n]) ** (1.0 / 3.0)
+    for trial in range(_TRIALS):
+        rest, total = 0.0, 0.0
+        for n in range(len(off)):
+            if counted[n]:
+                more = trial == 0 or factor * share[n] > count[n]
+                rest += error if more else error - off[n]
+                total += share[n] if more else 0.0
+        factor = (total / max(rest, 1e-6 * error)) ** 2
+    return share, factor
+
+
+@numba.njit(cache=True)
+def _fill_wanted(
+    off: Any,
+    count: Any,
+    counted: Any,
+    rough: Any,
+    share: Any,
+    factor: float,
+    error: float,
+    wanted: Any,
+) -> None:
+    """Fill in how many passes (n,) pixels get altogether."""
+    for n in range(len(off)):
+        asked = factor * share[n]
+        if not counted[n]:
+            asked = min(asked, (off[n] / error) ** 2 * count[n])
+        if rough[n]:
+            asked = max(asked, _ROUGH)
+        passes = math.ceil(min(asked, float(min(_GROWTH * count[n], _MOST))))
+        wanted[n] = max(STREAMS * -(-passes // STREAMS), count[n])
+
 
 _RAYS = 4  # of a pixel in one pass
 _AT_ONCE = 1 << 22  # passes of all pixels whose radiances are held

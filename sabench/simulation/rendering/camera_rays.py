@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import UPRIGHT, Distortion, focus_slope, sensor_axes
 from sabench.geometry.occluders import Disc
-from sabench.geometry.sensor_tilt import UPRIGHT, focus_slope, sensor_axes
 from sabench.utils.arrays import F32, F64, I64, U32
 
 WAVEFRONT = 1 << 22  # rays traced simultaneously: bounds memory, not results

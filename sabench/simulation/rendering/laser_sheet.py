@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sabench.geometry.refraction import Layer, Wall, trace_into_fluid, transmittance
-from sabench.geometry.rotations import cross
+from sabench.geometry.rigid_motion import cross
 from sabench.scenes.illumination import EntrySpec, Illumination
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from sabench.geometry.camera import Camera
+from sabench.geometry.lens import UPRIGHT, onto_sensor
 from sabench.geometry.refraction import trace_to_points, transmittance
-from sabench.geometry.sensor_tilt import UPRIGHT, onto_sensor
 from sabench.utils.arrays import F64, I64, Bool, in_box
 from sabench.utils.compiled import numba
 

@@ -14,8 +14,8 @@ import numpy as np
 from sabench.api.arrays import Array
 from sabench.api.truth import Particles, View
 from sabench.geometry.camera import Camera
+from sabench.geometry.lens import UPRIGHT, from_sensor, stretch
 from sabench.geometry.occluders import Disc, in_shadow
-from sabench.geometry.sensor_tilt import UPRIGHT, from_sensor, stretch
 from sabench.scenes import Scene
 from sabench.simulation.rendering.light_paths import Box, LightPaths, find_paths, object_steps
 from sabench.simulation.rendering.light_routes import Route, direct

@@ -8,8 +8,8 @@ import numpy as np
 
 from sabench.api.truth import Target
 from sabench.geometry.camera import Camera
-from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import transmittance
+from sabench.geometry.rigid_motion import Pose
 from sabench.scenes.illumination import Lighting
 from sabench.simulation.rendering.lamps import facing_of, place_lamps
 from sabench.simulation.rendering.particle_images import diffract

@@ -17,8 +17,8 @@ from pydantic import BaseModel, Field
 from scipy.optimize import brentq
 
 from sabench.utils.arrays import F64
-from sabench.utils.fields import Vector
 from sabench.utils.rng import stream
+from sabench.utils.validation import Vector
 
 _PATH, _BREAK = 1.37, 3.44
 _UPPER, _WIDTH, _POWER = (4.3, 0.33), (7.86, 0.17), 0.33

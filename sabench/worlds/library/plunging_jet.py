@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.integrate import quad
 
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.utils.arrays import F64
 
 LN2 = 0.69315  # as equation 5.19 writes it

@@ -18,7 +18,7 @@ from sabench.api.truth import Solid
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
-from sabench.worlds.library.containment import contains
+from sabench.worlds.library.overlaps import contains
 
 _AT_REST = 1e-3  # of the mean flow: the speed that is left in the bodies, root mean square
 _ITERATIONS = 400

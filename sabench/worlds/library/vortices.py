@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.geometry.rotations import frame_along, skew
+from sabench.geometry.rigid_motion import frame_along, skew
 from sabench.utils.arrays import F64
 
 

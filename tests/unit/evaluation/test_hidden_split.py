@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from sabench.evaluation.hidden_split import read_secret
-from sabench.evaluation.selection import Only
-from sabench.evaluation.suite_loading import load_suite
+from sabench.evaluation.suite_loading import load_suite, read_secret
+from sabench.evaluation.suites import Only
 from sabench.utils.errors import InputError
 
 SUITE = (

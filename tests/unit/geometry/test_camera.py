@@ -16,7 +16,7 @@ from numpy.polynomial.legendre import leggauss
 
 from sabench.geometry import array_layouts
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
 from sabench.scenes.focusing import apparent_distance_mm
 from sabench.utils.arrays import F64, Bool, triple

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.frusta import SIDE, border_pixels, light_paths
+from sabench.geometry.common_view import SIDE, border_pixels, light_paths
 from sabench.geometry.refraction import Wall
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64

@@ -14,7 +14,7 @@ from scipy.integrate import quad
 
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.grid import Grid, check_volume, synthesise
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.plane_polynomials import TOLERANCE_PX, plane_map, plane_maps
 from sabench.geometry.refraction import Layer, Wall
 from sabench.utils import memory

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from sabench.geometry.plane_sections import cut_box
-from sabench.geometry.rotations import frame_of_normal
+from sabench.geometry.grid import cut_box
+from sabench.geometry.rigid_motion import frame_of_normal
 from sabench.utils.arrays import F64
 
 LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([2.0, 3.0, 4.0])

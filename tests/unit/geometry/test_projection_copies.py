@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.algorithms.bubbles.backlit_profile import reflectance
+from sabench.algorithms.bubbles.backlit_images import reflectance
 from sabench.geometry.camera import Camera, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.refraction import Layer, Wall, transmittance
-from sabench.geometry.sensor_tilt import UPRIGHT
 from sabench.utils import backend
 from tests.architecture.plan import ROOT
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import sabench.geometry.path_slope
 from sabench.geometry.camera import Camera, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.path_slope import solve_slope
 from sabench.geometry.refraction import (
     Layer,

@@ -7,8 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, fit_rigid_motion
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import (
+    RigidMotion,
+    fit_lateral_motion,
+    fit_rigid_motion,
+    rotation_matrices,
+)
 from sabench.utils.arrays import F64
 
 Fit = Callable[[F64, F64], RigidMotion]

@@ -12,9 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.lens_distortion import Distortion, distort
+from sabench.geometry.lens import UPRIGHT, Distortion, distort, focus_slope, onto_sensor, stretch
 from sabench.geometry.refraction import Wall, trace_to_points
-from sabench.geometry.sensor_tilt import UPRIGHT, focus_slope, onto_sensor, stretch
 from sabench.utils import backend
 from sabench.utils.arrays import F64
 from tests.unit.geometry.test_camera import BROWN, GLASS, TILTED, make_camera, seen_by_opencv

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.volume_polynomials import fit_volume_polynomials, project_points
 

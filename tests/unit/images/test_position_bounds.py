@@ -7,7 +7,7 @@ import pytest
 from scipy.special import erf
 
 from sabench.images.position_bounds import ParticleSpots, position_bounds
-from sabench.metrics.claimed_accuracy import rms_over_bound
+from sabench.metrics.particle_bounds import rms_over_bound
 from sabench.utils.arrays import F64
 
 _SHAPE = (24, 30)

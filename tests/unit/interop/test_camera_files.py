@@ -15,10 +15,9 @@ import pytest
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.refraction import AnyWall, Layer, Wall
-from sabench.geometry.rotations import rotation_matrices
-from sabench.geometry.sensor_tilt import UPRIGHT
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.interop import openlpt, openptv
 from sabench.interop.openptv_process import parameters
 from sabench.scenes import build_rig, load_scene

@@ -17,8 +17,8 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.central_camera import CentralCamera
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.lens import Distortion
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.interop.cameras import CameraFormat, read_cameras, write_cameras
 from sabench.interop.foreign import ForeignFormatWarning, ForeignWorld, read_world
 from sabench.utils.arrays import F64

@@ -12,9 +12,13 @@ import pytest
 from sabench.api import Reconstruction
 from sabench.api.truth import Particles, View
 from sabench.geometry.grid import Grid, synthesise
-from sabench.metrics.blob_intensity import _find_steps, blob_intensities, intensity_error
 from sabench.metrics.particle_detection import detect_peaks
-from sabench.metrics.reconstruction_error import score_frame
+from sabench.metrics.reconstruction_error import (
+    _find_steps,
+    blob_intensities,
+    intensity_error,
+    score_frame,
+)
 from sabench.utils.arrays import F32, F64, triple
 
 GRID = Grid((-5.0, -4.0, 0.0), (0.05, 0.05, 0.1), (40, 160, 200), (10, 10, 0))

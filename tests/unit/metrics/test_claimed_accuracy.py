@@ -7,12 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sabench.metrics.claimed_accuracy import (
-    brier_score,
-    coverage,
-    rms_over_bound,
-    squared_distance,
-)
+from sabench.metrics.particle_bounds import brier_score, coverage, rms_over_bound, squared_distance
 
 
 def test_squared_distances_are_those_of_the_inverse_covariance() -> None:

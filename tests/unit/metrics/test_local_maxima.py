@@ -14,8 +14,7 @@ from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
-from sabench.metrics.local_maxima import fitted_maxima, three_point
-from sabench.metrics.particle_detection import detect, detect_peaks
+from sabench.metrics.particle_detection import detect, detect_peaks, fitted_maxima, three_point
 from sabench.utils.arrays import F32, F64
 
 NEIGHBOURS = [offset for offset in itertools.product((-1, 0, 1), repeat=3) if any(offset)]

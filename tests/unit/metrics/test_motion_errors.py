@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.metrics.motion_errors import accelerations, claimed_errors, median_errors
+from sabench.metrics.trajectories import accelerations, claimed_errors, median_errors
 
 
 def test_second_differences_are_exact_where_acceleration_is_constant() -> None:

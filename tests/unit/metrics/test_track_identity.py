@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sabench.metrics.track_identity import Sightings, identity_scores
+from sabench.metrics.trajectories import Sightings, identity_scores
 
 
 def _frame(

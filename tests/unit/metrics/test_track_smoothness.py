@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.metrics.track_smoothness import jitter_mm, share_followed
+from sabench.metrics.trajectories import jitter_mm, share_followed
 from sabench.utils.arrays import F64, I64
 
 

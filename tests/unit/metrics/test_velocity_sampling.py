@@ -9,9 +9,8 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from sabench.api import Velocity
-from sabench.geometry.grid import Grid
-from sabench.geometry.plane_sections import cut_box
-from sabench.metrics.velocity_sampling import evaluation_lattice, planar_lattice, sample_velocity
+from sabench.geometry.grid import Grid, cut_box
+from sabench.metrics.velocity_error import evaluation_lattice, planar_lattice, sample_velocity
 from sabench.utils.arrays import F64, triple
 
 GRID = Grid((-3.0, 1.0, 20.0), (0.05, 0.05, 0.1), (40, 100, 120), (10, 8, 0))

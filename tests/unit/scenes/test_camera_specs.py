@@ -14,7 +14,7 @@ import pytest
 import sabench
 from sabench.dataset.cameras import read_cameras
 from sabench.geometry.camera import Camera
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
 from sabench.utils.errors import InputError

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from sabench.scenes.bundled import find
-from sabench.scenes.loading import parse_scene
+from sabench.scenes.loading import find, parse_scene
 from sabench.utils.errors import InputError
 
 MIRROR = {"wall.depth_mm": 200.0, "wall.mirrors": True}

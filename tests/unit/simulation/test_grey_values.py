@@ -11,8 +11,8 @@ import pytest
 
 from sabench.dataset.reader import open_dataset
 from sabench.scenes import Scene, parse_scene
-from sabench.scenes.background import Background
-from sabench.scenes.bundled import find
+from sabench.scenes.illumination import Background
+from sabench.scenes.loading import find
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.pipeline import generate
 from sabench.simulation.rendering.background import flicker, static_light

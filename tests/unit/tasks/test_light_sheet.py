@@ -15,9 +15,15 @@ from sabench.evaluation.suite_loading import override
 from sabench.plugins import bundled_folder
 from sabench.scenes import Scene, load_scene
 from sabench.simulation.pipeline import generate
-from sabench.tasks.light_sheet import LightSheet, light_sheet
 from sabench.tasks.solve_and_score import score, solve
-from sabench.tasks.velocimetry import TASK, score_pair, true_velocity, truth_at
+from sabench.tasks.velocimetry import (
+    TASK,
+    LightSheet,
+    light_sheet,
+    score_pair,
+    true_velocity,
+    truth_at,
+)
 from sabench.utils.arrays import F64
 
 CONFORMANCE = bundled_folder("scenes") / "conformance"

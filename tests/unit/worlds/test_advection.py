@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sabench.api import Flow
-from sabench.geometry.vector_calculus import divergence, vorticity
+from sabench.geometry.grid import divergence, vorticity
 from sabench.plugins import load
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError

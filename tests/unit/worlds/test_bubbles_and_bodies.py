@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from reproduction.jet_scaling import find_tilt, straighten
 from sabench.api import BubbleGenerator
 from sabench.api.truth import Bubbles
-from sabench.geometry.frames import Domain
+from sabench.geometry.rigid_motion import Domain
 from sabench.plugins import load
 from sabench.utils.errors import InputError
 from sabench.utils.validation import validate

@@ -19,8 +19,8 @@ from sabench.api.truth import Target
 from sabench.dataset.verification import verify
 from sabench.geometry.camera import Camera, aim
 from sabench.geometry.cylinder_wall import CylinderWall
-from sabench.geometry.frames import Pose
 from sabench.geometry.refraction import Layer
+from sabench.geometry.rigid_motion import Pose
 from sabench.scenes import build_rig
 from sabench.scenes.calibration import Detection
 from sabench.scenes.illumination import Lighting

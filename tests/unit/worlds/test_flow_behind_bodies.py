@@ -10,7 +10,7 @@ import pytest
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.utils.errors import InputError
 from sabench.worlds.bubbles_and_bodies import Phases
-from sabench.worlds.library.containment import contains
+from sabench.worlds.library.overlaps import contains
 from sabench.worlds.tracers import Motion, require_flow
 
 

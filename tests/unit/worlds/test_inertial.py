@@ -12,11 +12,11 @@ import pytest
 
 from sabench.api import Flow
 from sabench.plugins import load
-from sabench.scenes.inertia import Inertia
+from sabench.scenes.materials import Inertia
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.validation import validate
-from sabench.worlds.inertial import InertialFlow, move_particles
+from sabench.worlds.advection import InertialFlow, move_particles
 from sabench.worlds.tracers import Motion, lattice, require_flow
 from tests.unit.worlds.test_tracers import moving_scene
 

@@ -19,7 +19,7 @@ from sabench.simulation.in_memory import make_particles, simulate
 from sabench.simulation.pipeline import generate
 from sabench.utils.errors import InputError
 from sabench.worlds.advection import advect
-from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
+from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 from sabench.worlds.materials import material_numbers
 from sabench.worlds.tracers import Motion, flow_of, pulse
 

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from sabench.geometry.camera import Camera
+from sabench.geometry.lens import sensor_axes
 from sabench.geometry.projection_kernels import media_of
 from sabench.geometry.refraction import Wall
-from sabench.geometry.sensor_tilt import sensor_axes
 from sabench.utils.backend import drjit
 
 _NEWTON = 12  # steps: each doubles the right digits, and grazing light starts with few

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.algorithms.bubbles.backlit_profile import Profile, sharp
+from sabench.algorithms.bubbles.backlit_images import Profile, sharp
+from sabench.algorithms.bubbles.ellipse_detection import peaks, radii_between, vote
 from sabench.algorithms.bubbles.feature_potential import (
     STACK,
     attenuate,
     feature_potential,
     minimum_images,
 )
-from sabench.algorithms.bubbles.hough_circles import peaks, radii_between, vote
 from tests.unit.simulation.rendering.test_bubbles_traced import profile_by_hand
 
 

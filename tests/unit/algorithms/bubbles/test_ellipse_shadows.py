@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sabench.algorithms.bubbles.backlit_profile import Profile
-from sabench.algorithms.bubbles.ellipse_shadows import DIM, shade_at, slopes_at
+from sabench.algorithms.bubbles.backlit_images import Profile
+from sabench.algorithms.bubbles.rim_fit import DIM, shade_at, slopes_at
 from sabench.utils.arrays import F64
 
 PROFILE = Profile.tabulate(1.0 / 1.333, 0.4, 0.8)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sabench.algorithms.bubbles.backlit_images import transmission
 from sabench.algorithms.bubbles.feature_potential import (
     WINDOW,
     darkness,
     feature_potential,
 )
-from sabench.algorithms.bubbles.hypotheses import _sample
-from sabench.algorithms.bubbles.transmission import transmission
+from sabench.algorithms.bubbles.search import _sample
 from sabench.api import Observation
 from sabench.simulation.in_memory import simulate
 from tests.helpers.particle_scenes import make_scene

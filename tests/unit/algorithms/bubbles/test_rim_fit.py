@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.algorithms.bubbles.backlit_profile import Profile
+from sabench.algorithms.bubbles.backlit_images import Profile
 from sabench.algorithms.bubbles.rim_fit import (
     Model,
     darken,
@@ -13,9 +13,9 @@ from sabench.algorithms.bubbles.rim_fit import (
     fit,
     gain,
     misfit,
+    start_of,
     unexplained,
 )
-from sabench.algorithms.bubbles.spheroids import start_of
 from sabench.simulation.rendering.pixel_truth import outlines
 from sabench.utils.arrays import F64
 from tests.unit.algorithms.particles.test_matching import CAMERAS, COLUMNS, ROWS

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.bubbles.feature_potential import find_outlines
-from sabench.algorithms.bubbles.hypotheses import Hypotheses
-from sabench.algorithms.bubbles.search import Limits, search_bubbles
-from sabench.algorithms.bubbles.spheroids import start_of
+from sabench.algorithms.bubbles.rim_fit import start_of
+from sabench.algorithms.bubbles.search import Hypotheses, Limits, search_bubbles
 from sabench.utils.arrays import F32
 from tests.unit.algorithms.bubbles.test_rim_fit import PROFILE, SHAPE, model_of
 from tests.unit.algorithms.particles.test_matching import CAMERAS

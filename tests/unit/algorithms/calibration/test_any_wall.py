@@ -15,11 +15,10 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     residuals,
 )
 from sabench.algorithms.calibration.cramer_rao import limit
-from sabench.algorithms.calibration.free_motion import fit_free_motion
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
+from sabench.algorithms.calibration.problem import fit_free_motion
 from sabench.api import DeclinedError
-from sabench.geometry.rigid_motion import RigidMotion
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import RigidMotion, rotation_matrices
 from sabench.metrics.calibration_error import calibration_scores
 from sabench.scenes import Scene, load_scene, parse_scene
 from tests.helpers.calibration_cases import case_of

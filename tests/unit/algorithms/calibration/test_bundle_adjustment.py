@@ -20,12 +20,11 @@ from sabench.algorithms.calibration.bundle_adjustment import (
     residuals,
 )
 from sabench.algorithms.calibration.cramer_rao import limit
+from sabench.algorithms.calibration.joint_fit import adjust
 from sabench.algorithms.calibration.normal_equations import spreads
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
-from sabench.algorithms.calibration.robust import adjust
-from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import RigidMotion, fit_lateral_motion, rotation_matrices
 from sabench.utils.arrays import F64
 from tests.helpers.calibration_cases import calibration_scene, case_of, true_error_px
 

@@ -10,11 +10,11 @@ import pytest
 
 from benchmarks import calibration_reality
 from sabench.algorithms.calibration import joint_fit
-from sabench.algorithms.calibration.end_state import list_faults, mirror_boards
-from sabench.algorithms.calibration.initial_poses import place_boards
+from sabench.algorithms.calibration.fit_checks import list_faults, mirror_boards
 from sabench.algorithms.calibration.joint_fit import fit_jointly
 from sabench.algorithms.calibration.parameters import FreeParameters, State
 from sabench.algorithms.calibration.problem import CalibrationProblem
+from sabench.algorithms.calibration.resection import place_boards
 from sabench.api.make import make_algorithm
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Wall

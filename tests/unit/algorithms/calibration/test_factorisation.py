@@ -13,7 +13,7 @@ from sabench.algorithms.calibration.factorisation import (
     factorise,
     upgrade_to_euclidean,
 )
-from sabench.algorithms.calibration.wall_frame import fit_similarity
+from sabench.algorithms.calibration.parameters import fit_similarity
 from sabench.api import Calibration
 from sabench.geometry.triangulation import triangulate
 from sabench.plugins import load

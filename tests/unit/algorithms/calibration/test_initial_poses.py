@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sabench.algorithms.calibration.initial_poses import known_places, place_boards, upright_axes
-from sabench.geometry.rotations import rotation_matrices
+from sabench.algorithms.calibration.resection import known_places, place_boards, upright_axes
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.utils.arrays import F64
 from tests.helpers.calibration_tanks import (
     BOARD,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.calibration.parameters import FreeParameters
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.plugins import load
 from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate

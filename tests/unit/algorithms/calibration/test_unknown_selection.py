@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.calibration import unknown_selection
-from sabench.algorithms.calibration.initial_poses import place_boards
-from sabench.algorithms.calibration.misfit import correlated_part, neighbours
+from sabench.algorithms.calibration.fit_checks import correlated_part, neighbours
 from sabench.algorithms.calibration.parameters import FreeParameters
 from sabench.algorithms.calibration.problem import CalibrationProblem
+from sabench.algorithms.calibration.resection import place_boards
 from sabench.algorithms.calibration.unknown_selection import (
     _can_free,
     select_unknowns,
@@ -20,7 +20,7 @@ from sabench.algorithms.calibration.unknown_selection import (
 )
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.utils.errors import InputError
-from sabench.utils.fields import LensNumber
+from sabench.utils.validation import LensNumber
 from tests.helpers.calibration_tanks import BOARD, make_tank, with_places
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sabench.algorithms.calibration.bundle_adjustment import normal_equations
-from sabench.algorithms.calibration.initial_poses import place_boards
 from sabench.algorithms.calibration.joint_fit import fit_jointly, make_prior
 from sabench.algorithms.calibration.parameters import FreeParameters
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
+from sabench.algorithms.calibration.resection import place_boards
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import triple

@@ -13,12 +13,12 @@ from sabench.algorithms.calibration.joint_fit import make_prior
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import CalibrationProblem, make_anchors
 from sabench.api import CalibrationCase
+from sabench.apps.own_calibration.report import wall_unknowns, warn_of_unknowns
 from sabench.geometry.camera import Camera, aim
 from sabench.geometry.refraction import Wall
-from sabench.tasks.wall_report import wall_unknowns, warn_of_unknowns
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
-from sabench.utils.fields import Unknown
+from sabench.utils.validation import Unknown
 from tests.helpers.calibration_tanks import MIDDLE, WALL, make_tank, solve, with_places
 
 N, M = 1.5, 1.333  # glass and fluid of WALL

@@ -17,9 +17,9 @@ from sabench.algorithms.particles.defocusing import (
 from sabench.api import Camera, ImageSequence
 from sabench.api.make import make_algorithm
 from sabench.evaluation.suite_loading import override
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.geometry.triangulation import triangulate
 from sabench.images.peaks import Peaks, sort_peaks
 from sabench.scenes import build_rig, load_scene

@@ -26,7 +26,7 @@ from sabench.algorithms.particles.matching import (
 )
 from sabench.api import Observation
 from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.volume_polynomials import (
     VolumePolynomials,

@@ -15,7 +15,7 @@ from sabench.algorithms.refocus.edges import gradient
 from sabench.api.truth import Solid
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.utils.arrays import F32, triple
 
 GRID = Grid((-8.0, -6.0, -10.0), (0.2, 0.2, 0.5), (41, 61, 81))

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from sabench.algorithms.refocus import refocus_on_surface, refocus_sum
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.surfaces import Cylinder, Plane, Surface
 from sabench.utils.arrays import F32, F64

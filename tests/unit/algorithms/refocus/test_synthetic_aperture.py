@@ -30,7 +30,7 @@ from sabench.algorithms.refocus.slabs import (
 )
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.utils.arrays import F32, F64
 

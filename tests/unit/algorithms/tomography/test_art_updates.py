@@ -21,9 +21,12 @@ from sabench.algorithms.tomography.art_updates import (
     sart,
     smart,
 )
-from sabench.algorithms.tomography.footprint import BILINEAR, Footprint
 from sabench.algorithms.tomography.mart_sweep import STRIP
-from sabench.algorithms.tomography.projection_operator import ProjectionOperator
+from sabench.algorithms.tomography.projection_operator import (
+    BILINEAR,
+    Footprint,
+    ProjectionOperator,
+)
 from sabench.utils.arrays import F32, F64
 from tests.unit.algorithms.tomography.test_projection_operator import (
     BLOB,

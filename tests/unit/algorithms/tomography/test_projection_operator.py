@@ -13,18 +13,25 @@ import pytest
 from scipy.special import erf
 
 from sabench.algorithms.tomography import supersampling
-from sabench.algorithms.tomography.first_guess import every_voxel, product_guess
-from sabench.algorithms.tomography.footprint import BILINEAR, Footprint, gaussian, image_sigma_px
-from sabench.algorithms.tomography.problem import TomographyParameters, TomographyProblem
+from sabench.algorithms.tomography.problem import (
+    TomographyParameters,
+    TomographyProblem,
+    every_voxel,
+    product_guess,
+)
 from sabench.algorithms.tomography.projection_operator import (
+    BILINEAR,
+    Footprint,
     ProjectionOperator,
     Support,
+    gaussian,
+    image_sigma_px,
     make_geometry,
 )
 from sabench.api import Observation
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.grid import Grid
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.utils.arrays import F32, F64
 

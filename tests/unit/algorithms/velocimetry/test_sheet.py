@@ -12,8 +12,8 @@ from sabench.algorithms.velocimetry import find_sheet, light_in_sheet
 from sabench.algorithms.velocimetry.windows import Windows, by_shifts
 from sabench.api import Camera, Grid, ImagePair, InputError, Velocity
 from sabench.api.make import make_algorithm
-from sabench.geometry.rotations import frame_of_normal, rotation_matrices
-from sabench.geometry.vector_calculus import gradient, vorticity
+from sabench.geometry.grid import gradient, vorticity
+from sabench.geometry.rigid_motion import frame_of_normal, rotation_matrices
 from sabench.utils.arrays import F64
 from sabench.utils.errors import DeclinedError
 from tests.helpers.light_sheets import (

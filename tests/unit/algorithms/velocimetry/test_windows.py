@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
-from sabench.algorithms.velocimetry.blur import widen, widths
-from sabench.algorithms.velocimetry.correlation_kernels import block_sums
 from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
+from sabench.algorithms.velocimetry.multipass import widen, widths
 from sabench.algorithms.velocimetry.outliers import (
     fill_invalid,
     medians,
@@ -21,10 +20,9 @@ from sabench.algorithms.velocimetry.outliers import (
     thesis_local,
     within_deviations,
 )
-from sabench.algorithms.velocimetry.windows import Windows, by_shifts, by_spectra
+from sabench.algorithms.velocimetry.windows import Windows, block_sums, by_shifts, by_spectra
 from sabench.api import Velocity, VolumePair
-from sabench.geometry.grid import Grid, synthesise
-from sabench.geometry.vector_calculus import gradient, inner
+from sabench.geometry.grid import Grid, gradient, inner, synthesise
 from sabench.metrics.velocity_error import precision_interval, response
 from sabench.plugins import load
 from sabench.utils.arrays import F32, F64

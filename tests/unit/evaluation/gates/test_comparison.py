@@ -30,17 +30,15 @@ from sabench.evaluation.gates.baseline import (
     read_baseline,
     write_baseline,
 )
-from sabench.evaluation.gates.comparison import Report
+from sabench.evaluation.gates.comparison import Report, write_junit
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.findings import Finding, compare, loss
 from sabench.evaluation.gates.independent_projection import retrace
-from sabench.evaluation.gates.junit import write_junit
-from sabench.evaluation.gates.known_wrong_estimates import score_known_wrong
-from sabench.evaluation.gates.measurement import names_of
+from sabench.evaluation.gates.measurement import names_of, score_known_wrong
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import SolverEntry
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
-from sabench.scenes.bundled import find
+from sabench.scenes.loading import find
 from sabench.simulation.pipeline import generate
 from sabench.tasks.task import Better
 from sabench.utils.errors import InputError

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
+from sabench.evaluation.leaderboard.board import over_seeds
 from sabench.evaluation.leaderboard.curves import curves_of
 from sabench.evaluation.leaderboard.page_content import cases_of
-from sabench.evaluation.leaderboard.rows import over_seeds
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import latest, read_records
 from tests.system.test_board import record

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sabench.evaluation.leaderboard.board import over_seeds
+from sabench.evaluation.leaderboard.cells import mean_rank, ranks, ranks_of_distinct
 from sabench.evaluation.leaderboard.page_content import cases_of
-from sabench.evaluation.leaderboard.ranking import mean_rank, ranks, ranks_of_distinct
-from sabench.evaluation.leaderboard.rows import over_seeds
 from sabench.evaluation.leaderboard.standings import Board, boards_of
 from sabench.evaluation.record_schema import Record
 from tests.system.test_board import record

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from sabench.evaluation.planning.design import Wanted, design_scene
-from sabench.evaluation.planning.plan import plan
+from sabench.apps.planning.design import Wanted, design_scene
+from sabench.apps.planning.plan import plan
 from sabench.scenes import load_scene
 from sabench.utils.errors import InputError
 from tests.conftest import Command

@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 
 from benchmarks import planner
-from sabench.evaluation.planning.expected_scores import (
+from sabench.apps.planning.expected_scores import (
     FEATURES,
     MODEL,
     SCORES,
+    GaussianProcess,
+    Kernel,
     features_of,
     load_model,
 )
-from sabench.evaluation.planning.gaussian_process import GaussianProcess, Kernel
-from sabench.evaluation.planning.plan import plan
+from sabench.apps.planning.plan import plan
 from sabench.evaluation.suite_loading import override
 from sabench.scenes import load_scene
 from sabench.utils.arrays import F64

@@ -10,9 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from sabench.evaluation.planning.page import render
-from sabench.evaluation.planning.plan import plan
-from sabench.evaluation.planning.rig_drawing import draw_rig
+from sabench.apps.planning.page import draw_rig, render
+from sabench.apps.planning.plan import plan
 from sabench.plotting.outlines import Outline, draw_outlines
 from tests.conftest import Command
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.evaluation.planning.plan import Plan, plan
-from sabench.evaluation.planning.recording import Recorder
+from sabench.apps.planning.plan import Plan, Recorder, plan
 from sabench.evaluation.suite_loading import override
 from sabench.scenes import Scene, find, load_scene, parse_scene
 from sabench.simulation.in_memory import simulate

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from sabench.evaluation.viewer import thinning
-from sabench.evaluation.viewer.clouds import (
+from sabench.apps.viewer import points
+from sabench.apps.viewer.page_content import Packer
+from sabench.apps.viewer.points import (
     FOUND,
     GHOST,
     MISSED,
@@ -20,7 +21,6 @@ from sabench.evaluation.viewer.clouds import (
     link_to_earlier,
     with_velocities,
 )
-from sabench.evaluation.viewer.packing import Packer
 
 
 def cloud_of(numbers: list[int], kind: int = FOUND, shift: float = 0.0) -> Cloud:
@@ -53,15 +53,15 @@ def test_unknown_velocities_come_from_positions_and_known_ones_stay() -> None:
 def test_thinning_keeps_trajectories_intact_and_the_share_of_each_kind(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(thinning, "IN_FRAME", 5000)
-    monkeypatch.setattr(thinning, "IN_ALL", 8000)
+    monkeypatch.setattr(points, "IN_FRAME", 5000)
+    monkeypatch.setattr(points, "IN_ALL", 8000)
     rng = np.random.default_rng(2)
     numbers = np.arange(10_000)
     clouds = [cloud_of(rng.permutation(numbers).tolist()) for _ in range(2)]
     clouds[1].kind[::4] = GHOST
-    share = thinning.shown_share(clouds)
+    share = points.shown_share(clouds)
     assert share == pytest.approx(0.4)
-    first, second = thinning.thin(clouds, share)
+    first, second = points.thin(clouds, share)
     assert set(first.trajectory) == set(second.trajectory)
     assert len(first) == pytest.approx(4000, rel=0.05)
     assert (second.kind == GHOST).sum() == pytest.approx(1000, rel=0.1)
@@ -69,7 +69,7 @@ def test_thinning_keeps_trajectories_intact_and_the_share_of_each_kind(
 
 def test_objects_without_a_trajectory_are_thinned_at_random_but_repeatably() -> None:
     alone = Cloud.of_kind(np.random.default_rng(1).random((10_000, 3)), FOUND)
-    one, other = (thinning.thin([alone], 0.25)[0] for _ in range(2))
+    one, other = (points.thin([alone], 0.25)[0] for _ in range(2))
     assert len(one) == pytest.approx(2500, rel=0.1)
     assert np.array_equal(one.position_mm, other.position_mm)
 

@@ -15,21 +15,26 @@ import pytest
 import sabench
 from sabench.api import Detections, FoundParticles, Velocity
 from sabench.api.truth import Bubbles
-from sabench.dataset.reader import Dataset
-from sabench.dataset.results import Result, open_result, result_writer
-from sabench.evaluation.viewer import pictures
-from sabench.evaluation.viewer.classification import (
+from sabench.apps.viewer import pictures
+from sabench.apps.viewer.contents import Contents, of_dataset, of_scene
+from sabench.apps.viewer.page_content import content_of
+from sabench.apps.viewer.points import (
+    DUPLICATE,
+    FOUND,
+    GHOST,
+    KINDS,
+    MISSED,
+    TRUE,
+    Cloud,
     classify_bubbles,
     classify_particles,
     place_vectors,
 )
-from sabench.evaluation.viewer.clouds import DUPLICATE, FOUND, GHOST, KINDS, MISSED, TRUE, Cloud
-from sabench.evaluation.viewer.contents import Contents, of_dataset, of_scene
-from sabench.evaluation.viewer.page import render
-from sabench.evaluation.viewer.page_content import content_of
-from sabench.evaluation.viewer.static_drawing import draw_surroundings
+from sabench.apps.viewer.view import draw_surroundings, render
+from sabench.dataset.reader import Dataset
+from sabench.dataset.results import Result, open_result, result_writer
 from sabench.geometry.common_view import lattice_of
-from sabench.geometry.rotations import rotation_matrices
+from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.metrics.particle_detection import challenge_pairs, count_duplicates
 from sabench.scenes import load_scene
 from sabench.utils.arrays import F64

@@ -13,8 +13,8 @@ from sabench.scenes import build_rig
 from sabench.simulation import camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering import particles_splatted
-from sabench.simulation.rendering.airy_rings import render_with_rings
 from sabench.simulation.rendering.particle_images import diffraction_px
+from sabench.simulation.rendering.particles_splatted import render_with_rings
 from sabench.utils.arrays import F64
 from tests.helpers.particle_scenes import SMALL, make_scene, spots
 

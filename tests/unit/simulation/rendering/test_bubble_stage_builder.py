@@ -15,7 +15,7 @@ ORIGIN = np.array([1.0, 2.0, 3.0])
 
 def radius_of(what: Bubbles, solid: Solid | None = None) -> float:
     backend.mitsuba()
-    from sabench.simulation.rendering.bubble_stage_builder import _bounding_radius
+    from sabench.simulation.rendering.bubble_stage import _bounding_radius
 
     bodies = [] if solid is None else [(solid, Material())]
     return _bounding_radius(what, bodies, None, ORIGIN)

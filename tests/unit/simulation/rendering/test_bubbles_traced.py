@@ -17,10 +17,10 @@ import pytest
 from sabench.api import Material
 from sabench.api.truth import NOTHING, Bubbles, Solid
 from sabench.geometry.camera import Camera
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes.illumination import Backlight, Lamp, Lighting
-from sabench.simulation.rendering.bubble_stage_builder import Lights, Tank
+from sabench.simulation.rendering.bubble_stage import Lights, Tank
 from sabench.simulation.rendering.bubbles_traced import Exposed, render
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.utils import backend

@@ -6,7 +6,11 @@ import miepython
 import numpy as np
 import pytest
 
-from sabench.simulation.rendering.mie import extinction_efficiency, intensities, scaled_coefficients
+from sabench.simulation.rendering.scattering import (
+    extinction_efficiency,
+    intensities,
+    scaled_coefficients,
+)
 
 GLASS, LOSSY, BUBBLE = 1.59 / 1.333, (1.59 - 0.01j) / 1.333, 1.0 / 1.333
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sabench.geometry.camera import Camera, aimed_rotation
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import build_rig
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
@@ -22,7 +22,7 @@ from sabench.simulation.rendering.particle_images import (
 )
 from sabench.simulation.rendering.particle_light import _angle_range, scatterers_of
 from sabench.utils.arrays import F64
-from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
+from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 from tests.helpers.particle_scenes import SMALL, TILT, VARIANTS, cloud, make_scene, oblique_camera
 
 WAVELENGTH_MM = 532e-6

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.scenes import build_rig
 from sabench.simulation.rendering import particles_splatted, particles_traced
 from sabench.simulation.rendering.particle_images import (

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sabench.simulation.rendering.pass_tally import STREAMS, PassTally
+from sabench.simulation.rendering.bubbles_traced import STREAMS, PassTally
 from sabench.utils.arrays import F64
 
 _ALL = np.ones((2, 2), dtype=np.bool_)

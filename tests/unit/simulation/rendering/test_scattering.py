@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.simulation.rendering.mie import intensities
-from sabench.simulation.rendering.scattering import Scattering
+from sabench.simulation.rendering.scattering import Scattering, intensities
 from sabench.utils.arrays import F64
-from sabench.worlds.library.size_lattice import lattice_diameters_mm, size_numbers
+from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 
 WAVENUMBER = 2.0 * np.pi * 1.333 / 532e-6
 SIDEWAYS = (np.deg2rad(58.0), np.deg2rad(122.0))

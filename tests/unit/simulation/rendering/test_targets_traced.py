@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from sabench.api.truth import Target
 from sabench.geometry.camera import Camera, aimed_rotation
-from sabench.geometry.frames import Pose
-from sabench.geometry.lens_distortion import Distortion
+from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall, trace_to_points, transmittance
+from sabench.geometry.rigid_motion import Pose
 from sabench.scenes.illumination import Lamp, Lighting
 from sabench.simulation.rendering.lamps import place_lamps
 from sabench.simulation.rendering.targets_traced import render

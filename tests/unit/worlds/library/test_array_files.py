@@ -17,7 +17,7 @@ from scipy.io import netcdf_file
 
 from sabench.api import Flow, Generator
 from sabench.dataset.verification import verify
-from sabench.geometry.frames import Domain
+from sabench.geometry.rigid_motion import Domain
 from sabench.plugins import load
 from sabench.scenes import Scene, parse_scene
 from sabench.simulation.pipeline import generate

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sabench.api.truth import Bubbles, Solid
-from sabench.geometry.frames import Domain
+from sabench.geometry.rigid_motion import Domain
 from sabench.plugins import load
 from sabench.utils.validation import validate
 from sabench.worlds.library.jet_in_crossflow import Crossflow, Spray

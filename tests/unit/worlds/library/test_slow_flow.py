@@ -9,7 +9,7 @@ from sabench.api import Solid
 from sabench.api.make import generator_of
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
-from sabench.worlds.library.containment import contains
+from sabench.worlds.library.overlaps import contains
 from sabench.worlds.library.slow_flow import Box, SlowFlow, solve
 
 _EDGE_MM, _RADIUS_MM = 20.0, 3.0

@@ -1,0 +1,150 @@
+"""Checks of a fit's input and of its end.
+
+end_state: Checks of a calibration's end state, and its mirror image at a plane wall.
+
+misfit: Errors of a model, told from noise by their correlation between neighbours.
+
+Noise of detection differs from point to point. What a model lacks changes slowly over an image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages
+from sabench.algorithms.calibration.parameters import Frame, State
+from sabench.geometry.refraction import Wall
+from sabench.utils.arrays import F64, I64
+from sabench.utils.errors import InputError
+
+_LEAST_INDEX = 0.99  # of any medium
+_MIRROR = np.diag([1.0, 1.0, -1.0])
+
+
+def list_faults(state: State, seen: BoardImages, frame: Frame) -> list[str]:
+    """List the faults of a state in sentences that name the camera or frame.
+
+    Numbers must be finite, principal distances, thicknesses and indices positive, cameras in front
+    of a plane wall and boards behind it.
+    """
+    names = [camera.name for camera in frame.cameras]
+    if lost := _not_finite(state):
+        return [f"{lost}: expected finite numbers, but the fit did not find any"]
+    faults = [
+        f"{name}: expected a positive principal distance, but the fit gives {focal:.3g} px"
+        for name, focal in zip(names, state.lenses[:, 0].tolist(), strict=True)
+        if focal <= 0.0
+    ]
+    return faults if frame.wall is None else faults + _wall_faults(state, seen, names, frame.wall)
+
+
+def check_end(state: State, seen: BoardImages, frame: Frame) -> None:
+    """Refuse a state that cannot be.
+
+    Raises
+    ------
+    InputError
+        The first sentence of `list_faults`.
+    """
+    if faults := list_faults(state, seen, frame):
+        raise InputError(faults[0])
+
+
+def _not_finite(state: State) -> str | None:
+    """Name the first part of a state with a number that is not finite."""
+    parts = {one.name: getattr(state, one.name) for one in fields(state) if one.name != "wall"}
+    parts |= {"wall": np.append(state.wall.rotation, state.wall.shift)}
+    return next((name for name, values in parts.items() if not np.isfinite(values).all()), None)
+
+
+def _wall_faults(state: State, seen: BoardImages, names: list[str], wall: Wall) -> list[str]:
+    layers = [layer.name for layer in wall.layers]
+    media = ["the cameras' medium", *layers, "the fluid"]
+    faults = [
+        f"{name}: expected a positive thickness, but the fit gives {value:.4g} mm: the images do "
+        "not determine it, so take it out of the unknowns"
+        for name, value in zip(layers, state.thicknesses.tolist(), strict=True)
+        if value <= 0.0
+    ]
+    faults += [
+        f"{name}: expected a refractive index of 1 or more, but the fit gives {value:.4g}: the "
+        "images do not determine it, so take it out of the unknowns"
+        for name, value in zip(media, state.indices.tolist(), strict=True)
+        if value < _LEAST_INDEX
+    ]
+    faults += [
+        f"{name}: expected it in front of the wall, but the fit puts it {depth:.4g} mm behind the "
+        "outer face"
+        for name, depth in zip(names, state.centers[:, 2].tolist(), strict=True)
+        if depth >= 0.0
+    ]
+    depths = depths_of(state, seen)
+    return faults + [
+        f"frame {number}: expected its points in the fluid, but the fit puts {np.sum(own <= 0.0)} "
+        f"of {np.isfinite(own).sum()} up to {-np.nanmin(own):.4g} mm in front of the inner face; "
+        "check target_mm, wall and known"
+        for number, own in enumerate(depths)
+        if (own <= 0.0).any()
+    ]
+
+
+def depths_of(state: State, seen: BoardImages) -> F64:
+    """Compute depths (K, m) of seen points behind the wall's inner face, mm."""
+    depths = state.points(seen.board)[..., 2] - state.thicknesses.sum()
+    return np.where(seen.weights.sum(axis=0) > 0.0, depths, np.nan)
+
+
+def mirror_boards(state: State, seen: BoardImages, *, turned: bool) -> State:
+    """Mirror boards that are in front of the wall's inner face at that face.
+
+    Parameters
+    ----------
+    turned : whether the tilt of a board is mirrored, too. The mirror image of a flat board is the
+        board at another rotation.
+    """
+    face = state.thicknesses.sum()
+    with np.errstate(invalid="ignore"):
+        out = np.nanmin(depths_of(state, seen), axis=1, initial=np.inf) <= 0.0
+    positions, rotations = state.board_positions.copy(), state.board_rotations.copy()
+    positions[out, 2] = face + np.abs(positions[out, 2] - face)
+    if turned:
+        rotations[out] = _MIRROR @ rotations[out] @ _MIRROR
+    return replace(state, board_rotations=rotations, board_positions=positions)
+
+
+_NEAREST = 3  # neighbours of a point: along rows and columns of a grid
+_REACH = 1.5  # times the distance of the nearest one, beyond which a point is no neighbour
+
+
+def neighbours(points_mm: F64) -> I64:
+    """List pairs (n, 2) of neighbouring points (m, 3)."""
+    count = min(_NEAREST + 1, len(points_mm))
+    if count < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    distances, others = cKDTree(points_mm).query(points_mm, k=count)
+    near = distances[:, 1:] <= _REACH * distances[:, 1:2]
+    first, rank = np.nonzero(near)
+    pairs = np.sort(np.column_stack([first, others[first, rank + 1]]), axis=1)
+    return np.unique(pairs, axis=0).astype(np.int64)
+
+
+def correlated_part(errors: F64, pairs: I64) -> F64:
+    """Estimate the standard deviation (n,) of errors that neighbours share.
+
+    Parameters
+    ----------
+    errors : (..., point, n) errors of points; NaN for none.
+    pairs : neighbouring points, see `neighbours`.
+
+    The mean product of neighbours' errors is the variance of what changes slowly. NaN without any
+    pair.
+    """
+    products = errors[..., pairs[:, 0], :] * errors[..., pairs[:, 1], :]
+    flat = products.reshape(-1, errors.shape[-1])
+    flat = flat[np.isfinite(flat).all(axis=1)]
+    if not len(flat):
+        return np.full(errors.shape[-1], np.nan)
+    return np.asarray(np.sqrt(np.maximum(flat.mean(axis=0), 0.0)))

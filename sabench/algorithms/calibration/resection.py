@@ -1,0 +1,193 @@
+"""Poses of cameras from points with known positions.
+
+initial_poses: Initial positions of a target's points: measured, or fitted to the images.
+
+No axis of the world is preferred: a board starts upright in the cameras' images.
+
+known_points: Nominal positions of a target's points, taken as known.
+
+Classical calibrations fit each camera to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine, residuals
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State, common_plane
+from sabench.api import CalibrationCase
+from sabench.geometry.camera import Camera, aimed_rotation
+from sabench.geometry.polynomial_cameras import fit_planes as fit_planes, fit_soloff as fit_soloff
+from sabench.geometry.projective_camera import (
+    Projective as Projective,
+    fit_projective as fit_projective,
+)
+from sabench.geometry.rigid_motion import RigidMotion, fit_rigid_motion, rotation_matrices
+from sabench.utils.arrays import F64
+
+_LEAST = 4  # points of a frame in all cameras, below which its images show no pose
+_NEAR = 0.5  # part of the nominal depth behind a wall that all boards keep
+_LINE = 1e-6  # width over length of points on a line
+_QUARTERS = np.arange(4) * np.pi / 2.0
+
+
+def upright_axes(cameras: tuple[Camera, ...]) -> F64:
+    """Make the axes (3, 3) of a board that stands upright in the cameras' images.
+
+    Columns are its X (right in the images), Y (down) and Z (away from the cameras): along the
+    normal of the cameras' plane wall, or along their mean line of sight.
+    """
+    axes = np.array([camera.rotation for camera in cameras])
+    wall = common_plane(cameras)
+    forward = axes[:, 2].mean(axis=0) if wall is None else np.asarray(wall.normal)
+    if np.linalg.norm(forward) < 0.1:  # cameras that face each other
+        forward = axes[0, 2]
+    nearest = axes[int(np.argmax(axes[:, 2] @ forward))]  # its image is upright
+    return np.asarray(aimed_rotation(forward, nearest[1])).T
+
+
+def place_boards(case: CalibrationCase) -> F64:
+    """Find initial positions (frame, point, 3) of a target's points, world frame, mm.
+
+    A frame with enough known points is where they say. The pose of any other is fitted to its
+    images by the nominal cameras, from the case's initial positions at four rotations about the
+    line of sight, and from the mirrored tilt, which looks alike from afar.
+    """
+    board = case.target.points_mm
+    places = known_places(case)
+    if len(board) == 1:
+        return places
+    frame = Frame.from_cameras(case.cameras, case.initial_mm)
+    pixels, weights = np.nan_to_num(case.pixels), case.found.astype(np.float64)
+    seen = BoardImages(board, pixels, weights, frame=frame.beyond_kernels)
+    start = frame.state(board, case.initial_mm)
+    ahead = frame.motion.rotation @ upright_axes(case.cameras)
+    best = _fit(start, seen)
+    for angle in _QUARTERS[1:].tolist():
+        turned = start.board_rotations @ rotation_matrices(np.array([0.0, 0.0, angle]))
+        best = _better(best, _fit(replace(start, board_rotations=turned), seen), seen)
+    flip = ahead @ np.diag([1.0, 1.0, -1.0]) @ ahead.T
+    mirrored = flip @ best.board_rotations @ np.diag([1.0, 1.0, -1.0])
+    best = _better(best, _fit(replace(best, board_rotations=mirrored), seen), seen)
+    fitted = _off_the_wall(case, frame.points(best, board))
+    enough = case.found.sum(axis=(0, 2)) >= _LEAST
+    fitted = np.where(enough[:, None, None], fitted, case.initial_mm)
+    return np.where(np.isfinite(places), places, fitted)
+
+
+def _off_the_wall(case: CalibrationCase, fitted: F64) -> F64:
+    """Move all boards together away from the wall, if one of them touches it.
+
+    Nominal cameras put boards too near, and a fit that starts in the wall does not move.
+    """
+    least = min(_depth(case, fitted), _NEAR * _depth(case, case.initial_mm))
+    deeper = _NEAR * _depth(case, case.initial_mm) - least
+    return fitted + deeper * upright_axes(case.cameras)[:, 2]
+
+
+def _depth(case: CalibrationCase, points_mm: F64) -> float:
+    """Compute the smallest depth of points behind any inner face, mm."""
+    walls = {camera.wall for camera in case.cameras} - {None}
+    depths = [wall.depth_of(points_mm) - wall.thickness_mm for wall in walls if wall]
+    return float(np.nanmin(depths)) if depths else 0.0
+
+
+def known_places(case: CalibrationCase) -> F64:
+    """Place the target (frame, point, 3) by its known points.
+
+    Known points stay where they are. NaN where they are too few.
+    """
+    board = case.target.points_mm
+    known = np.asarray(np.isfinite(case.known_mm).all(axis=-1))
+    places = np.full(case.known_mm.shape, np.nan)
+    for number, there in enumerate(known):
+        motion = _motion(board[there], case.known_mm[number, there], len(board))
+        if motion is not None:
+            places[number] = motion(board)
+            places[number, there] = case.known_mm[number, there]
+    return places
+
+
+def _motion(board: F64, known: F64, count: int) -> RigidMotion | None:
+    """Fit the motion of a board's points (n, 3) to known ones, if they determine it."""
+    if count == 1 and len(board):
+        return RigidMotion(np.eye(3), known[0] - board[0])
+    if len(board) < 3:
+        return None
+    spread = np.linalg.svd(board - board.mean(axis=0), compute_uv=False)
+    return fit_rigid_motion(board, known) if spread[1] > _LINE * spread[0] else None
+
+
+def _fit(state: State, seen: BoardImages) -> State:
+    return refine(state, seen, FreeParameters(), moving="boards").state
+
+
+def _better(one: State, other: State, seen: BoardImages) -> State:
+    """Take each board from the state in which it fits its images better."""
+    costs = [_costs(state, seen) for state in (one, other)]
+    chosen = costs[1] < costs[0]
+    return replace(
+        one,
+        board_rotations=np.where(chosen[:, None, None], other.board_rotations, one.board_rotations),
+        board_positions=np.where(chosen[:, None], other.board_positions, one.board_positions),
+    )
+
+
+def _costs(state: State, seen: BoardImages) -> F64:
+    """Sum squared residuals of boards (K,); infinite where a point has no image."""
+    squares = np.sum(residuals(state, seen) ** 2, axis=-1)
+    used = np.where(seen.weights > 0.0, squares, 0.0).sum(axis=(0, 2))
+    return np.asarray(np.where(np.isfinite(used), used, np.inf))
+
+
+_PLANE = 1e-6  # thickness over width of places in one plane
+_FLATTEST_DEGREES = 15.0  # between a line of sight and planes of constant Z
+
+
+def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
+    """Return positions (n, 3) and pixels (n, 2) of all points that a camera found."""
+    points, pixels = known_frames(case, camera)
+    return np.vstack(points), np.vstack(pixels)
+
+
+def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F64]]:
+    """Split known points and pixels by frame.
+
+    Frames of which the camera found nothing are left out.
+    """
+    points, pixels = [], []
+    for initial, found in zip(case.initial_mm, case.pixels[camera], strict=True):
+        there = np.isfinite(initial).all(axis=1) & np.isfinite(found).all(axis=1)
+        if there.any():
+            points.append(initial[there])
+            pixels.append(found[there])
+    return points, pixels
+
+
+def reason_if_flat(case: CalibrationCase) -> str | None:
+    """Explain why a case is refused whose nominal positions lie in one plane.
+
+    Returns None if they do not.
+    """
+    nominal = case.initial_mm[np.isfinite(case.initial_mm).all(axis=-1)]
+    spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
+    return (
+        "expected nominal positions at different depths, got all of them in one plane"
+        if spread[2] <= _PLANE * spread[0]
+        else None
+    )
+
+
+def reason_if_edge_on(case: CalibrationCase) -> str | None:
+    """Say which camera sees planes of constant Z edge-on; None if none does."""
+    for camera in case.cameras:
+        angle = float(np.rad2deg(np.arcsin(min(abs(camera.rotation[2][2]), 1.0))))
+        if angle < _FLATTEST_DEGREES:
+            return (
+                f"its polynomial is quadratic along Z, and {camera.name} looks {angle:.0f} degrees "
+                f"from planes of constant Z (at least {_FLATTEST_DEGREES:.0f}): turn the world so "
+                "that Z is the viewing direction"
+            )
+    return None

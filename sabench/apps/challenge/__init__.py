@@ -1,0 +1,3 @@
+"""Challenges on private test sets: organiser, participants and server."""
+
+from __future__ import annotations

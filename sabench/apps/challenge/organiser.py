@@ -1,0 +1,268 @@
+"""Texts of a challenge: pages for its participants.
+
+pages: Texts of a challenge: pages for its participants.
+
+codabench: Bundle of a challenge for the server Codabench.
+
+Its format is that of the server's documentation, version 2: "Yaml Structure", "Competition Bundle
+Structure" and "Submission Docker Container Layout".
+
+organiser: The organiser's part of a challenge: private data sets and archives.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from string import Template
+from typing import cast
+
+from sabench import tasks
+from sabench.api.solvers import TaskName
+from sabench.apps.challenge.contents import Challenge, write_challenge
+from sabench.apps.challenge.scoring import ADMITTED, COSTS
+from sabench.dataset.copies import copy_observation, pack
+from sabench.dataset.reader import Dataset
+from sabench.evaluation.leaderboard.page_content import gate_text
+from sabench.evaluation.runner import dataset_of
+from sabench.evaluation.solver_card import CARD, SolverCard
+from sabench.evaluation.suite_loading import load_suite, read_secret
+from sabench.evaluation.suites import Case, Suite
+from sabench.tasks.task import Score
+from sabench.utils.errors import InputError
+from sabench.utils.files import complete_or_nothing, zip_folder
+from sabench.utils.progress import console
+from sabench.utils.version import __version__
+
+_FOLDER = Path(__file__).with_name("pages")
+NAMES = ("overview", "data", "evaluation", "terms")
+CARD_TEMPLATE = "".join(
+    f'# {field.description}\n{name} = ""\n' for name, field in SolverCard.model_fields.items()
+)
+
+
+def page(name: str, challenge: Challenge) -> str:
+    """Fill in a page in Markdown: one of `NAMES`."""
+    task = tasks.of(challenge.task)
+    shown = [one for one in task.columns if one.key not in COSTS]
+    scores = "\n".join(f"| {one.heading} | {one.meaning} |" for one in shown)
+    values = {
+        "title": challenge.title,
+        "task": challenge.task,
+        "count": len(challenge.data_sets),
+        "first": task.columns[0].heading,
+        "gate": gate_text(task),
+        "scores": scores,
+        "version": challenge.sabench,
+    }
+    text = (_FOLDER / f"{name}.md").read_text(encoding="utf-8")
+    return Template(text).substitute(values)
+
+
+_PROGRAM = Path(__file__).with_name("score.py")
+_COMMAND = "command: python3 /app/program/score.py /app/input/ /app/output/\n"
+_DIGITS = 6  # that the server's table shows
+_LIMIT_S = 3600  # for the scores of one submission
+_DOCKERFILE = """# Image for the scoring program: put the wheel of sabench next to this file.
+FROM python:3.12-slim
+COPY sabench-{version}-py3-none-any.whl /tmp/
+RUN pip install --no-cache-dir /tmp/sabench-{version}-py3-none-any.whl
+"""
+
+
+def write_bundle(
+    challenge: Challenge, named: dict[str, Dataset], image: str, public: Path, folder: Path
+) -> None:
+    """Write the content of a bundle into a new folder.
+
+    Parameters
+    ----------
+    named : the data sets with their truth, which go to the reference data alone.
+    image : name of the Docker image in which the server scores.
+    public : archive that participants receive.
+    """
+    reference = folder / "reference_data"
+    reference.mkdir(parents=True)
+    for name, data in named.items():
+        pack(data, reference / name, blind=False)
+    write_challenge(challenge, reference)
+    _write_program(challenge, folder / "scoring_program")
+    _write_kit(challenge, folder / "starting_kit")
+    (folder / "pages").mkdir()
+    for name in NAMES:
+        (folder / "pages" / f"{name}.md").write_text(page(name, challenge), encoding="utf-8")
+    shutil.copyfile(public, folder / "public_data.zip")
+    (folder / "logo.png").write_bytes(_logo(next(iter(named.values()))))
+    text = "\n".join(competition(challenge, image)) + "\n"
+    (folder / "competition.yaml").write_text(text, encoding="utf-8")
+
+
+def _write_program(challenge: Challenge, folder: Path) -> None:
+    folder.mkdir()
+    shutil.copyfile(_PROGRAM, folder / _PROGRAM.name)
+    (folder / "metadata.yaml").write_text(_COMMAND, encoding="utf-8")
+    recipe = _DOCKERFILE.format(version=challenge.sabench)
+    (folder / "Dockerfile").write_text(recipe, encoding="utf-8")
+
+
+def _write_kit(challenge: Challenge, folder: Path) -> None:
+    folder.mkdir()
+    (folder / "README.md").write_text(page("data", challenge), encoding="utf-8")
+    (folder / CARD).write_text(CARD_TEMPLATE, encoding="utf-8")
+
+
+def _logo(data: Dataset) -> bytes:
+    """Draw the images of the first data set, which participants receive anyway."""
+    return tasks.of_data(data).images(data)
+
+
+def competition(challenge: Challenge, image: str) -> Iterator[str]:
+    """Give the lines of competition.yaml; texts are quoted as JSON, which YAML reads."""
+    start = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M:%S")
+    yield "version: 2"
+    yield f"title: {_quoted(challenge.title)}"
+    yield f"description: {_quoted(f'Task {challenge.task} on private data sets')}"
+    yield "image: logo.png"
+    yield "terms: pages/terms.md"
+    yield f"docker_image: {_quoted(image)}"
+    yield "make_programs_available: true"
+    yield "pages:"
+    for name in NAMES:
+        yield f"  - {{title: {name.capitalize()}, file: pages/{name}.md}}"
+    yield "tasks:"
+    yield "  - index: 0"
+    yield f"    name: {_quoted(challenge.title)}"
+    yield "    scoring_program: scoring_program"
+    yield "    reference_data: reference_data"
+    yield "phases:"
+    yield "  - index: 0"
+    yield "    name: Challenge"
+    yield f"    start: {start}"
+    yield f"    execution_time_limit: {_LIMIT_S}"
+    yield "    public_data: public_data.zip"
+    yield "    starting_kit: starting_kit"
+    yield "    accepts_only_result_submissions: true"
+    yield "    tasks: [0]"
+    yield "leaderboards:"
+    yield "  - title: Results"
+    yield "    key: main"
+    yield "    submission_rule: Force_Last"
+    yield "    columns:"
+    yield from _columns(challenge)
+
+
+def _quoted(text: str) -> str:
+    """Quote a text for YAML, which has JSON's escapes but no surrogate pairs."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _columns(challenge: Challenge) -> Iterator[str]:
+    scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
+    for number, one in enumerate(scores):
+        yield _column(number, one.key, one.heading, _sorting(one))
+    yield _column(len(scores), ADMITTED, "admitted", "desc")
+
+
+def _sorting(score: Score) -> str:
+    return "asc" if score.better == "smaller" else "desc"
+
+
+def _column(number: int, key: str, title: str, sorting: str) -> str:
+    values = f"title: {_quoted(title)}, key: {key}, index: {number}, sorting: {sorting}"
+    return f"      - {{{values}, precision: {_DIGITS}}}"
+
+
+PARTICIPANT, BUNDLE = "participant.zip", "codabench.zip"
+
+
+def make_challenge(
+    suite: str | Path,
+    secret: Path,
+    out: Path,
+    *,
+    task: TaskName | None = None,
+    image: str | None = None,
+    jobs: int = 1,
+) -> Challenge:
+    """Make the private data sets of a suite, and the archives for others.
+
+    Data sets that are there and intact are used again, so that an interrupted call is resumed.
+
+    Parameters
+    ----------
+    suite : name or file of a suite. The cases that a solver of the task solves are used.
+    secret : the organiser's file, from which the seeds come.
+    out : folder of `private` data sets, `participant.zip` and `codabench.zip`.
+    task : of all results; None: the only one of the suite's solvers.
+    image : Docker image with sabench for a bundle for Codabench; None: no bundle.
+    jobs : processes that generate a data set.
+
+    Raises
+    ------
+    InputError
+        Anything wrong in suite or secret, or a suite of several tasks where none is chosen.
+    """
+    loaded, cases = load_suite(suite, read_secret(secret))
+    chosen = _choose_task(cases, task, str(suite))
+    wanted = [case for case in cases if chosen in _tasks(case)]
+    # by hash, so that the order tells no case
+    made = sorted(_data_sets(wanted, out / "private", jobs), key=lambda one: one.content_hash)
+    named = {f"data_{number:03d}": data for number, data in enumerate(made)}
+    challenge = _describe(loaded, chosen, named)
+    with tempfile.TemporaryDirectory(prefix="sabench-", dir=out) as scratch:
+        folder = Path(scratch) / "participant"
+        _write_participant(challenge, named, folder)
+        _archive(folder, out / PARTICIPANT)
+        if image is not None:
+            bundle = Path(scratch) / "codabench"
+            write_bundle(challenge, named, image, out / PARTICIPANT, bundle)
+            _archive(bundle, out / BUNDLE)
+    return challenge
+
+
+def _choose_task(cases: list[Case], task: TaskName | None, suite: str) -> TaskName:
+    known = sorted({one for case in cases for one in _tasks(case)})
+    if task is None and len(known) > 1:
+        raise InputError(
+            f"{suite}: expected solvers of one task, or --task with one of {', '.join(known)}"
+        )
+    chosen = task or known[0]
+    if chosen not in known:
+        raise InputError(f"--task: expected one of {', '.join(known)}, got {chosen!r}")
+    return cast("TaskName", chosen)
+
+
+def _tasks(case: Case) -> set[str]:
+    return {entry.describe()[1] for entry in case.solvers}
+
+
+def _data_sets(cases: list[Case], work: Path, jobs: int) -> Iterator[Dataset]:
+    for number, case in enumerate(cases, 1):
+        text = f"data set {number} of {len(cases)}: {case.name}, {case.words}"
+        console.print(text, markup=False, highlight=False)
+        yield dataset_of(case, work, False, jobs)
+
+
+def _describe(suite: Suite, task: TaskName, named: dict[str, Dataset]) -> Challenge:
+    hashes = {name: data.content_hash for name, data in named.items()}
+    return Challenge(title=suite.title, task=task, sabench=__version__, data_sets=hashes)
+
+
+def _write_participant(challenge: Challenge, named: dict[str, Dataset], folder: Path) -> None:
+    """Write the observation sides of the data sets, and how to take part."""
+    for name, data in named.items():
+        place = folder / name
+        place.mkdir(parents=True)
+        copy_observation(data, place)
+    write_challenge(challenge, folder)
+    (folder / CARD).write_text(CARD_TEMPLATE, encoding="utf-8")
+    (folder / "README.md").write_text(page("data", challenge), encoding="utf-8")
+
+
+def _archive(folder: Path, out: Path) -> None:
+    with complete_or_nothing(out, overwrite=True) as partial:
+        zip_folder(folder, partial)

@@ -1,0 +1,362 @@
+"""Tables of a calibration's configuration, the file calibration.toml.
+
+calibration_configuration: Tables of a calibration's configuration, the file calibration.toml.
+
+docs/using/calibrating.md describes it.
+
+calibration_folder: Folder of a calibration: its configuration, and points or images of a target.
+
+docs/using/calibrating.md describes it.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from sabench.algorithms.calibration.resection import place_boards, upright_axes
+from sabench.algorithms.calibration.target_detection import detect
+from sabench.api import CalibrationCase
+from sabench.api.truth import Target
+from sabench.apps.own_calibration.points import (
+    Sightings,
+    read_loose_points,
+    read_sightings,
+    read_target,
+    unseen,
+)
+from sabench.dataset.cameras import read_calibrated
+from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.lens import UPRIGHT, Distortion
+from sabench.images.photographs import read_photographs
+from sabench.scenes.cameras import DistortionSpec
+from sabench.scenes.tank import build_walls, wall_towards
+from sabench.scenes.wall import CylinderSpec, WallTable, wall_tables
+from sabench.utils.arrays import F64, I64, triple
+from sabench.utils.errors import InputError
+from sabench.utils.files import inside
+from sabench.utils.progress import progress_bar
+from sabench.utils.validation import (
+    Direction,
+    Positive,
+    Table,
+    TiltAngle,
+    Unknown,
+    Vector,
+    validate,
+)
+
+_UP = (0.0, -1.0, 0.0)
+
+
+class TargetSpec(Table):
+    """Calibration target with a regular pattern."""
+
+    pattern: Literal["checkerboard", "circles", "charuco", "wand"]
+    columns: Annotated[int, Field(ge=1, le=200)]
+    rows: Annotated[int, Field(ge=1, le=200)]
+    pitch_mm: Positive
+    mark_mm: Annotated[float, Field(ge=0.0)] = 0.0
+
+
+class ArraySpec(Table):
+    """Properties that all cameras share, as far as they are known."""
+
+    rows: Annotated[int, Field(ge=8, le=20000)]
+    columns: Annotated[int, Field(ge=8, le=20000)]
+    pixel_mm: Positive
+    focal_length_mm: Positive
+    principal_distance_mm: Positive | None = Field(None, description="by default the focal length")
+
+
+class CameraSpec(Table):
+    """Initial guess of a camera's position, and the point that it is aimed at.
+
+    Its lens and sensor, where they are not those of the array.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")]
+    center_mm: Vector
+    aim_mm: Vector
+    up: Direction | None = Field(
+        None, description="direction of the world that its images show upwards"
+    )
+    pixel_mm: Positive | None = None
+    focal_length_mm: Positive | None = None
+    principal_distance_mm: Positive | None = None
+    principal_point_px: tuple[float, float] | None = Field(
+        None, description="column and row; by default the centre of the image"
+    )
+    distortion: DistortionSpec = DistortionSpec()
+    tilt_deg: tuple[TiltAngle, TiltAngle] = Field(
+        UPRIGHT, description="of the sensor against the lens"
+    )
+
+
+class KnownSpec(Table):
+    """Point of the target, or a whole frame, whose position was measured.
+
+    Coordinates that were not measured are left out.
+    """
+
+    frame: Annotated[int, Field(ge=0)]
+    point: Annotated[int, Field(ge=0)] | None = Field(
+        None, description="by default all points: the target stands in a plane of that coordinate"
+    )
+    x_mm: float | None = None
+    y_mm: float | None = None
+    z_mm: float | None = None
+    sigma_mm: Positive = 0.05
+
+
+class Configuration(Table):
+    """Content of calibration.toml."""
+
+    target: TargetSpec | None = None
+    target_points: str | None = Field(
+        None,
+        min_length=1,
+        description="file of a rigid target of any shape: columns point,x_mm,y_mm,z_mm; without it "
+        "and without `target`, points.csv has the measured place of every point",
+    )
+    up: Direction = Field(_UP, description="direction of the world that images show upwards")
+    array: ArraySpec | None = None
+    wall: WallTable | None = None
+    cameras: tuple[CameraSpec, ...] = ()
+    known_cameras: str | None = Field(
+        None,
+        min_length=1,
+        description="cameras.json of an earlier calibration, as without the tank, in place of "
+        "`array` and `cameras`: only the wall and the target are unknown",
+    )
+    target_mm: Vector | None = Field(
+        None,
+        description="initial guess of the target's position; by default the mean of aim_mm",
+    )
+    known: tuple[KnownSpec, ...] = ()
+    unknown: tuple[Unknown, ...] = Field(
+        (), description="parameters of lenses and wall to be found besides the focal lengths"
+    )
+
+
+CONFIGURATION, IMAGES, POINTS = "calibration.toml", "images", "points.csv"
+_FARTHEST_MM = 1e6  # a kilometre
+_ANY_ROTATION = aimed_rotation(np.array([0.0, 0.0, 1.0]))  # until a camera is aimed
+_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Calibration case of a folder, with the numbers of its frames and points.
+
+    Attributes
+    ----------
+    case : the case. Without a target each of its frames is one point.
+    frames, points : (frame,) and (frame, point) numbers.
+    """
+
+    case: CalibrationCase
+    frames: I64
+    points: I64
+
+
+def read_case(folder: Path) -> Recording:
+    """Read a folder's calibration: its points.csv, or else points of its images."""
+    path = folder / CONFIGURATION
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: expected the description of a calibration, found none") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected a TOML file, got {error}") from error
+    configuration = validate(Configuration, values, str(path))
+    _check_lengths(configuration, str(path))
+    if configuration.known_cameras is None:
+        cameras = _cameras(configuration, str(path))
+    else:
+        cameras = _known_cameras(configuration, folder)
+    target = _target(configuration, folder)
+    plain = target.points_mm @ upright_axes(cameras).T + np.asarray(_middle(configuration))
+    names = [camera.name for camera in cameras]
+    if len(plain) == 1 and target.pattern == "points":
+        seen = read_loose_points(folder / POINTS, names)
+    elif (folder / POINTS).is_file():
+        seen = read_sightings(folder / POINTS, names, len(plain))
+    elif target.pattern == "points":
+        raise InputError(
+            f"{folder / POINTS}: expected the points that cameras saw, since points of any places "
+            "are not detected in images, found none"
+        )
+    else:
+        seen = unseen(_read_images(folder / IMAGES, target, cameras, plain))
+    _enter_known(configuration, seen, str(path))
+    initial = np.tile(plain, (seen.pixels.shape[1], 1, 1))
+    case = CalibrationCase(
+        target,
+        seen.pixels,
+        cameras,
+        initial,
+        seen.known_mm,
+        seen.sigma_mm,
+        configuration.unknown,
+        configuration.known_cameras is not None,
+    )
+    return Recording(replace(case, initial_mm=place_boards(case)), seen.frames, seen.points)
+
+
+def _target(configuration: Configuration, folder: Path) -> Target:
+    """Make the target; without one, a single point for each of the points."""
+    spec, points = configuration.target, configuration.target_points
+    if spec is not None and points is not None:
+        raise InputError(
+            f"{folder / CONFIGURATION}: expected either target or target_points, got both"
+        )
+    if spec is not None:
+        return Target(**spec.model_dump())
+    if points is not None:
+        return Target.from_places(read_target(inside(folder, points)))
+    return Target.from_places(((0.0, 0.0, 0.0),))
+
+
+def _middle(configuration: Configuration) -> Vector:
+    """Guess where the target is: as configured, or where cameras are aimed."""
+    aims = [camera.aim_mm for camera in configuration.cameras]
+    return configuration.target_mm or triple(np.mean(aims, axis=0))
+
+
+def _check_lengths(configuration: Configuration, source: str) -> None:
+    """Check that lengths and coordinates are such as a laboratory has."""
+    target, array = configuration.target, configuration.array
+    lengths = (array.pixel_mm, array.focal_length_mm, array.principal_distance_mm) if array else ()
+    given: dict[str, tuple[float, ...]] = {
+        "target_mm": configuration.target_mm or (0.0,),
+        "array": tuple(length or 0.0 for length in (*lengths, 0.0)),
+    }
+    if target is not None:
+        given["target"] = (target.pitch_mm, target.mark_mm)
+    for number, camera in enumerate(configuration.cameras):
+        given[f"cameras.{number}"] = (*camera.center_mm, *camera.aim_mm)
+    for number, point in enumerate(configuration.known):
+        given[f"known.{number}"] = (point.x_mm or 0.0, point.y_mm or 0.0, point.z_mm or 0.0)
+    for wall in wall_tables(configuration.wall):
+        place = wall.axis_point_mm if isinstance(wall, CylinderSpec) else wall.point_mm
+        given["wall"] = (*given.get("wall", ()), *place)
+    for key, values in given.items():
+        largest = max(map(abs, values))
+        if largest > _FARTHEST_MM:
+            raise InputError(
+                f"{source}: {key}: expected at most {_FARTHEST_MM:g} mm, got {largest:g}"
+            )
+
+
+def _cameras(configuration: Configuration, source: str) -> tuple[Camera, ...]:
+    walls = build_walls(configuration.wall)
+    shared, cameras = configuration.array, []
+    if shared is None or not configuration.cameras:
+        raise InputError(f"{source}: expected tables array and cameras, or known_cameras, got less")
+    names = [spec.name for spec in configuration.cameras]
+    if len(set(names)) != len(names):
+        raise InputError(f"{source}: cameras: expected different names, got {names}")
+    for spec in configuration.cameras:
+        focal_length_mm = spec.focal_length_mm or shared.focal_length_mm
+        distance_mm = spec.principal_distance_mm or shared.principal_distance_mm
+        camera = Camera(
+            name=spec.name,
+            rows=shared.rows,
+            columns=shared.columns,
+            center_mm=spec.center_mm,
+            rotation=_ANY_ROTATION,
+            principal_distance_mm=distance_mm or focal_length_mm,
+            pixel_mm=spec.pixel_mm or shared.pixel_mm,
+            principal_point_px=spec.principal_point_px
+            or ((shared.columns - 1) / 2.0, (shared.rows - 1) / 2.0),
+            distortion=Distortion(**spec.distortion.model_dump()),
+            focal_length_mm=focal_length_mm,
+            f_number=8.0,
+            tilt_deg=spec.tilt_deg,
+            wall=wall_towards(walls, np.asarray(spec.center_mm), np.asarray(spec.aim_mm)),
+        )
+        try:
+            down = -np.asarray(spec.up or configuration.up)
+            cameras.append(aim(camera, spec.aim_mm, down))
+        except ValueError as error:
+            raise InputError(
+                f"{source}: {error}: is the wall behind the camera, or the target in front of the "
+                "wall?"
+            ) from error
+    return tuple(cameras)
+
+
+def _known_cameras(configuration: Configuration, folder: Path) -> tuple[Camera, ...]:
+    """Read the cameras of an earlier calibration, and put them in front of the wall."""
+    path = folder / CONFIGURATION
+    if configuration.array is not None or configuration.cameras:
+        raise InputError(f"{path}: expected either known_cameras or array and cameras, got both")
+    if configuration.target_mm is None:
+        raise InputError(f"{path}: target_mm: expected it with known_cameras, got none")
+    read, _ = read_calibrated(inside(folder, configuration.known_cameras or ""))
+    walls, middle = build_walls(configuration.wall), np.asarray(configuration.target_mm)
+    cameras = tuple(
+        replace(camera, wall=wall_towards(walls, np.asarray(camera.center_mm), middle))
+        for camera in read
+        if isinstance(camera, Camera)
+    )
+    if len(cameras) < len(read):
+        raise InputError(f"{path}: known_cameras: expected pinholes, got another camera model")
+    return cameras
+
+
+def _enter_known(configuration: Configuration, seen: Sightings, source: str) -> None:
+    """Enter the measured coordinates of the configuration.
+
+    A coordinate of a whole frame has one error, which is spread over its points.
+    """
+    for number, known in enumerate(configuration.known):
+        chosen = seen.frames[:, None] == known.frame
+        if known.point is None:
+            chosen = chosen & np.ones_like(seen.points, dtype=np.bool_)
+        else:
+            chosen = chosen & (seen.points == known.point)
+        if not chosen.any():
+            frames, points = len(np.unique(seen.frames)), seen.points.max() + 1
+            raise InputError(
+                f"{source}: known.{number}: expected one of {frames} frames and of {points} "
+                f"points, got {known.frame} and {known.point}"
+            )
+        sigma = known.sigma_mm * np.sqrt(chosen.sum())
+        for axis, value in enumerate((known.x_mm, known.y_mm, known.z_mm)):
+            if value is not None:
+                seen.known_mm[chosen, axis], seen.sigma_mm[chosen, axis] = value, sigma
+
+
+def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plain: F64) -> F64:
+    """Detect the target in images/FRAME/CAMERA.tif (or png, bmp, jpg).
+
+    Frames are in the order of their folders' names.
+    """
+    frames = (
+        sorted(entry for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []
+    )
+    if not frames:
+        raise InputError(
+            f"{folder}: expected folders with an image of each camera, or a {POINTS} next to it, "
+            "found neither"
+        )
+    pixels = np.full((len(cameras), len(frames), len(target.points_mm), 2), np.nan)
+    shape = (cameras[0].rows, cameras[0].columns)
+    for k in progress_bar(range(len(frames)), "find the target"):
+        paths = {c: path for c, camera in enumerate(cameras) if (path := _find(frames[k], camera))}
+        for c, image in zip(paths, read_photographs([*paths.values()], shape), strict=True):
+            pixels[c, k] = detect(image, target, cameras[c].project(plain)[0])
+    return pixels
+
+
+def _find(frame: Path, camera: Camera) -> Path | None:
+    """Find a camera's image of a frame; None if it took none."""
+    names = (frame / f"{camera.name}{suffix}" for suffix in _SUFFIXES)
+    return next((path for path in names if path.is_file()), None)

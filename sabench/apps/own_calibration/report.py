@@ -1,0 +1,359 @@
+"""Unknowns of a wall in a calibration's report, and what the data show of them.
+
+wall_report: Unknowns of a wall in a calibration's report, and what the data show of them.
+
+calibration_report: Report of a calibration: its quality as far as its own data show it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages
+from sabench.algorithms.calibration.cramer_rao import Limit, limit
+from sabench.algorithms.calibration.fit_checks import correlated_part, neighbours
+from sabench.algorithms.calibration.joint_fit import INDEX, THICKNESS
+from sabench.algorithms.calibration.parameters import WALL, Frame, FreeParameters, common_plane
+from sabench.algorithms.calibration.problem import make_anchors
+from sabench.algorithms.calibration.unknown_selection import Nested
+from sabench.api import Calibration, CalibrationCase
+from sabench.apps.own_calibration.folder import Recording
+from sabench.apps.own_calibration.held_out import (
+    HeldOut,
+    places_rigidly,
+    residuals_of,
+    rms_px,
+    target_places,
+    unknowns_of,
+)
+from sabench.geometry.camera import Camera
+from sabench.geometry.refraction import Wall
+from sabench.geometry.rigid_motion import frame_of_normal
+from sabench.utils.arrays import F64, Bool, triple
+from sabench.utils.errors import InputError
+
+# errors of what a data sheet, a ruler and a spirit level show, without any calibration
+_INDEX, _THICKNESS_MM, _TILT_DEG, _PLACE_MM = 0.01, 0.5, 0.5, 1.0
+
+
+@dataclass(frozen=True)
+class WallUnknown:
+    """Unknown of the wall.
+
+    Attributes
+    ----------
+    name, unit : such as "thickness of glass" and "mm".
+    nominal, found : values; tilts and the place count from the nominal wall, the place along its
+        normal through the world's origin.
+    std : smallest standard deviation that the data allow without the nominal value (Cramer-Rao
+        bound); None where nothing shows it.
+    shown : whether they say more than a data sheet, a ruler and a spirit level.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    found: float
+    std: float | None
+    shown: bool
+
+
+def media_of(wall: Wall) -> tuple[str, ...]:
+    """Name the media along the way of light from a camera."""
+    return "the cameras' medium", *(layer.name for layer in wall.layers), "the fluid"
+
+
+def wall_unknowns(
+    nominal: Wall, found: Wall, free: FreeParameters, shared_std: F64
+) -> tuple[WallUnknown, ...]:
+    """List the free unknowns of a wall.
+
+    Parameters
+    ----------
+    shared_std : (s,) bound of what all cameras share, see `cramer_rao.Limit`.
+    """
+    names = [
+        *((f"index of {name}", "", _INDEX) for name in media_of(nominal)),
+        *((f"thickness of {layer.name}", "mm", _THICKNESS_MM) for layer in nominal.layers),
+        ("tilt of the wall about X", "deg", _TILT_DEG),
+        ("tilt of the wall about Y", "deg", _TILT_DEG),
+        ("place of the wall", "mm", _PLACE_MM),
+    ]
+    scales = np.ones(len(names))
+    scales[-WALL:-1] = math.degrees(1.0)
+    before, after = (_values(wall, nominal).tolist() for wall in (nominal, found))
+    _, shared = free.columns(len(nominal.indices))
+    rows = []
+    for number, std in zip(shared.tolist(), shared_std.tolist(), strict=True):
+        if number < len(names):
+            name, unit, measured = names[number]
+            own = std * float(scales[number])
+            known = own if math.isfinite(own) else None
+            figures = before[number], after[number], known
+            rows.append(WallUnknown(name, unit, *figures, own < measured))
+    return tuple(rows)
+
+
+def _values(wall: Wall, nominal: Wall) -> F64:
+    """List indices, thicknesses, tilts (deg) and place (mm) of a wall.
+
+    Tilts and place count from the nominal wall.
+    """
+    axes = frame_of_normal(np.asarray(nominal.normal))
+    right, down, along = axes @ np.asarray(wall.normal)
+    place = np.asarray(wall.point_mm) @ np.asarray(wall.normal) / along
+    tilts = np.rad2deg([-down, right])
+    base = np.asarray(nominal.point_mm) @ axes[2]
+    thick = [layer.thickness_mm for layer in wall.layers]
+    return np.concatenate([wall.indices, thick, tilts, [place - base]])
+
+
+def warn_of_unknowns(unknowns: Sequence[WallUnknown]) -> Iterator[str]:
+    """Say in one sentence what the data do not show of the wall."""
+    hidden = [one for one in unknowns if not one.shown]
+    if hidden:
+        listed = " and ".join(_standard_deviation(one) for one in hidden)
+        yield f"The data hardly show the {listed}: measure it, and take it out of the unknowns."
+
+
+def _standard_deviation(one: WallUnknown) -> str:
+    unit = f" {one.unit}" if one.unit else ""
+    std = "infinite" if one.std is None else f"{one.std:.3g}{unit}"
+    return f"{one.name} (standard deviation {std})"
+
+
+_SHALLOW = 0.002  # error of the depth, part of the distance from the wall, that images leave open
+_LEAST_PX = 1e-3  # misfit that no data have reason to show
+_MISFIT = 0.5  # times the noise: residuals that neighbours share, above which a model is too simple
+
+
+@dataclass(frozen=True)
+class Report:
+    """Quality of a calibration as far as its own data show it.
+
+    Attributes
+    ----------
+    summary : sentences that a reader must know, the most important one first.
+    unknown : unknowns of lenses, wall and board.
+    compared : fits from which the unknowns were chosen; empty if they were given.
+    noise_px : error of a pixel coordinate, from the residuals.
+    misfit_px : the part of it that neighbouring points share: of the model and not of noise.
+    true_px : expected mean error of the calibrated cameras, with the misfit; None for solvers
+        without a bound.
+    std_mm : expected standard deviation of the target's points along the wall's X and Y and its
+        normal, with the misfit; None without frames to hold out and without a bound.
+    noise_std_mm : the same if there were only noise: the Cramer-Rao bound.
+    wall : unknowns of the wall, and what the data show of them; empty without any.
+    depth_mm : standard deviation of the distance of all points together from the wall; None without
+        a wall.
+    held_out : errors of frames that the fit did not see; None where there are too few.
+    cameras, frames : for each its name or number, the numbers of points found and used, and the
+        mean and largest residual of the used ones, px.
+    """
+
+    summary: tuple[str, ...]
+    unknown: tuple[str, ...]
+    compared: tuple[Nested, ...]
+    noise_px: float
+    misfit_px: float
+    true_px: float | None
+    std_mm: tuple[float, float, float] | None
+    noise_std_mm: tuple[float, float, float] | None
+    wall: tuple[WallUnknown, ...]
+    depth_mm: float | None
+    held_out: HeldOut | None
+    cameras: tuple[dict[str, Any], ...]
+    frames: tuple[dict[str, Any], ...]
+
+
+def report_on(
+    recording: Recording,
+    answer: Calibration,
+    held_out: HeldOut | None,
+    compared: tuple[Nested, ...] = (),
+) -> tuple[Report, F64, F64]:
+    """Report the quality of a calibration.
+
+    Also returns the places of the target (frame, point, 3) in mm and the residuals of the points
+    used (camera, frame, point, 2) in px, NaN for others.
+
+    Raises
+    ------
+    InputError
+        Points found where the calibration lets no camera see them.
+    """
+    case = recording.case
+    points = answer.points_mm
+    if points is None:
+        points = target_places(answer.cameras, case, answer)
+    errors = residuals_of(answer.cameras, case, points)
+    used = case.found & np.isfinite(points).all(axis=-1) if answer.used is None else answer.used
+    if hidden := int(np.isnan(errors[used]).any(axis=-1).sum()):
+        raise InputError(
+            f"expected the target in the fluid, but {hidden} of {int(used.sum())} points found "
+            "cannot be seen where the calibration puts them: in the wall or before it; check "
+            "target_mm, wall and known"
+        )
+    seen = np.where(used[..., None], errors, np.nan)
+    misfit = _misfit_px(case, seen)
+    noise = _noise_px(case, answer, seen)
+    bound, wall = _bound(case, answer, points, used, noise)
+    std = _expected_mm(bound, held_out)
+    walled = any(camera.wall for camera in case.cameras)
+    depth = _depth_mm(bound, held_out) if walled else None
+    report = Report(
+        (
+            *answer.remarks,
+            *warn_of_unknowns(wall),
+            *_warn_of_depth(case, points, depth),
+            *_warn_of_model(case, answer, misfit, noise),
+        ),
+        case.unknown,
+        compared,
+        noise,
+        misfit,
+        None if bound is None else float(np.hypot(bound.reprojection_px, np.sqrt(2.0) * misfit)),
+        std,
+        None if bound is None else triple(bound.point_std_mm),
+        wall,
+        depth,
+        held_out,
+        tuple(
+            _line(camera.name, errors[i], case.found[i], used[i])
+            for i, camera in enumerate(answer.cameras)
+        ),
+        tuple(
+            _line(int(k), errors[:, own], case.found[:, own], used[:, own])
+            for k in np.unique(recording.frames)
+            if (own := recording.frames == k).any()
+        ),
+    )
+    return report, points, seen
+
+
+def _noise_px(case: CalibrationCase, answer: Calibration, errors: F64) -> float:
+    """Compute the standard deviation of a pixel coordinate, unknowns allowed for."""
+    there = np.isfinite(errors[..., 0])
+    free = FreeParameters.from_case(case)
+    unknowns = free.per_camera * len(answer.cameras) if free.cameras else 0
+    if not places_rigidly(answer.cameras, answer):
+        return rms_px(errors, unknowns_of(answer.cameras, case, answer)) or 0.0
+    unknowns += 6 * int(there.any(axis=(0, 2)).sum())
+    return float(np.sqrt(np.nansum(errors**2) / max(2 * int(there.sum()) - unknowns, 1)))
+
+
+def _misfit_px(case: CalibrationCase, errors: F64) -> float:
+    """Compute the part of residuals that neighbouring points share, per coordinate."""
+    if case.found.shape[2] == 1:
+        parts = correlated_part(errors.transpose(0, 2, 1, 3), neighbours(case.initial_mm[:, 0]))
+    else:
+        parts = correlated_part(errors, neighbours(case.target.points_mm))
+    return float(np.sqrt(np.mean(np.nan_to_num(parts) ** 2)))
+
+
+def _bound(
+    case: CalibrationCase, answer: Calibration, points: F64, used: Bool, noise: float
+) -> tuple[Limit | None, tuple[WallUnknown, ...]]:
+    """Compute the Cramer-Rao bound of pinholes that look at boards; None for others.
+
+    It comes with the unknowns of the wall.
+    """
+    cameras = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
+    if not places_rigidly(answer.cameras, answer):
+        return None, ()
+    frame, free = Frame.from_cameras(cameras, points), FreeParameters.from_case(case)
+    board = points[int(np.argmax(used.any(axis=(0, 2))))]  # with its bend
+    seen = BoardImages(
+        board - board.mean(axis=0),
+        np.nan_to_num(case.pixels),
+        used.astype(np.float64),
+        make_anchors(case, frame, noise),
+        frame.beyond_kernels,
+    )
+    state = frame.state(seen.board, points)
+    bound, nominal = limit(state, seen, free, noise), common_plane(case.cameras)
+    if nominal is None or frame.wall is None:
+        return bound, ()
+    return bound, wall_unknowns(nominal, frame.wall, free, bound.shared_std)
+
+
+def _expected_mm(
+    bound: Limit | None, held_out: HeldOut | None
+) -> tuple[float, float, float] | None:
+    """Join noise, scatter between fits and what neighbours share on frames held out."""
+    noise = None if bound is None else bound.point_std_mm
+    if held_out is None or held_out.spread_mm is None:
+        return None if noise is None else triple(noise)
+    spread = np.asarray(held_out.spread_mm)
+    if noise is not None:
+        spread = np.maximum(spread, noise)
+    return triple(np.hypot(spread, held_out.bend_mm))
+
+
+def _depth_mm(bound: Limit | None, held_out: HeldOut | None) -> float | None:
+    """Take the larger of the standard deviations by noise and between fits."""
+    depths = [None if bound is None else float(bound.point_mean_mm[2])]
+    depths.append(None if held_out is None else held_out.depth_mm)
+    return max((value for value in depths if value is not None), default=None)
+
+
+def _warn_of_depth(case: CalibrationCase, points: F64, depth: float | None) -> Iterator[str]:
+    """Say where the boards do not show the depth, and how to measure it."""
+    wall = common_plane(case.cameras)
+    if wall is None or depth is None:
+        return
+    behind = float(np.nanmean(wall.depth_of(points))) - wall.thickness_mm
+    if depth > _SHALLOW * abs(behind):
+        yield (
+            f"The boards do not show how far they are from the wall: all points together are "
+            f"uncertain by {depth:.3g} mm along its normal. Measure the distance of one point "
+            "of the target from the outer face of the wall and enter it in [[known]]."
+        )
+
+
+def _warn_of_model(
+    case: CalibrationCase, answer: Calibration, misfit: float, noise: float
+) -> Iterator[str]:
+    """Say what residuals that are no noise, and figures far from nominal ones, show."""
+    pinholes = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
+    if pinholes and misfit > max(_MISFIT * noise, _LEAST_PX):
+        yield (
+            f"Neighbouring points share {misfit:.3g} px of their residuals of {noise:.3g} px, "
+            "which is no noise: the model lacks something. Compare with --unknowns auto."
+        )
+    nominal, found = common_plane(case.cameras), common_plane(pinholes) if pinholes else None
+    if nominal is None or found is None:
+        return
+    for before, after in zip(nominal.layers, found.layers, strict=True):
+        if abs(after.thickness_mm - before.thickness_mm) > THICKNESS * before.thickness_mm:
+            yield (
+                f"The fit gives {before.name} a thickness of {after.thickness_mm:.3g} mm where "
+                f"{before.thickness_mm:.3g} mm is nominal: measure it, and take it out of the "
+                "unknowns."
+            )
+    for name, old, new in zip(media_of(nominal), nominal.indices, found.indices, strict=True):
+        if abs(new - old) > INDEX:
+            yield (
+                f"The fit gives {name} an index of {new:.4g} where {old:.4g} is nominal: measure "
+                "it, and take it out of the unknowns."
+            )
+
+
+def _line(
+    name: str | int, errors: F64, found: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_]
+) -> dict[str, Any]:
+    own = np.linalg.norm(errors, axis=-1)[used]
+    figures = (float(own.mean()), float(own.max())) if len(own) else (None, None)
+    return {
+        "name": name,
+        "found": int(found.sum()),
+        "used": int(used.sum()),
+        "mean_px": figures[0],
+        "largest_px": figures[1],
+    }

@@ -1,0 +1,239 @@
+"""Figures of the calibration: how far nominal cameras are off in the images.
+
+calibration: Figures of the calibration: how far nominal cameras are off in the images.
+
+recording: Figures of the recording: data rate, buses, buffer and times of pulses.
+
+plan: Plan of an experiment: all figures of a scene and its warnings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sabench.apps.planning.expected_scores import plan_density, plan_scores
+from sabench.apps.planning.optics import (
+    Sample,
+    plan_depth,
+    plan_light,
+    plan_sharpness,
+    plan_view,
+    sample_images,
+)
+from sabench.apps.planning.viewing import Advice, Quantity, Section, Viewing, view
+from sabench.geometry.common_view import lattice_of
+from sabench.scenes import Rig, Scene, build_rig, load_scene
+from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.simulation.frames import Frames
+from sabench.utils.errors import InputError
+
+
+def calibration_error_px(scene: Scene, view: Viewing) -> float:
+    """Compute the RMS distance in the images between nominal and true cameras.
+
+    Over a lattice of the volume and over all cameras, for seed 0.
+    """
+    points = lattice_of(view.rig.grid, 5)
+    apart = [
+        nominal.project(points)[0] - true.project(points)[0]
+        for nominal, true in zip(
+            nominal_cameras(scene, view.rig.cameras, 0), view.rig.cameras, strict=True
+        )
+    ]
+    return float(np.sqrt(np.nanmean(np.sum(np.square(apart), axis=2))))
+
+
+def plan_calibration(scene: Scene, view: Viewing) -> Section:
+    """Compute the calibration error that the scene has."""
+    error = calibration_error_px(scene, view)
+    given = Quantity("calibration_px", error, "RMS error of nominal cameras", "calibration")
+    return Section("calibration", (given,))
+
+
+_FAST = 99.0  # percentile of displacements
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """Computer and cameras of a recording; by default the thesis's, 3.2.1.
+
+    Attributes
+    ----------
+    bus_mb_s : transfer rate of one bus, MB/s.
+    memory_gb : memory that holds the images of a recording.
+    gap_us : shortest time between two exposures.
+    """
+
+    bus_mb_s: float = 80.0
+    memory_gb: float = 8.0
+    gap_us: float = 250.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers; the names in errors are those of the command's options."""
+        for option, value in (("bus-mb-s", self.bus_mb_s), ("memory-gb", self.memory_gb)):
+            if not 0.0 < value < math.inf:
+                raise InputError(f"--{option}: expected a positive number, got {value:g}")
+        if not 0.0 <= self.gap_us < math.inf:
+            raise InputError(f"--gap-us: expected 0 or more, got {self.gap_us:g}")
+
+
+def plan_recording(
+    scene: Scene, view: Viewing, recorder: Recorder, sample: Sample | None
+) -> Section:
+    """Compute data rates and times; a single frame and a target have none."""
+    frame_mb = scene.cameras.rows * scene.cameras.columns * _bytes_per_pixel(scene) / 1e6
+    data = Quantity("frame_mb", frame_mb, "data of a frame, MB", "8 or 16 bits a pixel")
+    if scene.timing is None and (scene.frames == 1 or scene.targets is not None):
+        return Section("recording", (data,))
+    count, rate = len(view.rig.cameras), frames_per_s(scene)
+    camera, whole = frame_mb * rate, frame_mb * rate * count
+    per_bus = math.floor(recorder.bus_mb_s / camera)
+    quantities = [
+        Quantity("frames_per_s", rate, "frames of a camera", "timing or interval_s"),
+        data,
+        Quantity("camera_mb_s", camera, "data rate of a camera, MB/s", "(3.1)"),
+        Quantity("array_mb_s", whole, "data rate of the array, MB/s", "(3.1)"),
+        Quantity("cameras_per_bus", per_bus, f"at {recorder.bus_mb_s:g} MB/s a bus", "(3.2)"),
+        Quantity(
+            "buses", math.ceil(count / per_bus) if per_bus else None, "for all cameras", "(3.2)"
+        ),
+        Quantity(
+            "buffer_s",
+            1e3 * recorder.memory_gb / whole,
+            f"that {recorder.memory_gb:g} GB hold",
+            "3.2.1",
+        ),
+        *_straddling(scene, recorder),
+    ]
+    moved = None if sample is None else _displacement_px(scene, view, sample)
+    quantities.append(
+        Quantity("displacement_px", moved, "of fast particles, between frames", "v dt / dX")
+    )
+    return Section("recording", tuple(quantities), tuple(_advise(scene, recorder, per_bus)))
+
+
+def frames_per_s(scene: Scene) -> float:
+    """Return the frames that a camera records in a second, one for each pulse."""
+    if scene.timing is None:
+        return 1.0 / scene.interval_s
+    return scene.timing.rate_hz * len(scene.timing.pulses_s)
+
+
+def shortest_step_s(scene: Scene) -> float:
+    """Return the shortest time between two frames."""
+    if scene.timing is None or len(scene.timing.pulses_s) < 2:
+        return 1.0 / frames_per_s(scene)
+    return float(np.diff(scene.timing.pulses_s).min())
+
+
+def _bytes_per_pixel(scene: Scene) -> int:
+    return 1 if scene.sensor.bit_depth <= 8 else 2
+
+
+def _straddling(scene: Scene, recorder: Recorder) -> list[Quantity]:
+    """Place two pulses evenly about the gap between two exposures, figure 3-3."""
+    if scene.timing is None or len(scene.timing.pulses_s) != 2:
+        return []
+    step = 1e6 * shortest_step_s(scene)
+    middle = 1e6 / frames_per_s(scene) - recorder.gap_us / 2.0
+    after = "us after the start of the first exposure"
+    return [
+        Quantity("pulse_step_us", step, "time between the pulses", "timing.pulses_s"),
+        Quantity("first_pulse_us", middle - step / 2.0, after, "figure 3-3"),
+        Quantity("second_pulse_us", middle + step / 2.0, after, "figure 3-3"),
+    ]
+
+
+def _displacement_px(scene: Scene, view: Viewing, sample: Sample) -> float | None:
+    if not len(sample.particles):
+        return None
+    speed = np.linalg.norm(sample.particles.velocity_mm_s, axis=1)
+    fast = float(np.percentile(speed, _FAST))
+    return fast * shortest_step_s(scene) / view.pixel_mm(0.5)
+
+
+def _advise(scene: Scene, recorder: Recorder, per_bus: int) -> list[Advice]:
+    advice, timed = [], scene.timing is not None
+    step, gap = shortest_step_s(scene), 1e-6 * recorder.gap_us
+    if not per_bus:
+        key = "timing.rate_hz" if timed else "interval_s"
+        problem = f"a bus of {recorder.bus_mb_s:g} MB/s takes less than one camera"
+        advice.append(Advice(key, f"{problem}: change {key}, or record in the cameras' memory"))
+    if step < gap:
+        key = "timing.pulses_s" if timed else "interval_s"
+        problem = f"frames are {1e6 * step:.4g} us apart and exposures {recorder.gap_us:g} us"
+        advice.append(Advice(key, f"{problem}: raise {key}, or choose cameras with a shorter gap"))
+    longest = 1.0 / frames_per_s(scene) - gap
+    if 0.0 < longest < scene.sensor.exposure_s:
+        key = "sensor.exposure_s"
+        problem = f"an exposure of {scene.sensor.exposure_s:g} s does not fit between frames"
+        advice.append(Advice(key, f"{problem}: reduce {key} to {longest:.3g}"))
+    return advice
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Figures and warnings of a scene.
+
+    Attributes
+    ----------
+    scene : with the laser as it is in the fluid.
+    """
+
+    scene: Scene
+    rig: Rig
+    viewing: Viewing
+    sections: tuple[Section, ...]
+
+    @property
+    def advice(self) -> tuple[Advice, ...]:
+        """Warnings of all sections."""
+        return tuple(one for section in self.sections for one in section.advice)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give all figures and warnings as JSON holds them."""
+        return {
+            "title": self.scene.title,
+            "figures": {
+                one.key: {"value": one.value, "meaning": one.meaning, "source": one.source}
+                for section in self.sections
+                for one in section.quantities
+            },
+            "warnings": [{"key": one.key, "sentence": one.sentence} for one in self.advice],
+        }
+
+
+def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
+    """Plan an experiment.
+
+    Parameters
+    ----------
+    scene : a scene, a scene file, or the name of a bundled one.
+    recorder : computer and cameras; by default those of the thesis.
+
+    Raises
+    ------
+    InputError
+        As `generate`: a bad scene, or an impossible geometry.
+    """
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
+    rig = build_rig(loaded, loaded.title if isinstance(scene, Scene) else str(scene))
+    viewing = view(loaded, rig)
+    sections = [plan_view(loaded, viewing), plan_depth(loaded, viewing)]
+    sections += [plan_sharpness(loaded, viewing), plan_calibration(loaded, viewing)]
+    sample, lit = None, loaded
+    if loaded.tracers is not None:
+        frame = Frames(loaded, rig, 0, "splat").at(0)
+        lit = frame.scene
+        sample = sample_images(frame, frame.tracers) if frame.tracers else None
+    if sample is not None:
+        sections += [plan_light(sample), plan_density(loaded, viewing, sample)]
+        expected = plan_scores(loaded, sections)
+        sections += [expected] if expected is not None else []
+    sections.append(plan_recording(loaded, viewing, recorder or Recorder(), sample))
+    return Plan(lit, rig, viewing, tuple(sections))

@@ -1,0 +1,171 @@
+"""Statistics of a data set's images, and of anybody's recordings beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sabench.algorithms.particles import TriangulationSettings, fit_cameras, triangulate_particles
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.schema import MANIFEST
+from sabench.images.recordings import read_recordings
+from sabench.images.statistics import (
+    CameraStatistics,
+    RatioSpread,
+    fit_particle_images,
+    flux_near,
+    flux_ratio_spread,
+    measure_camera,
+)
+from sabench.utils.arrays import F64, U16
+from sabench.utils.errors import InputError
+from sabench.utils.progress import progress_bar
+
+_REACH_PX = 1.0  # of a peak from where the camera sees its particle
+_APART_PX = 4.0  # nearer peaks and particles leave a particle out
+
+Matched = Literal["true positions", "triangulated positions"]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Statistics of all cameras.
+
+    Attributes
+    ----------
+    cameras : by their names.
+    frames : number of images of each camera, at most.
+    white_dn : grey values of saturated pixels, of each camera.
+    ratio : of a particle's flux between cameras; None without a calibration.
+    matched : what tells which peaks of the cameras are one particle's.
+    """
+
+    cameras: dict[str, CameraStatistics]
+    frames: int
+    white_dn: dict[str, float]
+    ratio: RatioSpread | None = None
+    matched: Matched | None = None
+
+    def medians(self) -> dict[str, float | None]:
+        """Give each figure's median over the cameras, and those of the ratio.
+
+        None where the images do not tell.
+        """
+        every = [asdict(one) for one in self.cameras.values()]
+        out = {key: _median([one[key] for one in every]) for key in every[0]}
+        if self.ratio is not None:
+            out["ln_ratio"] = _finite(self.ratio.plain)
+            out["ln_ratio_robust"] = _finite(self.ratio.robust)
+        return out
+
+    def to_json(self) -> dict[str, Any]:
+        """Give all figures as JSON holds them."""
+        own = {
+            name: {key: _finite(value) for key, value in asdict(one).items()}
+            for name, one in self.cameras.items()
+        }
+        pairs = self.ratio.pairs if self.ratio else None
+        return {
+            "frames": self.frames,
+            "white_dn": self.white_dn,
+            "median": self.medians(),
+            "cameras": own,
+            "ratio_matched_by": self.matched,
+            "ratio_pairs": pairs,
+        }
+
+
+def _median(values: list[float]) -> float | None:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.median(known)) if known else None
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def measure(path: Path, most: int, white_dn: float | None = None) -> Measured:
+    """Measure a data set, or a folder of images.
+
+    Parameters
+    ----------
+    most : number of frames.
+    white_dn : grey value of a saturated pixel of a folder of images.
+
+    Raises
+    ------
+    InputError
+        A data set without particles, or with a white level given; a folder without images, or with
+        some that cannot be read.
+    """
+    if (path / MANIFEST).is_file():
+        if white_dn is not None:
+            raise InputError(
+                f"{path}: expected no white level for a data set, which states its own"
+            )
+        return measure_dataset(open_dataset(path), most)
+    frames, cameras, white = 0, {}, {}
+    for one in read_recordings(path, most, white_dn):
+        cameras[one.name] = measure_camera(one.frames, one.white_dn)
+        white[one.name] = one.white_dn
+        frames = max(frames, len(one.frames))
+    return Measured(cameras, frames, white)
+
+
+def measure_dataset(dataset: Dataset, most: int) -> Measured:
+    """Measure the raw images of a data set's first frames.
+
+    Raises
+    ------
+    InputError
+        A data set that does not show particles alone.
+    """
+    if tuple(dataset.shows) != ("particles",):
+        got = ", ".join(dataset.shows)
+        raise InputError(f"{dataset.root}: expected a data set of particles, got one of {got}")
+    frames, setup = min(most, dataset.setup.frames), dataset.setup
+    cameras, white = {}, {}
+    for number, camera in enumerate(progress_bar(setup.cameras, "measure images")):
+        stack = [dataset.raw_image(number, frame) for frame in range(frames)]
+        white[camera.name] = _white(dataset, number)
+        cameras[camera.name] = measure_camera(stack, white[camera.name])
+    flux = np.concatenate([*_fluxes(dataset, frames)], axis=1)
+    matched: Matched = "true positions" if dataset.has_truth else "triangulated positions"
+    return Measured(cameras, frames, white, flux_ratio_spread(flux), matched)
+
+
+def _white(dataset: Dataset, number: int) -> float:
+    sensor = dataset.setup.sensor
+    return sensor.by_camera[number][1] if sensor.by_camera else sensor.white_dn
+
+
+def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
+    """Give the flux (camera, particle) of isolated particle images, frame by frame."""
+    for frame in range(frames):
+        seen = _pixels(dataset, frame)
+        images = [dataset.raw_image(number, frame) for number in range(len(seen))]
+        yield np.stack(
+            [
+                _flux_at(image, pixels, _white(dataset, number))
+                for number, (image, pixels) in enumerate(zip(images, seen, strict=True))
+            ]
+        )
+
+
+def _flux_at(image: U16, pixels: F64, white_dn: float) -> F64:
+    return flux_near(fit_particle_images(image, white_dn), pixels, _REACH_PX, _APART_PX)
+
+
+def _pixels(dataset: Dataset, frame: int) -> list[F64]:
+    """Give where each camera sees each particle (n, 2), NaN where it does not."""
+    if dataset.has_truth:
+        views = dataset.views(frame)
+        return [np.where(view.visible[:, None], view.pixel, np.nan) for view in views]
+    case = dataset.observation(frame)
+    found = triangulate_particles(case, fit_cameras(case), TriangulationSettings())
+    projected = [camera.project(found.position_mm) for camera in case.cameras]
+    return [np.where(valid[:, None], pixel, np.nan) for pixel, valid in projected]

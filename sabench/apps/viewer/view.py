@@ -1,0 +1,289 @@
+"""Drawings of a rig that need no script, along two edges of the volume.
+
+static_drawing: Drawings of a rig that need no script, along two edges of the volume.
+
+page: Page of a view: data, script and library in one HTML file.
+
+view: Views of rigs, data sets and results: pages, and what notebooks show.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+from scipy.spatial import ConvexHull, QhullError
+
+from sabench.apps.viewer.contents import Contents, of_cameras, of_dataset, of_scene
+from sabench.apps.viewer.page_content import content_of
+from sabench.apps.viewer.surroundings import Surroundings
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result, read_dataset_names
+from sabench.dataset.schema import MANIFEST
+from sabench.dataset.verification import probe, probe_dataset
+from sabench.interop.cameras import read_camera_source
+from sabench.plotting.outlines import STYLE, Outline, draw_outlines
+from sabench.plotting.page import escape_code, inline_code, inline_json, render_page
+from sabench.scenes import Scene, load_scene
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from sabench.utils.files import complete_or_nothing, is_file, is_folder
+from sabench.utils.version import __version__
+
+_MARGIN, _CAMERA = 0.06, 0.03  # of the drawing's larger side
+_NAMES = ("x", "y", "z")
+_ARC = np.linspace(0.0, 2.0 * np.pi, 73)[:, None]
+_SIGNS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+
+
+def draw_surroundings(around: Surroundings) -> list[str]:
+    """Draw a rig as two SVG elements."""
+    rig = around.describe()
+    centers = np.array([one.center_mm for one in around.cameras])
+    axis = int(np.argmax(np.abs(centers.mean(axis=0) - around.center_mm)))
+    planes = [[axis, vertical] for vertical in range(3) if vertical != axis]
+    return [_draw(rig, plane) for plane in planes]
+
+
+def _draw(rig: dict[str, Any], plane: list[int]) -> str:
+    """Draw everything in a plane of two axes."""
+    shapes = [Outline("volume", _hull(_corners(rig), plane), closed=True)]
+    for wall in rig["walls"]:
+        shapes += [Outline("wall", _hull(face, plane), closed=True) for face in _faces(wall)]
+    for camera in rig["cameras"]:
+        shapes += [Outline("ray", path[:, plane]) for path in _edges(camera, rig["side"])]
+    ends = np.concatenate([one.points_mm for one in shapes])
+    margin = _MARGIN * float(np.ptp(ends, axis=0).max())
+    low, high = ends.min(axis=0) - margin, ends.max(axis=0) + margin
+    length = _CAMERA * float((high - low).max())
+    shapes += [_symbol(camera, plane, length) for camera in rig["cameras"]]
+    if rig["sheet"] is not None:
+        shapes.append(Outline("sheet", _hull(_box(rig["sheet"]), plane), closed=True))
+    names = _NAMES[plane[0]], _NAMES[plane[1]]
+    return draw_outlines(f"Rig along {names[0]} and {names[1]}", shapes, low, high, names)
+
+
+def _corners(rig: dict[str, Any]) -> F64:
+    low, high = np.array(rig["volume"])
+    return np.asarray((low + high) / 2.0 + _SIGNS * (high - low))
+
+
+def _box(sheet: dict[str, Any]) -> F64:
+    return np.asarray(sheet["center"] + (_SIGNS * sheet["size"]) @ np.array(sheet["axes"]))
+
+
+def _faces(wall: dict[str, Any]) -> Iterator[F64]:
+    """Yield points (n, 3) at the rim of each face."""
+    if wall["kind"] == "plane":
+        ends = np.array([wall["low"], wall["high"]])
+        across = np.array(list(itertools.product(*ends.T))) @ np.array(wall["axes"])
+        for depth in wall["depths"]:
+            yield wall["point"] + across + depth * np.array(wall["normal"])
+        return
+    axis = np.array(wall["axis"])
+    first = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    first = first / np.linalg.norm(first)
+    around = np.cos(_ARC) * first + np.sin(_ARC) * np.cross(axis, first)
+    for radius in wall["radii"]:
+        rims = [radius * around + end * axis for end in (wall["low"], wall["high"])]
+        yield wall["point"] + np.concatenate(rims)
+
+
+def _edges(camera: dict[str, Any], side: int) -> Iterator[F64]:
+    """Yield the light paths (n, 3) of an image's corners."""
+    for path in camera["paths"][::side]:
+        if path[0][0] is not None:
+            yield np.array(path)
+
+
+def _symbol(camera: dict[str, Any], plane: list[int], length_mm: float) -> Outline:
+    """Draw a camera as a triangle whose tip is the pinhole."""
+    tip, forward = np.array(camera["center"])[plane], np.array(camera["axes"][2])[plane]
+    side = np.array([-forward[1], forward[0]])
+    back = tip - length_mm * forward
+    half = length_mm / 2.0 * side
+    return Outline("camera", np.array([tip, back + half, back - half]), closed=True)
+
+
+def _hull(points_mm: F64, plane: list[int]) -> F64:
+    """Find the rim (n, 2) of points (n, 3) in a plane, or the ends of a line."""
+    flat = points_mm[:, plane]
+    try:
+        return np.asarray(flat[ConvexHull(flat).vertices])
+    except QhullError:
+        order = np.lexsort(flat.T)
+        return np.asarray(flat[order[[0, -1]]])
+
+
+_FOLDER = Path(__file__).with_name("page")
+_SCRIPTS = ("base", "colours", "raster", "space", "rig", "objects", "planes", "images", "main")
+
+
+def render(contents: Contents) -> tuple[str, list[str]]:
+    """Render contents as a self-contained page; say also what is left out."""
+    values, arrays, notes = content_of(contents)
+    content = {
+        "title": contents.title,
+        "facts": contents.facts,
+        "notes": notes,
+        "counts": _count_rows(contents),
+        "frames": [f"{one.time_s:.6g}" for one in contents.frames],
+        "cameras": _camera_rows(contents),
+        "drawings": [Markup(one) for one in draw_surroundings(contents.surroundings)],
+        "version": __version__,
+        "data": inline_json(values),
+        "arrays": arrays,
+    }
+    code = inline_code(_FOLDER, _SCRIPTS, _library(), STYLE)
+    template = (_FOLDER / "page.html.j2").read_text(encoding="utf-8")
+    return render_page(template, content | code), notes
+
+
+@cache
+def _library() -> str:
+    return escape_code((_FOLDER / "three.min.js").read_text(encoding="utf-8"))
+
+
+def _count_rows(contents: Contents) -> list[tuple[str, list[int]]]:
+    """List the kinds of particles and bubbles with their numbers in every frame."""
+    return [
+        (f"{sort}: {contents.labels.get(kind, kind)}", numbers)
+        for sort, kinds in contents.totals().items()
+        for kind, numbers in kinds.items()
+    ]
+
+
+def _camera_rows(contents: Contents) -> list[tuple[str, str, Any]]:
+    """List name, position and image size of each camera."""
+    return [
+        (
+            one.name,
+            ", ".join(f"{value:.5g}" for value in one.center_mm),
+            f"{one.rows} x {one.columns}",
+        )
+        for one in contents.surroundings.cameras
+    ]
+
+
+_RESULTS = (".h5", ".hdf5")
+_HEIGHT_PX = 760  # in a notebook
+
+
+@dataclass(frozen=True)
+class View:
+    """Page that shows a rig, a data set or a result in space.
+
+    A notebook shows it as the last value of a cell.
+
+    Attributes
+    ----------
+    html : the page, which needs no other file.
+    notes : sentences on what it leaves out.
+    summary : numbers of what it shows.
+    """
+
+    html: str
+    notes: tuple[str, ...]
+    summary: dict[str, int]
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write the page to a file.
+
+        Raises an InputError if there is one that may not be replaced.
+        """
+        with complete_or_nothing(Path(path), overwrite=overwrite) as partial:
+            partial.write_text(self.html, encoding="utf-8")
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        """Return a frame that holds the page, apart from the notebook's own scripts."""
+        return (
+            f'<iframe sandbox="allow-scripts" srcdoc="{escape(self.html)}" title="sabench view" '
+            f'style="width: 100%; height: {_HEIGHT_PX}px; border: 0"></iframe>'
+        )
+
+
+def view(source: Scene | Dataset | str | Path, result: str | Path | None = None) -> View:
+    """Show a rig, a data set or a result in space.
+
+    Parameters
+    ----------
+    source : a scene, a scene file or the name of a bundled scene; `cameras.json` of calibrated
+        cameras, or the folder with it; a data set; or a result file, whose data set lies in the
+        same folder or directly below it.
+    result : result of the data set.
+
+    Raises
+    ------
+    InputError
+        Something else, a result of another data set, or none where it is looked for.
+    """
+    contents = _collect(source, result)
+    html, notes = render(contents)
+    summary = {
+        "cameras": len(contents.surroundings.cameras),
+        "frames": len(contents.frames),
+        "particles": sum(len(one.particles) for one in contents.frames),
+        "bubbles": sum(len(one.bubbles) for one in contents.frames),
+        "bytes": len(html.encode()),
+    }
+    return View(html, tuple(notes), summary)
+
+
+def _collect(source: Scene | Dataset | str | Path, result: str | Path | None) -> Contents:
+    if result is not None and isinstance(source, Scene):
+        raise InputError(f"{source.title}: expected the data set of {result}, got a scene")
+    if isinstance(source, Scene):
+        return of_scene(source, source.title)
+    if isinstance(source, Dataset) or is_file(Path(source) / MANIFEST):
+        return _of_dataset(source, result)
+    if result is not None:
+        raise InputError(f"{source}: expected the data set of {result}, found none there")
+    path = Path(source)
+    if path.suffix in _RESULTS:
+        return _of_dataset(_find_dataset(path), path)
+    if path.suffix == ".json" or is_folder(path):
+        cameras, grid = read_camera_source(path)
+        return of_cameras(cameras, grid, str(source))
+    return of_scene(load_scene(source), str(source))
+
+
+def _of_dataset(source: Dataset | str | Path, result: str | Path | None) -> Contents:
+    """Collect a data set and a result, after probing the files of both."""
+    if not isinstance(source, Dataset):
+        probe_dataset(Path(source))
+    data = source if isinstance(source, Dataset) else open_dataset(source)
+    if result is None:
+        return of_dataset(data)
+    if is_file(Path(result)):
+        probe(Path(result))
+    return of_dataset(data, open_result(result, data))
+
+
+def _find_dataset(result: Path) -> Dataset:
+    """Find a result's data set in its folder, or directly below it."""
+    if not is_file(result):
+        raise InputError(f"{result}: expected a result file, found none")
+    probe(result)
+    names = read_dataset_names(result)
+    home = result.absolute().parent
+    for root in (home, *sorted(home.iterdir())):
+        if is_file(root / MANIFEST):
+            try:
+                data = open_dataset(root)
+            except InputError:
+                continue  # a broken one next to it is not asked for
+            if names.fits(data):
+                probe_dataset(root)
+                return data
+    raise InputError(
+        f"{result}: expected its data set in {home} or directly below it, found none: "
+        "run `sabench view DATASET RESULT`"
+    )

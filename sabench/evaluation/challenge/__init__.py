@@ -1,1 +1,0 @@
-"""Challenges on private test sets: organiser, participants and server."""

@@ -1,1 +1,0 @@
-"""Planning of experiments: figures of a scene before anything is built."""

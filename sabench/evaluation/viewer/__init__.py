@@ -1,1 +1,0 @@
-"""Page that shows a rig, a data set or a result in space."""
