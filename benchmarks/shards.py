@@ -42,7 +42,8 @@ from sabench.dataset.shards import Kept, ShardFolder, describe
 from sabench.scenes import load_scene
 from sabench.simulation.recording.parts import Job
 from sabench.simulation.recording.schedule import ProcessPool, Schedule, Task, run_schedule
-from sabench.simulation.sample_shards import ShardJob, ShardMaker, generate_samples, merge_shards
+from sabench.simulation.sample_shards import generate_samples, merge_shards
+from sabench.simulation.shard_job import ShardJob, ShardMaker
 from sabench.utils.progress import progress_bar
 
 _SPLIT = "80/10/10"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
@@ -77,7 +77,11 @@ def _page(rows: Sequence[Mapping[str, Any]], plots: Mapping[str, Sequence[Figure
         "plots": plots,
         "small": any(row["pixels"] for row in rows),
     }
-    filters = {"value": significant, "grade": _grade, "interval": _interval}
+    filters: dict[str, Callable[..., object]] = {
+        "value": significant,
+        "grade": _grade,
+        "interval": _interval,
+    }
     return render_page(_TEMPLATE.read_text(encoding="utf-8"), values, filters)
 
 

@@ -9,7 +9,8 @@ from tests.docs.pages import anchors, site
 
 def script() -> dict[str, Any]:
     """Return the names of the module that writes the reference."""
-    return vars(site("tables")["scene_reference"])
+    names: dict[str, Any] = vars(site("tables")["scene_reference"])
+    return names
 
 
 def test_every_key_has_a_description_and_a_typical_value() -> None:
