@@ -143,22 +143,18 @@ class Arrays:
         """
         sizes = dict(known)
         for one, value in self.arrays():
-            _check_array(one, value, sizes, exact=self.EXACT)
+            expected = one.sizes(sizes)
+            kind = np.dtype(one.dtype)
+            text = f"{one.name}: expected {kind} of shape {_shape_text(one, sizes)}"
+            if not isinstance(value, np.ndarray):
+                raise InputError(f"{text}, got {type(value).__name__}")
+            fits = len(value.shape) == len(expected) and all(
+                size in (None, got) for size, got in zip(expected, value.shape, strict=True)
+            )
+            if not fits or (self.EXACT and value.dtype != kind):
+                raise InputError(f"{text}, got {value.dtype} of shape {value.shape}")
+            one.check_values(value, one.name)
             one.learn(value.shape, sizes)
-
-
-def _check_array(declared: Array, value: Any, known: dict[str, int], *, exact: bool) -> None:
-    expected = declared.sizes(known)
-    kind = np.dtype(declared.dtype)
-    text = f"{declared.name}: expected {kind} of shape {_shape_text(declared, known)}"
-    if not isinstance(value, np.ndarray):
-        raise InputError(f"{text}, got {type(value).__name__}")
-    fits = len(value.shape) == len(expected) and all(
-        size in (None, got) for size, got in zip(expected, value.shape, strict=True)
-    )
-    if not fits or (exact and value.dtype != kind):
-        raise InputError(f"{text}, got {value.dtype} of shape {value.shape}")
-    declared.check_values(value, declared.name)
 
 
 def _shape_text(declared: Array, known: dict[str, int]) -> str:

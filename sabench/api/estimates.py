@@ -90,7 +90,9 @@ class FoundParticles(Estimate):
         """Check the arrays."""
         self.check()
         if self.probability is not None:
-            _check_probabilities(self.probability)
+            wrong = self.probability[(self.probability < 0.0) | (self.probability > 1.0)]
+            if len(wrong):
+                raise InputError(f"probability: expected values from 0 to 1, got {wrong[0]:g}")
         for name in ("covariance_mm2", "velocity_covariance", "acceleration_covariance"):
             value = getattr(self, name)
             if value is not None:
@@ -99,12 +101,6 @@ class FoundParticles(Estimate):
     def rows(self, chosen: Bool | I64) -> FoundParticles:
         """Return some of the particles, with all that is known of them."""
         return FoundParticles(**{one.name: value[chosen] for one, value in self.arrays()})
-
-
-def _check_probabilities(value: F64) -> None:
-    wrong = value[(value < 0.0) | (value > 1.0)]
-    if len(wrong):
-        raise InputError(f"probability: expected values from 0 to 1, got {wrong[0]:g}")
 
 
 def _check_covariances(name: str, value: F64) -> None:

@@ -128,7 +128,7 @@ def main() -> NoReturn:
     except KeyboardInterrupt:
         _fail(_INTERRUPTED)
     except BrokenPipeError:
-        _close_output()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except OSError as error:
         _fail(f"{error.filename}: {error.strerror}" if error.filename else str(error))
@@ -142,7 +142,9 @@ def main() -> NoReturn:
     except Exception as error:
         if not hasattr(error, "exit_code"):
             raise
-        _fail_usage(error)
+        if type(error).__name__ == "Abort":
+            _fail(_INTERRUPTED)
+        _fail(error.format_message())
     if code == 130:  # the command-line library reports Ctrl-C so
         _fail(_INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
@@ -156,18 +158,6 @@ def _interrupt_again(otherwise: Callable[[Any], None], fault: Any) -> None:
     again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), signal.SIGINT))
     again.daemon = True
     again.start()
-
-
-def _close_output() -> None:
-    """Send the rest of the output nowhere, because its reader has gone."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _fail_usage(error: Any) -> NoReturn:
-    """End with the message of the command-line library about a wrong command line."""
-    if type(error).__name__ == "Abort":
-        _fail(_INTERRUPTED)
-    _fail(error.format_message())
 
 
 def _fail(message: str) -> NoReturn:

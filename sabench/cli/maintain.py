@@ -55,7 +55,11 @@ def list_all(
     """List generators, solvers, scenes and suites."""
     entries, faults = _entries(kind)
     if task is not None:
-        entries = _of_task(entries, task)
+        solvers = [entry for entry in entries if entry.kind == "solver"]
+        known = sorted({entry.group for entry in solvers})
+        if solvers and task not in known:
+            raise InputError(f"--task: expected one of {', '.join(known)}, got {task!r}")
+        entries = [entry for entry in solvers if entry.group == task]
     for fault in faults:
         print(f"warning: {fault}", file=sys.stderr)
     if as_json:
@@ -82,14 +86,6 @@ def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
     if kind in (None, "suite"):
         entries += plugins.tables("suite")
     return entries, faults
-
-
-def _of_task(entries: list[Entry], task: str) -> list[Entry]:
-    solvers = [entry for entry in entries if entry.kind == "solver"]
-    known = sorted({entry.group for entry in solvers})
-    if solvers and task not in known:
-        raise InputError(f"--task: expected one of {', '.join(known)}, got {task!r}")
-    return [entry for entry in solvers if entry.group == task]
 
 
 def _record(entry: Entry) -> dict[str, str]:
@@ -155,32 +151,24 @@ def new(
     if kind not in _TEMPLATES:
         raise InputError(f"KIND: expected one of {', '.join(_TEMPLATES)}, got {kind!r}")
     if kind == "scene":
-        _copy_scene(like or "quick", path)
+        from sabench.scenes.loading import find
+        from sabench.utils.files import complete_or_nothing
+
+        source = find((like or "quick"), "scenes")
+        with complete_or_nothing(path) as partial:
+            partial.write_bytes(source.read_bytes())
+        say(f"{path}: the scene {source.stem}, to be changed")
     elif like is not None:
         raise InputError(f"--like: expected with a scene, got {like!r} with a {kind}")
     else:
-        _copy_template(kind, path)
+        import shutil
 
+        from sabench.utils.files import complete_or_nothing
 
-def _copy_scene(name: str, file: Path) -> None:
-    from sabench.scenes.loading import find
-    from sabench.utils.files import complete_or_nothing
-
-    source = find(name, "scenes")
-    with complete_or_nothing(file) as partial:
-        partial.write_bytes(source.read_bytes())
-    say(f"{file}: the scene {source.stem}, to be changed")
-
-
-def _copy_template(kind: str, folder: Path) -> None:
-    import shutil
-
-    from sabench.utils.files import complete_or_nothing
-
-    ignored = shutil.ignore_patterns("__pycache__")
-    with complete_or_nothing(folder) as partial:
-        shutil.copytree(plugins.bundled_folder("templates") / kind, partial, ignore=ignored)
-    say(f"{folder}: template of a {kind}; read README.md")
+        ignored = shutil.ignore_patterns("__pycache__")
+        with complete_or_nothing(path) as partial:
+            shutil.copytree(plugins.bundled_folder("templates") / kind, partial, ignore=ignored)
+        say(f"{path}: template of a {kind}; read README.md")
 
 
 _PATIENCE_S = 180
@@ -225,7 +213,13 @@ def examine() -> list[Finding]:
     findings.append(Finding("backend", True, f"{chosen.kind}: {chosen.why}"))
     findings.append(_try("Dr.Jit kernel", "compute", backend.REMEDY))
     findings.append(_try("Mitsuba render", "render", backend.REMEDY))
-    return [*findings, _examine_disk(), *_examine_plugins()]
+    free = shutil.disk_usage(Path.cwd()).free / 1e9
+    remedy = f"free some space: `sabench run demo` needs {_LEAST_GB:.0f} GB"
+    return [
+        *findings,
+        Finding("disk", free > _LEAST_GB, f"{free:.1f} GB free in this folder", remedy),
+        *_examine_plugins(),
+    ]
 
 
 def _try(subject: str, name: str, remedy: str) -> Finding:
@@ -270,12 +264,6 @@ def try_render() -> str:
     if not abs(ratio - 1.0) < 0.05:
         raise SystemExit(f"expected the light of the analytic sum, got {ratio:.3f} of it")
     return f"renders through glass and water, {ratio:.4f} of the analytic light"
-
-
-def _examine_disk() -> Finding:
-    free = shutil.disk_usage(Path.cwd()).free / 1e9
-    remedy = f"free some space: `sabench run demo` needs {_LEAST_GB:.0f} GB"
-    return Finding("disk", free > _LEAST_GB, f"{free:.1f} GB free in this folder", remedy)
 
 
 def _examine_plugins() -> list[Finding]:

@@ -320,31 +320,23 @@ def pack(
     if path.is_dir() and (path / "manifest.json").exists():
         if card:
             raise InputError(f"--card: expected results to pack with it, got the data set {path}")
-        _pack_dataset(path, output, blind, overwrite)
+        from sabench.dataset import schema as layout
+        from sabench.dataset.copies import pack as copy, pack_samples
+        from sabench.dataset.reader import open_dataset
+
+        contents = layout.read_manifest(path)
+        if isinstance(contents, layout.ShardedContents):
+            pack_samples(path, output, blind=blind, overwrite=overwrite)
+        else:
+            copy(open_dataset(path), output, blind=blind, overwrite=overwrite)
+        side = "observation side" if blind else "whole data set"
+        say(f"{output}: {side} of {contents.content_hash[:12]}")
     elif blind:
         raise InputError(f"{path}: expected a data set to pack with --blind, found none")
     else:
-        _pack_results(path, output, card or [], overwrite)
+        from sabench.evaluation.leaderboard.archives import pack_results, submitted_files
 
-
-def _pack_dataset(dataset: Path, output: Path, blind: bool, overwrite: bool) -> None:
-    from sabench.dataset import schema as layout
-    from sabench.dataset.copies import pack as copy, pack_samples
-    from sabench.dataset.reader import open_dataset
-
-    contents = layout.read_manifest(dataset)
-    if isinstance(contents, layout.ShardedContents):
-        pack_samples(dataset, output, blind=blind, overwrite=overwrite)
-    else:
-        copy(open_dataset(dataset), output, blind=blind, overwrite=overwrite)
-    side = "observation side" if blind else "whole data set"
-    say(f"{output}: {side} of {contents.content_hash[:12]}")
-
-
-def _pack_results(path: Path, output: Path, cards: list[Path], overwrite: bool) -> None:
-    from sabench.evaluation.leaderboard.archives import pack_results, submitted_files
-
-    with submitted_files(path) as files:
-        count, carded = pack_results(files, output, cards, overwrite=overwrite)
-    described = f"the card of {' and '.join(carded)}" if carded else "no solver card"
-    say(f"{output}: {count} result(s), {described}")
+        with submitted_files(path) as files:
+            count, carded = pack_results(files, output, (card or []), overwrite=overwrite)
+        described = f"the card of {' and '.join(carded)}" if carded else "no solver card"
+        say(f"{output}: {count} result(s), {described}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -100,16 +100,12 @@ def score(
     if as_json:
         say_json(scores)
     else:
-        _show_scores(scores)
+        from sabench import tasks
 
-
-def _show_scores(scores: dict[str, Any]) -> None:
-    from sabench import tasks
-
-    columns = tasks.of(scores["task"]).columns
-    figures = [tables.format_number(scores[column.key], column.decimals) for column in columns]
-    headings = ["data set", "solver", *(column.key for column in columns)]
-    tables.show(headings, [[scores["dataset"][:12], scores["solver"], *figures]])
+        columns = tasks.of(scores["task"]).columns
+        figures = [tables.format_number(scores[column.key], column.decimals) for column in columns]
+        headings = ["data set", "solver", *(column.key for column in columns)]
+        tables.show(headings, [[scores["dataset"][:12], scores["solver"], *figures]])
 
 
 def conform(

@@ -36,24 +36,6 @@ _FARTHEST_MM = 1e9  # a thousand kilometres
 _LONGEST = 1_000_000  # voxels or pixels along a side
 
 
-def check_shown(path: Path, shows: Sequence[str]) -> None:
-    """Check the kinds of objects that frames show.
-
-    Raises
-    ------
-    InputError
-        None, one twice, or a code without the body that carries it.
-    """
-    distinct = set(shows)
-    if not distinct or len(distinct) != len(shows) or _lone_code(shows):
-        expected = "particles, bubbles or both, each once, and code after bubbles only"
-        raise InputError(f"{path}: shows: expected {expected}, got {list(shows)}")
-
-
-def _lone_code(shows: Sequence[str]) -> bool:
-    return "code" in shows and tuple(shows[-2:]) != ("bubbles", "code")
-
-
 def check_lengths(
     path: Path, walls: Sequence[WallRecord | None], cameras: Sequence[CameraModel], grid: Grid
 ) -> None:
@@ -278,8 +260,22 @@ def check_setup(value: Any, path: Path) -> CamerasFile:
     loaded = check_versioned(CamerasFile, value, path)
     _check_names(loaded.cameras, path)
     _check_cameras(loaded.cameras, path)
-    _check_one_size(loaded.cameras, path)
-    check_shown(path, loaded.shows)
+    first = loaded.cameras[0]
+    for camera in loaded.cameras:
+        if (camera.rows, camera.columns) != (first.rows, first.columns):
+            got = f"{camera.rows} x {camera.columns}"
+            raise InputError(
+                f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x "
+                f"columns) as {first.name} has, got {got}"
+            )
+    distinct = set(loaded.shows)
+    if (
+        not distinct
+        or len(distinct) != len(loaded.shows)
+        or ("code" in loaded.shows and tuple(loaded.shows[-2:]) != ("bubbles", "code"))
+    ):
+        expected = "particles, bubbles or both, each once, and code after bubbles only"
+        raise InputError(f"{path}: shows: expected {expected}, got {list(loaded.shows)}")
     check_walls(path, loaded.walls_of_cameras(), len(loaded.cameras))
     check_lengths(path, loaded.walls_of_cameras(), loaded.cameras, loaded.grid)
     _check_numbers(loaded, path)
@@ -326,17 +322,6 @@ def _check_names(cameras: Sequence[CameraModel], path: Path) -> None:
         raise InputError(
             f"{path}: cameras: expected different names of letters, digits and _, got {names}"
         )
-
-
-def _check_one_size(cameras: Sequence[CameraModel], path: Path) -> None:
-    first = cameras[0]
-    for camera in cameras:
-        if (camera.rows, camera.columns) != (first.rows, first.columns):
-            got = f"{camera.rows} x {camera.columns}"
-            raise InputError(
-                f"{path}: {camera.name}: expected {first.rows} x {first.columns} pixels (rows x "
-                f"columns) as {first.name} has, got {got}"
-            )
 
 
 def _check_cameras(cameras: Sequence[CameraModel], path: Path) -> None:

@@ -45,9 +45,24 @@ def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) ->
         if not inside(dataset.root, name).is_file():
             continue  # whoever reads it finds the fault, and names the file
         place.parent.mkdir(parents=True, exist_ok=True)
-        _copy(inside(dataset.root, name), place, linked)
+        source = inside(dataset.root, name)
+        if linked:
+            try:
+                os.link(source, place)
+            except OSError:  # another file system, or one without links
+                linked = False
+        if not linked:
+            shutil.copyfile(source, place)
     if dataset.references is not None:
-        files |= _copy_references(dataset, folder)
+        files = {}
+        for frame in range(dataset.setup.frames):
+            for number, camera in enumerate(dataset.setup.cameras):
+                name = schema.image_name(camera.name, frame, "tif")
+                place = inside(folder, name)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                write_tiff(place, dataset.raw_image(number, frame))
+                files[name] = schema.FileEntry(bytes=place.stat().st_size, sha256=sha256(place))
+        files |= files
     head = {
         "format": schema.FORMAT,
         "version": schema.VERSION,
@@ -56,29 +71,6 @@ def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) ->
         "files": {name: entry.model_dump() for name, entry in files.items()},
     }
     (folder / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")
-
-
-def _copy_references(dataset: Dataset, folder: Path) -> dict[str, schema.FileEntry]:
-    """Copy the images of a recorded data set that lie elsewhere."""
-    files = {}
-    for frame in range(dataset.setup.frames):
-        for number, camera in enumerate(dataset.setup.cameras):
-            name = schema.image_name(camera.name, frame, "tif")
-            place = inside(folder, name)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            write_tiff(place, dataset.raw_image(number, frame))
-            files[name] = schema.FileEntry(bytes=place.stat().st_size, sha256=sha256(place))
-    return files
-
-
-def _copy(source: Path, place: Path, linked: bool) -> None:
-    if linked:
-        try:
-            os.link(source, place)
-        except OSError:  # another file system, or one without links
-            linked = False
-    if not linked:
-        shutil.copyfile(source, place)
 
 
 def pack(dataset: Dataset, out: Path, *, blind: bool, overwrite: bool = False) -> Path:
@@ -211,16 +203,14 @@ def _compare_files(one: Dataset, other: Dataset, name: str) -> Iterator[str]:
     if kind == ".tif" or kind == ".exr":
         yield from _compare_images(one, first, second)
     elif name in (schema.TRUTH, schema.POINTS):
-        yield from _compare_hdf5(first, second, detected=_has_images(one))
+        yield from _compare_hdf5(
+            first, second, detected=any(name.startswith("images/") for name in one.manifest.files)
+        )
     elif kind == ".json":
         if not _same_values(read_json(first), read_json(second)):
             yield f"{second}: expected the values of {first} up to rounding, got others"
     else:
         yield f"{second}: expected the bytes of {first}, got others"
-
-
-def _has_images(data: Dataset) -> bool:
-    return any(name.startswith("images/") for name in data.manifest.files)
 
 
 def _same_values(one: Any, other: Any) -> bool:

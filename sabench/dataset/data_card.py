@@ -7,7 +7,7 @@ None of them tells anything of the truth.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,20 +70,21 @@ def write_card(root: Path, head: dict[str, Any], title: str, shards: Sequence[Sh
     ----------
     head : keys of its manifest.
     """
-    lines = [",".join(_COLUMNS), *_rows(shards)]
+    lines = [
+        ",".join(_COLUMNS),
+        *(
+            [
+                f"{number},{shard.split},{shard.name},{row}"
+                for shard in shards
+                for row, number in enumerate(shard.numbers.tolist())
+            ]
+        ),
+    ]
     (root / schema.INDEX).write_text("\n".join(lines) + "\n", encoding="utf-8")
     sides = list(schema.SIDES)
     (root / CARD).write_text(_card(head, title, shards), encoding="utf-8")
     text = canonical_json(_croissant(root, head, title, sides))
     (root / CROISSANT).write_text(text, encoding="utf-8")
-
-
-def _rows(shards: Iterable[Shard]) -> list[str]:
-    return [
-        f"{number},{shard.split},{shard.name},{row}"
-        for shard in shards
-        for row, number in enumerate(shard.numbers.tolist())
-    ]
 
 
 def _croissant(root: Path, head: dict[str, Any], title: str, sides: list[str]) -> dict[str, Any]:

@@ -244,7 +244,29 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
     """
     where = f"{file.filename}: {name}"
     node = find_array(file, name, shape, kind)
-    _check_cost(node, where, is_open=None in shape)
+    is_open = None in shape
+    size, stored, there = int(node.nbytes), int(node.id.get_storage_size()), memory.available_mb()
+    if there is not None and 2.0 * size / 1e6 > there:
+        raise InputError(
+            f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need "
+            f"{2.0 * size / 1e6:.0f} MB"
+        )
+    if is_open and size > _OPEN_BYTES:
+        raise InputError(
+            f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of "
+            f"{node.dtype}"
+        )
+    if is_open and size > _SMALL and size > _DENSEST * stored:
+        raise InputError(
+            f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in "
+            f"{stored} bytes"
+        )
+    piece = chunk_bytes(node) if node.chunks else 0
+    if piece > max(_SMALL, 2 * size):
+        raise InputError(
+            f"{where}: expected chunks no larger than the data set, got {node.chunks} of "
+            f"{node.dtype} for shape {node.shape}"
+        )
     check_streams(node, where)
     return np.asarray(node[...])
 
@@ -359,32 +381,3 @@ def _dtype(node: Any, where: str) -> np.dtype[Any]:
             f"{where}: expected numbers or text, got a type that numpy does not have: {error}"
         ) from error
     return dtype
-
-
-def _check_cost(node: Any, where: str, *, is_open: bool) -> None:
-    """Refuse values that would not fit into memory.
-
-    Where the file sets the length itself, also refuse values that it hardly stores.
-    """
-    size, stored, there = int(node.nbytes), int(node.id.get_storage_size()), memory.available_mb()
-    if there is not None and 2.0 * size / 1e6 > there:
-        raise InputError(
-            f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need "
-            f"{2.0 * size / 1e6:.0f} MB"
-        )
-    if is_open and size > _OPEN_BYTES:
-        raise InputError(
-            f"{where}: expected at most {_OPEN_BYTES / 1e6:.0f} MB of values, got {node.shape} of "
-            f"{node.dtype}"
-        )
-    if is_open and size > _SMALL and size > _DENSEST * stored:
-        raise InputError(
-            f"{where}: expected values that the file stores, got {node.shape} of {node.dtype} in "
-            f"{stored} bytes"
-        )
-    piece = chunk_bytes(node) if node.chunks else 0
-    if piece > max(_SMALL, 2 * size):
-        raise InputError(
-            f"{where}: expected chunks no larger than the data set, got {node.chunks} of "
-            f"{node.dtype} for shape {node.shape}"
-        )

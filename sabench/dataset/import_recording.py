@@ -118,7 +118,16 @@ def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
         A camera that lacks a number, counted from its first one, which another one has.
     """
     counters = {name: _counters_of(paths) for name, paths in files.items()}
-    if len({_least_step(own) for own in counters.values() if len(own) > 1}) > 1:
+    if (
+        len(
+            {
+                min(after - before for before, after in itertools.pairwise(own))
+                for own in counters.values()
+                if len(own) > 1
+            }
+        )
+        > 1
+    ):
         return  # times, say, and no numbers of frames
     known = {name: own[chosen] for name, own in counters.items() if len(own[chosen]) > 1}
     every = {number - own[0] for own in known.values() for number in own}
@@ -143,10 +152,6 @@ def _counters_of(paths: Sequence[Path]) -> list[int]:
         if len(set(numbers)) == len(paths):
             return numbers
     return []
-
-
-def _least_step(numbers: Sequence[int]) -> int:
-    return min(after - before for before, after in itertools.pairwise(numbers))
 
 
 Box = tuple[float, float, float, float, float, float]
@@ -247,24 +252,25 @@ def import_recording(
     _check_views(cameras, voxels, notes)
     with recorded_writer(out, folder.resolve().name, overwrite=overwrite) as writer:
         counts, values = _store_all(writer, folder, chosen, options)
-        made = Imported(_one_length(folder, counts), voxels, _levels(values, options), tuple(notes))
-        writer.set_cameras(_of_one_size(cameras), **_keys(made, options))
-        _check_cameras(writer.root, out)
+        if missing := next((name for name, count in counts.items() if not count), None):
+            raise InputError(f"{missing}: expected images in the range of frames, got none")
+        if len(set(counts.values())) > 1:
+            got = ", ".join(f"{count} of {name}" for name, count in counts.items())
+            raise InputError(
+                f"{folder}: expected as many images of each camera, got {got}; give a range, "
+                "counted from 0, in which all have as many"
+            )
+        made = Imported(next(iter(counts.values())), voxels, _levels(values, options), tuple(notes))
+        rows, columns = _largest(cameras)
+        writer.set_cameras(
+            [dataclasses.replace(one, rows=rows, columns=columns) for one in cameras],
+            **_keys(made, options),
+        )
+        try:
+            read_cameras(writer.root)
+        except InputError as error:
+            raise InputError(str(error).replace(str(writer.root), str(out))) from None
     return made
-
-
-def _check_cameras(written: Path, out: Path) -> None:
-    """Check that the cameras can be read again; errors name the folder `out`."""
-    try:
-        read_cameras(written)
-    except InputError as error:
-        raise InputError(str(error).replace(str(written), str(out))) from None
-
-
-def _of_one_size(cameras: Sequence[Any]) -> list[CameraModel]:
-    """Extend the images of cameras, which are dataclasses, to the largest one."""
-    rows, columns = _largest(cameras)
-    return [dataclasses.replace(one, rows=rows, columns=columns) for one in cameras]
 
 
 def _largest(cameras: Sequence[CameraModel]) -> tuple[int, int]:
@@ -327,7 +333,9 @@ def _store_all(
         values[camera.name], counts[camera.name] = GreyValues(), 0
         images = progress_bar(_images(camera, paths, options), f"import {camera.name}")
         for frame, (path, page, image) in enumerate(images):
-            values[camera.name].add(image, _cut(mask, image.shape))
+            values[camera.name].add(
+                image, None if mask is None else mask[: image.shape[0], : image.shape[1]]
+            )
             counts[camera.name] += 1
             if references is None:
                 writer.add_image(camera.name, frame, extended(image, largest))
@@ -336,11 +344,6 @@ def _store_all(
     if references is not None:
         writer.set_references(references)
     return counts, values
-
-
-def _cut(mask: Bool | None, shape: tuple[int, ...]) -> Bool | None:
-    """Return the part of a mask for an image that is not extended."""
-    return None if mask is None else mask[: shape[0], : shape[1]]
 
 
 def _images(
@@ -394,18 +397,6 @@ def _levels(values: Mapping[str, GreyValues], options: ImportOptions) -> dict[st
                 f"{one.white_dn:g}"
             )
     return levels
-
-
-def _one_length(folder: Path, counts: Mapping[str, int]) -> int:
-    if missing := next((name for name, count in counts.items() if not count), None):
-        raise InputError(f"{missing}: expected images in the range of frames, got none")
-    if len(set(counts.values())) > 1:
-        got = ", ".join(f"{count} of {name}" for name, count in counts.items())
-        raise InputError(
-            f"{folder}: expected as many images of each camera, got {got}; give a range, "
-            "counted from 0, in which all have as many"
-        )
-    return next(iter(counts.values()))
 
 
 def _keys(made: Imported, options: ImportOptions) -> dict[str, Any]:

@@ -198,7 +198,15 @@ def _stage(name: str, image: U16, unknown: Bool | None, false_alarms: float) -> 
 def preview_figure(shown: Preview) -> Figure:
     """Make a figure of the stages side by side, with an enlarged part below."""
     rows, columns = shown.stages[0].image.shape
-    busy = _busiest(shown.stages[-1].peaks, rows, columns)
+    peaks = shown.stages[-1].peaks
+    height, width = min(_WINDOW_PX, rows), min(_WINDOW_PX, columns)
+    counts = np.zeros((rows // height, columns // width), dtype=np.int64)
+    for column, row in peaks:
+        i, j = int(row // height), int(column // width)
+        if i < counts.shape[0] and j < counts.shape[1]:
+            counts[i, j] += 1
+    i, j = (int(n) for n in np.unravel_index(int(np.argmax(counts)), counts.shape))
+    busy = slice(i * height, (i + 1) * height), slice(j * width, (j + 1) * width)
     wholes = [
         _panel(one, (slice(0, rows), slice(0, columns)), marked=False) for one in shown.stages
     ]
@@ -230,15 +238,3 @@ def _panel(stage: Stage, window: tuple[slice, slice], *, marked: bool) -> Panel:
     )
     picture = Picture(light.astype(np.float64), low, high, rings if marked else None)
     return Panel(title, "column, px", "row, px", (picture,))
-
-
-def _busiest(peaks: F64, rows: int, columns: int) -> tuple[slice, slice]:
-    """Choose the window of a lattice of them with the most peaks."""
-    height, width = min(_WINDOW_PX, rows), min(_WINDOW_PX, columns)
-    counts = np.zeros((rows // height, columns // width), dtype=np.int64)
-    for column, row in peaks:
-        i, j = int(row // height), int(column // width)
-        if i < counts.shape[0] and j < counts.shape[1]:
-            counts[i, j] += 1
-    i, j = (int(n) for n in np.unravel_index(int(np.argmax(counts)), counts.shape))
-    return slice(i * height, (i + 1) * height), slice(j * width, (j + 1) * width)

@@ -219,7 +219,10 @@ class Dataset:
         camera = self.setup.cameras[number]
         if self.references is not None:
             return self.references.read(camera.name, frame, (camera.rows, camera.columns))
-        return read_tiff(self._image(camera.name, frame), (camera.rows, camera.columns))
+        return read_tiff(
+            inside(self.root, schema.image_name(camera.name, frame, "tif")),
+            (camera.rows, camera.columns),
+        )
 
     @cached_property
     def references(self) -> ReferencesFile | None:
@@ -348,9 +351,6 @@ class Dataset:
         self._check_frame(frame)
         with open_hdf5(self._truth()) as file:
             yield file
-
-    def _image(self, camera: str, frame: int) -> Path:
-        return inside(self.root, schema.image_name(camera, frame, "tif"))
 
     def _check_frame(self, frame: int) -> None:
         if not 0 <= frame < self.setup.frames:

@@ -182,25 +182,24 @@ def recorded_writer(
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
         yield RecordedWriter(root)
-        (root / schema.MANIFEST).write_text(_manifest(root, source), encoding="utf-8")
-
-
-def _manifest(root: Path, source: str) -> str:
-    paths = sorted(path for path in root.rglob("*") if path.is_file())
-    files = {
-        path.relative_to(root).as_posix(): schema.FileEntry(
-            bytes=path.stat().st_size, sha256=sha256(path)
-        )
-        for path in paths
-    }
-    return schema.seal(
-        {
-            "format": schema.FORMAT,
-            "version": schema.VERSION,
-            "recorded": True,
-            "source": source,
-            "content_hash": schema.content_hash(files),
-            "versions": {"sabench": __version__, "python": platform.python_version()},
-            "files": {name: entry.model_dump() for name, entry in files.items()},
+        paths = sorted(path for path in root.rglob("*") if path.is_file())
+        files = {
+            path.relative_to(root).as_posix(): schema.FileEntry(
+                bytes=path.stat().st_size, sha256=sha256(path)
+            )
+            for path in paths
         }
-    )
+        (root / schema.MANIFEST).write_text(
+            schema.seal(
+                {
+                    "format": schema.FORMAT,
+                    "version": schema.VERSION,
+                    "recorded": True,
+                    "source": source,
+                    "content_hash": schema.content_hash(files),
+                    "versions": {"sabench": __version__, "python": platform.python_version()},
+                    "files": {name: entry.model_dump() for name, entry in files.items()},
+                }
+            ),
+            encoding="utf-8",
+        )

@@ -232,11 +232,20 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         key: _cost(head.get(key), f"{path}: attribute {key}")
         for key in ("seconds", "peak_mb", "compile_s", "reconstruction_s", "cpu_share")
     }
+    text = str(head.get("parameters", "{}"))
+    where = f"{path}: attribute parameters: expected a JSON object"
+    try:
+        value = json.loads(text)
+        json.dumps(value, allow_nan=False)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}, got {text[:80]!r}") from error
+    if not isinstance(value, dict):
+        raise InputError(f"{where}, got {text[:80]!r}")
     return Result(
         path=file_path,
         task=_task(head, path),
         solver=_solver(head),
-        parameters=_parameters(str(head.get("parameters", "{}")), path),
+        parameters=value,
         grid=dataset.setup.grid,
         isolated=bool(head.get("isolated", 0) == 1),
         whole_process=bool(head.get("whole_process", 0) == 1),
@@ -336,18 +345,6 @@ def _task(head: dict[str, Any], path: str | Path) -> Any:
             f"{path}: attribute task: expected one of {', '.join(known)}, got {task!r}"
         )
     return task
-
-
-def _parameters(text: str, path: str | Path) -> dict[str, Any]:
-    where = f"{path}: attribute parameters: expected a JSON object"
-    try:
-        value = json.loads(text)
-        json.dumps(value, allow_nan=False)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{where}, got {text[:80]!r}") from error
-    if not isinstance(value, dict):
-        raise InputError(f"{where}, got {text[:80]!r}")
-    return value
 
 
 def _cost(value: Any, where: str) -> float | None:

@@ -300,7 +300,13 @@ class SampleSet(Sequence[StoredSample]):
         if not 0 <= place < len(self):
             raise IndexError(f"{self.root}: expected 0 to {len(self) - 1}, got {index}")
         number = bisect.bisect_right(self._ends, place)
-        store = self._use(number)
+        self._open.pop(number, None)
+        self._open[number] = None
+        if len(self._open) > _OPEN:
+            oldest = next(iter(self._open))
+            del self._open[oldest]
+            self._stores[oldest][1].close()
+        store = self._stores[number][1]
         row = place - (self._ends[number] - len(store))
         return StoredSample(store.images(row), store, row)
 
@@ -368,16 +374,6 @@ class SampleSet(Sequence[StoredSample]):
             ]
             order.append(rng.permutation(np.concatenate(group)))
         return np.concatenate(order)
-
-    def _use(self, number: int) -> Store:
-        """Give a store, and close the one that was not used for longest."""
-        self._open.pop(number, None)
-        self._open[number] = None
-        if len(self._open) > _OPEN:
-            oldest = next(iter(self._open))
-            del self._open[oldest]
-            self._stores[oldest][1].close()
-        return self._stores[number][1]
 
 
 def open_samples(path: str | Path, split: str | None = None) -> SampleSet:

@@ -204,7 +204,8 @@ class ShardFolder:
             _write_files(paths, len(shard.numbers), samples, shape, kept)
             files = {name: file_entry(path) for name, path in zip(names, paths, strict=True)}
             for name, path in zip(names, paths, strict=True):
-                _to_disk(path)
+                with path.open("rb") as file:
+                    os.fsync(file.fileno())
                 (self.data / name).parent.mkdir(parents=True, exist_ok=True)
                 path.replace(self.data / name)
         seed, key = origin
@@ -238,11 +239,6 @@ def describe(shard: Shard, files: dict[str, schema.FileEntry]) -> schema.ShardEn
         samples=len(shard.numbers),
         files=files,
     )
-
-
-def _to_disk(path: Path) -> None:
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
 
 
 def _write_files(
@@ -335,18 +331,14 @@ class _Collected:
         truth["redrawn"] = np.array([one.redrawn for one in rows])
         truth["drawn"] = as_text([one.drawn for one in rows])
         if "particles" in kept.truth:
-            self._store_particles(truth)
+            frames = [one for sample in self._samples for one in sample.particles]
+            ends = np.cumsum([len(one) for one in frames])
+            truth["particles/end"] = ends.reshape(len(self._samples), -1)
+            for one in Particles.ARRAYS:
+                own = [getattr(particles, one.name) for particles in frames]
+                truth[f"particles/{one.label}"] = np.concatenate(own)
         if "views" in kept.truth:
             self._store_views(truth)
-
-    def _store_particles(self, truth: Any) -> None:
-        """Store the particles of all frames of all samples, one after the other."""
-        frames = [one for sample in self._samples for one in sample.particles]
-        ends = np.cumsum([len(one) for one in frames])
-        truth["particles/end"] = ends.reshape(len(self._samples), -1)
-        for one in Particles.ARRAYS:
-            own = [getattr(particles, one.name) for particles in frames]
-            truth[f"particles/{one.label}"] = np.concatenate(own)
 
     def _store_views(self, truth: Any) -> None:
         """Store the particles' images (particle, camera)."""

@@ -77,17 +77,14 @@ class StoredShard:
         for row in range(len(self)):
             self.setup(row)
             if self._truth is not None:
-                self._check_truth(row, self._truth)
-
-    def _check_truth(self, row: int, kinds: tuple[str, ...]) -> None:
-        for read in (self.seed, self.redrawn, self.drawn, self.true_cameras):
-            read(row)
-        if "particles" in kinds:
-            self.particles(row)
-        if "views" in kinds:
-            self.views(row)
-        if "radiance" in kinds and not row:
-            self._check_pixels("truth", "radiance", "f")
+                for read in (self.seed, self.redrawn, self.drawn, self.true_cameras):
+                    read(row)
+                if "particles" in self._truth:
+                    self.particles(row)
+                if "views" in self._truth:
+                    self.views(row)
+                if "radiance" in self._truth and not row:
+                    self._check_pixels("truth", "radiance", "f")
 
     def _check_pixels(self, side: str, name: str, kind: str) -> None:
         with _reported(self._path(side)):

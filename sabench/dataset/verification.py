@@ -150,10 +150,7 @@ def describe_contents(path: str | Path) -> str:
     if isinstance(contents, schema.ShardedContents):
         splits = ", ".join(f"{n} {name}" for name, n in open_samples(path).splits.items())
         return f"; {contents.samples} samples: {splits}"
-    return _describe_recorded(Dataset(Path(path), contents))
-
-
-def _describe_recorded(dataset: Dataset) -> str:
+    dataset = Dataset(Path(path), contents)
     if not dataset.recorded:
         return ""
     frames, cameras = dataset.setup.frames, len(dataset.setup.cameras)

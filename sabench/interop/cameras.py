@@ -122,7 +122,9 @@ def write_into(
     folder: Path, cameras: Sequence[CameraModel], form: CameraFormat, grid: Grid | None
 ) -> ForeignWorld:
     """Write cameras into a folder that is there; return the world of its files."""
-    world = world_for(form, grid)
+    from sabench.interop.openptv import world_of
+
+    world = world_of(grid) if form == "openptv" and grid is not None else ForeignWorld()
     points = None if grid is None else lpt_challenge.lattice(grid)
     try:
         _MODULES[form].write_cameras(folder, cameras, world, points)
@@ -146,13 +148,6 @@ def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
 def losses(form: CameraFormat) -> tuple[str, ...]:
     """List what a format's camera files do not carry."""
     return tuple(_MODULES[form].LOST_OF_CAMERAS)
-
-
-def world_for(form: CameraFormat, grid: Grid | None) -> ForeignWorld:
-    """Return the world in which a format's files are written."""
-    from sabench.interop.openptv import world_of
-
-    return world_of(grid) if form == "openptv" and grid is not None else ForeignWorld()
 
 
 def _check_form(form: str) -> None:

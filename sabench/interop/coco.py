@@ -70,12 +70,19 @@ def _annotations(bubbles: Bubbles, sight: Sight) -> Iterator[dict[str, Any]]:
     for row, identity in enumerate(bubbles.id.tolist()):
         mask = sight.number == row
         if mask.any():
+            flat = mask.ravel(order="F")
+            changes = np.flatnonzero(np.diff(flat.astype(np.int8))) + 1
+            ends = [0, *changes.tolist(), len(flat)]
+            lengths = np.diff(ends).tolist()
             yield {
                 "category_id": 1,
                 "iscrowd": 0,
                 "area": int(mask.sum()),
                 "bbox": _box(mask),
-                "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
+                "segmentation": {
+                    "size": list(mask.shape),
+                    "counts": ([0, *lengths] if flat[0] else lengths),
+                },
                 "bubble": identity,
                 "visible": float(sight.visible[row]),
             }
@@ -85,12 +92,3 @@ def _box(mask: Bool) -> list[int]:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     left, top = int(columns[0]), int(rows[0])
     return [left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1]
-
-
-def run_lengths(mask: Bool) -> list[int]:
-    """Count pixels that are off and on in turn, off first, down the columns."""
-    flat = mask.ravel(order="F")
-    changes = np.flatnonzero(np.diff(flat.astype(np.int8))) + 1
-    ends = [0, *changes.tolist(), len(flat)]
-    lengths = np.diff(ends).tolist()
-    return [0, *lengths] if flat[0] else lengths

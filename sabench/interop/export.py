@@ -96,18 +96,17 @@ def export(
             vtkhdf.write(root, data, found)
             write_state(root, Path(out).absolute())
         elif to == "coco":
-            _refuse_result(found)
+            if found is not None:
+                raise InputError(
+                    f"{found.path}: expected no result for coco, which has true bubbles"
+                )
             coco.write(root, data)
         elif program and found is None:
-            _write_observation(root, data, program, Path(out).absolute())
+            write_into(root, data.setup.cameras, program, data.setup.grid)
+            _OBSERVATIONS[program](root, data, Path(out).absolute())
         else:
             _write_particles(root, data, found, to)
     return Path(out)
-
-
-def _refuse_result(found: Result | None) -> None:
-    if found is not None:
-        raise InputError(f"{found.path}: expected no result for coco, which has true bubbles")
 
 
 def _write_particles(
@@ -154,12 +153,6 @@ def _of_volume(found: Result, one: Reconstruction) -> FoundParticles:
     if one.particles_mm is None:
         raise InputError(f"{found.path}: expected a result with particles_mm, got a volume alone")
     return FoundParticles(one.particles_mm)
-
-
-def _write_observation(root: Path, data: Dataset, to: ProgramFormat, home: Path) -> None:
-    """Write cameras, images and, where the program has them, settings."""
-    write_into(root, data.setup.cameras, to, data.setup.grid)
-    _OBSERVATIONS[to](root, data, home)
 
 
 def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:

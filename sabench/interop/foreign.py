@@ -74,20 +74,16 @@ def read_world(path: Path) -> ForeignWorld:
     for folder in (path, *path.parents[:2]):
         file = folder / WORLD_FILE
         if file.is_file():
-            return _parse(file)
+            record = read_json(file)
+            try:
+                origin, axes = np.array(record["origin_mm"], float), np.array(record["axes"], float)
+                sound = origin.shape == (3,) and np.allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+            except (KeyError, TypeError, ValueError):
+                sound = False
+            if not sound:
+                raise InputError(f"{file}: expected origin_mm and orthonormal axes, got {record!r}")
+            return ForeignWorld(triple(origin), tuple(triple(row) for row in axes))
     return ForeignWorld()
-
-
-def _parse(file: Path) -> ForeignWorld:
-    record = read_json(file)
-    try:
-        origin, axes = np.array(record["origin_mm"], float), np.array(record["axes"], float)
-        sound = origin.shape == (3,) and np.allclose(axes @ axes.T, np.eye(3), atol=1e-9)
-    except (KeyError, TypeError, ValueError):
-        sound = False
-    if not sound:
-        raise InputError(f"{file}: expected origin_mm and orthonormal axes, got {record!r}")
-    return ForeignWorld(triple(origin), tuple(triple(row) for row in axes))
 
 
 _OPTIONAL = ("trajectory", "intensity", "velocity_mm_s", "acceleration_mm_s2")

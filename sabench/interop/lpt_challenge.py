@@ -188,7 +188,10 @@ def _read_frame(file: Path, number: int, unit: str | None) -> TrackTable:
     variables = next((text for _, text in heads if text.lower().startswith("variables")), "")
     names = [a or b for a, b in _WORD.findall(variables.partition("=")[2])]
     if not names or not len(values):
-        return _plain(number, values, unit)
+        factor = 1.0 if unit is None else unit_mm(unit)
+        whole = values.shape[1] == 4 and bool((values[:, 3] == np.rint(values[:, 3])).all())
+        track = values[:, 3].astype(np.int64) if whole else None
+        return TrackTable(np.full(len(values), number), values[:, :3] * factor, track)
     if len(names) != values.shape[1]:
         raise InputError(
             f"{file}: variables: expected as many names as columns, {values.shape[1]}, got "
@@ -201,14 +204,6 @@ def _named(file: Path, number: int, names: list[str], values: F64, unit: str | N
     columns = {name: Array(values[:, i], None) for i, name in enumerate(names)}
     frame = Array(np.full(len(values), float(number)), None)
     return table_of_columns(str(file), columns | {"frame": frame}, unit)
-
-
-def _plain(number: int, values: F64, unit: str | None) -> TrackTable:
-    """Take four columns as X Y Z and the number, and three as X Y Z."""
-    factor = 1.0 if unit is None else unit_mm(unit)
-    whole = values.shape[1] == 4 and bool((values[:, 3] == np.rint(values[:, 3])).all())
-    track = values[:, 3].astype(np.int64) if whole else None
-    return TrackTable(np.full(len(values), number), values[:, :3] * factor, track)
 
 
 def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:

@@ -21,7 +21,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeGuard
 
 import h5py
 import numpy as np
@@ -142,17 +141,6 @@ def _rotation(angles: F64) -> F64:
     return np.asarray(about_x @ about_y @ about_z)
 
 
-def _angles(rotation: F64) -> F64:
-    """Invert `_rotation`."""
-    return np.array(
-        [
-            np.arctan2(-rotation[1, 2], rotation[2, 2]),
-            np.arcsin(np.clip(rotation[0, 2], -1.0, 1.0)),
-            np.arctan2(-rotation[0, 1], rotation[0, 0]),
-        ]
-    )
-
-
 def _read_zolof(path: Path, lines: Sequence[tuple[int, str]], extent: Extent) -> CameraModel:
     """Read the polynomials of column and row, which are a Soloff camera's."""
     table = np.full((len(_POWERS), 2), np.nan)
@@ -165,11 +153,7 @@ def _read_zolof(path: Path, lines: Sequence[tuple[int, str]], extent: Extent) ->
             table[int(term), int(side)] = value
     if np.isnan(table[:17]).any():
         raise InputError(f"{path}: expected 17 or 19 coefficients A of column and row")
-    return _soloff(path, _name(lines[0][1]), np.nan_to_num(table), extent)
-
-
-def _soloff(path: Path, name: str, table: F64, extent: Extent) -> Soloff:
-    """Expand the polynomials in the coordinates of the volume's box."""
+    # polynomials in the coordinates of the volume's box
     rows, columns = extent.image(str(path))
     if extent.low_mm is None or extent.high_mm is None:
         raise InputError(
@@ -179,11 +163,11 @@ def _soloff(path: Path, name: str, table: F64, extent: Extent) -> Soloff:
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     unit = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 4)] * 3), axis=-1).reshape(-1, 3)
     terms = _monomials(middle + unit * half)
-    solution = np.linalg.lstsq(Soloff.terms(unit), terms @ table, rcond=None)[0]
+    solution = np.linalg.lstsq(Soloff.terms(unit), terms @ np.nan_to_num(table), rcond=None)[0]
     coefficients = np.asarray(solution, dtype=np.float64)
     x, y, z = middle.tolist()
     a, b, c = half.tolist()
-    return Soloff(name, rows, columns, (x, y, z), (a, b, c), nested(coefficients.T))
+    return Soloff(_name(lines[0][1]), rows, columns, (x, y, z), (a, b, c), nested(coefficients.T))
 
 
 def _monomials(points: F64) -> F64:
@@ -210,7 +194,7 @@ def write_cameras(
     """
     errors: dict[str, tuple[float, float]] = {}
     for camera in cameras:
-        if _is_tsai(camera):
+        if isinstance(camera, Camera) and camera.wall is None and camera.distortion == Distortion():
             text = _tsai_text(camera.upright())
         elif points_mm is None:
             raise InputError(f"{camera.name}: MyPTV has polynomials for it: give the volume (grid)")
@@ -225,16 +209,19 @@ def write_cameras(
         )
 
 
-def _is_tsai(camera: CameraModel) -> TypeGuard[Camera]:
-    return isinstance(camera, Camera) and camera.wall is None and camera.distortion == Distortion()
-
-
 def _tsai_text(camera: Camera) -> str:
     offset = np.asarray(camera.principal_point_px) - [camera.columns / 2.0, camera.rows / 2.0]
+    rotation = np.asarray(camera.rotation)
     rows = [
         (camera.columns, camera.rows),
         camera.center_mm,
-        _angles(np.asarray(camera.rotation)).tolist(),
+        np.array(
+            [
+                np.arctan2(-rotation[1, 2], rotation[2, 2]),
+                np.arcsin(np.clip(rotation[0, 2], -1.0, 1.0)),
+                np.arctan2(-rotation[0, 1], rotation[0, 0]),
+            ]
+        ).tolist(),
         (camera.focal_px,),
         offset.tolist(),
         *[[0.0] * 5] * 3,
@@ -258,7 +245,10 @@ def _zolof_text(camera: CameraModel, points_mm: F64) -> tuple[str, tuple[float, 
     origin = np.linalg.solve(across.sum(axis=0), beside)
     towards = points - origin
     away = towards / np.linalg.norm(towards, axis=1, keepdims=True)
-    lines, error = _least_squares(_pixel_terms(pixels), away)
+    x, y = pixels.T
+    lines, error = _least_squares(
+        np.stack([x**0, x, y, x**2, y**2, x * y, x**2 * y, x * y**2, x**3, y**3], axis=1), away
+    )
     reach = float(np.linalg.norm(towards, axis=1).max())
     parts = [("O", origin[:, None]), ("A", table), ("B", lines)]
     rows = [
@@ -275,11 +265,6 @@ def _least_squares(terms: F64, values: F64) -> tuple[F64, float]:
     scale = np.abs(terms).max(axis=0)
     solution = np.linalg.lstsq(terms / scale, values, rcond=None)[0] / scale[:, None]
     return np.asarray(solution), float(np.abs(terms @ solution - values).max())
-
-
-def _pixel_terms(pixels: F64) -> F64:
-    x, y = pixels.T
-    return np.stack([x**0, x, y, x**2, y**2, x * y, x**2 * y, x * y**2, x**3, y**3], axis=1)
 
 
 LOST_OF_TRACKS = (
@@ -309,7 +294,8 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
         return TrackTable(frame, values[:, :3] * factor).sorted()
     number = number_strangers(values[:, 0].astype(np.int64))
     rates: dict[str, F64] = {}
-    if _is_smoothed(values):
+    # else whole numbers: blobs of cameras
+    if values.shape[1] == _SMOOTHED and not _is_whole(values[:, 4:9]):
         if interval_s is None:
             raise InputError(f"{file}: velocities are per frame: give the time between frames")
         rates["velocity_mm_s"] = values[:, 4:7] * factor / interval_s
@@ -337,11 +323,6 @@ def _values(file: Path) -> F64:
     return read_table(file, 5).values
 
 
-def _is_smoothed(values: F64) -> bool:
-    """Tell velocities from blobs of cameras, which are whole numbers."""
-    return values.shape[1] == _SMOOTHED and not _is_whole(values[:, 4:9])
-
-
 def _is_whole(values: F64) -> bool:
     return bool((values == np.rint(values)).all())
 
@@ -356,7 +337,18 @@ def _whole(file: Path, values: F64, what: str) -> I64:
 def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     """Write blobs, particles and trajectories; smoothed ones with velocities."""
     interval_s = recording.interval_s
-    blobs = _write_blobs(folder, table, recording.cameras)
+    # blobs of each particle (n, camera) count from 0 in each frame; -1 where a camera does not
+    # see it
+    found = np.full((len(table), len(recording.cameras)), -1.0)
+    for column, camera in enumerate(recording.cameras):
+        pixels, valid = camera.project(table.position_mm)
+        seen = np.flatnonzero(valid & camera.contains(pixels))
+        frame = table.frame[seen]
+        first = np.searchsorted(frame, frame)
+        found[seen, column] = np.arange(len(seen)) - first
+        size = np.tile([_SIDE, _SIDE, _SIDE**2], (len(seen), 1))
+        _write(folder / f"blobs_cam{column + 1}", np.column_stack([pixels[seen], size, frame]))
+    blobs = found
     tail = np.column_stack([blobs, np.zeros(len(table)), table.frame])
     _write(folder / "particles", np.column_stack([table.position_mm, tail]))
     if table.trajectory is None:
@@ -378,20 +370,3 @@ def _write(path: Path, rows: F64) -> None:
         for row in rows.tolist()
     )
     path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
-
-
-def _write_blobs(folder: Path, table: TrackTable, cameras: Sequence[CameraModel]) -> F64:
-    """Write projections of particles as blobs; return each one's (n, camera).
-
-    Blobs count from 0 in each frame; -1 where a camera does not see the particle.
-    """
-    found = np.full((len(table), len(cameras)), -1.0)
-    for column, camera in enumerate(cameras):
-        pixels, valid = camera.project(table.position_mm)
-        seen = np.flatnonzero(valid & camera.contains(pixels))
-        frame = table.frame[seen]
-        first = np.searchsorted(frame, frame)
-        found[seen, column] = np.arange(len(seen)) - first
-        size = np.tile([_SIDE, _SIDE, _SIDE**2], (len(seen), 1))
-        _write(folder / f"blobs_cam{column + 1}", np.column_stack([pixels[seen], size, frame]))
-    return found

@@ -73,7 +73,20 @@ class NamedColumns:
 
     def write_tracks(self, folder: Path, table: TrackTable, recording: Recording) -> None:
         """Write the file of a folder."""
-        self.write(folder / self.file, _columns_of_table(table, recording.times_s))
+        times = np.asarray(recording.times_s, dtype=np.float64)
+        found: dict[str, npt.NDArray[Any]] = {"frame": table.frame, "time_s": times[table.frame]}
+        if table.trajectory is not None:
+            found["trajectory"] = table.trajectory
+        for name, values in (
+            ("{}_mm", table.position_mm),
+            ("velocity_{}_mm_s", table.velocity_mm_s),
+            ("acceleration_{}_mm_s2", table.acceleration_mm_s2),
+        ):
+            if values is not None:
+                found |= {name.format(axis): values[:, i] for i, axis in enumerate(_AXES)}
+        if table.intensity is not None:
+            found["intensity"] = table.intensity
+        self.write(folder / self.file, found)
 
 
 def _read_text(file: Path) -> dict[str, Array]:
@@ -90,32 +103,23 @@ def _write_text(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
 
 
 def _read_netcdf(file: Path) -> dict[str, Array]:
-    return _observations(file, read_all_arrays(file, ".nc"))
-
-
-def _observations(path: Path, variables: dict[str, Array]) -> dict[str, Array]:
-    """Keep the variables with the shape of x, and drop their padding."""
+    variables = read_all_arrays(file, ".nc")
     shape = next((one.values.shape for name, one in variables.items() if name[:1] in "xX"), ())
     kept = {name: one for name, one in variables.items() if one.values.shape == shape}
     if len(shape) == 2:
-        kept |= _spread(shape, variables)
+        own = {name: one for name, one in variables.items() if one.values.shape == shape[:1]}
+        number = own or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
+        kept |= {
+            name: Array(np.repeat(one.values[:, None], shape[1], axis=1), one.unit)
+            for name, one in number.items()
+        }
     there = np.ones(shape, dtype=bool)
     for one in kept.values() if len(shape) == 2 else ():
         there &= np.isfinite(one.values)
     left = [name for name in variables if name not in kept]
     if left:
-        note(f"{path}: left out the variables {', '.join(left)}, of another shape than x")
+        note(f"{file}: left out the variables {', '.join(left)}, of another shape than x")
     return {name: Array(one.values[there].ravel(), one.unit) for name, one in kept.items()}
-
-
-def _spread(shape: tuple[int, ...], variables: dict[str, Array]) -> dict[str, Array]:
-    """Repeat variables of trajectories, or their numbers, over observations."""
-    own = {name: one for name, one in variables.items() if one.values.shape == shape[:1]}
-    number = own or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
-    return {
-        name: Array(np.repeat(one.values[:, None], shape[1], axis=1), one.unit)
-        for name, one in number.items()
-    }
 
 
 def _write_netcdf(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
@@ -287,22 +291,4 @@ def _finite(where: str, name: str, values: npt.NDArray[Any]) -> F64:
         raise InputError(
             f"{where}: {name}: expected finite numbers, got {found[bad[0]]} in row {bad[0] + 1}"
         )
-    return found
-
-
-def _columns_of_table(table: TrackTable, times_s: tuple[float, ...]) -> dict[str, npt.NDArray[Any]]:
-    """List the columns of a table, and times, by the names that are read."""
-    times = np.asarray(times_s, dtype=np.float64)
-    found: dict[str, npt.NDArray[Any]] = {"frame": table.frame, "time_s": times[table.frame]}
-    if table.trajectory is not None:
-        found["trajectory"] = table.trajectory
-    for name, values in (
-        ("{}_mm", table.position_mm),
-        ("velocity_{}_mm_s", table.velocity_mm_s),
-        ("acceleration_{}_mm_s2", table.acceleration_mm_s2),
-    ):
-        if values is not None:
-            found |= {name.format(axis): values[:, i] for i, axis in enumerate(_AXES)}
-    if table.intensity is not None:
-        found["intensity"] = table.intensity
     return found

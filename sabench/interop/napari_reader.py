@@ -73,21 +73,16 @@ def read_layers(path: str | list[str]) -> list[Layer]:
         if data.has_truth and "particles" in data.shows:
             shown = shown | {"name": f"{camera.name} particles"}
             style = {"size": 3, "face_color": "transparent", "border_color": "cyan"}
-            layers.append((_true_places(data, number), shown | style, "points"))
+            places: list[F64] = []
+            for frame in range(data.setup.frames):
+                view = data.views(frame)[number]
+                column, row = view.pixel[view.visible].T
+                places.append(np.column_stack([np.full(len(row), frame), row, column]))
+                if sum(map(len, places)) >= _MOST_PLACES:
+                    break
+            layers.append((np.concatenate(places), shown | style, "points"))
     return layers
 
 
 def _first(path: str | list[str]) -> str:
     return path if isinstance(path, str) else path[0]
-
-
-def _true_places(data: Dataset, number: int) -> F64:
-    """Read where a camera sees the true particles: (n, 3) frame, row, column."""
-    places: list[F64] = []
-    for frame in range(data.setup.frames):
-        view = data.views(frame)[number]
-        column, row = view.pixel[view.visible].T
-        places.append(np.column_stack([np.full(len(row), frame), row, column]))
-        if sum(map(len, places)) >= _MOST_PLACES:
-            break
-    return np.concatenate(places)

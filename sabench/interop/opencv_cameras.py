@@ -69,7 +69,15 @@ def _read_camera(path: Path, extent: Extent) -> CameraModel:
     rows, columns = _size(path, nodes, extent)
     pose = Pose(path.stem, rows, columns, center_of(rotation, move), rotation, str(path))
     if bent.size > 5 and bent[5:].any():
-        return _general(pose, matrix, bent)
+
+        def lens(ideal: F64) -> F64:
+            points = np.column_stack([ideal, np.ones(len(ideal))])
+            return np.asarray(
+                cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, bent)[0][:, 0]
+            )
+
+        note(f"{pose.where}: its distortion has {bent.size} coefficients: the camera is `central`")
+        return camera_of_lens(pose, lens, float(matrix[0, 0]))
     return camera_of_matrix(pose, matrix, Distortion(*np.resize([*bent, 0.0], 5)[:5].tolist()))
 
 
@@ -77,19 +85,6 @@ def _of_vector(path: Path, turn: F64) -> F64:
     if turn.size != 3:
         raise InputError(f"{path}: {_TURN[0]}: expected 9 or 3 numbers, got {turn.size}")
     return rotation_matrices(turn.ravel())
-
-
-def _general(pose: Pose, matrix: F64, bent: F64) -> CameraModel:
-    """Fit a central camera to a lens with more coefficients than five."""
-
-    def lens(ideal: F64) -> F64:
-        points = np.column_stack([ideal, np.ones(len(ideal))])
-        return np.asarray(
-            cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, bent)[0][:, 0]
-        )
-
-    note(f"{pose.where}: its distortion has {bent.size} coefficients: the camera is `central`")
-    return camera_of_lens(pose, lens, float(matrix[0, 0]))
 
 
 def _read_nodes(path: Path) -> dict[str, Any]:

@@ -81,13 +81,10 @@ def _read_camera(path: Path) -> CameraModel:
     pose = Pose(
         path.stem, int(size[0]), int(size[1]), center_of(rotation, move), rotation, str(path), wall
     )
-    return camera_of_matrix(pose, matrix, _distortion(path, bent.tolist()))
-
-
-def _distortion(path: Path, values: list[float]) -> Distortion:
+    values = bent.tolist()
     if len(values) > 5 and any(values[5:]):
         raise InputError(f"{path}: expected five coefficients of distortion, got {len(values)}")
-    return Distortion(*(values + 5 * [0.0])[:5])
+    return camera_of_matrix(pose, matrix, Distortion(*(values + 5 * [0.0])[:5]))
 
 
 def _read_plates(path: Path, lines: Sequence[tuple[int, str]]) -> Wall | None:

@@ -228,11 +228,6 @@ def write_cameras(
         for suffix, text in zip(_SUFFIXES, texts, strict=True):
             path = folder / "cal" / f"cam{number}.tif{suffix}"
             path.write_text(text, encoding="utf-8")
-    text = _control_text(cameras)
-    (folder / "parameters" / "ptv.par").write_text(text, encoding="utf-8")
-
-
-def _control_text(cameras: Sequence[Camera]) -> str:
     first, media = cameras[0], openptv.media_of(cameras[0])
     names = [
         name
@@ -255,7 +250,8 @@ def _control_text(cameras: Sequence[Camera]) -> str:
         media["n3"],
         media["d"][0],
     ]
-    return "\n".join(str(line) for line in lines) + "\n"
+    text = "\n".join(str(line) for line in lines) + "\n"
+    (folder / "parameters" / "ptv.par").write_text(text, encoding="utf-8")
 
 
 def write_parameters(

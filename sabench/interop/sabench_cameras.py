@@ -43,12 +43,8 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
         else read_camera(entry, f"{file}: cameras: {number}")
         for number, entry in enumerate(entries)
     ]
-    return _behind_walls(file, record.get("wall"), cameras)
-
-
-def _behind_walls(file: Path, record: Any, cameras: list[CameraModel]) -> list[CameraModel]:
     try:
-        wall = _WALLS.validate_python(record)
+        wall = _WALLS.validate_python(record.get("wall"))
     except ValidationError as error:
         raise InputError(f"{file}: wall: {error.errors()[0]['msg']}") from error
     walls = wall if isinstance(wall, tuple) else (wall,) * len(cameras)

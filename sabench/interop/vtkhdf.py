@@ -12,7 +12,7 @@ import numpy.typing as npt
 from sabench import tasks
 from sabench.api import Detections, FoundParticles, Reconstruction, Velocity
 from sabench.api.estimates import Estimate
-from sabench.api.truth import Bubbles, Particles, Solid
+from sabench.api.truth import Solid
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result
@@ -58,7 +58,14 @@ def write(root: Path, data: Dataset, found: Result | None) -> None:
     if found is None:
         _export_truth(root, data)
     else:
-        _export_result(root, data, found)
+        task = tasks.of(found.task)
+        if task.estimate not in _WRITERS:
+            known = " or ".join(kind.__name__ for kind in _WRITERS)
+            raise InputError(
+                f"{found.path}: expected a result of {known}, got one of {task.estimate.__name__}"
+            )
+        for frame in progress_bar(task.frames(data), "export"):
+            _WRITERS[task.estimate](root, data, frame, task.read(data, found, frame))
 
 
 def _export_truth(root: Path, data: Dataset) -> None:
@@ -83,17 +90,6 @@ def _export_truth(root: Path, data: Dataset) -> None:
             )
         if isinstance(world, BubbleWorld) and world.solids:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
-
-
-def _export_result(root: Path, data: Dataset, result: Result) -> None:
-    task = tasks.of(result.task)
-    if task.estimate not in _WRITERS:
-        known = " or ".join(kind.__name__ for kind in _WRITERS)
-        raise InputError(
-            f"{result.path}: expected a result of {known}, got one of {task.estimate.__name__}"
-        )
-    for frame in progress_bar(task.frames(data), "export"):
-        _WRITERS[task.estimate](root, data, frame, task.read(data, result, frame))
 
 
 def _export_particles(root: Path, data: Dataset, frame: int) -> None:
@@ -134,7 +130,28 @@ def _write_velocity(root: Path, data: Dataset, frame: int, field: Velocity) -> N
 def _write_detections(root: Path, data: Dataset, frame: int, found: Detections) -> None:
     values = _shapes(found)
     if data.has_truth:
-        values |= _errors(found, data.bubbles(frame))
+        true = data.bubbles(frame)
+        i, j = match(found.center_mm, true.center_mm, true.radius_mm)
+        which = np.full(len(found.center_mm), -1)
+        which[i] = j
+        hit = which >= 0
+        known = true[which[hit]]
+        identity, error_mm, radius = (
+            np.full(len(hit), -1),
+            np.full((len(hit), 3), np.nan),
+            np.full(len(hit), np.nan),
+        )
+        identity[hit], error_mm[hit], radius[hit] = (
+            known.id,
+            found.center_mm[hit] - known.center_mm,
+            found.radius_mm[hit] - known.radius_mm,
+        )
+        values |= {
+            "matched": hit.astype(np.uint8),
+            "true_id": identity,
+            "error_mm": error_mm,
+            "radius_error_mm": radius,
+        }
     write_points(root / f"bubbles_{frame:04d}.vtkhdf", found.center_mm, values)
 
 
@@ -143,20 +160,14 @@ def _write_particles(root: Path, data: Dataset, frame: int, found: FoundParticle
     about: Data = {name: one for name, one in given.items() if one is not None}
     if data.has_truth:
         true, grid = data.particles(frame), data.setup.grid
-        identity = _identities(found, true, grid)
+        i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(true.position_mm))
+        identity = np.full(len(found.position_mm), -1)
+        identity[i] = true.id[j]
         about |= {"matched": (identity >= 0).astype(np.uint8), "true_id": identity}
         missed = ~np.isin(true.id, identity) & grid.in_scored(grid.to_voxels(true.position_mm))
         path = root / f"missed_{frame:04d}.vtkhdf"
         write_points(path, true.position_mm[missed], {"id": true.id[missed]})
     write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
-
-
-def _identities(found: FoundParticles, true: Particles, grid: Grid) -> I64:
-    """Match found particles to true ones as the scores do: their ids (n,), or -1."""
-    i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(true.position_mm))
-    identity = np.full(len(found.position_mm), -1)
-    identity[i] = true.id[j]
-    return identity
 
 
 _WRITERS: dict[type[Estimate], Callable[[Path, Dataset, int, Any], None]] = {
@@ -179,34 +190,6 @@ def _shapes(bubbles: AnyBubbles) -> Data:
         "semi_axes_mm": bubbles.semi_axes_mm,
         "turn": bubbles.turn.reshape(-1, 9),
         "shape_mm": shape.reshape(-1, 9),
-    }
-
-
-def _errors(found: Detections, true: Bubbles) -> Data:
-    """Match detected bubbles to true ones as the scores do, and compute errors.
-
-    -1 and NaN stand for bubbles without a match.
-    """
-    i, j = match(found.center_mm, true.center_mm, true.radius_mm)
-    which = np.full(len(found.center_mm), -1)
-    which[i] = j
-    hit = which >= 0
-    known = true[which[hit]]
-    identity, error_mm, radius = (
-        np.full(len(hit), -1),
-        np.full((len(hit), 3), np.nan),
-        np.full(len(hit), np.nan),
-    )
-    identity[hit], error_mm[hit], radius[hit] = (
-        known.id,
-        found.center_mm[hit] - known.center_mm,
-        found.radius_mm[hit] - known.radius_mm,
-    )
-    return {
-        "matched": hit.astype(np.uint8),
-        "true_id": identity,
-        "error_mm": error_mm,
-        "radius_error_mm": radius,
     }
 
 

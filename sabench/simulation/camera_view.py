@@ -26,7 +26,7 @@ from sabench.simulation.rendering.particle_images import ParticleImages, image_p
 from sabench.simulation.rendering.particles_splatted import render_with_rings
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import expose, full_well_photons, make_pattern
-from sabench.utils.arrays import F64, U16, Bool
+from sabench.utils.arrays import F64, U16
 from sabench.utils.rng import stream
 
 _ERROR = 0.04  # of pixels that show bubbles and bodies, unless the scene says otherwise
@@ -154,7 +154,10 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
     scene, camera = frame.scene, frame.rig.cameras[number]
     tank, seed = tank_of(scene), frame.path_seed(number)
     lights, sight = lights_of(scene), see(camera, bubbles, frame.solids)
-    counted = _around(sight)
+    # pixels that show bubbles or bodies, or are next to them
+    from scipy.ndimage import maximum_filter  # takes long to load
+
+    counted = np.asarray(maximum_filter(sight.number != NOTHING, 3))
     shown = bubbles_traced.render(
         camera,
         tank,
@@ -186,13 +189,6 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
     )
     photons = shown.photons + glow.photons
     return CameraView(camera, photons, particles=images, sight=sight)
-
-
-def _around(sight: Sight) -> Bool:
-    """Mark pixels (rows, columns) that show bubbles or bodies, or are next to them."""
-    from scipy.ndimage import maximum_filter  # takes long to load
-
-    return np.asarray(maximum_filter(sight.number != NOTHING, 3))
 
 
 def tank_of(scene: Scene) -> Tank:

@@ -104,19 +104,6 @@ def inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
     return _in_bubbles(bubbles, points_mm) | BodySearch(solids).contains(points_mm)
 
 
-def find_obstructed(
-    bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64, directions: F64
-) -> Bool:
-    """Find which lines from points (n, 3) meet a bubble or a body.
-
-    `directions` are unit vectors (n, 3).
-    """
-    met = meets(bubbles, points_mm, directions)
-    if solids:
-        met |= BodySearch(solids).first(points_mm, directions)[1] >= 0
-    return met
-
-
 def find_hidden(camera: Camera, points_mm: F64, pixels: F64, sight: Sight) -> Bool:
     """Find which points (n, 3) lie behind what their pixels (n, 2) show first."""
     with np.errstate(invalid="ignore"):
@@ -198,7 +185,10 @@ class Frames:
         particles = _select(particles, ~inside(bubbles, solids, particles.position_mm))
         direction = np.asarray(self.scene.particle_world.illumination.direction)
         back = np.tile(-direction / np.linalg.norm(direction), (len(particles), 1))
-        dark = find_obstructed(bubbles, solids, particles.position_mm, back)
+        met = meets(bubbles, particles.position_mm, back)
+        if solids:
+            met |= BodySearch(solids).first(particles.position_mm, back)[1] >= 0
+        dark = met
         return self.assemble(number, bubbles, particles, ~dark)
 
     def assemble(

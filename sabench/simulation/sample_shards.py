@@ -82,7 +82,12 @@ def generate_samples(
     if not 0 <= seed < 2**63:
         raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
     kept = Kept(tuple(truth), compression)
-    pictures = math.prod(_image_shape(loaded, label)) * loaded.frames
+    pictures = (
+        math.prod(
+            len(build_rig(loaded, label).cameras), loaded.cameras.rows, loaded.cameras.columns
+        )
+        * loaded.frames
+    )
     size = size or min(_MOST_SAMPLES, max(1, _SHARD_BYTES // (2 * pictures)))
     own = Job(loaded, seed, choose_renderer("splat" if backend == "auto" else backend), label)
     job = ShardJob(own, samples, tuple(float(share) for share in split), size, kept)
@@ -90,14 +95,18 @@ def generate_samples(
     copies = samples if compression == "none" else 1
     check_affordable(label, loaded, build_rig(loaded, label), target.parent, copies=copies)
     with _folder(target, job, overwrite=overwrite) as root:
-        _make(job, root, jobs, scheduler)
+        shards = job.shards
+        maker = ShardMaker(
+            job, root
+        )  # finds what is wrong with the scene before anything is rendered
+        workers = worker_pool(root, maker, jobs, scheduler)
+        with contextlib.closing(workers):
+            schedule = Schedule(len(shards), 0, chained=False, ahead=workers.ahead)
+            doing = f"make shards of {job.job.label} with {job.job.renderer}"
+            run_schedule(workers, schedule, doing, name=lambda task: shards[task.frame].name)
         merge_shards(job, ShardFolder(root))
         put_in_place(target, root / "data")
     return open_samples(target)
-
-
-def _image_shape(scene: Scene, label: str) -> tuple[int, int, int]:
-    return len(build_rig(scene, label).cameras), scene.cameras.rows, scene.cameras.columns
 
 
 def _check_numbers(**numbers: int) -> None:
@@ -149,17 +158,6 @@ def _clear(root: Path) -> None:
     (root / PLAN).unlink()
 
 
-def _make(job: ShardJob, root: Path, jobs: int, scheduler: str | None) -> None:
-    """Have workers make all shards."""
-    shards = job.shards
-    maker = ShardMaker(job, root)  # finds what is wrong with the scene before anything is rendered
-    workers = worker_pool(root, maker, jobs, scheduler)
-    with contextlib.closing(workers):
-        schedule = Schedule(len(shards), 0, chained=False, ahead=workers.ahead)
-        doing = f"make shards of {job.job.label} with {job.job.renderer}"
-        run_schedule(workers, schedule, doing, name=lambda task: shards[task.frame].name)
-
-
 def merge_shards(job: ShardJob, folder: ShardFolder) -> None:
     """Write the manifest from what was noted of each shard, without its pixels."""
     own, key = job.job, job.job.key  # the key takes milliseconds, and there may be 10,000 shards
@@ -187,19 +185,14 @@ def merge_shards(job: ShardJob, folder: ShardFolder) -> None:
         "shards": [entry.model_dump() for entry in shards],
     }
     write_card(root, head, own.scene.title, job.shards)
-    head["files"] = _other_files(root)
-    head["content_hash"] = schema.content_hash(
-        {name: schema.FileEntry(**one) for name, one in head["files"].items()}
-        | {name: file for entry in shards for name, file in entry.files.items()}
-    )
-    (root / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")
-
-
-def _other_files(root: Path) -> dict[str, dict[str, Any]]:
-    """List all files but the manifest and the shards."""
     files = {}
     for path in sorted(path for path in root.rglob("*") if path.is_file()):
         name = path.relative_to(root).as_posix()
         if name != schema.MANIFEST and not name.startswith(tuple(f"{s}/" for s in schema.SIDES)):
             files[name] = file_entry(path).model_dump()
-    return files
+    head["files"] = files
+    head["content_hash"] = schema.content_hash(
+        {name: schema.FileEntry(**one) for name, one in head["files"].items()}
+        | {name: file for entry in shards for name, file in entry.files.items()}
+    )
+    (root / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")

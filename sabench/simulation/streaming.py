@@ -119,7 +119,17 @@ def stream(
             raise InputError(f"{name}: expected a number from {smallest} on, got {value}")
     numbers = itertools.count(start) if samples is None else iter(range(start, samples))
     if split is not None:
-        numbers = _of_split(numbers, *_check_split(split))
+        if isinstance(split, str) or len(split) != 2:
+            raise InputError(
+                f'split: expected a name and shares, ("train", (80, 20)), got {split!r}'
+            )
+        name, shares = split
+        check_shares(shares)
+        if name not in (names := split_names(len(shares))):
+            raise InputError(f"split: expected one of {', '.join(names)}, got {name!r}")
+        if not shares[names.index(name)] > 0.0:
+            raise InputError(f"split: expected a share of {name} above 0, got {list(shares)}")
+        numbers = _of_split(numbers, *name, shares)
     return _batches(SampleMaker(scene, seed, choose_renderer(backend)), batch, numbers, part)
 
 
@@ -130,19 +140,6 @@ def stream_key(scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = 
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     return Job(scene, seed, choose_renderer(backend), scene.title).key
-
-
-def _check_split(split: tuple[str, Sequence[float]]) -> tuple[str, Sequence[float]]:
-    """Refuse a split that no sample can be in."""
-    if isinstance(split, str) or len(split) != 2:
-        raise InputError(f'split: expected a name and shares, ("train", (80, 20)), got {split!r}')
-    name, shares = split
-    check_shares(shares)
-    if name not in (names := split_names(len(shares))):
-        raise InputError(f"split: expected one of {', '.join(names)}, got {name!r}")
-    if not shares[names.index(name)] > 0.0:
-        raise InputError(f"split: expected a share of {name} above 0, got {list(shares)}")
-    return name, shares
 
 
 def _of_split(numbers: Iterator[int], name: str, shares: Sequence[float]) -> Iterator[int]:

@@ -21,7 +21,7 @@ from sabench.api.truth import (
 from sabench.dataset.writer import DatasetWriter
 from sabench.scenes import Scene, TargetWorld, build_rig
 from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.simulation.camera_view import CameraView, record_image, render
+from sabench.simulation.camera_view import record_image, render
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.recording.parts import Entry, Kept, Part, Parts, Recall, Taken
 from sabench.simulation.recording.schedule import Task
@@ -94,11 +94,23 @@ class Recorder:
         `recall` gives the frame's part.
         """
         if self._last is None or self._last.number != number:
-            self._last = self._restore(number, recall(number))
+            part = recall(number)
+            lit = part.find(_Illuminated)
+            self._last = self._frames.assemble(
+                number,
+                part.find(Bubbles, number),
+                part.find(Particles, number),
+                None if lit is None else lit.illuminated,
+            )
         frame = self._last
         view = render(frame, camera)
         grey = record_image(frame, view, camera)
-        return Taken(_view_truth(view), grey, view.radiance().astype(np.float32))
+        every = (view.sight, view.particles)
+        return Taken(
+            [(one, view.camera.name) for one in every if one is not None],
+            grey,
+            view.radiance().astype(np.float32),
+        )
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
         """Store what all parts together make: nothing, for most scenes."""
@@ -115,16 +127,6 @@ class Recorder:
             yield _State(every.id, every.position_mm, every.diameter_mm, every.velocity_mm_s), ""
         if frame.tracers.illuminated is not None:
             yield _Illuminated(frame.tracers.illuminated), ""
-
-    def _restore(self, number: int, part: Part) -> FrameContent:
-        """Restore a frame from its part."""
-        lit = part.find(_Illuminated)
-        return self._frames.assemble(
-            number,
-            part.find(Bubbles, number),
-            part.find(Particles, number),
-            None if lit is None else lit.illuminated,
-        )
 
 
 class TargetRecorder(Recorder):
@@ -221,9 +223,3 @@ def _flow(scene: Scene, seed: int, number: int) -> Iterator[Entry]:
     if scene.flow_grid_mm:
         field, gradient = lattice(scene, number, scene.flow_grid_mm, seed)
         yield ExactFlow(field.velocity_mm_s, gradient, field.low_mm, field.step_mm), ""
-
-
-def _view_truth(view: CameraView) -> list[Entry]:
-    """Collect the truth of one camera's view."""
-    every = (view.sight, view.particles)
-    return [(one, view.camera.name) for one in every if one is not None]

@@ -134,7 +134,11 @@ class Schedule:
         """
         tries = self._tries[task] = self._tries.get(task, 0) + 1
         if tries < TRIES:
-            self._retry(task)
+            frame = self._open[task.frame]
+            if task.camera is None:
+                frame.given = False
+            else:
+                frame.views.appendleft(task)
             return
         self.failures.append((task, why))
         if task.camera is not None:
@@ -144,13 +148,6 @@ class Schedule:
         if self._chained:  # later frames are computed from this one
             self._broken = True
             self._open = {number: frame for number, frame in self._open.items() if frame.made}
-
-    def _retry(self, task: Task) -> None:
-        frame = self._open[task.frame]
-        if task.camera is None:
-            frame.given = False
-        else:
-            frame.views.appendleft(task)
 
     def _begin(self) -> None:
         while len(self._open) < self._ahead and self._next < self._frames and not self._broken:

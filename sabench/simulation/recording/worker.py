@@ -46,7 +46,12 @@ def _main() -> None:
     root, threads = sys.argv[1], int(sys.argv[2])
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
         os.dup2(2, 1)  # libraries that print must not answer
-        _limit_threads(root, threads)
+        # of libraries that do not read their number in the environment
+        import cv2
+
+        cv2.setNumThreads(threads)
+        if read_json(Path(root) / JOB)["renderer"] == "mitsuba":
+            backend.limit(threads)
         _serve(root, answers)
 
 
@@ -69,15 +74,6 @@ def _try(root: str, task: Task) -> tuple[str, str | None]:
     except Exception as error:
         return "other", f"{type(error).__name__}: {error}"
     return "done", None
-
-
-def _limit_threads(root: str, threads: int) -> None:
-    """Limit threads of libraries that do not read their number in the environment."""
-    import cv2
-
-    cv2.setNumThreads(threads)
-    if read_json(Path(root) / JOB)["renderer"] == "mitsuba":
-        backend.limit(threads)
 
 
 if __name__ == "__main__":

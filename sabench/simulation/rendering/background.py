@@ -18,7 +18,15 @@ def static_light(background: Background, shape: tuple[int, int], rng: np.random.
     Smooth light is a sum of cosines, glints are Gaussians and dust is uniform discs, all at random
     positions.
     """
-    light = _smooth(background, shape, rng)
+    weights, phases = rng.standard_normal((_WAVES,) * 2), rng.uniform(0.0, np.pi, (2, _WAVES))
+    down, across = (
+        np.cos(np.pi * np.arange(_WAVES)[:, None] * np.arange(size) / size + phase[:, None])
+        for size, phase in zip(shape, phases, strict=True)
+    )
+    field = np.einsum("ij,ir,jc->rc", weights, down, across)
+    field -= field.mean()
+    field *= background.variation / np.abs(field).max(initial=1e-300)
+    light = np.asarray((background.level or 0.0) * (1.0 + field))
     for _ in range(background.glints):
         middle, sigma = rng.uniform(0.0, shape), rng.uniform(*background.glint_sigma_px)
         window, square = _around(middle, _REACH * sigma, shape)
@@ -36,18 +44,6 @@ def flicker(background: Background, rng: np.random.Generator) -> float:
     It is the same for all cameras, since the laser's pulses differ.
     """
     return max(1.0 + (background.flicker or 0.0) * rng.standard_normal(), _LEAST_FLICKER)
-
-
-def _smooth(background: Background, shape: tuple[int, int], rng: np.random.Generator) -> F64:
-    weights, phases = rng.standard_normal((_WAVES,) * 2), rng.uniform(0.0, np.pi, (2, _WAVES))
-    down, across = (
-        np.cos(np.pi * np.arange(_WAVES)[:, None] * np.arange(size) / size + phase[:, None])
-        for size, phase in zip(shape, phases, strict=True)
-    )
-    field = np.einsum("ij,ir,jc->rc", weights, down, across)
-    field -= field.mean()
-    field *= background.variation / np.abs(field).max(initial=1e-300)
-    return np.asarray((background.level or 0.0) * (1.0 + field))
 
 
 def _around(middle: F64, radius: float, shape: tuple[int, int]) -> tuple[tuple[slice, slice], F64]:

@@ -103,11 +103,6 @@ class Tank:
         """Refractive index of the fluid."""
         return self.wall.fluid_index if self.wall else 1.0
 
-    @property
-    def fluid_over_air(self) -> float:
-        """Refractive index of the fluid over that of the cameras' medium."""
-        return self.wall.fluid_index / self.wall.air_index if self.wall else 1.0
-
     def straight(self) -> float:
         """Compute the share of light that both walls pass at normal incidence."""
         if self.wall is None:
@@ -196,7 +191,17 @@ class Stager:
         centers = bubbles.center_mm - self.origin
         shapes: dict[str, Any] = dict(self._bodies)
         if len(bubbles):
-            shapes["bubbles"] = _ellipsoids(mi, centers, bubbles)
+            # all bubbles are one shape
+            from scipy.spatial.transform import Rotation
+
+            rotations = Rotation.from_matrix(bubbles.turn.transpose(0, 2, 1)).as_quat()
+            data = np.hstack([centers, bubbles.semi_axes_mm, rotations]).astype(np.float32)
+            shapes["bubbles"] = {
+                "type": "ellipsoids",
+                "data": mi.TensorXf(data),
+                "extent": 1.0,
+                "bsdf": {"type": "diffuse"},
+            }
         if self._cloud is not None:
             shapes["balls"] = balls(mi, self._cloud.centers, self._cloud.radii)
         scene = mi.load_dict({"type": "scene", **shapes})
@@ -208,7 +213,7 @@ class Stager:
             centers,
             bubbles.to_ball,
             bubbles.index / tank.fluid_index,
-            tank.fluid_over_air,
+            tank.wall.fluid_index / tank.wall.air_index if tank.wall else 1.0,
             normal,
             front,
             rear,
@@ -222,20 +227,6 @@ class Stager:
             bool(self._bodies),
             self._occluders,
         )
-
-
-def _ellipsoids(mi: Any, centers: F64, bubbles: Bubbles) -> dict[str, Any]:
-    """Describe all bubbles as one shape."""
-    from scipy.spatial.transform import Rotation
-
-    rotations = Rotation.from_matrix(bubbles.turn.transpose(0, 2, 1)).as_quat()
-    data = np.hstack([centers, bubbles.semi_axes_mm, rotations]).astype(np.float32)
-    return {
-        "type": "ellipsoids",
-        "data": mi.TensorXf(data),
-        "extent": 1.0,
-        "bsdf": {"type": "diffuse"},
-    }
 
 
 def _mesh(mi: Any, solid: Solid, material: Material, origin: F64, tank: Tank) -> Any:

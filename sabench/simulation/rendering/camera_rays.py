@@ -73,16 +73,11 @@ def lens_rays(camera: Camera, origin: F64, column: Any, row: Any, lens_mm: tuple
         focus = dr.opaque(mi.Float, camera.focus_mm)
         direction = (x * focus - a) * right + (y * focus - b) * below + focus * forward
     else:  # the plane in focus may pass the horizon, where the inverse of its depth is 0
-        near = _inverse_focus(camera, u, v)
+        slopes = focus_slope(camera.tilt_deg) / camera.principal_distance_mm
+        first, second = (dr.opaque(mi.Float, slope) for slope in slopes.tolist())
+        near = dr.opaque(mi.Float, 1.0 / camera.focus_mm) - first * u - second * v
         direction = (x - a * near) * right + (y - b * near) * below + forward
     return mi.Ray3f(start, dr.normalize(direction))
-
-
-def _inverse_focus(camera: Camera, u: Any, v: Any) -> Any:
-    """Return the inverse of the sharp depth, 1/mm, at distorted image coordinates."""
-    slopes = focus_slope(camera.tilt_deg) / camera.principal_distance_mm
-    first, second = (dr.opaque(mi.Float, slope) for slope in slopes.tolist())
-    return dr.opaque(mi.Float, 1.0 / camera.focus_mm) - first * u - second * v
 
 
 def _distorted(camera: Camera, column: Any, row: Any) -> tuple[Any, Any]:

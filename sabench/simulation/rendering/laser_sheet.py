@@ -15,11 +15,6 @@ LIGHT_M_S = 299792458.0
 _FAR_MM = 1e5
 
 
-def photon_energy_mj(wavelength_nm: float) -> float:
-    """Compute the energy of one photon, mJ."""
-    return PLANCK_J_S * LIGHT_M_S / (wavelength_nm * 1e-9) * 1e3
-
-
 def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
     """Compute photons per mm2 of one pulse at positions (n, 3) in a sheet.
 
@@ -31,7 +26,7 @@ def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
     offset = positions_mm - center_mm
     across = offset @ normal - (light.shift_mm or 0.0)
     height = offset @ cross(normal, along)
-    photons = light.pulse_energy_mj / photon_energy_mj(light.wavelength_nm)
+    photons = light.pulse_energy_mj / (PLANCK_J_S * LIGHT_M_S / (light.wavelength_nm * 1e-9) * 1e3)
     return np.asarray(
         photons
         * _profile(light.profile, across, light.thickness_mm)

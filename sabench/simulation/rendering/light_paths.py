@@ -145,7 +145,11 @@ def _interpolate(camera: Camera, box: Box) -> _Smooth | None:
     for degree in _DEGREES:
         if (every := _fit(camera, low, high, degree)) is None:
             return None
-        smooth = _without_small(every, scale)
+        sizes = np.abs(every.coefficients) / scale[:, None]
+        rising = np.argsort(sizes.max(axis=0))
+        together = np.cumsum(sizes[:, rising], axis=1).max(axis=0)
+        kept = np.sort(rising[together > _EXACT / 2.0])
+        smooth = _Smooth(every.terms[kept], np.ascontiguousarray(every.coefficients[:, kept]))
         found = np.empty((truth.shape[1], len(truth)))
         _evaluate(places, -np.ones(3), np.ones(3), smooth.terms, smooth.coefficients, found)
         if (np.abs(found.T - truth).max(axis=0) <= _EXACT * scale).all():
@@ -168,18 +172,6 @@ def _fit(camera: Camera, low: F64, high: F64, degree: int) -> _Smooth | None:
     every = itertools.product(range(count), repeat=3)
     terms = np.array([term for term in every if sum(term) <= degree])
     return _Smooth(terms, np.ascontiguousarray(weights[tuple(terms.T)].T))
-
-
-def _without_small(smooth: _Smooth, scale: F64) -> _Smooth:
-    """Leave out terms that together are at most half of what counts as none.
-
-    In a volume that is thin along an axis, most of that axis's are.
-    """
-    sizes = np.abs(smooth.coefficients) / scale[:, None]
-    rising = np.argsort(sizes.max(axis=0))
-    together = np.cumsum(sizes[:, rising], axis=1).max(axis=0)
-    kept = np.sort(rising[together > _EXACT / 2.0])
-    return _Smooth(smooth.terms[kept], np.ascontiguousarray(smooth.coefficients[:, kept]))
 
 
 def _table(paths: LightPaths) -> F64:

@@ -68,16 +68,13 @@ class Route:
             return share
         square = (self.wall.air_index**2) * (1.0 - (leaving @ self.normal) ** 2)  # (n sin)^2
         for before, after in self.faces:
-            share *= _fresnel(before, after, square)
+            inner, outer = (
+                np.sqrt(np.maximum(n**2 - square, 0.0)) for n in (before, after)
+            )  # n cos
+            across = (inner - outer) / (inner + outer)
+            along = (after**2 * inner - before**2 * outer) / (after**2 * inner + before**2 * outer)
+            share *= np.asarray(0.5 * (across**2 + along**2))
         return share
-
-
-def _fresnel(before: float, after: float, square: F64) -> F64:
-    """Compute reflectances (n,) of a face by (n sin)^2, which all media share."""
-    inner, outer = (np.sqrt(np.maximum(n**2 - square, 0.0)) for n in (before, after))  # n cos
-    across = (inner - outer) / (inner + outer)
-    along = (after**2 * inner - before**2 * outer) / (after**2 * inner + before**2 * outer)
-    return np.asarray(0.5 * (across**2 + along**2))
 
 
 def direct(wall: Wall | CylinderWall | None) -> Route:
@@ -92,10 +89,6 @@ def reflections(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:
     fluid meets them, with air behind; before it, light goes to and fro once between two faces of
     the wall. Routes with more reflections carry less than a thousandth of the light.
     """
-    return [*_between_faces(wall), *_from_behind(wall, rear)]
-
-
-def _between_faces(wall: Wall) -> list[Route]:
     indices, layers = wall.indices, wall.layers
     routes = []
     for outer in range(len(layers)):
@@ -112,7 +105,7 @@ def _between_faces(wall: Wall) -> list[Route]:
                     faces=tuple((float(a), float(b)) for a, b in faces),
                 )
             )
-    return routes
+    return [*routes, *_from_behind(wall, rear)]
 
 
 def _from_behind(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:

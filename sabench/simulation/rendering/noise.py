@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 from sabench.utils.philox import block
 
@@ -26,45 +25,27 @@ _CELLS = 64  # of a uniform number, that shorten a search
 _SERIES = 16  # Stirling's errors of smaller numbers are tabulated
 
 
-def _ziggurat() -> tuple[F64, F64]:
-    """Compute the edges (257,) of layers of equal area, and exp(-x^2 / 2) there."""
-    height, tail = math.exp(-0.5 * _EDGE**2), math.erfc(_EDGE / math.sqrt(2.0))
-    area = _EDGE * height + math.sqrt(math.pi / 2.0) * tail
-    edges = np.zeros(_LAYERS + 1)
-    edges[0], edges[1] = area / height, _EDGE  # the lowest layer holds the tail
-    for i in range(2, _LAYERS):
-        height += area / edges[i - 1]
-        edges[i] = math.sqrt(-2.0 * math.log(height))
-    return edges, np.exp(-0.5 * edges**2)
-
-
-def _distributions() -> F64:
-    """Tabulate cumulative Poisson distributions (mean, number).
-
-    The last column ends searches.
-    """
-    means = np.arange(_LARGE * _PER_UNIT)[:, None] / _PER_UNIT
-    chances = np.ones((len(means), _MOST))
-    chances[:, 1:] = means / np.arange(1, _MOST)
-    table = np.cumsum(np.exp(-means) * np.cumprod(chances, axis=1), axis=1)
-    table[:, -1] = np.inf
-    return table
-
-
-def _stirling_errors() -> F64:
-    """Tabulate log k! - log(sqrt(2 pi k) (k / e)^k); 0 for k = 0, which has none."""
-    errors = np.zeros(_SERIES)
-    for k in range(1, _SERIES):
-        errors[k] = math.lgamma(k + 1) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
-    return errors
-
-
-_EDGES, _HEIGHTS = _ziggurat()
-_DISTRIBUTIONS = _distributions()
+height, tail = math.exp(-0.5 * _EDGE**2), math.erfc(_EDGE / math.sqrt(2.0))
+area = _EDGE * height + math.sqrt(math.pi / 2.0) * tail
+edges = np.zeros(_LAYERS + 1)
+edges[0], edges[1] = area / height, _EDGE  # the lowest layer holds the tail
+for i in range(2, _LAYERS):
+    height += area / edges[i - 1]
+    edges[i] = math.sqrt(-2.0 * math.log(height))
+_EDGES, _HEIGHTS = edges, np.exp(-0.5 * edges**2)
+means = np.arange(_LARGE * _PER_UNIT)[:, None] / _PER_UNIT
+chances = np.ones((len(means), _MOST))
+chances[:, 1:] = means / np.arange(1, _MOST)
+table = np.cumsum(np.exp(-means) * np.cumprod(chances, axis=1), axis=1)
+table[:, -1] = np.inf
+_DISTRIBUTIONS = table
 _STARTS = np.stack(
     [np.searchsorted(row, np.arange(_CELLS) / _CELLS, side="right") for row in _DISTRIBUTIONS]
 ).astype(np.uint8)
-_ERRORS = _stirling_errors()
+errors = np.zeros(_SERIES)
+for k in range(1, _SERIES):
+    errors[k] = math.lgamma(k + 1) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
+_ERRORS = errors
 
 
 @numba.njit(cache=True, inline="always")

@@ -129,15 +129,10 @@ def _spread_px2(scene: Scene, camera: Camera, diameter_mm: F64, seen: LightPaths
         spread[:, 0] += diffraction**2 + disc**2
         spread[:, 1] += diffraction**2 + disc**2
         return spread
-    shape = _cone_on_sensor(camera, seen.pixel)
+    sensor = (seen.pixel - np.asarray(camera.principal_point_px)) / camera.focal_px
+    shape = stretch(camera.tilt_deg, from_sensor(camera.tilt_deg, sensor)[0])
     area = np.sqrt(shape[:, 0] * shape[:, 1] - shape[:, 2] ** 2)  # in the magnification already
     return np.asarray(seen.blur_px2 + (diffraction**2 + disc**2 / area)[:, None] * shape)
-
-
-def _cone_on_sensor(camera: Camera, pixel: F64) -> F64:
-    """Compute the shape (n, 3) of a round cone on a tilted sensor, see `stretch`."""
-    sensor = (pixel - np.asarray(camera.principal_point_px)) / camera.focal_px
-    return stretch(camera.tilt_deg, from_sensor(camera.tilt_deg, sensor)[0])
 
 
 def diffraction_px(camera: Camera, wavelength_nm: float) -> float:

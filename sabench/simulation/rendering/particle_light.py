@@ -102,7 +102,12 @@ def intensity(
         return photons * particles.diameter_mm**2 / 16.0
     in_plane = np.full(len(particles), 0.5)
     if light.polarisation is not None:
-        in_plane = _share_in_plane(light.direction, light.polarisation, -arriving)
+        towards = -arriving
+        along = np.asarray(light.direction) / np.linalg.norm(light.direction)
+        field = np.asarray(light.polarisation) / np.linalg.norm(light.polarisation)
+        across = towards - (towards @ along)[:, None] * along
+        length = np.einsum("ij,ij->i", across, across)
+        in_plane = np.asarray((across @ field) ** 2 / np.maximum(length, 1e-300))
     angles = _scattering_angles(light.direction, arriving)
     return photons * scatterers.cross_section(particles, angles, half, in_plane)
 
@@ -135,17 +140,6 @@ def _way_out(place_mm: F64, direction: F64, size_mm: F64) -> F64:
     distance = np.where(direction == 0.0, np.inf, distance)
     inside = (np.abs(place_mm) <= size_mm / 2.0).all(axis=1)
     return np.asarray(np.where(inside, distance.min(axis=1), 0.0))
-
-
-def _share_in_plane(
-    direction: tuple[float, ...], polarisation: tuple[float, ...], towards: F64
-) -> F64:
-    """Compute the share of polarised power in the planes of scattering (n,)."""
-    along = np.asarray(direction) / np.linalg.norm(direction)
-    field = np.asarray(polarisation) / np.linalg.norm(polarisation)
-    across = towards - (towards @ along)[:, None] * along
-    length = np.einsum("ij,ij->i", across, across)
-    return np.asarray((across @ field) ** 2 / np.maximum(length, 1e-300))
 
 
 def _angle_range(

@@ -42,22 +42,17 @@ def render_with_rings(camera: Camera, wavelength_nm: float, render: Callable[[Ca
     ----------
     render : photons (rows, columns) in any camera.
     """
-    fine = _finer(camera)
-    image = _filter(fine, render(fine), wavelength_nm)
-    shape = (camera.rows, _PARTS, camera.columns, _PARTS)
-    return np.asarray(image.reshape(shape).sum(axis=(1, 3)))
-
-
-def _finer(camera: Camera) -> Camera:
-    """Divide the pixels of a camera."""
     column, row = ((place + 0.5) * _PARTS - 0.5 for place in camera.principal_point_px)
-    return replace(
+    fine = replace(
         camera,
         rows=camera.rows * _PARTS,
         columns=camera.columns * _PARTS,
         pixel_mm=camera.pixel_mm / _PARTS,
         principal_point_px=(column, row),
     )
+    image = _filter(fine, render(fine), wavelength_nm)
+    shape = (camera.rows, _PARTS, camera.columns, _PARTS)
+    return np.asarray(image.reshape(shape).sum(axis=(1, 3)))
 
 
 def _filter(camera: Camera, photons: F64, wavelength_nm: float) -> F64:
@@ -71,22 +66,12 @@ def _filter(camera: Camera, photons: F64, wavelength_nm: float) -> F64:
     rows, columns = (fft.next_fast_len(size + _MARGIN, real=True) for size in photons.shape)
     frequency = np.hypot(fft.fftfreq(rows)[:, None], fft.rfftfreq(columns))
     gaussian = np.exp(-2.0 * (np.pi * diffraction_px(camera, wavelength_nm) * frequency) ** 2)
-    ratio = airy_transfer(frequency / cutoff(camera, wavelength_nm)) / gaussian
+    number = camera.f_number * camera.principal_distance_mm / camera.focal_length_mm
+    x = np.minimum((frequency / (camera.pixel_mm / (wavelength_nm * 1e-6 * number))), 1.0)
+    ratio = np.asarray(2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2))) / gaussian
     spectrum = fft.rfft2(photons, (rows, columns)) * ratio
     filtered = fft.irfft2(spectrum, (rows, columns))[: photons.shape[0], : photons.shape[1]]
     return np.asarray(np.maximum(filtered, 0.0))
-
-
-def airy_transfer(frequency: F64) -> F64:
-    """Compute a round aperture's transfer function; frequencies are over the cut-off."""
-    x = np.minimum(frequency, 1.0)
-    return np.asarray(2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2)))
-
-
-def cutoff(camera: Camera, wavelength_nm: float) -> float:
-    """Compute the highest frequency that a lens transfers, cycles per pixel."""
-    number = camera.f_number * camera.principal_distance_mm / camera.focal_length_mm
-    return camera.pixel_mm / (wavelength_nm * 1e-6 * number)
 
 
 # standard deviations from the centre to the window's edge: less than 2e-5 of the light is left out

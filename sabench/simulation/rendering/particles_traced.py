@@ -69,7 +69,11 @@ def render(
     image = np.zeros(camera.rows * camera.columns)
     areas = np.maximum(high - low + 1, 0).prod(axis=1)
     for some in in_portions(areas, _AT_ONCE):  # memory does not grow with what particles light up
-        starts, near = _list_boxes(low, high, some, image.size, camera.columns)
+        box_starts = np.zeros(image.size + 1, dtype=np.int64)
+        _count_boxes(low, high, some, camera.columns, box_starts)
+        box_near = np.empty(box_starts[-1], dtype=np.int64)
+        _fill_boxes(low, high, some, camera.columns, box_starts.copy(), box_near)
+        starts, near = box_starts, box_near
         lit = np.flatnonzero(np.diff(starts))
         given = camera, origin, cloud, len(walls), (lit, starts, near)
         image[lit] += particle_integrator.render(scene, *given, math.isqrt(samples), occluders)
@@ -85,18 +89,6 @@ def _boxes(camera: Camera, pixel: F64, spread_px2: F64) -> tuple[I64, I64]:
     size = np.array([camera.columns, camera.rows])
     low, high = np.ceil(pixel - reach), np.floor(pixel + reach)
     return np.clip(low, 0, size).astype(np.int64), np.clip(high, -1, size - 1).astype(np.int64)
-
-
-def _list_boxes(low: I64, high: I64, some: I64, pixels: int, columns: int) -> tuple[I64, I64]:
-    """List the boxes that each pixel lies in.
-
-    Returns where each pixel's start, row by row, and the boxes' numbers.
-    """
-    starts = np.zeros(pixels + 1, dtype=np.int64)
-    _count_boxes(low, high, some, columns, starts)
-    near = np.empty(starts[-1], dtype=np.int64)
-    _fill_boxes(low, high, some, columns, starts.copy(), near)
-    return starts, near
 
 
 @numba.njit(cache=True)
