@@ -87,7 +87,6 @@ class FoundParticles(Estimate):
     acceleration_covariance: F64 | None = None
 
     def __post_init__(self) -> None:
-        """Check the arrays."""
         self.check()
         if self.probability is not None:
             wrong = self.probability[(self.probability < 0.0) | (self.probability > 1.0)]
@@ -181,7 +180,6 @@ class Velocity(Estimate):
     plane_axes: F64 | None = None
 
     def __post_init__(self) -> None:
-        """Check the lattice."""
         if not all(0.0 < step < float("inf") for step in self.step_mm):
             raise InputError(f"step_mm: expected positive numbers, got {self.step_mm}")
         if not self.valid.size:
@@ -258,7 +256,6 @@ class Detections(Estimate):
     trajectory: I64 | None = None
 
     def __post_init__(self) -> None:
-        """Check the arrays, the semi-axes and the rotations."""
         self.check()
         if not len(self.center_mm):
             return

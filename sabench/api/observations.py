@@ -52,7 +52,6 @@ class Observation:
     flaws: Flaws | None = None
 
     def __post_init__(self) -> None:
-        """Check the images against the cameras, and the levels."""
         if not self.black_dn < self.white_dn:
             raise InputError(
                 f"black_dn: expected it below white_dn, got {self.black_dn:g} and {self.white_dn:g}"
@@ -155,7 +154,6 @@ class ImageSequence:
         )
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.times_s)
 
     def __getitem__(self, frame: int) -> Observation:
@@ -165,7 +163,6 @@ class ImageSequence:
         return self.load(frame)
 
     def __iter__(self) -> Iterator[Observation]:
-        """Read the frames one after another."""
         return (self[frame] for frame in range(len(self)))
 
 
@@ -206,7 +203,6 @@ class CalibrationCase:
     known_cameras: bool = False
 
     def __post_init__(self) -> None:
-        """Check the shapes, and that every camera sees some of the target."""
         count = len(self.target.points_mm)
         if (
             self.pixels.ndim != 4
@@ -258,7 +254,6 @@ class VolumePair:
     interval_s: float
 
     def __post_init__(self) -> None:
-        """Check the shapes and the contrast of both volumes."""
         for name in ("first", "second"):
             volume = getattr(self, name)
             if volume.shape != self.grid.shape:
@@ -297,7 +292,6 @@ class ImagePair:
     interval_s: float
 
     def __post_init__(self) -> None:
-        """Check that both frames have images of the same shape."""
         if self.first.images.shape != self.second.images.shape:
             raise InputError(
                 f"second frame: expected images {self.first.images.shape} (camera, row, column) as "

@@ -60,13 +60,11 @@ class Particles(Truth):
     velocity_mm_s: F64
 
     def __post_init__(self) -> None:
-        """Check the arrays."""
         self.check()
         if len(self) and not (self.diameter_mm > 0.0).all():
             raise InputError("diameter_mm: expected positive values")
 
     def __len__(self) -> int:
-        """Return the number of particles."""
         return len(self.id)
 
 
@@ -104,7 +102,6 @@ class Bubbles(Truth):
     index: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the arrays, the semi-axes and the rotations."""
         self.check()
         if len(self) and not (self.semi_axes_mm > 0.0).all():
             raise InputError("semi_axes_mm: expected positive values")
@@ -114,7 +111,6 @@ class Bubbles(Truth):
             raise InputError(f"index: expected 1 or more, got {self.index:g}")
 
     def __len__(self) -> int:
-        """Return the number of bubbles."""
         return len(self.id)
 
     def __getitem__(self, chosen: Bool | I64) -> Bubbles:
@@ -410,6 +406,5 @@ class View(Truth):
     visible: Bool
 
     def __post_init__(self) -> None:
-        """Check that what a camera sees has a pixel."""
         if not np.isfinite(self.pixel[self.visible]).all():
             raise InputError("pixel of visible particles: expected finite values")

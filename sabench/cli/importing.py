@@ -312,7 +312,6 @@ def _first_size(folder: Path, pattern: str | None) -> tuple[int, int] | None:
 
 
 def _grid(box: Box) -> Grid:
-    """Make a grid of a box, of a thousand voxels or so."""
     import numpy as np
 
     from sabench.geometry.common_view import grid_of_box

@@ -19,7 +19,7 @@ from sabench.cli import tables
 from sabench.cli.options import (
     KINDS,
     AsJson,
-    complete_kind,
+    complete,
     complete_scene,
     complete_solver,
     complete_task,
@@ -39,7 +39,7 @@ def list_all(
         typer.Option(
             metavar="KIND",
             help="List this kind only: generator, solver, scene or suite.",
-            autocompletion=complete_kind,
+            autocompletion=complete(lambda: KINDS),
         ),
     ] = None,
     task: Annotated[
@@ -64,8 +64,14 @@ def list_all(
         print(f"warning: {fault}", file=sys.stderr)
     if as_json:
         say_json([_record(entry) for entry in entries])
-    elif sys.stdout.isatty():
-        _show_groups(entries)
+    elif sys.stdout.isatty():  # lines are cut to the width of the terminal
+        for (kind, group), members in itertools.groupby(entries, lambda one: (one.kind, one.group)):
+            own = list(members)
+            say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
+            names = max(len(entry.name) for entry in own)
+            for entry in own:
+                columns = tables.width() - names - 4
+                say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
     else:
         for entry in entries:
             say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
@@ -95,20 +101,6 @@ def _record(entry: Entry) -> dict[str, str]:
     return {**head, "summary": entry.summary, "file": str(entry.file)}
 
 
-def _show_groups(entries: list[Entry]) -> None:
-    """Print one heading for each kind and group, and one line for each entry.
-
-    A line is cut to the width of the terminal.
-    """
-    for (kind, group), found in itertools.groupby(entries, lambda one: (one.kind, one.group)):
-        own = list(found)
-        say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
-        names = max(len(entry.name) for entry in own)
-        for entry in own:
-            columns = tables.width() - names - 4
-            say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
-
-
 def schema() -> None:
     """Print the JSON schema of a scene file, for editors."""
     from sabench.scenes import scene_schema
@@ -119,16 +111,13 @@ def schema() -> None:
 _TEMPLATES = ("scene", "solver", "suite", "gate")
 
 
-def complete_template(incomplete: str) -> list[str]:
-    """List the templates whose names start so."""
-    return [kind for kind in _TEMPLATES if kind.startswith(incomplete)]
-
-
 def new(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND", help="scene, solver, suite or gate.", autocompletion=complete_template
+            metavar="KIND",
+            help="scene, solver, suite or gate.",
+            autocompletion=complete(lambda: _TEMPLATES),
         ),
     ],
     path: Annotated[
@@ -161,8 +150,6 @@ def new(
     elif like is not None:
         raise InputError(f"--like: expected with a scene, got {like!r} with a {kind}")
     else:
-        import shutil
-
         from sabench.utils.files import complete_or_nothing
 
         ignored = shutil.ignore_patterns("__pycache__")
@@ -215,11 +202,17 @@ def examine() -> list[Finding]:
     findings.append(_try("Mitsuba render", "render", backend.REMEDY))
     free = shutil.disk_usage(Path.cwd()).free / 1e9
     remedy = f"free some space: `sabench run demo` needs {_LEAST_GB:.0f} GB"
-    return [
-        *findings,
-        Finding("disk", free > _LEAST_GB, f"{free:.1f} GB free in this folder", remedy),
-        *_examine_plugins(),
-    ]
+    findings.append(Finding("disk", free > _LEAST_GB, f"{free:.1f} GB free in this folder", remedy))
+    count, faults = 0, []
+    for kind in plugins.KINDS:
+        for name in plugins.names(kind):
+            count += 1
+            try:
+                plugins.load(kind, name)
+            except InputError as error:
+                remedy = "correct or remove its file"
+                faults.append(Finding(f"{kind[:-1]} {name}", False, str(error), remedy))
+    return findings + (faults or [Finding("plug-ins", True, f"all {count} can be imported")])
 
 
 def _try(subject: str, name: str, remedy: str) -> Finding:
@@ -264,20 +257,6 @@ def try_render() -> str:
     if not abs(ratio - 1.0) < 0.05:
         raise SystemExit(f"expected the light of the analytic sum, got {ratio:.3f} of it")
     return f"renders through glass and water, {ratio:.4f} of the analytic light"
-
-
-def _examine_plugins() -> list[Finding]:
-    """Import every plug-in."""
-    faults = []
-    for kind in plugins.KINDS:
-        for name in plugins.names(kind):
-            try:
-                plugins.load(kind, name)
-            except InputError as error:
-                subject, remedy = f"{kind[:-1]} {name}", "correct or remove its file"
-                faults.append(Finding(subject, False, str(error), remedy))
-    count = sum(len(plugins.names(kind)) for kind in plugins.KINDS)
-    return faults or [Finding("plug-ins", True, f"all {count} can be imported")]
 
 
 def warmup(

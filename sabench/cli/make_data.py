@@ -96,7 +96,6 @@ def plan(
 
 
 def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Scene:
-    """Design a scene and write it."""
     from sabench.apps.planning.design import Wanted, design_scene
     from sabench.scenes import load_scene
     from sabench.utils.files import complete_or_nothing, refuse_existing

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,39 +54,18 @@ def parse_steps(words: list[str]) -> tuple[Step, ...]:
     return read_steps(tables, "--step")
 
 
-def complete_solver(incomplete: str) -> list[str]:
-    """List the solvers whose names start so."""
-    return _starting(plugins.list_solvers(), incomplete)
+def complete(names: Callable[[], Iterable[str]]) -> Callable[[str], list[str]]:
+    """Make the completion of an option by names that start as the word does."""
+
+    def complete_word(incomplete: str) -> list[str]:
+        return [name for name in names() if name.startswith(incomplete)]
+
+    return complete_word
 
 
-def complete_calibration_solver(incomplete: str) -> list[str]:
-    """List the calibration solvers whose names start so."""
-    return _starting(plugins.list_solvers("calibration"), incomplete)
-
-
-def complete_scene(incomplete: str) -> list[str]:
-    """List the bundled scenes whose names start so."""
-    return _starting(plugins.list_scenes(), incomplete)
-
-
-def complete_suite(incomplete: str) -> list[str]:
-    """List the bundled suites whose names start so."""
-    return _starting(plugins.list_suites(), incomplete)
-
-
-def complete_kind(incomplete: str) -> list[str]:
-    """List the kinds of entries whose names start so."""
-    return _starting(list(KINDS), incomplete)
-
-
-def complete_task(incomplete: str) -> list[str]:
-    """List the tasks whose names start so."""
-    return _starting(plugins.list_tasks(), incomplete)
-
-
-def _starting(names: list[str], incomplete: str) -> list[str]:
-    return [name for name in names if name.startswith(incomplete)]
-
+complete_solver = complete(plugins.list_solvers)
+complete_scene = complete(plugins.list_scenes)
+complete_task = complete(plugins.list_tasks)
 
 DataSet = Annotated[Path, typer.Argument(metavar="DATASET", help="A data set folder.")]
 SceneName = Annotated[
@@ -101,7 +81,7 @@ SuiteName = Annotated[
     typer.Argument(
         metavar="SUITE",
         help="A suite file, or the name of a bundled suite.",
-        autocompletion=complete_suite,
+        autocompletion=complete(plugins.list_suites),
     ),
 ]
 ParameterPairs = Annotated[

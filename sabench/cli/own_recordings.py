@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sabench import plugins
 from sabench.cli import tables
 from sabench.cli.options import (
     AsJson,
     DataSet,
     Overwrite,
     ParameterPairs,
-    complete_calibration_solver,
+    complete,
     parse_parameters,
     parse_steps,
     say,
@@ -50,7 +51,7 @@ def calibrate(
         typer.Option(
             metavar="NAME",
             help="Name of a calibration solver.",
-            autocompletion=complete_calibration_solver,
+            autocompletion=complete(lambda: plugins.list_solvers("calibration")),
         ),
     ] = "refractive_autocal",
     parameter: ParameterPairs = None,
@@ -74,14 +75,8 @@ def calibrate(
 
     announce_compiling()
     out = output or folder / "result"
-    report = make(
-        folder,
-        out,
-        solver,
-        parse_parameters(parameter),
-        unknowns=unknowns,
-        overwrite=overwrite,
-    )
+    values = parse_parameters(parameter)
+    report = make(folder, out, solver, values, unknowns=unknowns, overwrite=overwrite)
     if as_json:
         say_json(asdict(report))
     else:
@@ -126,29 +121,20 @@ def _show_calibration(report: Report, out: Path) -> None:
         lost = f" ({held.failed} fits failed)" if held.failed else ""
         good = ", ".join(text for text, there in figures if there)
         say(f"{held.frames} {what} held out{lost}: {good}")
-    _show_expected(report)
-    _show_wall(report)
-    say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
-
-
-def _show_wall(report: Report) -> None:
-    if not report.wall:
-        return
-    rows = []
-    for one in report.wall:
-        figures = [tables.format_number(value, 4) for value in (one.nominal, one.found, one.std)]
-        rows.append([one.name, one.unit or "-", *figures, "yes" if one.shown else "no"])
-    tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], rows)
-
-
-def _show_expected(report: Report) -> None:
     where = "along the wall's X and Y and its normal"
-    for name, std in (("misfit included", report.std_mm), ("noise alone", report.noise_std_mm)):
+    for label, std in (("misfit included", report.std_mm), ("noise alone", report.noise_std_mm)):
         if std is not None:
             x, y, z = std
-            say(f"expected scatter of points {where}, {name}: {x:.4f}, {y:.4f}, {z:.4f} mm")
+            say(f"expected scatter of points {where}, {label}: {x:.4f}, {y:.4f}, {z:.4f} mm")
     if report.depth_mm is not None:
         say(f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm")
+    walls = []
+    for one in report.wall:
+        values = [tables.format_number(value, 4) for value in (one.nominal, one.found, one.std)]
+        walls.append([one.name, one.unit or "-", *values, "yes" if one.shown else "no"])
+    if walls:
+        tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], walls)
+    say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
 
 
 ROWS = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -59,31 +59,24 @@ def reproduce(
     if as_list and names:
         raise InputError(f"reproduce: expected no names beside --list, got {names[0]}")
     if as_list:
-        _list(as_json)
+        catalogue = load_reproduction("catalogue")
+        entries = catalogue.judged(catalogue.read_rows(catalogue.MEASURED))
+        if as_json:
+            say_json(entries)
+            return
+        cells = [[one["name"], one["shows"], one["verdict"], one["item"]] for one in entries]
+        tables.show_wrapped(["name", "shows", "verdict", "measured by"], cells)
     elif names:
         rows = load_reproduction("report").measure(names, seeds, pixels, output, figures)
-        say_json(rows) if as_json else _show_rows(rows)
+        if as_json:
+            say_json(rows)
+            return
+        cells = []
+        for row in rows:
+            spread = "" if row["ci95"] is None else f" ± {row['ci95']:.2g}"
+            values = [significant(row["thesis"]), significant(row["measured"]) + spread]
+            seeded = str(row["seeds"] or "-")
+            cells.append([row["name"], *values, seeded, row["verdict"], row["note"]])
+        tables.show_wrapped(["row", "thesis", "measured", "seeds", "verdict", "note"], cells)
     else:
         raise InputError("reproduce: expected names of tables and figures, all, or --list")
-
-
-def _list(as_json: bool) -> None:
-    from sabench.evaluation.reproduction import load_reproduction
-
-    catalogue = load_reproduction("catalogue")
-    entries = catalogue.judged(catalogue.read_rows(catalogue.MEASURED))
-    if as_json:
-        say_json(entries)
-        return
-    cells = [[one["name"], one["shows"], one["verdict"], one["item"]] for one in entries]
-    tables.show_wrapped(["name", "shows", "verdict", "measured by"], cells)
-
-
-def _show_rows(rows: list[dict[str, Any]]) -> None:
-    """Print the values of the thesis next to the measured ones."""
-    cells = []
-    for row in rows:
-        spread = "" if row["ci95"] is None else f" ± {row['ci95']:.2g}"
-        values = [significant(row["thesis"]), significant(row["measured"]) + spread]
-        cells.append([row["name"], *values, str(row["seeds"] or "-"), row["verdict"], row["note"]])
-    tables.show_wrapped(["row", "thesis", "measured", "seeds", "verdict", "note"], cells)

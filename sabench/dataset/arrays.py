@@ -49,10 +49,8 @@ def read_arrays(
     sizes : known sizes by their names in the declarations; those of the file are added.
     names : members of the group; None: no optional array is there.
 
-    Raises
-    ------
-    InputError
-        An array that is missing, has another shape or type, or holds values that are refused.
+    Raises InputError for an array that is missing, has another shape or type, or holds values that
+    are refused.
     """
     sizes = {} if sizes is None else sizes
     values: Named = {}

@@ -41,11 +41,8 @@ def check_lengths(
 ) -> None:
     """Check that lengths and coordinates are such as a laboratory has.
 
-    Raises
-    ------
-    InputError
-        A wall of too many layers, a grid or image of too many voxels or pixels along a side, or a
-        length beyond a thousand kilometres.
+    Raises InputError for a wall of too many layers, a grid or image of too many voxels or pixels
+    along a side, or a length beyond a thousand kilometres.
     """
     for wall in walls:
         if wall is not None and len(wall.layers) > MOST_LAYERS:
@@ -108,11 +105,8 @@ def behind(
 def check_walls(path: Path, walls: Sequence[WallRecord | None], cameras: int) -> None:
     """Check what the types cannot express of the walls of some cameras.
 
-    Raises
-    ------
-    InputError
-        Another number of walls than of cameras, a direction that is not a unit vector, or a size
-        or index that is not positive.
+    Raises InputError for another number of walls than of cameras, a direction that is not a unit
+    vector, or a size or index that is not positive.
     """
     if len(walls) != cameras:
         raise InputError(
@@ -173,10 +167,7 @@ class CamerasFile(Record):
     def pinholes(self) -> tuple[Camera, ...]:
         """The cameras, where all of them are pinholes.
 
-        Raises
-        ------
-        InputError
-            A camera of another model.
+        Raises InputError for a camera of another model.
         """
         other = next((one.name for one in self.cameras if not isinstance(one, Camera)), None)
         if other is not None:
@@ -232,10 +223,7 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
 
     Cameras of a calibration may differ in image size.
 
-    Raises
-    ------
-    InputError
-        Another kind of file, or broken cameras.
+    Raises InputError for another kind of file, or broken cameras.
     """
     keys = read_json(path)
     if isinstance(keys, dict) and "grid" in keys:
@@ -312,7 +300,6 @@ def check_true_cameras(value: Any, path: Path, nominal: CamerasFile) -> tuple[Ca
 
 
 def _walls(wall: WallsRecord | None, cameras: int) -> tuple[WallRecord | None, ...]:
-    """List the wall of each camera, of a file's one wall or its list."""
     return wall if isinstance(wall, tuple) else (wall,) * cameras
 
 
@@ -325,7 +312,6 @@ def _check_names(cameras: Sequence[CameraModel], path: Path) -> None:
 
 
 def _check_cameras(cameras: Sequence[CameraModel], path: Path) -> None:
-    """Check what the types cannot express of cameras."""
     for camera in cameras:
         sizes: tuple[float, ...] = (camera.rows, camera.columns)
         if isinstance(camera, Camera):
@@ -367,7 +353,6 @@ def _check_map(camera: CameraModel, path: Path) -> None:
 
 
 def _check_numbers(loaded: CamerasFile, path: Path) -> None:
-    """Check what the types cannot express of the rest."""
     levels = loaded.sensor
     if not levels.black_dn < levels.white_dn:
         raise InputError(

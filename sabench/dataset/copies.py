@@ -24,7 +24,7 @@ from sabench.images.tiff_exr import read_exr, read_tiff, write_tiff
 from sabench.scenes.sensor import Sensor
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.files import complete_or_nothing, inside, read_json, sha256, zip_folder
+from sabench.utils.files import complete_or_nothing, inside, read_json, zip_folder
 from sabench.utils.progress import progress_bar
 
 
@@ -54,15 +54,13 @@ def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) ->
         if not linked:
             shutil.copyfile(source, place)
     if dataset.references is not None:
-        files = {}
         for frame in range(dataset.setup.frames):
             for number, camera in enumerate(dataset.setup.cameras):
                 name = schema.image_name(camera.name, frame, "tif")
                 place = inside(folder, name)
                 place.parent.mkdir(parents=True, exist_ok=True)
                 write_tiff(place, dataset.raw_image(number, frame))
-                files[name] = schema.FileEntry(bytes=place.stat().st_size, sha256=sha256(place))
-        files |= files
+                files[name] = schema.FileEntry.of(place)
     head = {
         "format": schema.FORMAT,
         "version": schema.VERSION,
@@ -82,11 +80,8 @@ def pack(dataset: Dataset, out: Path, *, blind: bool, overwrite: bool = False) -
     ----------
     blind : pack the observation side alone: what a participant of a private test set receives.
 
-    Raises
-    ------
-    InputError
-        The folder or archive is there already, and `overwrite` is not set; or the data set is the
-        observation side alone, and the whole is asked for.
+    Raises InputError if the folder or archive is there already, and `overwrite` is not set; or the
+    data set is the observation side alone, and the whole is asked for.
     """
     with _folder_of(out, overwrite) as folder:
         _copy_side(dataset, folder, blind)
@@ -112,7 +107,6 @@ def pack_samples(root: Path, out: Path, *, blind: bool, overwrite: bool = False)
 
 
 def _without_truth(contents: schema.ShardedContents) -> dict[str, Any]:
-    """Make the manifest of the observation side of samples."""
     keys = set(schema.ShardedContents.model_fields)
     head = contents.model_dump(mode="json", include=keys) | {"side": "observation"}
     for files in (head["files"], *(entry["files"] for entry in head["shards"])):
@@ -169,10 +163,7 @@ def disagreements(one: Dataset, other: Dataset) -> list[str]:
     One sentence for each difference, the first hundred; none if the copies agree. Both must be
     intact: see `verify`.
 
-    Raises
-    ------
-    InputError
-        One of them is an observation side alone.
+    Raises InputError if one of them is an observation side alone.
     """
     return list(itertools.islice(_differences(one, other), _MOST_FAULTS))
 
@@ -283,7 +274,6 @@ def _arrays_in(file: Any) -> set[str]:
 
 
 def _agree(name: str, one: npt.NDArray[Any], other: npt.NDArray[Any], *, detected: bool) -> bool:
-    """Compare two arrays of a truth or of detected points."""
     if one.shape != other.shape or one.dtype.kind != other.dtype.kind:
         return False
     label = name.rpartition("/")[2]

@@ -23,43 +23,22 @@ _MEANINGS = {
     "shard": "name of the files observation/NAME.h5 and truth/NAME.h5",
     "row": "row of the sample in the arrays of its shard, from 0",
 }
-_CONTEXT = {
+_TERMS = (  # of the vocabulary "cr"
+    "citeAs column equivalentProperty extract field fileObject fileProperty fileSet format "
+    "includes isLiveDataset jsonPath key md5 parentField path recordSet references regex "
+    "repeated replace samplingRate separator source subField transform"
+)
+_CONTEXT = {name: f"cr:{name}" for name in _TERMS.split()} | {
     "@language": "en",
     "@vocab": "https://schema.org/",
-    "citeAs": "cr:citeAs",
-    "column": "cr:column",
     "conformsTo": "dct:conformsTo",
     "cr": "http://mlcommons.org/croissant/",
     "rai": "http://mlcommons.org/croissant/RAI/",
     "data": {"@id": "cr:data", "@type": "@json"},
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
     "dct": "http://purl.org/dc/terms/",
-    "equivalentProperty": "cr:equivalentProperty",
     "examples": {"@id": "cr:examples", "@type": "@json"},
-    "extract": "cr:extract",
-    "field": "cr:field",
-    "fileProperty": "cr:fileProperty",
-    "fileObject": "cr:fileObject",
-    "fileSet": "cr:fileSet",
-    "format": "cr:format",
-    "includes": "cr:includes",
-    "isLiveDataset": "cr:isLiveDataset",
-    "jsonPath": "cr:jsonPath",
-    "key": "cr:key",
-    "md5": "cr:md5",
-    "parentField": "cr:parentField",
-    "path": "cr:path",
-    "recordSet": "cr:recordSet",
-    "references": "cr:references",
-    "regex": "cr:regex",
-    "repeated": "cr:repeated",
-    "replace": "cr:replace",
-    "samplingRate": "cr:samplingRate",
     "sc": "https://schema.org/",
-    "separator": "cr:separator",
-    "source": "cr:source",
-    "subField": "cr:subField",
-    "transform": "cr:transform",
 }
 
 
@@ -73,11 +52,9 @@ def write_card(root: Path, head: dict[str, Any], title: str, shards: Sequence[Sh
     lines = [
         ",".join(_COLUMNS),
         *(
-            [
-                f"{number},{shard.split},{shard.name},{row}"
-                for shard in shards
-                for row, number in enumerate(shard.numbers.tolist())
-            ]
+            f"{number},{shard.split},{shard.name},{row}"
+            for shard in shards
+            for row, number in enumerate(shard.numbers.tolist())
         ),
     ]
     (root / schema.INDEX).write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -132,7 +109,6 @@ def _croissant(root: Path, head: dict[str, Any], title: str, sides: list[str]) -
 
 
 def _card(head: dict[str, Any], title: str, shards: Sequence[Shard]) -> str:
-    """Write the data card."""
     counts: dict[str, int] = {}
     for shard in shards:
         counts[shard.split] = counts.get(shard.split, 0) + len(shard.numbers)

@@ -31,10 +31,8 @@ _SPARE = 1024  # bytes by which a deflate stream may exceed 9/8 of what it holds
 def check_storage(node: Any, where: str) -> None:
     """Check filters, and the stored size of every chunk; nothing is decoded.
 
-    Raises
-    ------
-    InputError
-        Another filter than deflate, or a chunk that cannot hold what its shape says.
+    Raises InputError for another filter than deflate, or a chunk that cannot hold what its shape
+    says.
     """
     plan = node.id.get_create_plist()
     filters = tuple(plan.get_filter(number)[0] for number in range(plan.get_nfilters()))
@@ -64,10 +62,7 @@ def check_streams(node: Any, where: str) -> None:
 
     It takes the memory of one chunk. `check_storage` comes before.
 
-    Raises
-    ------
-    InputError
-        A stream that is damaged, or whose length is not that of its chunk.
+    Raises InputError for a stream that is damaged, or whose length is not that of its chunk.
     """
     if not node.chunks:
         return

@@ -44,10 +44,8 @@ def pair_images(
     pairs : calibrated camera of each camera of the recording; the others are left out.
     notes : list that gets a sentence where cameras are taken in order.
 
-    Raises
-    ------
-    InputError
-        Cameras without images, images without a calibration, or an unknown name in a pair.
+    Raises InputError for cameras without images, images without a calibration, or an unknown name
+    in a pair.
     """
     named = {camera.name: camera for camera in cameras}
     if pairs is not None:
@@ -112,22 +110,12 @@ def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
     chosen : range of each camera's files to take.
     notes : list that gets a sentence where cameras begin with different numbers.
 
-    Raises
-    ------
-    InputError
-        A camera that lacks a number, counted from its first one, which another one has.
+    Raises InputError for a camera that lacks a number, counted from its first one, which another
+    one has.
     """
     counters = {name: _counters_of(paths) for name, paths in files.items()}
-    if (
-        len(
-            {
-                min(after - before for before, after in itertools.pairwise(own))
-                for own in counters.values()
-                if len(own) > 1
-            }
-        )
-        > 1
-    ):
+    least_steps = {int(np.diff(own).min()) for own in counters.values() if len(own) > 1}
+    if len(least_steps) > 1:
         return  # times, say, and no numbers of frames
     known = {name: own[chosen] for name, own in counters.items() if len(own[chosen]) > 1}
     every = {number - own[0] for own in known.values() for number in own}
@@ -237,11 +225,9 @@ def import_recording(
     calibration : cameras of any model.
     grid : of the calibration, if it has one.
 
-    Raises
-    ------
-    InputError
-        Images or cameras that are missing, of another size, or of different numbers; a camera that
-        sees nothing of the volume; and anything that an option, a file or a camera is not.
+    Raises InputError for images or cameras that are missing, of another size, or of different
+    numbers; a camera that sees nothing of the volume; and anything that an option, a file or a
+    camera is not.
     """
     notes: list[str] = []
     files = find_image_files(folder, [one.name for one in calibration], options.pattern)
@@ -349,7 +335,6 @@ def _store_all(
 def _images(
     camera: CameraModel, paths: Sequence[Path], options: ImportOptions
 ) -> Iterator[tuple[Path, int, U16]]:
-    """Read the range of a camera's images, each with its file and number in it."""
     every = _numbered(read_images(paths, (camera.rows, camera.columns), options.raw))
     chosen = options.frames
     return itertools.islice(every, chosen.start, chosen.stop, chosen.step)
@@ -428,7 +413,6 @@ def _keys(made: Imported, options: ImportOptions) -> dict[str, Any]:
 
 
 def _times(frames: int, options: ImportOptions) -> list[float]:
-    """Compute the times of frames in groups."""
     shortest = (options.pulses - 1) * options.interval_s
     period = options.period_s or options.pulses * options.interval_s
     if period <= shortest or frames % options.pulses:

@@ -90,11 +90,8 @@ def preview(
     steps : by default those of the data set, and none for an image file.
     false_alarms : probability that noise makes a peak of a pixel.
 
-    Raises
-    ------
-    InputError
-        No such data set, image, camera or frame, an image without particles, or steps that need
-        more images than there are.
+    Raises InputError for an unknown data set, image, camera or frame, an image without particles,
+    or steps that need more images than there are.
     """
     if source.is_dir():
         return _of_dataset(open_dataset(source), camera, frame, steps, false_alarms)

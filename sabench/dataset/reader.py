@@ -83,7 +83,6 @@ def build_observation(
 
 
 def _repaired(images: U16, levels: tuple[float, float], masked: Bool | None) -> Repaired:
-    """Repair images and cover what a mask leaves out."""
     from sabench.images.repair import repair  # numba is loaded at the first use
 
     if masked is None:
@@ -233,7 +232,6 @@ class Dataset:
 
     @cached_property
     def _lowest(self) -> U16:
-        """Read each pixel's least value over all frames."""
         lowest = self._raw(0)
         for frame in range(1, self.setup.frames):
             np.minimum(lowest, self._raw(frame), out=lowest)
@@ -342,7 +340,6 @@ class Dataset:
         return schema.read_target(self.root)
 
     def _truth(self, name: str = schema.TRUTH) -> Path:
-        """Find a file of the truth."""
         _ = self.manifest  # raises where there is no truth
         return inside(self.root, name)
 
@@ -373,10 +370,7 @@ def open_dataset(path: str | Path) -> Dataset:
 
     Checksums are not checked here: see `verify`.
 
-    Raises
-    ------
-    InputError
-        No data set there, or one of another format.
+    Raises InputError for a missing data set, or one of another format.
     """
     root = Path(path)
     contents = schema.read_manifest(root)

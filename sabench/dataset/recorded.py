@@ -24,7 +24,7 @@ from sabench.images.image_reading import RawLayout, read_page
 from sabench.images.tiff_exr import write_tiff
 from sabench.utils.arrays import U16, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.files import canonical_json, complete_or_nothing, inside, sha256
+from sabench.utils.files import canonical_json, complete_or_nothing, inside
 from sabench.utils.version import __version__
 
 Grey = TypeVar("Grey", U16, Bool)
@@ -53,10 +53,7 @@ class ReferencesFile(Record):
     def read(self, camera: str, frame: int, shape: tuple[int, int]) -> U16:
         """Read a camera's image (row, column), extended by zeros to a shape.
 
-        Raises
-        ------
-        InputError
-            No such image, or anything that `read_page` refuses.
+        Raises InputError for an unknown image, or anything that `read_page` refuses.
         """
         frames = self.images.get(camera, ())
         if camera not in self.shapes or not 0 <= frame < len(frames):
@@ -82,7 +79,7 @@ class ReferencesFile(Record):
             path = self._place(name)
             if not path.is_file():
                 yield f"{path}: missing"
-            elif path.stat().st_size != entry.bytes or sha256(path) != entry.sha256:
+            elif FileEntry.of(path) != entry:
                 yield f"{path}: its bytes are not those that were imported"
 
     def _place(self, name: str) -> Path:
@@ -100,10 +97,7 @@ class ReferenceList:
     def add(self, camera: str, path: Path, page: int, image: U16) -> None:
         """Add the next image of a camera.
 
-        Raises
-        ------
-        InputError
-            An image of a movie, which cannot be read alone.
+        Raises InputError for an image of a movie, which cannot be read alone.
         """
         if path.suffix.lower() in MOVIES:
             raise InputError(
@@ -117,10 +111,7 @@ class ReferenceList:
         """Serialise the list, with the checksums of all files."""
         names = sorted({name for images in self.images.values() for name, _ in images})
         paths = {name: self.folder / name for name in names}
-        files = {
-            name: {"bytes": path.stat().st_size, "sha256": sha256(path)}
-            for name, path in paths.items()
-        }
+        files = {name: FileEntry.of(path).model_dump() for name, path in paths.items()}
         head = {"format": FORMAT, "version": VERSION, "folder": str(self.folder)}
         raw = self.raw and dataclasses.asdict(self.raw)
         lists = {"files": files, "shapes": self.shapes, "images": self.images}
@@ -182,13 +173,7 @@ def recorded_writer(
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
         yield RecordedWriter(root)
-        paths = sorted(path for path in root.rglob("*") if path.is_file())
-        files = {
-            path.relative_to(root).as_posix(): schema.FileEntry(
-                bytes=path.stat().st_size, sha256=sha256(path)
-            )
-            for path in paths
-        }
+        files = schema.list_files(root)
         (root / schema.MANIFEST).write_text(
             schema.seal(
                 {

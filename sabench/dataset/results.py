@@ -83,11 +83,8 @@ class Result:
     def read(self, kind: type[AnEstimate], frame: int = 0) -> AnEstimate:
         """Read an estimate, by the arrays that its class declares.
 
-        Raises
-        ------
-        InputError
-            An array that is missing, has another shape or type, or holds values that are not
-            finite or that the estimate refuses.
+        Raises InputError for an array that is missing, has another shape or type, or holds values
+        that are not finite or that the estimate refuses.
         """
         return self._read(kind, group_of(kind, frame))
 
@@ -215,10 +212,7 @@ def result_writer(
 def open_result(path: str | Path, dataset: Dataset) -> Result:
     """Open a result of this data set.
 
-    Raises
-    ------
-    InputError
-        Not a result file, or one of another data set.
+    Raises InputError for another kind of file, or one of another data set.
     """
     file_path = Path(path)
     with open_hdf5(file_path) as file:
@@ -273,10 +267,7 @@ class DatasetNames:
 def read_result_cameras(path: Path) -> tuple[CameraModel, ...]:
     """Read the cameras that a solver of the task calibration has estimated.
 
-    Raises
-    ------
-    InputError
-        Not a result file, or one without cameras.
+    Raises InputError for another kind of file, or one without cameras.
     """
     with open_hdf5(path) as file:
         task = _task(_head(file), path)
@@ -326,7 +317,6 @@ def _names(head: dict[str, Any]) -> DatasetNames:
 
 
 def _head(file: Any) -> dict[str, Any]:
-    """Read the attributes of a result file, and check its format."""
     head = read_attributes(file, _ATTRIBUTES)
     version = head.get("version")
     if head.get("format") != FORMAT or version != VERSION:
@@ -338,7 +328,6 @@ def _head(file: Any) -> dict[str, Any]:
 
 
 def _task(head: dict[str, Any], path: str | Path) -> Any:
-    """Read the task of a result."""
     task, known = str(head.get("task", "reconstruction")), get_args(TaskName)
     if task not in known:
         raise InputError(

@@ -89,10 +89,7 @@ class Batch(Generic[S]):
         `position_mm` (sample, frame, particle, 3), zero where there is none, and `present` (sample,
         frame, particle).
 
-        Raises
-        ------
-        InputError
-            A frame with more particles.
+        Raises InputError for a frame with more particles.
         """
         arrays: dict[str, npt.NDArray[Any]] = {"number": self.numbers, "images": self.images}
         if particles is not None:
@@ -115,10 +112,7 @@ def _check_count(number: int, count: int, most: int) -> None:
 def make_batch(samples: Sequence[S]) -> Batch[S]:
     """Put samples together.
 
-    Raises
-    ------
-    InputError
-        Images of different shapes.
+    Raises InputError for images of different shapes.
     """
     images = [one.images for one in samples]
     for one, own in zip(samples, images, strict=True):
@@ -147,7 +141,6 @@ class FrameGroups:
             raise InputError(f"{data.root}: expected frames in groups of {self._size}")
 
     def __len__(self) -> int:
-        """Return the number of groups."""
         return self._data.setup.frames // self._size
 
     def close(self) -> None:
@@ -289,7 +282,6 @@ class SampleSet(Sequence[StoredSample]):
         self._open: dict[int, None] = {}  # numbers of stores, the last used one at the end
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return self._ends[-1] if self._ends else 0
 
     def __getitem__(self, index: Any) -> Any:
@@ -311,7 +303,6 @@ class SampleSet(Sequence[StoredSample]):
         return StoredSample(store.images(row), store, row)
 
     def __iter__(self) -> Iterator[StoredSample]:
-        """Read all samples."""
         return (self[place] for place in range(len(self)))
 
     @cached_property
@@ -325,10 +316,7 @@ class SampleSet(Sequence[StoredSample]):
     def split(self, name: str) -> SampleSet:
         """Select the samples of a split.
 
-        Raises
-        ------
-        InputError
-            There is no such split.
+        Raises InputError if there is no such split.
         """
         if name not in self.splits:
             raise InputError(
@@ -385,10 +373,7 @@ def open_samples(path: str | Path, split: str | None = None) -> SampleSet:
     ----------
     split : only the samples of this one: "train", "validation", "test".
 
-    Raises
-    ------
-    InputError
-        No data set there, one without images, or without such a split.
+    Raises InputError for a missing data set, one without images, or without such a split.
     """
     root = Path(path)
     contents = schema.read_manifest(root)

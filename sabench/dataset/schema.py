@@ -9,19 +9,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sabench.api.truth import Target
 from sabench.utils.errors import InputError
-from sabench.utils.files import canonical_json, digest, inside, read_json
+from sabench.utils.files import canonical_json, digest, inside, read_json, sha256
 from sabench.utils.validation import Model, validate
 
 FORMAT = "sabench-dataset"
 VERSION = 1
 SAMPLES_VERSION = 2  # of a data set of independent samples in shards
-MANIFEST, CAMERAS, SCENE, TRUTH, TRUE_CAMERAS = (
-    "manifest.json",
-    "cameras.json",
-    "scene.toml",
-    "truth.h5",
-    "true_cameras.json",
-)
+MANIFEST, SCENE, TRUTH = "manifest.json", "scene.toml", "truth.h5"
+CAMERAS, TRUE_CAMERAS = "cameras.json", "true_cameras.json"
 TARGET, POINTS = "target.json", "points.h5"
 INDEX = "samples.csv"  # of independent samples: where each lies
 MOST_SAMPLES = 100_000_000  # of a data set
@@ -53,6 +48,11 @@ class FileEntry(Record):
 
     bytes: int = Field(ge=0)
     sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+    @classmethod
+    def of(cls, path: Path) -> FileEntry:
+        """Measure a file."""
+        return cls(bytes=path.stat().st_size, sha256=sha256(path))
 
 
 class Contents(Record):
@@ -202,20 +202,17 @@ def content_hash(files: dict[str, FileEntry]) -> str:
 def identity_of(scene_hash: str, seed: int, renderer: str, simulation: str) -> str:
     """Hash what defines a data set, and not its bytes.
 
-    Bytes differ between processors, which round differently.
-
-    Parameters
-    ----------
-    simulation : version of the simulation, `sabench.utils.version.SIMULATION`.
+    Bytes differ between processors, which round differently. `simulation` is the version of the
+    simulation, `sabench.utils.version.SIMULATION`.
     """
-    return digest(
-        {
-            "scene_hash": scene_hash,
-            "seed": seed,
-            "renderer": renderer,
-            "simulation": simulation,
-        }
-    )
+    keys = {"scene_hash": scene_hash, "seed": seed, "renderer": renderer, "simulation": simulation}
+    return digest(keys)
+
+
+def list_files(root: Path) -> dict[str, FileEntry]:
+    """Measure all files of a folder, by their paths in it."""
+    paths = sorted(path for path in root.rglob("*") if path.is_file())
+    return {path.relative_to(root).as_posix(): FileEntry.of(path) for path in paths}
 
 
 def seal(manifest: dict[str, Any]) -> str:
@@ -232,9 +229,7 @@ def is_observed(name: str) -> bool:
 
 
 def read_manifest(root: Path) -> Contents:
-    """Read the manifest of a data set of any kind.
-
-    It is a whole one, the observation side of one alone, or a recorded one.
+    """Read the manifest of a data set: whole, its observation side alone, or recorded.
 
     Raises InputError if there is none, it is broken or of another format.
     """
@@ -242,29 +237,18 @@ def read_manifest(root: Path) -> Contents:
     if not root.is_dir() or not path.is_file():
         raise InputError(f"{path}: expected a data set's manifest, found none")
     manifest: Contents = read_versioned(_kind_of(path), path)
-    if path.read_text(encoding="utf-8") != seal(
-        manifest.model_dump(mode="json", exclude_none=True)
-    ):
+    sealed = seal(manifest.model_dump(mode="json", exclude_none=True))
+    if path.read_text(encoding="utf-8") != sealed:
         raise InputError(f"{path}: its manifest_hash does not match its content")
-    if isinstance(manifest, Manifest):
-        _check_identity(manifest, path)
+    if isinstance(manifest, Manifest) and manifest.identity is not None:
+        origin = manifest.scene_hash, manifest.seed, manifest.renderer
+        expected = identity_of(*origin, manifest.versions.get("simulation", ""))
+        if manifest.identity != expected:
+            raise InputError(
+                f"{path}: identity: expected {expected[:12]} for its scene_hash, seed, renderer "
+                f"and versions.simulation, got {manifest.identity[:12]}"
+            )
     return manifest
-
-
-def _check_identity(manifest: Manifest, path: Path) -> None:
-    if manifest.identity is None:
-        return
-    expected = identity_of(
-        manifest.scene_hash,
-        manifest.seed,
-        manifest.renderer,
-        manifest.versions.get("simulation", ""),
-    )
-    if manifest.identity != expected:
-        raise InputError(
-            f"{path}: identity: expected {expected[:12]} for its scene_hash, seed, renderer and "
-            f"versions.simulation, got {manifest.identity[:12]}"
-        )
 
 
 def read_target(root: Path) -> Target:
@@ -309,10 +293,8 @@ def check_versioned(model: type[Model], value: Any, path: Path) -> Model:
         or value.get("format") != FORMAT
         or value.get("version") != version
     ):
-        got = (
-            f"{value.get('format')!r} version {value.get('version')!r}"
-            if isinstance(value, dict)
-            else type(value).__name__
-        )
+        got = type(value).__name__
+        if isinstance(value, dict):
+            got = f"{value.get('format')!r} version {value.get('version')!r}"
         raise InputError(f"{path}: expected format {FORMAT!r} version {version}, got {got}")
     return validate(model, value, str(path))

@@ -25,7 +25,6 @@ import numpy as np
 from sabench.api.truth import Particles, View
 from sabench.dataset import schema
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
-from sabench.dataset.writer import file_entry
 from sabench.utils.arrays import F32, I64, U8, U16
 from sabench.utils.errors import InputError
 from sabench.utils.files import atomic_file, canonical_json, read_json, sha256
@@ -135,7 +134,6 @@ class Kept:
     compression: Compression = "none"
 
     def __post_init__(self) -> None:
-        """Check the words."""
         for word in self.truth:
             if word not in get_args(TruthKind):
                 raise InputError(
@@ -202,7 +200,9 @@ class ShardFolder:
         with self._making(shard) as making:
             paths = [making / f"{side}.h5" for side in schema.SIDES]
             _write_files(paths, len(shard.numbers), samples, shape, kept)
-            files = {name: file_entry(path) for name, path in zip(names, paths, strict=True)}
+            files = {
+                name: schema.FileEntry.of(path) for name, path in zip(names, paths, strict=True)
+            }
             for name, path in zip(names, paths, strict=True):
                 with path.open("rb") as file:
                     os.fsync(file.fileno())

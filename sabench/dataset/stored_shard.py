@@ -45,7 +45,6 @@ class StoredShard:
         self._process = os.getpid()
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return self.entry.samples
 
     def __getstate__(self) -> dict[str, Any]:
@@ -61,10 +60,7 @@ class StoredShard:
     def check(self, numbers: I64) -> None:
         """Read all that is not an image, and check that the samples have these numbers.
 
-        Raises
-        ------
-        InputError
-            Other numbers, missing arrays, or values that contradict each other.
+        Raises InputError for other numbers, missing arrays, or values that contradict each other.
         """
         for side in schema.SIDES[: 1 if self._truth is None else 2]:
             got = self._all(side, "number", (len(self),), "i")
@@ -165,15 +161,12 @@ class StoredShard:
         return light
 
     def _particles(self, part: slice) -> Particles:
-        """Read the particles in some rows of the arrays of all particles."""
-
         def fetch(name: str, shape: tuple[int | None, ...], kinds: str) -> npt.NDArray[Any]:
             return self._part("truth", name, (self._rows, *shape[1:]), kinds, part)
 
         return read_arrays(Particles, fetch, "particles", self._path("truth"))
 
     def _views(self, part: slice) -> tuple[View, ...]:
-        """Read the images, in each camera, of the particles in some rows."""
         cameras, count = self._shape[1], part.stop - part.start
 
         @functools.cache
@@ -195,7 +188,6 @@ class StoredShard:
         )
 
     def _parts(self, kind: str, row: int) -> Iterator[slice]:
-        """List the rows of each frame of a sample in the arrays of all particles."""
         self._need(kind)
         ends, frames = self._ends, self._shape[0]
         for place in range(row * frames, (row + 1) * frames):
@@ -244,7 +236,6 @@ class StoredShard:
         return setups
 
     def _texts(self, side: str, name: str) -> list[Any]:
-        """Read a list of JSON values."""
         text = self._all(side, name, (None,), "u").tobytes()
         try:
             values = json.loads(text)
@@ -255,14 +246,12 @@ class StoredShard:
         return values
 
     def _checked(self, name: str, read: Callable[[], Any]) -> Any:
-        """Read a value once."""
         key = f"checked {name}"
         if key not in self._arrays:
             self._arrays[key] = read()
         return self._arrays[key]
 
     def _all(self, side: str, name: str, shape: tuple[int | None, ...], kind: str) -> Any:
-        """Read an array once."""
         with _reported(self._path(side)):
             read = functools.partial(read_array, self._file(side), name, shape, kind)
             return self._checked(f"{side}/{name}", read)

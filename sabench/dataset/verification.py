@@ -20,7 +20,7 @@ from sabench.dataset.sample_set import open_samples
 from sabench.dataset.shards import Shard, describe, plan_shards
 from sabench.dataset.stored_shard import StoredShard
 from sabench.utils.errors import InputError, UncheckedError, one_line
-from sabench.utils.files import inside, is_file, sha256
+from sabench.utils.files import inside, is_file
 from sabench.utils.processes.call import preload, read_isolated
 from sabench.utils.progress import progress_bar
 
@@ -30,10 +30,7 @@ preload("sabench.dataset.hdf5")
 def probe(path: Path) -> None:
     """Open an untrusted file in a child process, which HDF5 may not survive.
 
-    Raises
-    ------
-    InputError
-        The file is damaged, the child process crashes or exceeds its limits.
+    Raises InputError if the file is damaged, the child process crashes or exceeds its limits.
     """
     read_isolated(walk, path)
 
@@ -52,10 +49,7 @@ Try = Callable[[Callable[[], object]], Iterator[str]]
 def check_plan(root: Path, contents: schema.ShardedContents) -> None:
     """Check that the shards hold every sample once, in its split.
 
-    Raises
-    ------
-    InputError
-        A shard that is missing, doubled or of other samples.
+    Raises InputError for a shard that is missing, doubled or of other samples.
     """
     path, entries = root / schema.MANIFEST, contents.shards
     stored = sum(file.bytes for entry in entries for file in entry.files.values())
@@ -167,7 +161,6 @@ def _faults_inside(root: Path, manifest: schema.Contents) -> Iterator[str]:
 
 
 def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
-    """Find missing, changed and unlisted files."""
     files = manifest.all_files
     part = schema.ObservationManifest | schema.SamplesObservationManifest
     if not isinstance(manifest, part) and manifest.content_hash != schema.content_hash(files):
@@ -188,7 +181,7 @@ def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
             if not file.is_file():
                 yield f"{file}: missing"
                 continue
-            got = schema.FileEntry(bytes=file.stat().st_size, sha256=sha256(file))
+            got = schema.FileEntry.of(file)
             if got != entry:
                 yield f"{file}: its bytes do not match the manifest{_guess(got, entry, known)}"
         except (InputError, OSError) as error:

@@ -19,7 +19,7 @@ from sabench.dataset.cameras import list_cameras, wall_entry
 from sabench.dataset.hdf5 import create_hdf5, delay_interrupts
 from sabench.geometry.camera import Camera
 from sabench.scenes import Rig, Scene
-from sabench.utils.files import canonical_json, complete_or_nothing, file_series, sha256
+from sabench.utils.files import canonical_json, complete_or_nothing, file_series
 from sabench.utils.version import SIMULATION, __version__
 
 _RECORDED = ("mitsuba", "drjit", "numpy", "scipy", "h5py", "tifffile", "OpenEXR")
@@ -185,9 +185,7 @@ def _manifest(
 ) -> str:
     paths = sorted(path for path in root.rglob("*") if path.is_file())
     names = [path.relative_to(root).as_posix() for path in paths]
-    files = {
-        name: known.get(name) or file_entry(path) for name, path in zip(names, paths, strict=True)
-    }
+    files = {name: known.get(name) or schema.FileEntry.of(root / name) for name in names}
     return schema.seal(
         {
             "format": schema.FORMAT,
@@ -208,8 +206,3 @@ def list_versions() -> dict[str, str]:
     """List the versions of all that the bytes of a data set depend on."""
     own = {"sabench": __version__, "simulation": SIMULATION, "python": platform.python_version()}
     return own | {package: importlib.metadata.version(package) for package in _RECORDED}
-
-
-def file_entry(path: Path) -> schema.FileEntry:
-    """Measure the size and checksum of a file."""
-    return schema.FileEntry(bytes=path.stat().st_size, sha256=sha256(path))

@@ -72,11 +72,8 @@ def read_cameras(
         refractive indices that the file has exchanged are recognised. Without points, indices that
         look exchanged are said and kept.
 
-    Raises
-    ------
-    InputError
-        An unknown format or unit, a file that is missing or broken, a camera that is missing, or
-        lengths in another unit.
+    Raises InputError for an unknown format or unit, a file that is missing or broken, a camera that
+    is missing, or lengths in another unit.
     """
     _check_form(form)
     file = Path(path)
@@ -105,10 +102,8 @@ def write_cameras(
     towards the cameras; `foreign.read_world` finds it. The point list needs the grid, and so
     do MyPTV's polynomials.
 
-    Raises
-    ------
-    InputError
-        An unknown format, a camera that it cannot describe, or an existing folder.
+    Raises InputError for an unknown format, a camera that it cannot describe, or an existing
+    folder.
     """
     _check_form(form)
     check_writable(cameras, form)
@@ -202,10 +197,8 @@ def read_camera_source(
     size : rows and columns of the images, for formats that leave them out.
     grid : measured volume, for cameras that are polynomials of it.
 
-    Raises
-    ------
-    InputError
-        No cameras there, or broken ones; a unit of sabench's own cameras, which are in mm.
+    Raises InputError for missing cameras, or broken ones; a unit of sabench's own cameras, which
+    are in mm.
     """
     if form is not None:
         return CameraSource(read_cameras(path, form, unit=unit, size=size, grid=grid))

@@ -27,10 +27,7 @@ _CATEGORY = {"id": 1, "name": "bubble", "supercategory": "bubble"}
 def write(root: Path, data: Dataset) -> None:
     """Write images of 8 bits and `annotations.json` into a folder.
 
-    Raises
-    ------
-    InputError
-        A data set that shows no bubbles.
+    Raises InputError for a data set that shows no bubbles.
     """
     if "bubbles" not in data.shows:
         raise InputError(f"{data.root}: expected a data set with bubbles for coco, got none")

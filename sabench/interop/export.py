@@ -72,11 +72,8 @@ def export(
         lpt-challenge: cameras and images; with a result, cameras and particles. coco: images, and
         boxes and masks of true bubbles.
 
-    Raises
-    ------
-    InputError
-        No data set or result, one without particles, an unknown format, cameras that the format
-        cannot describe, or an existing folder.
+    Raises InputError for a missing data set or result, one without particles, an unknown format,
+    cameras that the format cannot describe, or an existing folder.
     """
     if to not in get_args(Format):
         raise InputError(f"to: expected one of {', '.join(get_args(Format))}, got {to!r}")
@@ -112,7 +109,6 @@ def export(
 def _write_particles(
     root: Path, data: Dataset, found: Result | None, to: TrackFormat | ProgramFormat
 ) -> None:
-    """Write the particles of all frames, and for a program its cameras."""
     setup, world = data.setup, ForeignWorld()
     table = of_estimates(_particles(data, found))
     cameras: Sequence[CameraModel] = setup.cameras
@@ -126,7 +122,6 @@ def _write_particles(
 
 
 def _particles(data: Dataset, found: Result | None) -> list[FoundParticles]:
-    """List the particles of all frames, of a result or the true ones."""
     frames = progress_bar(range(data.setup.frames), "export")
     if found is None:
         if "particles" not in data.shows:

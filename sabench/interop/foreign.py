@@ -32,10 +32,7 @@ def note(sentence: str) -> None:
 def unit_mm(unit: str) -> float:
     """Return a unit of length in mm.
 
-    Raises
-    ------
-    InputError
-        A unit that is not known.
+    Raises InputError for a unit that is not known.
     """
     if unit not in LENGTHS_MM:
         raise InputError(f"unit: expected one of {', '.join(LENGTHS_MM)}, got {unit!r}")
@@ -110,7 +107,6 @@ class TrackTable:
     acceleration_mm_s2: F64 | None = None
 
     def __len__(self) -> int:
-        """Return the number of particles."""
         return len(self.frame)
 
     def rows(self, chosen: Bool | I64) -> TrackTable:
@@ -150,10 +146,7 @@ class TrackTable:
     def estimate(self, frame: int) -> FoundParticles:
         """Return the particles of a frame as an estimate.
 
-        Raises
-        ------
-        InputError
-            Two particles of one trajectory.
+        Raises InputError for two particles of one trajectory.
         """
         one = self.of_frame(frame)
         return FoundParticles(

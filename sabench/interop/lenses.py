@@ -76,10 +76,7 @@ class Extent:
     def image(self, where: str) -> tuple[int, int]:
         """Return the size of the images.
 
-        Raises
-        ------
-        InputError
-            It is not known; `where` opens the sentence.
+        Raises InputError if it is not known; `where` opens the sentence.
         """
         if self.size is None:
             raise InputError(f"{where}: it has no size of the images: give it (rows, columns)")
@@ -92,10 +89,7 @@ def nearest_rotation(matrix: F64, where: str, focal_px: float) -> F64:
     The nearest in the Frobenius norm comes from the singular value decomposition (Horn, Hilden and
     Negahdaripour, J. Opt. Soc. Am. A 5 (1988) 1127).
 
-    Raises
-    ------
-    InputError
-        A matrix that is no rotation, or a left-handed one.
+    Raises InputError for a matrix that is no rotation, or a left-handed one.
     """
     left, _, right = np.linalg.svd(matrix)
     rotation = np.asarray(left @ right)
@@ -273,10 +267,7 @@ def choose_indices(
     points_mm : (n, 3) in the world of the files.
     pixels : (camera, n, 2); NaN where a camera does not see a point.
 
-    Raises
-    ------
-    InputError
-        Arrays of other shapes.
+    Raises InputError for arrays of other shapes.
     """
     expected = (len(cameras), len(points_mm), 2)
     if np.shape(points_mm) != (len(points_mm), 3) or np.shape(pixels) != expected:
@@ -302,7 +293,6 @@ def choose_indices(
 
 
 def _exchanged(camera: CameraModel) -> CameraModel:
-    """Exchange the indices of a camera's only layer and of the fluid."""
     if not isinstance(camera, Camera | CentralCamera):
         return camera
     wall = camera.wall

@@ -1,15 +1,12 @@
-"""Point lists and particle files of the challenges on Lagrangian tracking.
+"""Point lists and particle files of the challenges on Lagrangian particle tracking.
 
-Cameras as lists of points: X Y Z and the pixels x1 y1 x2 y2 ... of all.
+Cameras are lists of points: X Y Z and the pixels x1 y1 x2 y2 ... of all. Pixel (0, 0) is the centre
+of the first pixel. The reader fits a model to each camera; a camera that does not see a point has
+NaN.
 
-It is the layout of the challenges on Lagrangian particle tracking. Pixel (0, 0) is the centre of
-the first pixel. The reader fits a model to each camera; a camera that does not see a point has NaN.
-
-Particle files of the challenges on Lagrangian particle tracking.
-
-One file for each frame, whose number ends its name. Three lines of Tecplot's head (title,
-variables, zone) come before X Y Z in mm and, where particles are tracked, their number. Files
-without the head are read, too.
+Particles have one file for each frame, whose number ends its name. Three lines of Tecplot's head
+(title, variables, zone) come before X Y Z in mm and, where particles are tracked, their number.
+Files without the head are read, too.
 """
 
 from __future__ import annotations
@@ -51,10 +48,8 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
 
     The one with the smaller error at points that were held out is taken, and its error is said.
 
-    Raises
-    ------
-    InputError
-        No such file, columns that are no pairs, too few points, or a missing size of the images.
+    Raises InputError for a missing file, columns that are no pairs, too few points, or a missing
+    size of the images.
     """
     file = path / FILE if path.is_dir() else path
     table = read_table(file, 5, missing=True)
@@ -136,10 +131,7 @@ def write_cameras(
 ) -> None:
     """Write the pixels of points (n, 3) in all cameras.
 
-    Raises
-    ------
-    InputError
-        No points.
+    Raises InputError for no points.
     """
     if points_mm is None:
         raise InputError("lpt-challenge: expected a grid, over which the points are placed")
@@ -161,10 +153,7 @@ _WORD = re.compile(r'"([^"]*)"|([^\s",=]+)')
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
     """Read all files of a folder, or one file as frame 0.
 
-    Raises
-    ------
-    InputError
-        No such file, or a broken one; tracked particles in some frames only.
+    Raises InputError for a missing file, or a broken one; tracked particles in some frames only.
     """
     files = list(numbered_files(path, _NAME)) if path.is_dir() else [(0, path)]
     if not files:

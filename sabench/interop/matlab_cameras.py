@@ -43,10 +43,8 @@ Structure = dict[str, F64]
 def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read all structures of cameras in a .mat file, in the order of their names.
 
-    Raises
-    ------
-    InputError
-        No such file, no structure of a camera in it, or one without a lens or a place.
+    Raises InputError for a missing file, no structure of a camera in it, or one without a lens or a
+    place.
     """
     found = _structures_of_hdf5(path) if _is_hdf5(path) else _structures_of_mat(path)
     cameras = {name: one for name, one in found.items() if "K" in one or "IntrinsicMatrix" in one}
@@ -119,7 +117,6 @@ def _camera(path: Path, name: str, fields: Structure, extent: Extent) -> CameraM
 
 
 def _place(where: str, fields: Structure) -> tuple[F64, F64]:
-    """Read rotation and translation for column vectors."""
     if "RotationMatrix" in fields:
         turn = _shaped(where, fields, "RotationMatrix", 9).reshape(3, 3).T
         return turn, _shaped(where, fields, "TranslationVector", 3)

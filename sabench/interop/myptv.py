@@ -1,6 +1,4 @@
-"""Cameras and results of MyPTV.
-
-Camera files of MyPTV: Tsai's model, and extended Zolof polynomials.
+"""Cameras (Tsai's model, extended Zolof polynomials) and results of MyPTV.
 
 Source: the formats as MyPTV 1.3 documents and writes them. The camera's axes are the rows of
 R = Rx Ry Rz. A pixel (column, row) of a Tsai camera sees along ((c, r, f) + E Z) R, where c and r
@@ -8,12 +6,10 @@ count from the image's centre and Z are column, row, column^2, row^2 and column 
 the centre of the first pixel. A Zolof camera gives column and row as cubic polynomials of X, Y, Z;
 of its lines of sight, the file's own approximation is not used.
 
-Results of MyPTV: particles, trajectories, smoothed trajectories and blobs.
-
-Columns, apart by tabs: of particles x y z, a blob of each camera (-1: none), error, frame; of
-trajectories the same behind the number (-1: none); of smoothed ones number, x y z, velocity,
-acceleration (both per frame), frame; of blobs column, row, size along both, area, frame. Newer
-versions keep the same columns in the data set `dataset` of an HDF5 file.
+Columns of results, apart by tabs: of particles x y z, a blob of each camera (-1: none), error,
+frame; of trajectories the same behind the number (-1: none); of smoothed ones number, x y z,
+velocity, acceleration (both per frame), frame; of blobs column, row, size along both, area, frame.
+Newer versions keep the same columns in the data set `dataset` of an HDF5 file.
 """
 
 from __future__ import annotations
@@ -65,10 +61,7 @@ _POWERS = (
 def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read one camera file, or all files of a folder that begin as camera files do.
 
-    Raises
-    ------
-    InputError
-        No camera file, or a broken one.
+    Raises InputError for a missing camera file, or a broken one.
     """
     files = sorted(path.iterdir()) if path.is_dir() else []
     old = [file for file in files if _OLD_NAME.fullmatch(file.name) and file.is_file()]
@@ -133,7 +126,6 @@ def _ideal(pixels: F64, middle: F64, focal: float, correction: F64) -> F64:
 
 
 def _rotation(angles: F64) -> F64:
-    """Compute Rx Ry Rz of angles in rad."""
     (a, b, c), (d, e, f) = np.cos(angles), np.sin(angles)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, a, -d], [0.0, d, a]])
     about_y = np.array([[b, 0.0, e], [0.0, 1.0, 0.0], [-e, 0.0, b]])
@@ -187,10 +179,7 @@ def write_cameras(
     A pinhole in air without distortion has Tsai's model. Other cameras have polynomials, fitted
     over points (n, 3) of the volume; the error is said.
 
-    Raises
-    ------
-    InputError
-        A camera that needs the volume, which is not given.
+    Raises InputError for a camera that needs the volume, which is not given.
     """
     errors: dict[str, tuple[float, float]] = {}
     for camera in cameras:
@@ -280,10 +269,8 @@ _SIDE = 3.0  # of blobs, whose size is not known
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
     """Read particles, trajectories or smoothed trajectories of a file or folder.
 
-    Raises
-    ------
-    InputError
-        No such file, or a broken one; velocities without the time between frames.
+    Raises InputError for a missing file, or a broken one; velocities without the time between
+    frames.
     """
     file = _file(path)
     values = _values(file)

@@ -63,10 +63,7 @@ class NamedColumns:
     def read_tracks(self, path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
         """Read a file, or the file of a folder.
 
-        Raises
-        ------
-        InputError
-            No such file, a broken one, or one without frames and positions.
+        Raises InputError for a missing file, a broken one, or one without frames and positions.
         """
         file = path / self.file if path.is_dir() else path
         return table_of_columns(str(file), self.read(file), unit)
@@ -161,7 +158,6 @@ def _read_matlab(file: Path) -> dict[str, Array]:
 
 
 def _write_matlab(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-    """Write one row vector of doubles for each quantity."""
     with h5py.File(path, "w", userblock_size=_BLOCK) as file:
         for name, values in columns.items():
             stored = file.create_dataset(name, data=values.astype(np.float64)[None])
@@ -184,11 +180,8 @@ def table_of_columns(where: str, columns: Columns, unit: str | None) -> TrackTab
     where : file, for sentences.
     unit : of lengths; None: as the columns say, else mm.
 
-    Raises
-    ------
-    InputError
-        No frame or time, no positions, or values that are not finite or, where they are numbers of
-        frames and trajectories, not whole.
+    Raises InputError for no frame or time, no positions, or values that are not finite or, where
+    they are numbers of frames and trajectories, not whole.
     """
     known = {name.strip().lower(): name for name in columns}
     used = list[str]()
@@ -273,7 +266,6 @@ def _factor(where: str, name: str, column: Array, unit: str | None, kind: str) -
 
 
 def _whole(where: str, name: str, values: npt.NDArray[Any]) -> I64:
-    """Return whole numbers."""
     found = _finite(where, name, values)
     broken = np.flatnonzero((found != np.rint(found)) | (np.abs(found) > 2**53))
     if len(broken):

@@ -60,10 +60,7 @@ def read_layers(path: str | list[str]) -> list[Layer]:
 
     The particles are those of the first frames, up to some 200,000 images of each camera.
 
-    Raises
-    ------
-    InputError
-        The folder is no data set.
+    Raises InputError if the folder is no data set.
     """
     data = open_dataset(_first(path))
     layers: list[Layer] = []

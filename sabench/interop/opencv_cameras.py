@@ -42,10 +42,8 @@ _WIDTH, _HEIGHT = ("image_width", "width", "imageWidth"), ("image_height", "heig
 def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read one file with one camera, or a folder with a file for each.
 
-    Raises
-    ------
-    InputError
-        No such file, one that OpenCV cannot read, or one without a lens or a place.
+    Raises InputError for a missing file, one that OpenCV cannot read, or one without a lens or a
+    place.
     """
     files = [path]
     if path.is_dir():
@@ -88,7 +86,6 @@ def _of_vector(path: Path, turn: F64) -> F64:
 
 
 def _read_nodes(path: Path) -> dict[str, Any]:
-    """Read the matrices, numbers and texts of a file's top level."""
     text = read_text(path)
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)

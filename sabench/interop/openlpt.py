@@ -100,10 +100,7 @@ def derive_settings(
 def camera_text(camera: Camera) -> str:
     """Format a camera file.
 
-    Raises
-    ------
-    ValueError
-        A camera that OpenLPT cannot describe; see `unfit`.
+    Raises ValueError for a camera that OpenLPT cannot describe; see `unfit`.
     """
     reason = unfit(camera)
     if reason:
@@ -163,12 +160,10 @@ def unfit(camera: Camera) -> str | None:
 
 
 def _bends(wall: Wall) -> bool:
-    """Say whether a wall refracts light."""
     return len(set(wall.indices)) > 1
 
 
 def _plates(wall: Wall) -> list[str]:
-    """Format the lines of a camera file about the wall, from fluid to cameras."""
     thick, indices = [layer.thickness_mm for layer in wall.layers], tuple(wall.indices)
     if not thick:  # OpenLPT needs a plate; one of fluid has no effect
         thick, indices = [_SKIN_MM], (*indices, wall.fluid_index)
@@ -320,10 +315,7 @@ def track_files(path: Path) -> list[Path]:
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
     """Read all tracks of a result.
 
-    Raises
-    ------
-    InputError
-        No file of tracks, or a broken one.
+    Raises InputError for a missing file of tracks, or a broken one.
     """
     files = track_files(path)
     if not files:

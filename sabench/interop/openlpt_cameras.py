@@ -36,10 +36,7 @@ _COUNTS = (2, 3, 3, 3, None, 3, 3, 3, 3, 3, 3, 3, 3, 3)  # numbers on the lines 
 def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read one camera file, or all of a folder (cam*.txt).
 
-    Raises
-    ------
-    InputError
-        No camera file, or a broken one.
+    Raises InputError for a missing camera file, or a broken one.
     """
     files = sorted(path.glob("cam*.txt"), key=_order) if path.is_dir() else [path]
     files = [file for file in files if not file.stem.endswith("ImageNames")]

@@ -130,10 +130,7 @@ def world_of(grid: Grid) -> ForeignWorld:
 def orientation_text(camera: Camera, world: ForeignWorld) -> str:
     """Format a camera's .ori file.
 
-    Raises
-    ------
-    ValueError
-        A camera that OpenPTV cannot describe; see `unfit`.
+    Raises ValueError for a camera that OpenPTV cannot describe; see `unfit`.
     """
     if reason := unfit(camera):
         raise ValueError(f"{camera.name}: {reason}")
@@ -167,10 +164,7 @@ def orientation_text(camera: Camera, world: ForeignWorld) -> str:
 def _glass(camera: Camera, world: ForeignWorld, position: F64) -> F64:
     """Compute the vector from the origin to the glass's inner face, along its normal.
 
-    Raises
-    ------
-    ValueError
-        The origin does not lie in the fluid.
+    Raises ValueError if the origin does not lie in the fluid.
     """
     if not isinstance(camera.wall, Wall):
         axis = int(np.abs(position).argmax())

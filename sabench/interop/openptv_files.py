@@ -1,12 +1,8 @@
-"""Files of OpenPTV: cameras and settings of a project, and results.
-
-Cameras of an OpenPTV project: ptv.par, .ori and .addpar files.
+"""Files of an OpenPTV project: cameras (ptv.par, .ori, .addpar), settings and results.
 
 Source: the formats as the library optv 0.3.2 reads them. Its world is kept as it is. Positions on
 the sensor are in mm, X to the right and Y up from the image's centre, and the distortion acts about
 that centre. The wall is one plane-parallel layer.
-
-Results of OpenPTV: links, correspondences and targets of each frame.
 
 ptv_is: the number of particles, then for each the rows in the frame before (-1: none) and after
 (-2: none), and X Y Z. rt_is: the number, then a count from 1, X Y Z and the targets of four
@@ -67,10 +63,7 @@ class _Control:
 def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read the cameras of a project folder, or of a file ptv.par in it.
 
-    Raises
-    ------
-    InputError
-        A file that is missing or broken.
+    Raises InputError for a file that is missing or broken.
     """
     control = _read_control(_find_control(path))
     folder = control.path.parent
@@ -155,7 +148,6 @@ def _read_distortion(path: Path) -> F64:
 
 
 def _wall(path: Path, control: _Control, glass: F64, position: F64) -> Wall | None:
-    """Make the wall of the vector from the origin to the glass's inner face."""
     air, index, fluid = control.indices
     if air == index == fluid:
         return None
@@ -302,10 +294,7 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
 
     Links are read from ptv_is files; without them, particles from rt_is files.
 
-    Raises
-    ------
-    InputError
-        No such file, or a broken one.
+    Raises InputError for a missing file, or a broken one.
     """
     places = [path / "res", path] if path.is_dir() else [path.parent]
     found = [

@@ -129,7 +129,6 @@ def _frame(
 
 
 def _write_positions(folder: Path, frame: int, positions: Any, row: Any) -> None:
-    """Write positions for sabench, and with correspondences for tracking."""
     (folder / f"found_{frame:05d}.json").write_text(
         json.dumps(positions.tolist()), encoding="utf-8"
     )

@@ -27,10 +27,7 @@ _WALLS: TypeAdapter[Any] = TypeAdapter(WallsRecord | None)
 def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Read the cameras of a file cameras.json, or of the folder that holds it.
 
-    Raises
-    ------
-    InputError
-        No such file, or a broken one.
+    Raises InputError for a missing file, or a broken one.
     """
     file = path / CAMERAS if path.is_dir() else path
     record = read_json(file)

@@ -57,10 +57,7 @@ def read_tracks(
     unit : of lengths; None: as the file says, else mm.
     interval_s : time between frames, for velocities per frame.
 
-    Raises
-    ------
-    InputError
-        An unknown format or unit, or a file that is missing or broken.
+    Raises InputError for an unknown format or unit, or a file that is missing or broken.
     """
     check_form(form)
     file = Path(path)
@@ -124,11 +121,8 @@ def import_result(
     first : number that the files give frame 0 of the data set; None: the smallest in the files.
     solver : name of the result; None: that of the format.
 
-    Raises
-    ------
-    InputError
-        No data set, files that are missing or broken, frames that the data set does not have,
-        positions in another unit, or an existing file.
+    Raises InputError for a missing data set, files that are missing or broken, frames that the data
+    set does not have, positions in another unit, or an existing file.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     refuse_existing(Path(out), overwrite=overwrite)
@@ -191,14 +185,12 @@ def _check_places(source: Path, table: TrackTable, grid: Grid, unit: str | None)
 
 
 def _share_inside(grid: Grid, position_mm: F64) -> float:
-    """Compute the share of positions in the volume or close to it."""
     size = np.asarray(grid.shape[::-1])
     voxels = grid.to_voxels(position_mm) / size
     return float(((voxels >= -_AROUND) & (voxels < 1.0 + _AROUND)).all(axis=1).mean())
 
 
 def _estimate(source: Path, table: TrackTable, frame: int) -> FoundParticles:
-    """Make the estimate of a frame, and name the file in its faults."""
     try:
         return table.estimate(frame)
     except InputError as error:

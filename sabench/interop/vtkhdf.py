@@ -49,10 +49,7 @@ def write(root: Path, data: Dataset, found: Result | None) -> None:
     are matched to true ones. Without the truth a result gives its own arrays alone. Lengths are mm,
     velocities mm/s.
 
-    Raises
-    ------
-    InputError
-        A result of another kind.
+    Raises InputError for a result of another kind.
     """
     write_rig(root / "rig.vtkhdf", data.setup.cameras, data.setup.grid)
     if found is None:
@@ -194,7 +191,6 @@ def _shapes(bubbles: AnyBubbles) -> Data:
 
 
 def _field(field: Velocity, slopes: F64) -> Data:
-    """Collect velocities, and vorticity and divergence from gradients."""
     return {
         "velocity_mm_s": field.velocity_mm_s,
         "vorticity_1_s": vorticity(slopes),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,15 +14,15 @@ from sabench.scenes.tank import build_wall
 from sabench.simulation.frames import FrameContent, Tracers, find_hidden
 from sabench.simulation.rendering import (
     bubbles_traced,
+    light_routes,
     particles_splatted,
     particles_traced,
     targets_traced,
 )
 from sabench.simulation.rendering.background import flicker, static_light
 from sabench.simulation.rendering.bubble_stage import Lights, Tank
-from sabench.simulation.rendering.light_routes import Route, direct, reflections
+from sabench.simulation.rendering.light_routes import Route
 from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
-from sabench.simulation.rendering.particles_splatted import render_with_rings
 from sabench.simulation.rendering.pixel_truth import see
 from sabench.simulation.rendering.sensor import expose, full_well_photons, make_pattern
 from sabench.utils.arrays import F64, U16
@@ -65,72 +64,57 @@ def render(frame: FrameContent, camera: int) -> CameraView:
     if frame.bubbles is not None:
         return _render_bubbles(frame, frame.bubbles, camera)
     if frame.tracers is not None:
-        return _render_tracers(frame, frame.tracers, camera)
+        return _render_tracers(frame, frame.tracers.of_camera(camera), frame.rig.cameras[camera])
     raise ValueError(f"frame {frame.number}: expected something to render, got an empty frame")
 
 
-def _render_tracers(frame: FrameContent, tracers: Tracers, number: int) -> CameraView:
-    """Render tracers alone."""
-    camera, scene, tracers = frame.rig.cameras[number], frame.scene, tracers.of_camera(number)
+def _render_tracers(frame: FrameContent, tracers: Tracers, camera: Camera) -> CameraView:
     images = _image(frame, tracers, camera)
-    if scene.cameras.airy_rings:
-        wavelength = scene.light.wavelength_nm
-        photons = render_with_rings(camera, wavelength, lambda fine: _take(frame, tracers, fine))
+    if frame.scene.cameras.airy_rings:
+        wavelength = frame.scene.light.wavelength_nm
+        photons = particles_splatted.render_with_rings(
+            camera, wavelength, lambda fine: _expose(frame, tracers, fine)
+        )
     else:
-        photons = _take(frame, tracers, camera, images)
+        photons = _expose(frame, tracers, camera, images)
     return CameraView(camera, photons, particles=images)
 
 
-def _take(
+def _expose(
     frame: FrameContent, tracers: Tracers, camera: Camera, known: ParticleImages | None = None
 ) -> F64:
-    """Take the photons of one exposure on all routes, the mean over the pulse.
+    """Add the photons of all routes, and take the mean over the moments of the pulse.
 
-    Parameters
-    ----------
-    known : images on the direct route at the middle of the pulse, where they were computed.
+    `known` are the images on the direct route at the middle of the pulse, if already computed.
     """
-    parts = _parts(frame, tracers, camera, known)
-    total, moments = next(parts), len(tracers.positions_mm)
-    for part in parts:
-        total += part
-    return total if moments == 1 else total / moments
-
-
-def _parts(
-    frame: FrameContent, tracers: Tracers, camera: Camera, known: ParticleImages | None
-) -> Iterator[F64]:
-    """Yield the photons of each moment of the pulse on each route."""
+    scene, routes = frame.scene, [light_routes.direct(camera.wall)]
+    if scene.plane is not None and scene.plane.mirrors and isinstance(camera.wall, Wall):
+        rear = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear)
+        routes += light_routes.reflections(camera.wall, rear)
+    total = None
     for positions in tracers.positions_mm:
         middle, moment = positions is tracers.particles.position_mm, tracers
         if not middle:
             moment = replace(tracers, particles=replace(tracers.particles, position_mm=positions))
-        for route in _routes(frame.scene, camera):
-            images = (
-                known
-                if known is not None and middle and not route.faces
-                else _image(frame, moment, camera, route)
-            )
-            yield _take_part(frame, route.behind(camera), images, route.place(positions))
-
-
-def _routes(scene: Scene, camera: Camera) -> list[Route]:
-    """List the routes of light to a camera that the scene asks for."""
-    routes = [direct(camera.wall)]
-    if scene.plane is not None and scene.plane.mirrors and isinstance(camera.wall, Wall):
-        rear = [Layer(layer.name, layer.index, layer.thickness_mm) for layer in scene.rear]
-        routes += reflections(camera.wall, tuple(rear))
-    return routes
-
-
-def _take_part(frame: FrameContent, camera: Camera, images: ParticleImages, at_mm: F64) -> F64:
-    """Take the photons of one part of a pulse on one route."""
-    if frame.renderer == "splat":
-        return particles_splatted.render(camera, images)
-    samples = frame.scene.render.samples_per_pixel
-    occluders = frame.rig.occluders_of(camera)
-    radiance = particles_traced.render(camera, images, at_mm, samples, occluders)
-    return radiance * camera.etendue()
+        for route in routes:
+            if known is not None and middle and not route.faces:
+                images = known
+            else:
+                images = _image(frame, moment, camera, route)
+            unfolded = route.behind(camera)
+            if frame.renderer == "splat":
+                photons = particles_splatted.render(unfolded, images)
+            else:
+                photons = unfolded.etendue() * particles_traced.render(
+                    unfolded,
+                    images,
+                    route.place(positions),
+                    scene.render.samples_per_pixel,
+                    frame.rig.occluders_of(unfolded),
+                )
+            total = photons if total is None else total + photons
+    assert total is not None
+    return total / len(tracers.positions_mm)
 
 
 def _image(
@@ -150,13 +134,13 @@ def _image(
 
 
 def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> CameraView:
-    """Render bubbles and bodies, with or without tracers among them."""
     scene, camera = frame.scene, frame.rig.cameras[number]
-    tank, seed = tank_of(scene), frame.path_seed(number)
+    tank = tank_of(scene)
+    seed = int(stream(frame.seed, "light paths", frame.number, number).integers(1 << 20))
     lights, sight = lights_of(scene), see(camera, bubbles, frame.solids)
-    # pixels that show bubbles or bodies, or are next to them
     from scipy.ndimage import maximum_filter  # takes long to load
 
+    # the error counts in pixels that show bubbles or bodies, or are next to them
     counted = np.asarray(maximum_filter(sight.number != NOTHING, 3))
     shown = bubbles_traced.render(
         camera,
@@ -173,7 +157,16 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
     sight = replace(sight, error=shown.error)
     if frame.tracers is None:
         return CameraView(camera, shown.photons, sight=sight)
-    images = _image_tracers(frame, frame.tracers, camera, sight)
+    tracers = frame.tracers
+    images = _image(frame, tracers, camera)
+    lit = True if tracers.illuminated is None else tracers.illuminated
+    images = replace(
+        images,
+        photons=images.photons * lit,
+        intensity=images.intensity * lit,
+        visible=images.visible
+        & ~find_hidden(camera, tracers.particles.position_mm, images.pixel, sight),
+    )
     glow = bubbles_traced.render(
         camera,
         tank,
@@ -185,7 +178,7 @@ def _render_bubbles(frame: FrameContent, bubbles: Bubbles, number: int) -> Camer
         counted=counted,
         occluders=frame.rig.occluders,
         images=images,
-        particles_mm=frame.tracers.particles.position_mm,
+        particles_mm=tracers.particles.position_mm,
     )
     photons = shown.photons + glow.photons
     return CameraView(camera, photons, particles=images, sight=sight)
@@ -203,26 +196,7 @@ def lights_of(scene: Scene) -> Lights:
     return Lights(scene.backlight, scene.lighting, center, full_well_photons(scene.sensor))
 
 
-def _image_tracers(
-    frame: FrameContent, tracers: Tracers, camera: Camera, sight: Sight
-) -> ParticleImages:
-    """Image tracers among bubbles and bodies.
-
-    They are dark in shadows, and invisible behind bubbles and bodies.
-    """
-    images = _image(frame, tracers, camera)
-    covered = find_hidden(camera, tracers.particles.position_mm, images.pixel, sight)
-    reached = True if tracers.illuminated is None else tracers.illuminated
-    return replace(
-        images,
-        photons=images.photons * reached,
-        intensity=images.intensity * reached,
-        visible=images.visible & ~covered,
-    )
-
-
 def _render_target(frame: FrameContent, number: int) -> CameraView:
-    """Render a calibration target under lamps."""
     scene, camera = frame.scene, frame.rig.cameras[number]
     if scene.lighting is None or frame.target is None or frame.pose is None:
         raise ValueError(f"frame {frame.number}: expected a target under lamps")
@@ -243,23 +217,14 @@ def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:
     Its sensor's pattern and the background are the same in every frame, and other ones in every
     camera: each has its own random stream.
     """
-    scene, photons = frame.scene, _with_background(frame, view.photons, camera)
-    sensor = scene.sensor.of_camera(camera)
+    scene, photons, seed = frame.scene, view.photons, frame.seed
+    if scene.background is not None:
+        light = static_light(scene.background, photons.shape, stream(seed, "background", camera))
+        brightness = flicker(scene.background, stream(seed, "flicker", frame.number))
+        photons = photons + brightness * full_well_photons(scene.sensor) * light
     if scene.sensor.camera_exposure is not None:
         photons = photons * scene.sensor.camera_exposure[camera]
-    pattern = None
+    sensor, pattern = scene.sensor.of_camera(camera), None
     if sensor.has_pattern:
-        rng = stream(frame.seed, "sensor pattern", camera)
-        pattern = make_pattern(sensor, (view.camera.rows, view.camera.columns), rng)
-    return expose(sensor, photons, frame.sensor_noise(camera), pattern)
-
-
-def _with_background(frame: FrameContent, photons: F64, camera: int) -> F64:
-    """Add the static light of a camera, as bright as it is in this frame."""
-    table = frame.scene.background
-    if table is None:
-        return photons
-    rows, columns = photons.shape
-    light = static_light(table, (rows, columns), stream(frame.seed, "background", camera))
-    bright = flicker(table, stream(frame.seed, "flicker", frame.number))
-    return photons + bright * full_well_photons(frame.scene.sensor) * light
+        pattern = make_pattern(sensor, photons.shape, stream(seed, "sensor pattern", camera))
+    return expose(sensor, photons, stream(seed, "sensor", frame.number, camera), pattern)

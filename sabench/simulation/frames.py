@@ -20,7 +20,6 @@ from sabench.simulation.rendering.particle_light import Scatterers, scatterers_o
 from sabench.simulation.rendering.pixel_truth import depth_of, meets
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
-from sabench.utils.rng import stream
 from sabench.worlds import calibration_targets
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.tracers import Motion, moments, pulse
@@ -88,14 +87,6 @@ class FrameContent:
         """Surfaces of the bodies."""
         return [solid for solid, _ in self.bodies]
 
-    def path_seed(self, camera: int) -> int:
-        """Seed of the random light paths to one camera, by its number in the rig."""
-        return int(stream(self.seed, "light paths", self.number, camera).integers(1 << 20))
-
-    def sensor_noise(self, camera: int) -> np.random.Generator:
-        """Random numbers of one camera's sensor, by its number in the rig."""
-        return stream(self.seed, "sensor", self.number, camera)
-
 
 def inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:
     """Find which points (n, 3) lie in a bubble or a body."""
@@ -141,11 +132,8 @@ class Frames:
     rig : the true optics.
     renderer : mitsuba or splat.
 
-    Raises
-    ------
-    InputError
-        Tracers among bubbles or bodies under a pulse of finite duration; a scene of samples that
-        vary, which `streaming` draws.
+    Raises InputError for tracers among bubbles or bodies under a pulse of finite duration; a scene
+    of samples that vary, which `streaming` draws.
     """
 
     def __init__(self, scene: Scene, rig: Rig, seed: int, renderer: str = "mitsuba") -> None:
@@ -185,10 +173,9 @@ class Frames:
         particles = _select(particles, ~inside(bubbles, solids, particles.position_mm))
         direction = np.asarray(self.scene.particle_world.illumination.direction)
         back = np.tile(-direction / np.linalg.norm(direction), (len(particles), 1))
-        met = meets(bubbles, particles.position_mm, back)
+        dark = meets(bubbles, particles.position_mm, back)
         if solids:
-            met |= BodySearch(solids).first(particles.position_mm, back)[1] >= 0
-        dark = met
+            dark |= BodySearch(solids).first(particles.position_mm, back)[1] >= 0
         return self.assemble(number, bubbles, particles, ~dark)
 
     def assemble(
@@ -202,7 +189,9 @@ class Frames:
         scene, tracers = self.scene, None
         if particles is not None:
             scene = scene.model_copy(update={"illumination": pulse(scene, self.seed, number)})
-            positions = self._positions(particles, number)
+            duration = scene.timing.duration_s if scene.timing else 0.0
+            pulse_s = -duration / 2.0, duration / 2.0
+            positions = self._along(particles, number, pulse_s, self.rig.cameras)
             skewed = scene.timing is not None and scene.timing.skew_s is not None
             exposed = functools.partial(self._expose, particles, number) if skewed else None
             tracers = Tracers(particles, positions, self._scatterers, illuminated, exposed=exposed)
@@ -215,19 +204,12 @@ class Frames:
             bubbles,
             tuple(self._phases.bodies(number)) if self._phases else (),
             tracers,
-            self.placed.target if self.placed else None,
-            self.placed.poses[number] if self.placed else None,
+            *((self.placed.target, self.placed.poses[number]) if self.placed else ()),
         )
 
     @functools.cached_property
     def _scatterers(self) -> Scatterers | None:
         return scatterers_of(self.scene, self.rig.cameras, self.seed)
-
-    def _positions(self, particles: Particles, number: int) -> tuple[F64, ...]:
-        """List positions along each path during the pulse."""
-        duration = self.scene.timing.duration_s if self.scene.timing else 0.0
-        part = -duration / 2.0, duration / 2.0
-        return self._along(particles, number, part, self.rig.cameras)
 
     def _along(
         self,
@@ -236,15 +218,15 @@ class Frames:
         part_s: tuple[float, float],
         cameras: Sequence[Camera],
     ) -> tuple[F64, ...]:
-        """List positions along each path in a part of the pulse.
-
-        As many as its longest image has halves of a pixel.
-        """
         duration, middle = part_s[1] - part_s[0], (part_s[0] + part_s[1]) / 2.0
         if duration == 0.0 or not len(particles):
             return (self._move(particles, number, middle),)
         early, late = (self._move(particles, number, delay) for delay in part_s)
-        longest = max(_longest_px(camera, early, late) for camera in cameras)
+        streaks_px = [
+            np.linalg.norm(camera.project(late)[0] - camera.project(early)[0], axis=1)
+            for camera in cameras
+        ]
+        longest = max(float(np.nanmax(streak)) for streak in streaks_px)
         steps = max(1, int(np.ceil(longest / _STREAK_PX)))
         return tuple(
             self._move(particles, number, middle + delay) for delay in moments(duration, steps)
@@ -253,10 +235,7 @@ class Frames:
     def _expose(
         self, particles: Particles, number: int, camera: int
     ) -> tuple[Particles, tuple[F64, ...], float]:
-        """Give particles and positions of the part of a pulse that a camera records.
-
-        Also its share of the pulse. The particles are at the middle of that part.
-        """
+        """Compute what `Tracers.exposed` gives; particles are at the middle of the part."""
         timing = self.scene.timing
         part = recorded_part(timing, self.scene.sensor, number, camera) if timing else None
         if timing is None or part is None:
@@ -267,7 +246,6 @@ class Frames:
         return replace(particles, position_mm=middle), positions, share
 
     def _move(self, particles: Particles, number: int, delay_s: float) -> F64:
-        """Move positions (n, 3) to some time before or after the middle of the pulse."""
         if self.motion is None or delay_s == 0.0:
             return particles.position_mm
         return self.motion.move(particles, number, delay_s)
@@ -282,12 +260,6 @@ def light_in_fluid(scene: Scene) -> Scene:
         return scene
     light = enter_fluid(scene.light, np.asarray(scene.volume.center_mm), scene.fluid_index)
     return scene.model_copy(update={"illumination": light})
-
-
-def _longest_px(camera: Camera, early_mm: F64, late_mm: F64) -> float:
-    """Compute the longest image of paths between two sets of positions (n, 3)."""
-    ends = [camera.project(points)[0] for points in (early_mm, late_mm)]
-    return float(np.nanmax(np.linalg.norm(ends[1] - ends[0], axis=1)))
 
 
 def _select(particles: Particles, which: Bool) -> Particles:

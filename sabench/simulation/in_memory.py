@@ -32,12 +32,10 @@ class Shot:
 def simulate(scene: Scene, *, seed: int = 0, frame: int = 0, backend: Renderer = "splat") -> Shot:
     """Simulate one frame of the data set that `generate` would make.
 
-    Raises
-    ------
-    InputError
-        As `generate`.
+    Raises InputError as `generate`.
     """
-    return _shot(_frames_of(scene, seed, backend), frame)
+    rig = build_rig(scene, scene.title)
+    return _simulate_frame(Frames(scene, rig, seed, choose_renderer(backend)), frame)
 
 
 def simulate_sequence(
@@ -45,27 +43,20 @@ def simulate_sequence(
 ) -> Iterator[Shot]:
     """Simulate all frames that `generate` would make, one after the other.
 
-    Raises
-    ------
-    InputError
-        As `generate`.
+    Raises InputError as `generate`.
     """
-    frames = _frames_of(scene, seed, backend)
+    frames = Frames(scene, build_rig(scene, scene.title), seed, choose_renderer(backend))
     for frame in range(scene.frames):
-        yield _shot(frames, frame)
+        yield _simulate_frame(frames, frame)
 
 
-def _frames_of(scene: Scene, seed: int, backend: Renderer) -> Frames:
-    return Frames(scene, build_rig(scene, scene.title), seed, choose_renderer(backend))
-
-
-def _shot(frames: Frames, frame: int) -> Shot:
+def _simulate_frame(frames: Frames, frame: int) -> Shot:
     scene, content = frames.scene, frames.at(frame)
     if content.tracers is None:
         raise ValueError(f"{scene.title}: expected a scene with particles")
-    shown = [render(content, number) for number in range(len(frames.rig.cameras))]
-    images = [record_image(content, view, number) for number, view in enumerate(shown)]
-    views: list[View] = [view.particles for view in shown if view.particles is not None]
+    rendered = [render(content, camera) for camera in range(len(frames.rig.cameras))]
+    images = [record_image(content, view, camera) for camera, view in enumerate(rendered)]
+    views: list[View] = [view.particles for view in rendered if view.particles is not None]
     lowest = None
     if takes_all_frames(scene.preprocessing or ()):
         lowest = np.min([record_frame(frames.at(number)) for number in range(scene.frames)], axis=0)

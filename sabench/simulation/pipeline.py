@@ -34,38 +34,30 @@ from sabench.utils.files import refuse_existing
 from sabench.utils.progress import progress_bar
 from sabench.worlds.bubbles_and_bodies import has_code
 
-# per pixel of the picture in work: photons, radiance and noise in double precision, then grey
-# values
-_WORKING_BYTES = 40
-_STORED_BYTES = 2  # per pixel of each picture on the disk: grey values are not compressed
+_WORKING_BYTES = 40  # per pixel in work: photons, radiance and noise as doubles, then grey values
+_STORED_BYTES = 2  # per pixel on the disk: grey values are not compressed
 
 
 def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies: int = 1) -> None:
     """Refuse a scene that cannot fit into memory or on the disk.
 
-    One image at a time must fit into memory, and all images on the disk of the folder.
-
-    Both are lower bounds: a scene that passes may still need too much, one that does not pass would
-    have failed.
-
-    Parameters
-    ----------
-    copies : number of samples of the scene.
+    One image at a time must fit into memory, and all images of all `copies` of the scene on the
+    disk of the folder. Both are lower bounds: a scene that passes may still need too much.
     """
     pixels = scene.cameras.rows * scene.cameras.columns
     pictures = copies * scene.frames * len(rig.cameras)
-    there, need = memory.available_mb(), pixels * _WORKING_BYTES / 1e6
-    if there is not None and need > there:
+    available, need = memory.available_mb(), pixels * _WORKING_BYTES / 1e6
+    if available is not None and need > available:
         size = f"{scene.cameras.rows} x {scene.cameras.columns}"
         raise InputError(
             f"{name}: cameras: expected pictures that fit into memory, but one of {size} pixels "
-            f"needs {need:.0f} MB where {there:.0f} are there"
+            f"needs {need:.0f} MB where {available:.0f} are there"
         )
     world = scene.world
     if isinstance(world, TargetWorld) and world.lighting is None:  # without images
         return
-    there_now = next(path for path in (folder, *folder.parents) if path.exists())
-    free, stored = shutil.disk_usage(there_now).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
+    disk = next(path for path in (folder, *folder.parents) if path.exists())
+    free, stored = shutil.disk_usage(disk).free / 1e6, pixels * pictures * _STORED_BYTES / 1e6
     if stored > free:
         key = "frames" if copies == 1 else "samples"
         raise InputError(
@@ -102,11 +94,8 @@ def generate(
     scheduler : address of a Dask scheduler whose workers do the work, in place of `jobs`; they must
         see the folder of `out`.
 
-    Raises
-    ------
-    InputError
-        A bad scene or seed, an existing folder, no working Mitsuba when it was asked for, or frames
-        that failed again and again.
+    Raises InputError for a bad scene or seed, an existing folder, no working Mitsuba when it was
+    asked for, or frames that failed again and again.
     """
     if not 0 <= seed < 2**63:
         raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
@@ -122,13 +111,10 @@ def generate(
         do = functools.partial(record_task, recorder, parts)
         workers = worker_pool(parts.root, do, jobs, scheduler)
         with contextlib.closing(workers):
-            run_schedule(
-                workers,
-                Schedule(
-                    loaded.frames, recorder.views, chained=recorder.chained, ahead=workers.ahead
-                ),
-                f"render {label} with {job.renderer}",
+            schedule = Schedule(
+                loaded.frames, recorder.views, chained=recorder.chained, ahead=workers.ahead
             )
+            run_schedule(workers, schedule, f"render {label} with {job.renderer}")
         put_together(target, job, recorder, parts, overwrite=overwrite)
     return open_dataset(target)
 
@@ -138,14 +124,8 @@ def worker_pool(
 ) -> WorkerPool:
     """Open this process, some processes or the workers of a Dask scheduler as a pool.
 
-    Parameters
-    ----------
-    root : folder of the job, whose tasks `do` does in this process.
-
-    Raises
-    ------
-    InputError
-        Dask is not installed, or there is no scheduler at the address.
+    `root` is the job's folder. Raises InputError if Dask is not installed, or there is no scheduler
+    at the address.
     """
     if not scheduler:
         return InProcess(do) if jobs == 1 else ProcessPool(root, jobs)
@@ -176,18 +156,17 @@ def _parts(target: Path, job: Job) -> Iterator[Parts]:
         ) from error
     except UnfinishedError:
         raise
-    except InputError:  # what no other try would mend
+    except InputError:  # another try would fail again
         _forget(target)
         raise
     except BaseException:
-        if parts.empty():
+        if not any(parts.root.glob("views/*.npz")):
             _forget(target)
         raise
     _forget(target)
 
 
 def _forget(target: Path) -> None:
-    """Remove all parts of a data set, also those of another scene or seed."""
     for folder in target.parent.glob(f".{glob.escape(target.name)}.parts-*"):
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -196,7 +175,10 @@ def put_together(
     target: Path, job: Job, recorder: Recorder, parts: Parts, *, overwrite: bool
 ) -> None:
     """Make the data set from all its parts."""
-    rig = build_rig(job.scene, job.label)
+    rig, world, shows = build_rig(job.scene, job.label), job.scene.world, list[Shown]()
+    if isinstance(world, BubbleWorld):
+        shows += ["particles"] if world.tracers else []
+        shows += ["bubbles", "code"] if has_code(job.scene) else ["bubbles"]
     nominal = nominal_cameras(job.scene, rig.cameras, job.seed)
     with dataset_writer(
         target,
@@ -206,7 +188,7 @@ def put_together(
         nominal,
         job.seed,
         job.renderer,
-        shows=_shows(job.scene),
+        shows=tuple(shows),
         overwrite=overwrite,
     ) as writer:
         for frame in progress_bar(range(job.scene.frames), f"store {job.label}"):
@@ -220,18 +202,7 @@ def put_together(
         recorder.finish(writer, parts)
 
 
-def _shows(scene: Scene) -> tuple[Shown, ...]:
-    """List kinds of objects in frames of bubbles and bodies; none for other scenes."""
-    world = scene.world
-    if not isinstance(world, BubbleWorld):
-        return ()
-    particles: tuple[Shown, ...] = ("particles",) if world.tracers else ()
-    code: tuple[Shown, ...] = ("code",) if has_code(scene) else ()
-    return (*particles, "bubbles", *code)
-
-
 def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
-    """Choose the renderer of a scene; a target without lamps has no images."""
     world = scene.world
     if isinstance(world, BubbleWorld):
         if asked == "splat":
@@ -242,6 +213,7 @@ def _renderer(scene: Scene, asked: Renderer, label: str) -> str:
         return choose_renderer("mitsuba")
     if not isinstance(world, TargetWorld) or world.lighting is not None:
         return choose_renderer(asked)
+    # a target without lamps has no images
     if asked == "mitsuba":
         raise InputError(
             f"{label}: lighting: expected lamps to render a target by, got none; the backend splat "

@@ -7,7 +7,6 @@ manifest of the data set is merged from what the writers noted of theirs.
 from __future__ import annotations
 
 import contextlib
-import math
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,15 +18,11 @@ from sabench.dataset import schema
 from sabench.dataset.data_card import write_card
 from sabench.dataset.sample_set import SampleSet, open_samples
 from sabench.dataset.shards import Compression, Kept, ShardFolder, TruthKind, check_shares
-from sabench.dataset.writer import file_entry, list_versions, with_copies
+from sabench.dataset.writer import list_versions, with_copies
 from sabench.scenes import Scene, build_rig, load_scene
 from sabench.simulation.pipeline import check_affordable, worker_pool
 from sabench.simulation.recording.parts import Job
-from sabench.simulation.recording.schedule import (
-    Schedule,
-    UnfinishedError,
-    run_schedule,
-)
+from sabench.simulation.recording.schedule import Schedule, UnfinishedError, run_schedule
 from sabench.simulation.shard_job import PLAN, ShardJob, ShardMaker
 from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
@@ -69,36 +64,33 @@ def generate_samples(
     size : samples of a shard; by default 64 MB of grey values, and at most 1000.
     name, overwrite, jobs, scheduler : as for `generate`.
 
-    Raises
-    ------
-    InputError
-        As `stream`; an existing folder, an unfinished data set of something else, a full
-        disk, or shards that failed again and again.
+    Raises InputError as `stream`; an existing folder, an unfinished data set of something else, a
+    full disk, or shards that failed again and again.
     """
     loaded, target = scene if isinstance(scene, Scene) else load_scene(scene), Path(out).absolute()
     label = name or (loaded.title if isinstance(scene, Scene) else Path(scene).stem)
-    _check_numbers(samples=samples, jobs=jobs, size=1 if size is None else size)
+    for key, value in {
+        "samples": samples,
+        "jobs": jobs,
+        "size": 1 if size is None else size,
+    }.items():
+        if value < 1:
+            raise InputError(f"{key}: expected 1 or more, got {value}")
     check_shares(split)
     if not 0 <= seed < 2**63:
         raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
     kept = Kept(tuple(truth), compression)
-    pictures = (
-        math.prod(
-            len(build_rig(loaded, label).cameras), loaded.cameras.rows, loaded.cameras.columns
-        )
-        * loaded.frames
-    )
-    size = size or min(_MOST_SAMPLES, max(1, _SHARD_BYTES // (2 * pictures)))
+    rig = build_rig(loaded, label)
+    pixels = len(rig.cameras) * loaded.cameras.rows * loaded.cameras.columns * loaded.frames
+    size = size or min(_MOST_SAMPLES, max(1, _SHARD_BYTES // (2 * pixels)))
     own = Job(loaded, seed, choose_renderer("splat" if backend == "auto" else backend), label)
     job = ShardJob(own, samples, tuple(float(share) for share in split), size, kept)
     refuse_existing(target, overwrite=overwrite)
     copies = samples if compression == "none" else 1
-    check_affordable(label, loaded, build_rig(loaded, label), target.parent, copies=copies)
+    check_affordable(label, loaded, rig, target.parent, copies=copies)
     with _folder(target, job, overwrite=overwrite) as root:
         shards = job.shards
-        maker = ShardMaker(
-            job, root
-        )  # finds what is wrong with the scene before anything is rendered
+        maker = ShardMaker(job, root)  # finds faults of the scene before anything is rendered
         workers = worker_pool(root, maker, jobs, scheduler)
         with contextlib.closing(workers):
             schedule = Schedule(len(shards), 0, chained=False, ahead=workers.ahead)
@@ -107,12 +99,6 @@ def generate_samples(
         merge_shards(job, ShardFolder(root))
         put_in_place(target, root / "data")
     return open_samples(target)
-
-
-def _check_numbers(**numbers: int) -> None:
-    for name, value in numbers.items():
-        if value < 1:
-            raise InputError(f"{name}: expected 1 or more, got {value}")
 
 
 @contextlib.contextmanager
@@ -126,7 +112,9 @@ def _folder(target: Path, job: ShardJob, *, overwrite: bool) -> Iterator[Path]:
     try:
         with FileLock(root / "lock", timeout=0), _cleaned(root):
             if overwrite and job.changes(root):
-                _clear(root)
+                for name in ("data", "entries"):
+                    shutil.rmtree(root / name, ignore_errors=True)
+                (root / PLAN).unlink()
             job.write(root)
             shutil.rmtree(root / "making", ignore_errors=True)
             yield root
@@ -149,13 +137,6 @@ def _cleaned(root: Path) -> Iterator[None]:
     finally:
         if not any(root.glob("entries/*.json")) or not (root / "data").is_dir():
             shutil.rmtree(root, ignore_errors=True)
-
-
-def _clear(root: Path) -> None:
-    """Remove the shards of something else."""
-    for name in ("data", "entries"):
-        shutil.rmtree(root / name, ignore_errors=True)
-    (root / PLAN).unlink()
 
 
 def merge_shards(job: ShardJob, folder: ShardFolder) -> None:
@@ -185,14 +166,14 @@ def merge_shards(job: ShardJob, folder: ShardFolder) -> None:
         "shards": [entry.model_dump() for entry in shards],
     }
     write_card(root, head, own.scene.title, job.shards)
-    files = {}
-    for path in sorted(path for path in root.rglob("*") if path.is_file()):
-        name = path.relative_to(root).as_posix()
-        if name != schema.MANIFEST and not name.startswith(tuple(f"{s}/" for s in schema.SIDES)):
-            files[name] = file_entry(path).model_dump()
-    head["files"] = files
-    head["content_hash"] = schema.content_hash(
-        {name: schema.FileEntry(**one) for name, one in head["files"].items()}
-        | {name: file for entry in shards for name, file in entry.files.items()}
-    )
+    files = {
+        path.relative_to(root).as_posix(): schema.FileEntry.of(path)
+        for path in sorted(root.rglob("*"))
+        if path.is_file()
+        and path != root / schema.MANIFEST
+        and path.relative_to(root).parts[0] not in schema.SIDES
+    }
+    head["files"] = {name: entry.model_dump() for name, entry in files.items()}
+    in_shards = {name: file for entry in shards for name, file in entry.files.items()}
+    head["content_hash"] = schema.content_hash(files | in_shards)
     (root / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")

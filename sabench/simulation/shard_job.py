@@ -55,10 +55,7 @@ class ShardJob:
     def write(self, root: Path) -> None:
         """Write it to the folder in which its shards are made.
 
-        Raises
-        ------
-        InputError
-            Shards of something else are there.
+        Raises InputError if shards of something else are there.
         """
         (root / "data").mkdir(parents=True, exist_ok=True)
         if changes := self.changes(root):

@@ -98,11 +98,8 @@ def stream(
     key : that `stream_key` gave when the stream was begun, for one that goes on.
     part : (k, n) for every n-th batch from the k-th on: n processes share the work.
 
-    Raises
-    ------
-    InputError
-        As `simulate`; a range of `vary` at whose ends no scene can be, unless impossible samples
-        are redrawn; cameras that differ in number or size; another key.
+    Raises InputError as `simulate`; a range of `vary` at whose ends no scene can be, unless
+    impossible samples are redrawn; cameras that differ in number or size; another key.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     if key is not None and key != (now := stream_key(scene, seed=seed, backend=backend)):

@@ -41,7 +41,6 @@ def hugging_face_samples(samples: SampleSet, particles: int | None = None) -> An
 def _read(
     samples: SampleSet, particles: int | None, parts: Sequence[int]
 ) -> Iterator[dict[str, Any]]:
-    """Read the parts of one worker, each a run of samples."""
     count = min(_PARTS, len(samples))
     for part in parts:
         for row in range(len(samples) * part // count, len(samples) * (part + 1) // count):

@@ -25,7 +25,6 @@ class TorchSamples(Dataset):  # type: ignore[misc]
         self._samples, self._particles = samples, particles
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self._samples)
 
     def __getitem__(self, index: int) -> Tensors:
@@ -52,7 +51,6 @@ class TorchBatches(IterableDataset):  # type: ignore[misc]
         self._batches, self._particles = batches, particles
 
     def __iter__(self) -> Iterator[Tensors]:
-        """Make the batches of this worker."""
         worker = get_worker_info()
         part = (0, 1) if worker is None else (worker.id, worker.num_workers)
         for batch in self._batches(part=part):

@@ -26,7 +26,14 @@ class DaskPool:
 
     def __init__(self, address: str, root: Path) -> None:
         self._root = str(root)
-        self._client = _connect(address)
+        with config.set({"distributed.comm.timeouts.connect": _CONNECT_S}):
+            try:
+                self._client = Client(address, timeout=_CONNECT_S)
+            except (OSError, ValueError, TimeoutError) as error:
+                got = f"{type(error).__name__}: {error}"
+                raise InputError(
+                    f"scheduler: expected a Dask scheduler at {address}, got {got}"
+                ) from error
         self._tasks: dict[Any, tuple[Hashable, Task]] = {}
 
     @property
@@ -80,17 +87,6 @@ class DaskPool:
 
     def _addresses(self) -> list[str]:
         return list(self._client.scheduler_info(n_workers=-1)["workers"])
-
-
-def _connect(address: str) -> Client:
-    with config.set({"distributed.comm.timeouts.connect": _CONNECT_S}):
-        try:
-            return Client(address, timeout=_CONNECT_S)
-        except (OSError, ValueError, TimeoutError) as error:
-            got = f"{type(error).__name__}: {error}"
-            raise InputError(
-                f"scheduler: expected a Dask scheduler at {address}, got {got}"
-            ) from error
 
 
 def _run_task(root: str, frame: int, camera: int | None) -> None:

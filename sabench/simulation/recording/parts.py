@@ -58,22 +58,14 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Hash of all that partial results depend on.
-
-        Partial results of equal keys may be combined.
-        """
+        """Hash of all that partial results depend on: those of equal keys may be combined."""
         versions = {package: importlib.metadata.version(package) for package in _RENDERING}
         return digest([self.scene.hash, self.seed, self.renderer, code_hash(), versions])
 
     def write(self, root: Path) -> None:
         """Write it to the folder of its partial results."""
         root.mkdir(parents=True, exist_ok=True)
-        values = {
-            "seed": self.seed,
-            "renderer": self.renderer,
-            "label": self.label,
-            "key": self.key,
-        }
+        values = {key: getattr(self, key) for key in ("seed", "renderer", "label", "key")}
         for name, text in ((_SCENE, self.scene.to_toml()), (JOB, canonical_json(values))):
             # atomic: a worker may be reading it
             with complete_or_nothing(root / name, overwrite=True) as partial:
@@ -83,11 +75,8 @@ class Job:
 def read_job(root: Path) -> Job:
     """Read the job of a folder.
 
-    Raises
-    ------
-    InputError
-        This machine does not see the folder, or has other versions of sabench or of the packages
-        that render than the one that wrote it.
+    Raises InputError if this machine does not see the folder, or has other versions of sabench or
+    of the packages that render than the one that wrote it.
     """
     if not (root / JOB).is_file():
         raise InputError(
@@ -201,22 +190,14 @@ class Parts:
             write_tiff(partial, taken.grey)
         with atomic_file(self.root / exr) as partial:
             write_exr(partial, taken.radiance)
-        files = {name: self._entry(name).model_dump() for name in (tif, exr)}
+        files = {name: schema.FileEntry.of(self.root / name).model_dump() for name in (tif, exr)}
         text = np.frombuffer(json.dumps(files).encode(), dtype=np.uint8)
         _save(self._view(frame, camera), Part(_part(frame, taken.truth).arrays | {_FILES: text}))
-
-    def _entry(self, name: str) -> schema.FileEntry:
-        path = self.root / name
-        return schema.FileEntry(bytes=path.stat().st_size, sha256=sha256(path))
 
     def _check(self) -> None:
         """Refuse to write for a data set that another process has completed meanwhile."""
         if not self.root.is_dir():
             raise InputError(f"{self.root}: expected a data set that is being made, but it is gone")
-
-    def empty(self) -> bool:
-        """Return whether no camera has recorded anything."""
-        return not any(self.root.glob("views/*.npz"))
 
     def _frame(self, frame: int) -> Path:
         return self.root / "frames" / f"{frame:04d}.npz"

@@ -85,8 +85,7 @@ class Recorder:
         if motion is not None and self.chained and number and motion.last != number - 1:
             motion.resume(number - 1, _tracers(recall(number - 1), number - 1))
         self._last = self._frames.at(number)
-        flow = _flow(self._scene, self._frames.seed, number)
-        return [*_truth(self._last), *flow, *self._kept(self._last)]
+        return [*self._truth(self._last), *self._kept(self._last)]
 
     def view(self, number: int, camera: int, recall: Recall) -> Taken:
         """Render one camera's image of a frame, and its truth.
@@ -105,15 +104,29 @@ class Recorder:
         frame = self._last
         view = render(frame, camera)
         grey = record_image(frame, view, camera)
-        every = (view.sight, view.particles)
-        return Taken(
-            [(one, view.camera.name) for one in every if one is not None],
-            grey,
-            view.radiance().astype(np.float32),
-        )
+        truth: list[Entry] = [
+            (part, view.camera.name) for part in (view.sight, view.particles) if part is not None
+        ]
+        return Taken(truth, grey, view.radiance().astype(np.float32))
 
     def finish(self, writer: DatasetWriter, parts: Parts) -> None:
         """Store what all parts together make: nothing, for most scenes."""
+
+    def _truth(self, frame: FrameContent) -> Iterator[Entry]:
+        if frame.bubbles is not None:
+            yield frame.bubbles, ""
+        for number, solid in enumerate(frame.solids):
+            yield solid, number
+        if frame.tracers is not None:
+            yield frame.tracers.particles, ""
+            if (tracer := frame.scene.tracer).mixture:
+                ids = frame.tracers.particles.id
+                yield Materials(material_numbers(tracer, frame.seed, ids)), ""
+        if frame.pose is not None:
+            yield TargetPose(frame.pose.rotation, frame.pose.position_mm), ""
+        if step_mm := self._scene.flow_grid_mm:
+            field, gradient = lattice(self._scene, frame.number, step_mm, self._seed)
+            yield ExactFlow(field.velocity_mm_s, gradient, field.low_mm, field.step_mm), ""
 
     def _kept(self, frame: FrameContent) -> Iterator[Entry]:
         """Select what later tasks need besides the truth.
@@ -155,25 +168,23 @@ class TargetRecorder(Recorder):
         found = []
         for number, camera in enumerate(self.cameras):
             exact = calibration_targets.exact_pixels(camera, self._placed.points_mm)
-            pixels, outliers = self._collect_points(parts, number, exact)
+            if self.views:
+                pixels = self._collect_points(parts, camera.name)
+                outliers = np.zeros(exact.shape[:2], dtype=np.bool_)
+            else:
+                pixels, outliers = calibration_targets.found_pixels(
+                    self._scene.detection, exact, self._seed, number
+                )
             writer.add_sighting(camera.name, Sighting(exact, outliers))
             found.append(pixels)
         prior = self._prior
         points = np.stack(found), prior.initial_mm, prior.known_mm, prior.known_sigma_mm
         writer.add_points(TargetPoints(*points))
 
-    def _collect_points(self, parts: Parts, camera: int, exact: F64) -> tuple[F64, Bool]:
-        """Collect the points that a camera detected.
-
-        Pixels (frame, point, 2), and which are outliers (frame, point).
-        """
-        if not self.views:
-            detection = self._scene.detection
-            return calibration_targets.found_pixels(detection, exact, self._seed, camera)
-        name, frames = self.cameras[camera].name, range(self._scene.frames)
-        detected = [parts.view(frame, name).find(_Detected) for frame in frames]
-        found = np.stack([one.detected for one in detected if one is not None])
-        return found, np.zeros(exact.shape[:2], dtype=np.bool_)
+    def _collect_points(self, parts: Parts, camera: str) -> F64:
+        frames = range(self._scene.frames)
+        detected = [parts.view(frame, camera).find(_Detected) for frame in frames]
+        return np.stack([part.detected for part in detected if part is not None])
 
 
 def recorder_of(scene: Scene, seed: int, renderer: str, label: str) -> Recorder:
@@ -195,31 +206,8 @@ def record_task(recorder: Recorder, parts: Parts, task: Task) -> None:
 
 
 def _tracers(part: Part, number: int) -> Particles:
-    """Read all tracers of a frame from its part."""
-    every: Particles | None = part.find(_State)
-    every = part.find(Particles, number) if every is None else every
-    if every is None:
+    particles: Particles | None = part.find(_State)
+    particles = part.find(Particles, number) if particles is None else particles
+    if particles is None:
         raise InputError(f"frame {number}: expected a part with tracers, got one without")
-    return every
-
-
-def _truth(frame: FrameContent) -> Iterator[Entry]:
-    """Collect a frame's truth apart from its cameras'."""
-    if frame.bubbles is not None:
-        yield frame.bubbles, ""
-    for number, solid in enumerate(frame.solids):
-        yield solid, number
-    if frame.tracers is not None:
-        yield frame.tracers.particles, ""
-        if (tracer := frame.scene.tracer).mixture:
-            ids = frame.tracers.particles.id
-            yield Materials(material_numbers(tracer, frame.seed, ids)), ""
-    if frame.pose is not None:
-        yield TargetPose(frame.pose.rotation, frame.pose.position_mm), ""
-
-
-def _flow(scene: Scene, seed: int, number: int) -> Iterator[Entry]:
-    """Sample the exact flow of a frame, where the scene asks for it."""
-    if scene.flow_grid_mm:
-        field, gradient = lattice(scene, number, scene.flow_grid_mm, seed)
-        yield ExactFlow(field.velocity_mm_s, gradient, field.low_mm, field.step_mm), ""
+    return particles

@@ -58,10 +58,7 @@ class WorkerPool(Protocol):
     def wait(self) -> list[Outcome]:
         """Wait for something to happen, and return the tasks that have ended.
 
-        Raises
-        ------
-        InputError, OSError
-            Failures that another try would not change.
+        Raises InputError, OSError for failures that another try would not change.
         """
 
     def close(self) -> None:
@@ -107,11 +104,22 @@ class Schedule:
 
     def take(self, last: int | None) -> Task | None:
         """Return a task for a worker whose last frame was `last`; None if it has to wait."""
-        self._begin()
+        while len(self._open) < self._ahead and self._next < self._frames and not self._broken:
+            self._open[self._next] = _Frame()
+            self._next += 1
         own = self._open.get(last) if last is not None else None
         if own is not None and own.views:
             return self._view(own)
-        return self._truth() or self._take_untouched() or self._help()
+        for number, frame in self._open.items():
+            if not frame.given and (not self._chained or number <= self._reached + 1):
+                frame.given = True
+                return Task(number)
+        # then a frame that no worker has recorded from yet, or the one with the most cameras left
+        waiting = [frame for frame in self._open.values() if frame.views]
+        chosen = next((frame for frame in waiting if not frame.touched), None) or max(
+            waiting, key=lambda frame: len(frame.views), default=None
+        )
+        return self._view(chosen) if chosen is not None else None
 
     def complete(self, task: Task) -> None:
         """Note that a task has been done."""
@@ -149,30 +157,6 @@ class Schedule:
             self._broken = True
             self._open = {number: frame for number, frame in self._open.items() if frame.made}
 
-    def _begin(self) -> None:
-        while len(self._open) < self._ahead and self._next < self._frames and not self._broken:
-            self._open[self._next] = _Frame()
-            self._next += 1
-
-    def _truth(self) -> Task | None:
-        for number, frame in self._open.items():
-            if not frame.given and (not self._chained or number <= self._reached + 1):
-                frame.given = True
-                return Task(number)
-        return None
-
-    def _take_untouched(self) -> Task | None:
-        """Take a camera of a frame that no worker has recorded from yet."""
-        for frame in self._open.values():
-            if frame.views and not frame.touched:
-                return self._view(frame)
-        return None
-
-    def _help(self) -> Task | None:
-        """Take a camera of the frame with the most cameras left."""
-        most = max(self._open.values(), key=lambda frame: len(frame.views), default=None)
-        return self._view(most) if most is not None and most.views else None
-
     def _view(self, frame: _Frame) -> Task:
         frame.touched = True
         return frame.views.popleft()
@@ -191,7 +175,12 @@ def run_schedule(
     last: dict[Hashable, int] = {}
     with bar(doing, schedule.tasks) as advance:
         while not schedule.finished:
-            _give_tasks(pool, schedule, last)
+            for worker in pool.idle():
+                task = schedule.take(last.get(worker))
+                if task is None:
+                    break
+                last[worker] = task.frame
+                pool.give(worker, task)
             for outcome in pool.wait():
                 if outcome.failure is None:
                     schedule.complete(outcome.task)
@@ -199,25 +188,12 @@ def run_schedule(
                 else:
                     schedule.fail(outcome.task, outcome.failure)
     if schedule.failures:
-        raise UnfinishedError(f"{doing}: {_describe_failures(schedule, name)}")
-
-
-def _give_tasks(pool: WorkerPool, schedule: Schedule, last: dict[Hashable, int]) -> None:
-    for worker in pool.idle():
-        task = schedule.take(last.get(worker))
-        if task is None:
-            return
-        last[worker] = task.frame
-        pool.give(worker, task)
-
-
-def _describe_failures(schedule: Schedule, name: Callable[[Task], str]) -> str:
-    (task, why), *others = schedule.failures
-    more = f", and {len(others)} more" if others else ""
-    return (
-        f"{name(task)} failed {TRIES} times{more}: {why}; "
-        "finished tasks are kept: run the same command again to resume"
-    )
+        (task, why), *others = schedule.failures
+        more = f", and {len(others)} more" if others else ""
+        raise UnfinishedError(
+            f"{doing}: {name(task)} failed {TRIES} times{more}: {why}; "
+            "finished tasks are kept: run the same command again to resume"
+        )
 
 
 class UnfinishedError(InputError):

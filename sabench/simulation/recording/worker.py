@@ -13,7 +13,6 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import TextIO
 
 from sabench.simulation.recording.parts import JOB, Parts, read_job
 from sabench.simulation.recording.recorders import record_task, recorder_of
@@ -46,22 +45,16 @@ def _main() -> None:
     root, threads = sys.argv[1], int(sys.argv[2])
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
         os.dup2(2, 1)  # libraries that print must not answer
-        # of libraries that do not read their number in the environment
         import cv2
 
-        cv2.setNumThreads(threads)
+        cv2.setNumThreads(threads)  # OpenCV and Mitsuba do not read the number in the environment
         if read_json(Path(root) / JOB)["renderer"] == "mitsuba":
             backend.limit(threads)
-        _serve(root, answers)
-
-
-def _serve(root: str, answers: TextIO) -> None:
-    """Answer until the parent process closes its pipe, or has been killed."""
-    for line in sys.stdin:
-        try:
-            print(json.dumps(_try(root, Task(*json.loads(line)))), file=answers, flush=True)
-        except BrokenPipeError:
-            return
+        for line in sys.stdin:
+            try:
+                print(json.dumps(_try(root, Task(*json.loads(line)))), file=answers, flush=True)
+            except BrokenPipeError:  # the parent process has been killed
+                return
 
 
 def _try(root: str, task: Task) -> tuple[str, str | None]:

@@ -35,31 +35,8 @@ _NONE = 0xFFFFFFFF
 # mm: where a ray starts in front of the surface that it leaves; single precision at 100 mm
 _OFF = 2e-5
 _PRIMES = (
-    2,
-    3,
-    5,
-    7,
-    11,
-    13,
-    17,
-    19,
-    23,
-    29,
-    31,
-    37,
-    41,
-    43,
-    47,
-    53,
-    59,
-    61,
-    67,
-    71,
-    73,
-    79,
-    83,
-    89,
-)
+    2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71, 73, 79, 83, 89,
+)  # fmt: skip
 # numbers of a ray's position in its pixel and on the lens; events at surfaces take those that
 # follow
 _FIRST = 4
@@ -151,7 +128,6 @@ def _cloud(cloud: Cloud | None) -> tuple[Any, ...] | None:
 
 
 def _rays(camera: Camera, origin: F64, pixel: Any, draw: _Draw, pinhole: bool) -> Any:
-    """Make rays of pixels from the aperture, or its middle, to the plane in focus."""
     table = draw.table()
     u = [draw.number(table, mi.UInt32(dimension)) for dimension in range(_FIRST)]
     across = mi.Float(pixel % camera.columns) + u[0] - 0.5
@@ -292,7 +268,6 @@ def _pace(device: Any) -> Any:
 
 
 def _body_radiance(device: Any, si: Any, active: Any) -> Any:
-    """Compute radiance of a body's surface under the lamps."""
     total = mi.Float(0.0)
     if not device.stage.bodies or not (device.lamps or device.stage.lamps):
         return total
@@ -310,7 +285,6 @@ def _body_radiance(device: Any, si: Any, active: Any) -> Any:
 
 
 def _scatter(si: Any, chance: Any, other: Any, active: Any, device: Any) -> tuple[Any, Any]:
-    """Sample the next ray at a body, and its weight."""
     if not device.stage.bodies:
         return mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0)), mi.Float(0.0)
     sampled, value = si.bsdf().sample(

@@ -1,8 +1,6 @@
-"""Stage of a render: everything that light meets, in the frame of the render.
+"""Stage of a render: bubbles, drops, bodies, tracers, walls and lights, in Mitsuba.
 
-bubble_stage: Stage of a render: everything that light meets, in the frame of the render.
-
-bubble_stage_builder: Builder of the stage of bubbles, drops, bodies and tracers, in Mitsuba.
+Positions are in the frame of the render, whose origin is the lamps' centre: single precision.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from sabench.scenes.illumination import Backlight, Lighting
 from sabench.simulation.rendering.lamps import Lamps, facing_of, place_lamps
 from sabench.simulation.rendering.mesh_intersection import mesh_of
 from sabench.simulation.rendering.particle_images import ParticleImages
-from sabench.simulation.rendering.particles_traced import balls, glow_of
+from sabench.simulation.rendering.particles_traced import balls, ellipsoids, glow_of
 from sabench.utils import backend
 from sabench.utils.arrays import F64
 
@@ -149,14 +147,18 @@ class Stager:
             f"body_{i}": _mesh(self._mi, solid, material, self.origin, tank)
             for i, (solid, material) in enumerate(bodies)
         }
-        self._shadows = self._throw_shadows(bodies) if lights.lighting else None
+        opaque = {
+            name: self._bodies[name]
+            for name, (_, material) in zip(self._bodies, bodies, strict=True)
+            if material.kind != "liquid"
+        }
+        throws = bool(opaque and lights.lighting)
+        self._shadows = self._mi.load_dict({"type": "scene", **opaque}) if throws else None
         self._cloud = _cloud(camera, images, particles_mm, self.origin)
         full = lights.full_photons / float(camera.etendue().max())  # radiance
         self._panel = _panel(lights.backlight, self.origin, full / tank.straight())
         self._lamps = _lamps(lights.lighting, camera, self.origin, full)
-        shining = [
-            light.exposure for light in (lights.backlight, lights.lighting) if light is not None
-        ]
+        shining = [light.exposure for light in (lights.backlight, lights.lighting) if light]
         self.brightest = max(shining, default=1.0) * full
         self._radius = _bounding_radius(bubbles, bodies, self._cloud, self.origin)
         self._made: tuple[float, Stage] | None = None
@@ -166,42 +168,20 @@ class Stager:
         moving = bool(np.any(self._bubbles.velocity_mm_s)) and delay_s != 0.0
         moment = delay_s if moving else 0.0
         if self._made is None or self._made[0] != moment:
-            self._made = (
-                moment,
-                self._stage(
-                    replace(
-                        self._bubbles,
-                        center_mm=self._bubbles.center_mm + moment * self._bubbles.velocity_mm_s,
-                    )
-                ),
-            )
+            center_mm = self._bubbles.center_mm + moment * self._bubbles.velocity_mm_s
+            self._made = moment, self._stage(replace(self._bubbles, center_mm=center_mm))
         return self._made[1]
-
-    def _throw_shadows(self, bodies: Sequence[tuple[Solid, Material]]) -> Any:
-        """Make a scene of the opaque bodies alone, None if there are none."""
-        shadows = {
-            name: self._bodies[name]
-            for name, (_, material) in zip(self._bodies, bodies, strict=True)
-            if material.kind != "liquid"
-        }
-        return self._mi.load_dict({"type": "scene", **shadows}) if shadows else None
 
     def _stage(self, bubbles: Bubbles) -> Stage:
         mi, tank = self._mi, self._tank
         centers = bubbles.center_mm - self.origin
         shapes: dict[str, Any] = dict(self._bodies)
         if len(bubbles):
-            # all bubbles are one shape
             from scipy.spatial.transform import Rotation
 
             rotations = Rotation.from_matrix(bubbles.turn.transpose(0, 2, 1)).as_quat()
-            data = np.hstack([centers, bubbles.semi_axes_mm, rotations]).astype(np.float32)
-            shapes["bubbles"] = {
-                "type": "ellipsoids",
-                "data": mi.TensorXf(data),
-                "extent": 1.0,
-                "bsdf": {"type": "diffuse"},
-            }
+            data = np.hstack([centers, bubbles.semi_axes_mm, rotations])
+            shapes["bubbles"] = ellipsoids(mi, data, 1.0)
         if self._cloud is not None:
             shapes["balls"] = balls(mi, self._cloud.centers, self._cloud.radii)
         scene = mi.load_dict({"type": "scene", **shapes})
@@ -230,12 +210,10 @@ class Stager:
 
 
 def _mesh(mi: Any, solid: Solid, material: Material, origin: F64, tank: Tank) -> Any:
-    """Convert a body to a mesh of Mitsuba's."""
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(_bsdf(material, tank))
-    return mesh_of(
-        mi, solid, origin, has_vertex_normals=material.kind == "liquid", props=properties
-    )
+    smooth = material.kind == "liquid"
+    return mesh_of(mi, solid, origin, has_vertex_normals=smooth, props=properties)
 
 
 def _bsdf(material: Material, tank: Tank) -> dict[str, Any]:
@@ -246,11 +224,7 @@ def _bsdf(material: Material, tank: Tank) -> dict[str, Any]:
     color = {"type": "uniform", "value": material.reflectance}
     if material.kind == "matte":
         return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": color}}
-    rest = {
-        "roughness": material.roughness,
-        "metallic": material.metallic,
-        "specular": material.specular,
-    }
+    rest = {name: getattr(material, name) for name in ("roughness", "metallic", "specular")}
     return {"type": "twosided", "bsdf": {"type": "principled", "base_color": color, **rest}}
 
 
@@ -264,10 +238,8 @@ def _cloud(
         return None
     from sabench.simulation.rendering.particle_integrator import Cloud  # needs the variant
 
-    return Cloud(
-        positions_mm[bright] - origin,
-        *glow_of(images, images.shape_mm(camera, positions_mm), bright),
-    )
+    glow = glow_of(images, images.shape_mm(camera, positions_mm), bright)
+    return Cloud(positions_mm[bright] - origin, *glow)
 
 
 def _stacks(tank: Tank, origin: F64) -> tuple[Stack | None, Stack | None]:
@@ -275,17 +247,14 @@ def _stacks(tank: Tank, origin: F64) -> tuple[Stack | None, Stack | None]:
     wall = tank.wall
     if wall is None:
         return None, None
-    start = -float(
-        wall.depth_of(origin)
-    )  # of the outer face, along the normal, in the frame of the render
+    start = -float(wall.depth_of(origin))  # of the outer face, along the normal
     front = Stack(start + wall.interface_depths_mm[::-1], wall.indices[::-1])
     if wall.depth_mm is None:
         return front, None
     inner = start + wall.thickness_mm + wall.depth_mm
     faces = inner + np.cumsum([0.0, *(layer.thickness_mm for layer in tank.rear)])
-    return front, Stack(
-        faces, np.array([wall.fluid_index, *(layer.index for layer in tank.rear), wall.air_index])
-    )
+    indices = [wall.fluid_index, *(layer.index for layer in tank.rear), wall.air_index]
+    return front, Stack(faces, np.array(indices))
 
 
 def _panel(light: Backlight | None, origin: F64, full: float) -> Panel | None:
@@ -294,16 +263,15 @@ def _panel(light: Backlight | None, origin: F64, full: float) -> Panel | None:
     normal = np.asarray(light.normal) / np.linalg.norm(light.normal)
     across = np.asarray(light.x_axis) - np.dot(light.x_axis, normal) * normal
     across /= np.linalg.norm(across)
-    edges = np.stack(
-        [across * light.size_mm[0] / 2.0, np.cross(normal, across) * light.size_mm[1] / 2.0]
-    )
+    width, height = light.size_mm
+    edges = np.stack([across * width / 2.0, np.cross(normal, across) * height / 2.0])
     return Panel(np.asarray(light.center_mm) - origin, edges, light.exposure * full)
 
 
 def _lamps(light: Lighting | None, camera: Camera, origin: F64, full: float) -> Lamps | None:
-    """Place the lamps, whose exposure is seen through the front wall."""
     if not light:
         return None
+    # their exposure is seen through the front wall
     pinhole, facing = np.asarray(camera.center_mm), facing_of(camera)
     behind = full / float(transmittance(camera.wall, pinhole, facing[None])[0])
     return place_lamps(light, camera, origin, origin, behind)
@@ -315,7 +283,6 @@ def _bounding_radius(
     cloud: Cloud | None,
     origin: F64,
 ) -> float:
-    """Compute the radius of a ball around the origin that holds everything."""
     corners = [
         np.linalg.norm(bubbles.center_mm - origin, axis=1)
         + bubbles.semi_axes_mm.max(axis=1, initial=0.0)

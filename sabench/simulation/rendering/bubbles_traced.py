@@ -1,10 +1,6 @@
-"""Passes of pixels: mean, scatter, and how many an accuracy asks for.
+"""Renderer of bubbles, drops, bodies and tracers under a diffuser or lamps, to an accuracy.
 
-pass_tally: Passes of pixels: mean, scatter, and how many an accuracy asks for.
-
-bubbles_traced: Renderer of bubbles, drops, bodies and tracers, to a requested accuracy.
-
-A diffuser or lamps illuminate the scene.
+Pixels get passes of rays until the scatter of their means is as small as requested.
 """
 
 from __future__ import annotations
@@ -51,7 +47,6 @@ class PassTally:
     """
 
     def __init__(self, counted: Bool) -> None:
-        """Start without passes."""
         size = counted.size
         self._shape, self._counted = counted.shape, counted.ravel()
         self.count = np.zeros(size, dtype=np.int64)
@@ -287,7 +282,6 @@ def _passes(
 def _list_passes(
     some: Any, before: Any, more: Any, pixels: Any, turn: Any, stream: Any
 ) -> None:  # pragma: no cover
-    """Fill in each pass's pixel, its stream, and the stream's passes before."""
     n = 0
     for k in range(len(some)):
         for number in range(before[k], before[k] + more[k]):

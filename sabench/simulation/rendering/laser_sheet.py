@@ -49,10 +49,8 @@ def enter_fluid(light: Illumination, center_mm: F64, fluid_index: float) -> Illu
     All its light has one direction before and behind the window. Its cut with the window keeps its
     place and length, which gives the sheet's plane, thickness and height in the fluid.
 
-    Raises
-    ------
-    InputError
-        A sheet that does not reach the window from the outside, or a volume's centre outside it.
+    Raises InputError for a sheet that does not reach the window from the outside, or a volume's
+    centre outside it.
     """
     if light.entry is None:
         return light

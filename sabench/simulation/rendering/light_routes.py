@@ -68,9 +68,8 @@ class Route:
             return share
         square = (self.wall.air_index**2) * (1.0 - (leaving @ self.normal) ** 2)  # (n sin)^2
         for before, after in self.faces:
-            inner, outer = (
-                np.sqrt(np.maximum(n**2 - square, 0.0)) for n in (before, after)
-            )  # n cos
+            # n cos
+            inner, outer = (np.sqrt(np.maximum(n**2 - square, 0.0)) for n in (before, after))
             across = (inner - outer) / (inner + outer)
             along = (after**2 * inner - before**2 * outer) / (after**2 * inner + before**2 * outer)
             share *= np.asarray(0.5 * (across**2 + along**2))

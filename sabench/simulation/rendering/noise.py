@@ -155,7 +155,6 @@ def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x
 
 @numba.njit(cache=True)
 def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
-    """Draw a Poisson number."""
     if mean * _PER_UNIT < 1.0:
         return _invert(_uniform(words[0], words[1]), mean)
     if mean < _LARGE:
@@ -165,7 +164,6 @@ def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
 
 @numba.njit(cache=True)
 def _look_up(words: Any, mean: float) -> Any:
-    """Draw from a tabulated distribution, and add a number of the rest of the mean."""
     cell = np.uintp(np.intp(mean * _PER_UNIT))
     u = _uniform(words[0], words[1])
     k = np.uintp(_STARTS[cell, np.uintp(np.intp(u * _CELLS))])
@@ -176,7 +174,6 @@ def _look_up(words: Any, mean: float) -> Any:
 
 @numba.njit(cache=True)
 def _invert(u: float, mean: float) -> Any:
-    """Find a small mean's number whose cumulative probability exceeds u."""
     if u < 1.0 - mean:  # which is less than exp(-mean)
         return 0.0
     k, chance = 0, math.exp(-mean)

@@ -101,7 +101,6 @@ class _Device:
 
 
 def _rays(camera: Camera, origin: F64, pixel: Any, sub: Any, side: int) -> Any:
-    """Make the rays of numbers in pixels."""
     row, column = pixel // camera.columns, pixel % camera.columns
     across = mi.Float(column) + (mi.Float(sub % side) + 0.5) / side - 0.5
     down = mi.Float(row) + (mi.Float(sub // side) + 0.5) / side - 0.5

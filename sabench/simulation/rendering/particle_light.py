@@ -164,6 +164,5 @@ def _angle_range(
 
 
 def _scattering_angles(direction: tuple[float, ...], arriving: F64) -> F64:
-    """Compute the angle between the laser's direction and light to the camera, rad."""
     forward = np.asarray(direction) / np.linalg.norm(direction)
     return np.asarray(np.arccos(np.clip(-arriving @ forward, -1.0, 1.0)))

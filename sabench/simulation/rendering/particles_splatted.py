@@ -1,13 +1,9 @@
-"""Rings of Airy's pattern around images of particles.
+"""Analytic renderer: Gaussian particle images, integrated over each pixel, and Airy's rings.
 
-airy_rings: Rings of Airy's pattern around images of particles.
-
-A Gaussian has the core of the pattern, but not the light far from it: 4 to 8 % of all light lies
+A Gaussian has the core of Airy's pattern, but not the light far from it: 4 to 8 % of all light lies
 more than five pixels away. A filter turns the Gaussian pattern of a whole image into Airy's.
 
-particles_splatted: Analytic renderer: Gaussian particle images, integrated over each pixel.
-
-They are ellipses, whose axes may lie at any angle to the pixels. By Mehler's expansion (J. reine
+Images are ellipses, whose axes may lie at any angle to the pixels. By Mehler's expansion (J. reine
 angew. Math. 66, 161-176, 1866) the integral of a Gaussian with the correlation r over a pixel is a
 series in r whose terms are products of a column's and a row's factor, so that a window is a sum of
 few outer products.
@@ -37,10 +33,7 @@ def render_with_rings(camera: Camera, wavelength_nm: float, render: Callable[[Ca
     """Render photons (rows, columns) of Gaussian images, and give them rings.
 
     Pixels are rendered in four parts, since the lens resolves more than the pixels do.
-
-    Parameters
-    ----------
-    render : photons (rows, columns) in any camera.
+    `render` gives photons (rows, columns) in any camera.
     """
     column, row = ((place + 0.5) * _PARTS - 0.5 for place in camera.principal_point_px)
     fine = replace(
@@ -200,7 +193,6 @@ def _add_windows(
 
 @numba.njit(cache=True, fastmath=_ANY_ORDER)
 def _add_band(image: Any, first: int, last: int, shapes: Any) -> None:
-    """Add the windows of some particles to an image."""
     if first == last:
         return
     pixel, photons, sigma, tilt, corner, size = shapes

@@ -56,9 +56,8 @@ def render(
     mi = backend.mitsuba()
     from sabench.simulation.rendering import particle_integrator  # needs the variant
 
-    origin = positions_mm[bright].mean(
-        axis=0
-    )  # single precision: the numbers are small where the particles are
+    # single precision: numbers are small where the particles are
+    origin = positions_mm[bright].mean(axis=0)
     cloud = particle_integrator.Cloud(
         positions_mm[bright] - origin,
         *glow_of(images, images.shape_mm(camera, positions_mm), bright),
@@ -69,11 +68,10 @@ def render(
     image = np.zeros(camera.rows * camera.columns)
     areas = np.maximum(high - low + 1, 0).prod(axis=1)
     for some in in_portions(areas, _AT_ONCE):  # memory does not grow with what particles light up
-        box_starts = np.zeros(image.size + 1, dtype=np.int64)
-        _count_boxes(low, high, some, camera.columns, box_starts)
-        box_near = np.empty(box_starts[-1], dtype=np.int64)
-        _fill_boxes(low, high, some, camera.columns, box_starts.copy(), box_near)
-        starts, near = box_starts, box_near
+        starts = np.zeros(image.size + 1, dtype=np.int64)
+        _count_boxes(low, high, some, camera.columns, starts)
+        near = np.empty(starts[-1], dtype=np.int64)
+        _fill_boxes(low, high, some, camera.columns, starts.copy(), near)
         lit = np.flatnonzero(np.diff(starts))
         given = camera, origin, cloud, len(walls), (lit, starts, near)
         image[lit] += particle_integrator.render(scene, *given, math.isqrt(samples), occluders)
@@ -125,24 +123,22 @@ def glow_of(images: ParticleImages, shape_mm: F64, bright: Bool) -> tuple[F64, F
     unit = normal / area[:, None]
     a = np.cross(t, unit) / area[:, None]
     b = np.cross(unit, s) / area[:, None]
-    radii = _BALL * np.linalg.norm(
-        shape_mm[bright], axis=(1, 2)
-    )  # Frobenius norm: at least the largest half axis
+    # Frobenius norm: at least the largest half axis
+    radii = _BALL * np.linalg.norm(shape_mm[bright], axis=(1, 2))
     return radii, a, b, images.intensity[bright] / (2.0 * np.pi * area)
 
 
 def balls(mi: Any, centers: F64, radii: F64) -> dict[str, Any]:
     """Describe balls that hold the glow, whatever its axes."""
     quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (len(centers), 1))
-    data = np.hstack([centers, np.repeat(radii[:, None] / _BALL, 3, axis=1), quaternion]).astype(
-        np.float32
-    )
-    return {
-        "type": "ellipsoids",
-        "data": mi.TensorXf(data),
-        "extent": _BALL,
-        "bsdf": {"type": "diffuse"},
-    }
+    data = np.hstack([centers, np.repeat(radii[:, None] / _BALL, 3, axis=1), quaternion])
+    return ellipsoids(mi, data, _BALL)
+
+
+def ellipsoids(mi: Any, data: F64, extent: float) -> dict[str, Any]:
+    """Describe ellipsoids by centre, semi-axes over `extent` and quaternion (n, 10)."""
+    tensor = mi.TensorXf(data.astype(np.float32))
+    return {"type": "ellipsoids", "data": tensor, "extent": extent, "bsdf": {"type": "diffuse"}}
 
 
 def interfaces(mi: Any, origin: F64, camera: Camera) -> dict[str, Any]:
@@ -172,16 +168,11 @@ def _cylinders(mi: Any, wall: CylinderWall, origin: F64, half: float) -> dict[st
 
 
 def _dielectric(wall: AnyWall, number: int) -> dict[str, Any]:
-    indices = wall.indices
-    return {
-        "type": "dielectric",
-        "ext_ior": float(indices[number]),
-        "int_ior": float(indices[number + 1]),
-    }
+    outside, inside = (float(index) for index in wall.indices[number : number + 2])
+    return {"type": "dielectric", "ext_ior": outside, "int_ior": inside}
 
 
 def _rectangles(mi: Any, wall: Wall, origin: F64, half: float) -> dict[str, Any]:
-    """Describe one dielectric rectangle per interface, facing the cameras."""
     normal = np.asarray(wall.normal)
     foot = origin - wall.depth_of(origin) * normal  # the outer face next to the particles
     shapes = {}
@@ -190,7 +181,7 @@ def _rectangles(mi: Any, wall: Wall, origin: F64, half: float) -> dict[str, Any]
         frame = mi.ScalarTransform4f().look_at(
             origin=position.tolist(),
             target=(position - normal).tolist(),
-            up=_any_across(normal).tolist(),
+            up=np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))]).tolist(),
         )
         shapes[f"interface_{i}"] = {
             "type": "rectangle",
@@ -198,7 +189,3 @@ def _rectangles(mi: Any, wall: Wall, origin: F64, half: float) -> dict[str, Any]
             "bsdf": _dielectric(wall, i),
         }
     return shapes
-
-
-def _any_across(normal: F64) -> F64:
-    return np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])

@@ -1,6 +1,4 @@
-"""True visibility of bubbles and bodies in each pixel.
-
-Lines of sight are refracted.
+"""True visibility of bubbles and bodies in each pixel, along refracted lines of sight.
 
 Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met by their equation:
 nothing here comes from the renderer, whose depths and masks would be those of straight rays.

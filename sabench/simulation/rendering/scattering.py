@@ -1,10 +1,6 @@
-"""Mie scattering of spheres, for many sizes and angles at once.
-
-mie: Mie scattering of spheres, for many sizes and angles at once.
+"""Light that single spheres scatter through a lens, from their own Mie series.
 
 Source: Bohren and Huffman (1983), chapter 4 and appendix A.
-
-scattering: Light that single particles scatter through a lens, from their own Mie series.
 
 The scattering of one size is tabulated over angles where a particle of that size occurs. Sizes lie
 on a lattice (`worlds.library.size_lattice`), so that a particle's brightness is that of its own
@@ -198,7 +194,6 @@ class Scattering:
         return np.asarray((efficiency * np.pi / 4.0 * sizes**2)[which])
 
     def _octave(self, octave: int, numbers: I64, reach_rad: tuple[float, float]) -> _Octave:
-        """Return the table of an octave of sizes that holds given ones over given angles."""
         if octave not in self._octaves:
             largest = float(lattice_diameters_mm(np.array((octave + 1) * PER_OCTAVE)))
             step = min(self._wavelength_mm / largest, 1.0) / _PER_LOBE

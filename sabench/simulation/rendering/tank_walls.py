@@ -75,7 +75,6 @@ def enter(device: Any, ray: Any) -> tuple[Any, Any]:
 
 
 def _panel_radiance(device: Any, position: Any, direction: Any) -> Any:
-    """Compute radiance of the diffuser along rays in the air."""
     if device.panel is None:
         return mi.Float(0.0)
     center, across, along, normal, bright = device.panel

@@ -134,7 +134,6 @@ def _spiral(count: int) -> F64:
 
 
 def _fraction(value: Any) -> Any:
-    """Return the part of a number beyond the integer below it."""
     return value - dr.floor(value)
 
 

@@ -68,7 +68,6 @@ def render(
 
 
 def _through_wall(camera: Camera) -> float:
-    """Compute the share of radiance that passes the wall, at normal incidence."""
     if camera.wall is None:
         return 1.0
     facing, pinhole = facing_of(camera), np.asarray(camera.center_mm)
