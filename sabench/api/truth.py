@@ -359,13 +359,7 @@ class Sight(Truth):
         Array("pixel", ("n", 2), finite=False, largest=_ANY),
         Array("contour", ("n", "points", 2), np.float32, finite=False, largest=_ANY),
         Array(
-            "error",
-            (1,),
-            optional=True,
-            finite=False,
-            largest=_ANY,
-            encode=_number,
-            decode=_only,
+            "error", (1,), optional=True, finite=False, largest=_ANY, encode=_number, decode=_only
         ),
     )
 

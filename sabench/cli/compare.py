@@ -7,23 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sabench.cli import tables
-from sabench.cli.options import (
-    AsJson,
-    Cards,
-    Jobs,
-    Leaderboard,
-    MemoryLimit,
-    Overwrite,
-    ParameterPairs,
-    SuiteName,
-    TimeLimit,
-    complete_solver,
-    complete_task,
-    parse_parameters,
-    say,
-    say_json,
-)
+from sabench.cli import options, tables
 
 if TYPE_CHECKING:
     from sabench.api.solvers import TaskName
@@ -34,36 +18,32 @@ if TYPE_CHECKING:
 
 
 def run(
-    suite: SuiteName,
-    as_json: AsJson = False,
-    work: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder of data sets and results.")
-    ] = Path("work"),
-    leaderboard: Leaderboard = Path("leaderboard"),
+    suite: options.SuiteName,
+    as_json: options.AsJson = False,
+    work: Annotated[Path, options.option("FOLDER", "Folder of data sets and results.")] = Path(
+        "work"
+    ),
+    leaderboard: options.Leaderboard = Path("leaderboard"),
     fresh: Annotated[
-        bool,
-        typer.Option("--fresh", help="Compute everything again, including recorded results."),
+        bool, typer.Option("--fresh", help="Compute everything again, including recorded results.")
     ] = False,
     case: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Run this case only; repeatable.")
+        list[str] | None, options.option("NAME", "Run this case only; repeatable.")
     ] = None,
     seed: Annotated[
-        list[int] | None, typer.Option(metavar="N", help="Run this seed only; repeatable.")
+        list[int] | None, options.option("N", "Run this seed only; repeatable.")
     ] = None,
     solver: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME", help="Run this solver only, by its name in tables; repeatable."
-        ),
+        options.option("NAME", "Run this solver only, by its name in tables; repeatable."),
     ] = None,
     hidden: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Run the private test set of the organiser's secret file, not the public one.",
+        options.option(
+            "FILE", "Run the private test set of the organiser's secret file, not the public one."
         ),
     ] = None,
-    jobs: Jobs = 1,
+    jobs: options.Jobs = 1,
 ) -> None:
     """Generate, solve and score a suite, then build the leaderboard page.
 
@@ -84,7 +64,7 @@ def run(
         jobs=jobs,
     )
     if as_json:
-        say_json(records)
+        options.say_json(records)
     else:
         _show_records(records)
         _say_page(leaderboard / "index.html")
@@ -126,18 +106,17 @@ def _record_cells(row: dict[str, Any], columns: tuple[Score, ...]) -> list[str]:
 
 
 def _say_page(page: Path) -> None:
-    say(f"page: {page.resolve()}")
+    options.say(f"page: {page.resolve()}")
 
 
 def check(
-    suite: SuiteName,
+    suite: options.SuiteName,
     baseline: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Baseline to compare with. [default: the bundled one, or SUITE.baseline.json "
+        options.option(
+            "FILE",
+            "Baseline to compare with. [default: the bundled one, or SUITE.baseline.json "
             "next to a suite of your own]",
-            show_default=False,
         ),
     ] = None,
     update: Annotated[
@@ -146,23 +125,17 @@ def check(
     ] = False,
     solver: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Run this solver instead of the suite's, on cases of its task; repeatable.",
-            autocompletion=complete_solver,
+        options.option(
+            "NAME",
+            "Run this solver instead of the suite's, on cases of its task; repeatable.",
+            autocompletion=options.complete_solver,
         ),
     ] = None,
-    junit: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a JUnit XML file, too.")
-    ] = None,
-    as_json: AsJson = False,
+    junit: Annotated[Path | None, options.option("FILE", "Write a JUnit XML file, too.")] = None,
+    as_json: options.AsJson = False,
     work: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder of data sets and results. [default: a temporary one]",
-            show_default=False,
-        ),
+        options.option("FOLDER", "Folder of data sets and results. [default: a temporary one]"),
     ] = None,
     exit_first: Annotated[
         bool,
@@ -185,7 +158,7 @@ def check(
     if junit:
         write_junit(junit, report)
     if as_json:
-        say_json(report.to_dict())
+        options.say_json(report.to_dict())
     else:
         show_report(report)
     if report.worse:
@@ -203,32 +176,25 @@ def show_report(report: Report) -> None:
         headings = ["case", "solver", "figure", "baseline", "now", "change", "tolerance"]
         tables.show(headings, rows, keys=3)
     for change in report.news:
-        say(f"news: {change.sentence}")
-    say(report.summary)
+        options.say(f"news: {change.sentence}")
+    options.say(report.summary)
 
 
 def submit(
     result: Annotated[
         Path,
-        typer.Argument(
-            metavar="RESULT",
-            help="A result file, or a .zip, .tar, .tar.gz or folder of result files.",
+        options.argument(
+            "RESULT", "A result file, or a .zip, .tar, .tar.gz or folder of result files."
         ),
     ],
-    name: Annotated[
-        str, typer.Option(metavar="NAME", help="Name of the submitter, at most 80 characters.")
-    ],
+    name: Annotated[str, options.option("NAME", "Name of the submitter, at most 80 characters.")],
     data: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="Folder of data sets; repeatable. [default: work/datasets]",
-            show_default=False,
-        ),
+        options.option("FOLDER", "Folder of data sets; repeatable. [default: work/datasets]"),
     ] = None,
-    card: Cards = None,
-    leaderboard: Leaderboard = Path("leaderboard"),
-    as_json: AsJson = False,
+    card: options.Cards = None,
+    leaderboard: options.Leaderboard = Path("leaderboard"),
+    as_json: options.AsJson = False,
 ) -> None:
     """Check and score submitted results and add them to the leaderboard."""
     from sabench.evaluation.leaderboard.submissions import submit as send
@@ -236,7 +202,7 @@ def submit(
     folders = data or [Path("work/datasets")]
     standings = send(result, name, folders, leaderboard, cards=card or ())
     if as_json:
-        say_json([{**one.record, "rank": one.rank, "of": one.of} for one in standings])
+        options.say_json([{**one.record, "rank": one.rank, "of": one.of} for one in standings])
         return
     headings = ["case", "seed", "solver", "first score", "rank", "best other"]
     tables.show(headings, [_standing_cells(one) for one in standings], keys=3)
@@ -254,7 +220,7 @@ def _standing_cells(one: Standing) -> list[str]:
     return [*(str(one.record[key]) for key in ("case", "seed", "solver")), score, rank, rival]
 
 
-def board(leaderboard: Leaderboard = Path("leaderboard")) -> None:
+def board(leaderboard: options.Leaderboard = Path("leaderboard")) -> None:
     """Build the leaderboard page from the records."""
     from sabench.evaluation.runner import build_board
 
@@ -262,33 +228,26 @@ def board(leaderboard: Leaderboard = Path("leaderboard")) -> None:
 
 
 def challenge(
-    suite: SuiteName,
+    suite: options.SuiteName,
     hidden: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE", help="The organiser's secret file, from which the seeds come."
-        ),
+        Path, options.option("FILE", "The organiser's secret file, from which the seeds come.")
     ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FOLDER", help="Folder of the challenge.")
-    ],
+    output: Annotated[Path, options.option("FOLDER", "Folder of the challenge.", "-o", "--output")],
     task: Annotated[
         str | None,
-        typer.Option(
-            metavar="TASK",
-            help="Task of all results. [default: the only one of the suite]",
-            show_default=False,
-            autocompletion=complete_task,
+        options.option(
+            "TASK",
+            "Task of all results. [default: the only one of the suite]",
+            autocompletion=options.complete_task,
         ),
     ] = None,
     codabench: Annotated[
         str | None,
-        typer.Option(
-            metavar="IMAGE",
-            help="Make a bundle for Codabench, too, which scores in this Docker image.",
+        options.option(
+            "IMAGE", "Make a bundle for Codabench, too, which scores in this Docker image."
         ),
     ] = None,
-    jobs: Jobs = 1,
+    jobs: options.Jobs = 1,
 ) -> None:
     """Make a private test set, and the archive that participants receive.
 
@@ -301,38 +260,35 @@ def challenge(
     chosen = cast("TaskName | None", task)  # `make_challenge` checks the word
     made = make_challenge(suite, hidden, output, task=chosen, image=codabench, jobs=jobs)
     count = f"{len(made.data_sets)} data set(s) of the task {made.task}"
-    say(f"{output / PARTICIPANT}: images and cameras of {count}, for participants")
+    options.say(f"{output / PARTICIPANT}: images and cameras of {count}, for participants")
     if codabench is not None:
-        say(f"{output / BUNDLE}: bundle for the server, with the truth: keep it private")
-    say(f"{output / 'private'}: data sets with their truth: keep them private")
+        options.say(f"{output / BUNDLE}: bundle for the server, with the truth: keep it private")
+    options.say(f"{output / 'private'}: data sets with their truth: keep them private")
 
 
 def participate(
     path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CHALLENGE", help="The archive that the organiser sent, or its folder."
-        ),
+        Path, options.argument("CHALLENGE", "The archive that the organiser sent, or its folder.")
     ],
     solver: Annotated[
         str,
-        typer.Argument(
-            metavar="SOLVER",
-            help="Name of a solver, or path of a program.",
-            autocompletion=complete_solver,
+        options.argument(
+            "SOLVER",
+            "Name of a solver, or path of a program.",
+            autocompletion=options.complete_solver,
         ),
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="ARCHIVE", help="The .zip file to create.")
+        Path, options.option("ARCHIVE", "The .zip file to create.", "-o", "--output")
     ],
-    card: Cards = None,
-    parameters: ParameterPairs = None,
-    time_limit: TimeLimit = None,
-    memory_limit: MemoryLimit = None,
-    results: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder in which results are kept.")
-    ] = Path("work/challenge"),
-    overwrite: Overwrite = False,
+    card: options.Cards = None,
+    parameters: options.ParameterPairs = None,
+    time_limit: options.TimeLimit = None,
+    memory_limit: options.MemoryLimit = None,
+    results: Annotated[Path, options.option("FOLDER", "Folder in which results are kept.")] = Path(
+        "work/challenge"
+    ),
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Solve all data sets of a challenge and pack the results.
 
@@ -349,8 +305,8 @@ def participate(
         output,
         results=results,
         cards=card or (),
-        parameters=parse_parameters(parameters),
+        parameters=options.parse_parameters(parameters),
         limits=limits_of(time_limit, memory_limit),
         overwrite=overwrite,
     )
-    say(f"{output}: {count} result(s); send it to the organiser")
+    options.say(f"{output}: {count} result(s); send it to the organiser")

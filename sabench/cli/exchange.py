@@ -9,9 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
-import typer
-
-from sabench.cli.options import DataSet, Overwrite, say
+from sabench.cli.options import DataSet, Overwrite, argument, option, say
 
 if TYPE_CHECKING:
     from sabench.interop.export import Format
@@ -22,25 +20,18 @@ _SHOWN = 12  # files that `export` lists
 
 def export(
     dataset: DataSet,
-    result: Annotated[
-        Path | None,
-        typer.Argument(metavar="RESULT", help="A result file; by default none."),
-    ] = None,
+    result: Annotated[Path | None, argument("RESULT", "A result file; by default none.")] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FOLDER",
-            help="The folder to create. [default: the name of the format]",
-            show_default=False,
+        option(
+            "FOLDER", "The folder to create. [default: the name of the format]", "-o", "--output"
         ),
     ] = None,
     to: Annotated[
         str,
-        typer.Option(
-            metavar="FORMAT",
-            help="vtk, netcdf, mat or csv: the truth or a result; openptv, myptv, openlpt or "
+        option(
+            "FORMAT",
+            "vtk, netcdf, mat or csv: the truth or a result; openptv, myptv, openlpt or "
             "lpt-challenge: cameras and images, or cameras and a result; coco: boxes and masks of "
             "bubbles.",
         ),
@@ -62,37 +53,21 @@ def export(
 
 def import_result(
     dataset: DataSet,
-    found: Annotated[
-        Path, typer.Argument(metavar="FOUND", help="The file or folder that the program wrote.")
-    ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="RESULT", help="The result file to create.")
-    ],
+    found: Annotated[Path, argument("FOUND", "The file or folder that the program wrote.")],
+    output: Annotated[Path, option("RESULT", "The result file to create.", "-o", "--output")],
     form: Annotated[
         str,
-        typer.Option(
-            "--from",
-            metavar="FORMAT",
-            help="openptv, myptv, openlpt, lpt-challenge, netcdf, mat or csv.",
-        ),
+        option("FORMAT", "openptv, myptv, openlpt, lpt-challenge, netcdf, mat or csv.", "--from"),
     ],
     unit: Annotated[
         str | None,
-        typer.Option(
-            metavar="UNIT", help="Unit of lengths, mm, m, um ... [default: as the files say, or mm]"
-        ),
+        option("UNIT", "Unit of lengths, mm, m, um ... [default: as the files say, or mm]"),
     ] = None,
     first: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Number of the data set's frame 0 in the files. [default: the smallest]",
-        ),
+        option("N", "Number of the data set's frame 0 in the files. [default: the smallest]"),
     ] = None,
-    name: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Name of the solver. [default: the format]"),
-    ] = None,
+    name: Annotated[str | None, option("NAME", "Name of the solver. [default: the format]")] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Make a result file of particles that another program found.

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-import typer
-
 from sabench.cli import tables
 from sabench.cli.exchange import notes_shown
-from sabench.cli.options import AsJson, Overwrite, parse_steps, say, say_json
+from sabench.cli.options import AsJson, Overwrite, argument, option, parse_steps, say, say_json
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,40 +61,20 @@ def _raw(text: str) -> RawLayout:
     return RawLayout(dtype, int(header or 0))
 
 
-# label, key, factor, decimals
 @dataclass(frozen=True)
 class _Key:
-    """Option of `import` that is a key of `ImportOptions`.
+    """Option of `import` that is a key of `ImportOptions`; `read` converts its value.
 
-    Attributes
-    ----------
-    flags : names of the option.
-    kind : type of its value on the command line.
-    default : value if it is not given; one of None means that of `ImportOptions`.
-    least : smallest value.
-    read : converts what is given.
+    A default of None means that of `ImportOptions`.
     """
 
-    flags: str
+    flag: str
     kind: Any
     metavar: str | None
     help: str
     default: Any = None
     least: float | None = None
-    shown: bool = True
     read: Callable[[Any], Any] | None = None
-
-    @property
-    def annotation(self) -> Any:
-        """Type of the parameter, as Typer reads it."""
-        option = typer.Option(
-            self.flags,
-            metavar=self.metavar,
-            help=self.help,
-            min=self.least,
-            show_default=self.shown,
-        )
-        return Annotated[self.kind, option]
 
 
 def _with_keys(command: Callable[..., None]) -> Callable[..., None]:
@@ -104,12 +82,14 @@ def _with_keys(command: Callable[..., None]) -> Callable[..., None]:
     own = inspect.signature(command, eval_str=True)
     before = [one for one in own.parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD]
     after = [one for one in own.parameters.values() if one.kind is one.KEYWORD_ONLY]
-    keys = [
-        inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=key.default, annotation=key.annotation
+    keys = []
+    for name, key in _KEYS.items():
+        kind = Annotated[key.kind, option(key.metavar, key.help, key.flag, min=key.least)]
+        keys.append(
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=key.default, annotation=kind
+            )
         )
-        for name, key in _KEYS.items()
-    ]
     signature = own.replace(parameters=[*before, *keys, *after])
     command.__signature__ = signature  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in signature.parameters.values()}
@@ -143,41 +123,29 @@ _KEYS = {
     "pulses": _Key(
         "--pulses", int, "N", "Frames in a group: 2 for double frames.", default=1, least=1
     ),
-    "period_s": _Key("--period", float | None, "SECONDS", "Time from group to group.", shown=False),
+    "period_s": _Key("--period", float | None, "SECONDS", "Time from group to group."),
     "volume_mm": _Key(
         "--volume",
         str | None,
         "X0,X1,Y0,Y1,Z0,Z1",
         "The box that is lit, mm; by default what all cameras see.",
-        shown=False,
         read=_box,
     ),
-    "voxel_mm": _Key(
-        "--voxel",
-        float | None,
-        "MM",
-        "Size of voxels; by default that of a pixel.",
-        shown=False,
-    ),
+    "voxel_mm": _Key("--voxel", float | None, "MM", "Size of voxels; by default that of a pixel."),
     "black_dn": _Key(
         "--black",
         float | None,
         "DN",
         "Grey value of no light; by default estimated for each camera.",
-        shown=False,
     ),
     "white_dn": _Key(
         "--white",
         float | None,
         "DN",
         "Grey value of saturation; by default estimated for each camera.",
-        shown=False,
     ),
     "masks": _Key(
-        "--masks",
-        Path | None,
-        "FOLDER",
-        "Images by the cameras' names; 0 leaves pixels out.",
+        "--masks", Path | None, "FOLDER", "Images by the cameras' names; 0 leaves pixels out."
     ),
     "preprocessing": _Key(
         "--step",
@@ -208,37 +176,27 @@ _KEYS = {
 
 @_with_keys
 def import_recording(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of images.")],
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="FOLDER", help="The data set folder to create."),
-    ],
+    folder: Annotated[Path, argument("FOLDER", "A folder of images.")],
+    output: Annotated[Path, option("FOLDER", "The data set folder to create.", "-o", "--output")],
     cameras: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PATH",
-            help="The calibration: a folder that `sabench calibrate` has written, a cameras.json, "
+        option(
+            "PATH",
+            "The calibration: a folder that `sabench calibrate` has written, a cameras.json, "
             "a data set, or with --from another program's; by default FOLDER itself.",
-            show_default=False,
         ),
     ] = None,
     form: Annotated[
         str | None,
-        typer.Option(
-            "--from",
-            metavar="FORMAT",
-            help="The program whose calibration it is: openptv, myptv, openlpt, opencv, matlab or "
+        option(
+            "FORMAT",
+            "The program whose calibration it is: openptv, myptv, openlpt, opencv, matlab or "
             "lpt-challenge; by default sabench.",
-            show_default=False,
+            "--from",
         ),
     ] = None,
     unit: Annotated[
-        str | None,
-        typer.Option(
-            metavar="UNIT",
-            help="Unit of that program's lengths: mm, m, um ...; by default mm.",
-            show_default=False,
-        ),
+        str | None, option("UNIT", "Unit of that program's lengths: mm, m, um ...; by default mm.")
     ] = None,
     *,
     as_json: AsJson = False,

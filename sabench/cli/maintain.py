@@ -15,17 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sabench import plugins
-from sabench.cli import tables
-from sabench.cli.options import (
-    KINDS,
-    AsJson,
-    complete,
-    complete_scene,
-    complete_solver,
-    complete_task,
-    say,
-    say_json,
-)
+from sabench.cli import options, tables
 from sabench.utils.errors import InputError
 from sabench.utils.version import __version__
 
@@ -36,21 +26,19 @@ if TYPE_CHECKING:
 def list_all(
     kind: Annotated[
         str | None,
-        typer.Option(
-            metavar="KIND",
-            help="List this kind only: generator, solver, scene or suite.",
-            autocompletion=complete(lambda: KINDS),
+        options.option(
+            "KIND",
+            "List this kind only: generator, solver, scene or suite.",
+            autocompletion=options.complete(lambda: options.KINDS),
         ),
     ] = None,
     task: Annotated[
         str | None,
-        typer.Option(
-            metavar="TASK",
-            help="List the solvers of this task only.",
-            autocompletion=complete_task,
+        options.option(
+            "TASK", "List the solvers of this task only.", autocompletion=options.complete_task
         ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """List generators, solvers, scenes and suites."""
     entries, faults = _entries(kind)
@@ -63,23 +51,23 @@ def list_all(
     for fault in faults:
         print(f"warning: {fault}", file=sys.stderr)
     if as_json:
-        say_json([_record(entry) for entry in entries])
+        options.say_json([_record(entry) for entry in entries])
     elif sys.stdout.isatty():  # lines are cut to the width of the terminal
         for (kind, group), members in itertools.groupby(entries, lambda one: (one.kind, one.group)):
             own = list(members)
-            say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
+            options.say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
             names = max(len(entry.name) for entry in own)
             for entry in own:
                 columns = tables.width() - names - 4
-                say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
+                options.say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
     else:
         for entry in entries:
-            say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
+            options.say(f"{entry.kind:<10} {entry.name:<30} {entry.group:<15} {entry.summary}")
 
 
 def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
-    if kind is not None and kind not in KINDS:
-        raise InputError(f"--kind: expected one of {', '.join(KINDS)}, got {kind!r}")
+    if kind is not None and kind not in options.KINDS:
+        raise InputError(f"--kind: expected one of {', '.join(options.KINDS)}, got {kind!r}")
     entries: list[Entry] = []
     faults: list[str] = []
     for plural in plugins.KINDS:
@@ -105,7 +93,7 @@ def schema() -> None:
     """Print the JSON schema of a scene file, for editors."""
     from sabench.scenes import scene_schema
 
-    say(json.dumps(scene_schema(), indent=1))
+    options.say(json.dumps(scene_schema(), indent=1))
 
 
 _TEMPLATES = ("scene", "solver", "suite", "gate")
@@ -114,22 +102,19 @@ _TEMPLATES = ("scene", "solver", "suite", "gate")
 def new(
     kind: Annotated[
         str,
-        typer.Argument(
-            metavar="KIND",
-            help="scene, solver, suite or gate.",
-            autocompletion=complete(lambda: _TEMPLATES),
+        options.argument(
+            "KIND",
+            "scene, solver, suite or gate.",
+            autocompletion=options.complete(lambda: _TEMPLATES),
         ),
     ],
-    path: Annotated[
-        Path, typer.Argument(metavar="PATH", help="The folder, or the scene file, to create.")
-    ],
+    path: Annotated[Path, options.argument("PATH", "The folder, or the scene file, to create.")],
     like: Annotated[
         str | None,
-        typer.Option(
-            metavar="SCENE",
-            help="Bundled scene to copy. [default: quick]",
-            autocompletion=complete_scene,
-            show_default=False,
+        options.option(
+            "SCENE",
+            "Bundled scene to copy. [default: quick]",
+            autocompletion=options.complete_scene,
         ),
     ] = None,
 ) -> None:
@@ -146,7 +131,7 @@ def new(
         source = find((like or "quick"), "scenes")
         with complete_or_nothing(path) as partial:
             partial.write_bytes(source.read_bytes())
-        say(f"{path}: the scene {source.stem}, to be changed")
+        options.say(f"{path}: the scene {source.stem}, to be changed")
     elif like is not None:
         raise InputError(f"--like: expected with a scene, got {like!r} with a {kind}")
     else:
@@ -155,7 +140,7 @@ def new(
         ignored = shutil.ignore_patterns("__pycache__")
         with complete_or_nothing(path) as partial:
             shutil.copytree(plugins.bundled_folder("templates") / kind, partial, ignore=ignored)
-        say(f"{path}: template of a {kind}; read README.md")
+        options.say(f"{path}: template of a {kind}; read README.md")
 
 
 _PATIENCE_S = 180
@@ -176,9 +161,9 @@ def doctor() -> None:
     """Check the rendering and compute back ends and say how to fix what is missing."""
     findings = examine()
     for finding in findings:
-        say(f"{'ok ' if finding.well else 'BAD'} {finding.subject:<16} {finding.text}")
+        options.say(f"{'ok ' if finding.well else 'BAD'} {finding.subject:<16} {finding.text}")
         if finding.remedy and not finding.well:
-            say(f"    remedy: {finding.remedy}")
+            options.say(f"    remedy: {finding.remedy}")
     if not all(finding.well for finding in findings):
         raise typer.Exit(1)
 
@@ -262,14 +247,11 @@ def try_render() -> str:
 def warmup(
     solvers: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="SOLVER",
-            help="Names of solvers; by default all.",
-            show_default=False,
-            autocompletion=complete_solver,
+        options.argument(
+            "SOLVER", "Names of solvers; by default all.", autocompletion=options.complete_solver
         ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Compile the kernels of solvers now, for images of containers.
 
@@ -285,8 +267,8 @@ def warmup(
     for one in warm_up(solvers or ()):
         warmed.append(one)
         if not as_json:
-            say(f"{one.compile_s:6.1f} s {one.solver}{': ' + one.text if one.text else ''}")
+            options.say(f"{one.compile_s:6.1f} s {one.solver}{': ' + one.text if one.text else ''}")
     if as_json:
-        say_json([asdict(one) for one in warmed])
+        options.say_json([asdict(one) for one in warmed])
     if any(one.verdict == "broken" for one in warmed):
         raise typer.Exit(1)

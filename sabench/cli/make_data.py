@@ -7,18 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from sabench.cli import tables
-from sabench.cli.options import (
-    AsJson,
-    Cards,
-    DataSet,
-    Jobs,
-    Overwrite,
-    SceneName,
-    complete_scene,
-    say,
-    say_json,
-)
+from sabench.cli import options, tables
 from sabench.utils.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,42 +22,35 @@ _BASE = "standard-particles"  # scene that a design changes
 def plan(
     scene: Annotated[
         str | None,
-        typer.Argument(
-            metavar="SCENE",
-            help="A scene file, or the name of a bundled scene; with --depth, the scene to change.",
-            autocompletion=complete_scene,
+        options.argument(
+            "SCENE",
+            "A scene file, or the name of a bundled scene; with --depth, the scene to change.",
+            autocompletion=options.complete_scene,
         ),
     ] = None,
     page: Annotated[
         Path | None,
-        typer.Option(
-            "--html", metavar="FILE", help="Write the plan with drawings of the rig as a page."
-        ),
+        options.option("FILE", "Write the plan with drawings of the rig as a page.", "--html"),
     ] = None,
-    bus_mb_s: Annotated[
-        float, typer.Option(metavar="X", help="Transfer rate of one bus, MB/s.")
-    ] = 80.0,
+    bus_mb_s: Annotated[float, options.option("X", "Transfer rate of one bus, MB/s.")] = 80.0,
     memory_gb: Annotated[
-        float, typer.Option(metavar="X", help="Memory for the images of a recording, GB.")
+        float, options.option("X", "Memory for the images of a recording, GB.")
     ] = 8.0,
     gap_us: Annotated[
-        float, typer.Option(metavar="X", help="Shortest time between two exposures, us.")
+        float, options.option("X", "Shortest time between two exposures, us.")
     ] = 250.0,
-    depth: Annotated[
-        float | None, typer.Option(metavar="X", help="Wanted depth of the volume, mm.")
-    ] = None,
+    depth: Annotated[float | None, options.option("X", "Wanted depth of the volume, mm.")] = None,
     density: Annotated[
-        float | None, typer.Option(metavar="X", help="Wanted density, particles per mm3.")
+        float | None, options.option("X", "Wanted density, particles per mm3.")
     ] = None,
     resolution: Annotated[
-        float | None, typer.Option(metavar="X", help="Wanted width of a pixel in the volume, mm.")
+        float | None, options.option("X", "Wanted width of a pixel in the volume, mm.")
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Write the scene that is wanted."),
+        Path | None, options.option("FILE", "Write the scene that is wanted.", "-o", "--output")
     ] = None,
-    as_json: AsJson = False,
-    overwrite: Overwrite = False,
+    as_json: options.AsJson = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Plan an experiment: resolution, depth, light, density and data rate of a scene."""
     from sabench.apps.planning.plan import Recorder, plan as make
@@ -86,13 +68,13 @@ def plan(
     if page is not None:
         _write_page(made, page, overwrite=overwrite)
     if as_json:
-        say_json(made.to_dict())
+        options.say_json(made.to_dict())
     else:
         _show(made)
         if output is not None:
-            say(f"{output}: the scene that is wanted")
+            options.say(f"{output}: the scene that is wanted")
         if page is not None:
-            say(f"{page}: the plan with drawings")
+            options.say(f"{page}: the plan with drawings")
 
 
 def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Scene:
@@ -120,89 +102,68 @@ def _write_page(made: Plan, file: Path, *, overwrite: bool) -> None:
 
 def _show(made: Plan) -> None:
     rows = [
-        (
-            section.title if number == 0 else "",
-            one.key,
-            one.text,
-            one.meaning,
-            one.source,
-        )
+        (section.title if number == 0 else "", one.key, one.text, one.meaning, one.source)
         for section in made.sections
         for number, one in enumerate(section.quantities)
     ]
-    say(made.scene.title)
+    options.say(made.scene.title)
     tables.show_wrapped(("", "figure", "value", "meaning", "equation or source"), rows)
     for advice in made.advice:
-        say(f"warning: {advice.key}: {advice.sentence}")
+        options.say(f"warning: {advice.key}: {advice.sentence}")
 
 
 def generate(
-    scene: SceneName,
+    scene: options.SceneName,
     output: Annotated[
-        Path,
-        typer.Option("-o", "--output", metavar="FOLDER", help="The data set folder to create."),
+        Path, options.option("FOLDER", "The data set folder to create.", "-o", "--output")
     ],
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of all random numbers.")] = 0,
-    backend: Annotated[
-        str, typer.Option(metavar="NAME", help="Renderer: auto, mitsuba or splat.")
-    ] = "auto",
+    seed: Annotated[int, options.option("N", "Seed of all random numbers.")] = 0,
+    backend: Annotated[str, options.option("NAME", "Renderer: auto, mitsuba or splat.")] = "auto",
     frames: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Number of frames, overriding the scene."),
+        int | None, options.option("N", "Number of frames, overriding the scene.", min=1)
     ] = None,
-    jobs: Jobs = 1,
+    jobs: options.Jobs = 1,
     scheduler: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of a Dask scheduler, tcp://..., whose workers do the work.",
+        options.option(
+            "ADDRESS", "Address of a Dask scheduler, tcp://..., whose workers do the work."
         ),
     ] = None,
     samples: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Number of independent samples, in shards, in place of one sequence.",
-            show_default=False,
+        options.option(
+            "N", "Number of independent samples, in shards, in place of one sequence.", min=1
         ),
     ] = None,
     split: Annotated[
         str | None,
-        typer.Option(
-            metavar="SHARES",
-            help="Of the samples: shares of training, validation and test, 80/10/10. "
+        options.option(
+            "SHARES",
+            "Of the samples: shares of training, validation and test, 80/10/10. "
             "[default: all for training]",
-            show_default=False,
         ),
     ] = None,
     truth: Annotated[
         str | None,
-        typer.Option(
-            metavar="KINDS",
-            help="Of the samples: truth to keep, some of particles,views,radiance, or none. "
+        options.option(
+            "KINDS",
+            "Of the samples: truth to keep, some of particles,views,radiance, or none. "
             "[default: particles,views]",
-            show_default=False,
         ),
     ] = None,
     compression: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Of the samples: none, or gzip: smaller shards, slower to read. [default: none]",
-            show_default=False,
+        options.option(
+            "NAME", "Of the samples: none, or gzip: smaller shards, slower to read. [default: none]"
         ),
     ] = None,
     shard_size: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Of the samples: number in a shard. [default: 64 MB of grey values]",
-            show_default=False,
+        options.option(
+            "N", "Of the samples: number in a shard. [default: 64 MB of grey values]", min=1
         ),
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Generate a data set: images, cameras and truth.
 
@@ -232,7 +193,7 @@ def generate(
         raise InputError(f"--{next(iter(given))}: expected --samples with it, got none")
     made = make(loaded, output, **common)
     size = f"{made.setup.frames} frame(s) of {len(made.setup.cameras)} cameras"
-    say(f"{made.root}: {size}, {made.manifest.renderer}, hash {made.content_hash[:12]}")
+    options.say(f"{made.root}: {size}, {made.manifest.renderer}, hash {made.content_hash[:12]}")
 
 
 def _generate_samples(
@@ -240,19 +201,19 @@ def _generate_samples(
 ) -> None:
     from sabench.simulation.sample_shards import generate_samples
 
-    options: dict[str, Any] = {}
+    chosen: dict[str, Any] = {}
     if "split" in given:
-        options["split"] = _shares(given["split"])
+        chosen["split"] = _shares(given["split"])
     if "truth" in given:
         words = [] if given["truth"] == "none" else given["truth"].split(",")
-        options["truth"] = [word.strip() for word in words]
+        chosen["truth"] = [word.strip() for word in words]
     if "compression" in given:
-        options["compression"] = given["compression"]
+        chosen["compression"] = given["compression"]
     if "shard-size" in given:
-        options["size"] = given["shard-size"]
-    made = generate_samples(scene, output, samples=samples, **options, **common)
+        chosen["size"] = given["shard-size"]
+    made = generate_samples(scene, output, samples=samples, **chosen, **common)
     splits = ", ".join(f"{count} {name}" for name, count in made.splits.items())
-    say(f"{made.root}: {splits} samples, hash {made.content_hash[:12]}")
+    options.say(f"{made.root}: {splits} samples, hash {made.content_hash[:12]}")
 
 
 def _shares(text: str) -> list[float]:
@@ -263,14 +224,12 @@ def _shares(text: str) -> list[float]:
 
 
 def verify(
-    dataset: DataSet,
+    dataset: options.DataSet,
     against: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DATASET",
-            help="Another copy, perhaps of another processor, that must hold the same up to "
-            "rounding.",
-            show_default=False,
+        options.option(
+            "DATASET",
+            "Another copy, perhaps of another processor, that must hold the same up to rounding.",
         ),
     ] = None,
 ) -> None:
@@ -284,32 +243,25 @@ def verify(
         faults = faults or faults_of(against)
         faults = faults or disagreements(open_dataset(against), open_dataset(dataset))
     for fault in faults:
-        say(fault)
+        options.say(fault)
     if faults:
         raise typer.Exit(1)
     agrees = f", agrees with {against}" if against is not None else ""
-    say(f"{dataset}: intact{agrees}{describe_contents(dataset)}")
+    options.say(f"{dataset}: intact{agrees}{describe_contents(dataset)}")
 
 
 def pack(
     path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="PATH", help="A data set folder, or a result file or a folder of some."
-        ),
+        Path, options.argument("PATH", "A data set folder, or a result file or a folder of some.")
     ],
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", metavar="PATH", help="The folder, or .zip archive, to create."
-        ),
+        Path, options.option("PATH", "The folder, or .zip archive, to create.", "-o", "--output")
     ],
     blind: Annotated[
-        bool,
-        typer.Option("--blind", help="Leave out the truth, the scene and the seed."),
+        bool, typer.Option("--blind", help="Leave out the truth, the scene and the seed.")
     ] = False,
-    card: Cards = None,
-    overwrite: Overwrite = False,
+    card: options.Cards = None,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Copy a data set, or results with the card of their solver, for others.
 
@@ -329,7 +281,7 @@ def pack(
         else:
             copy(open_dataset(path), output, blind=blind, overwrite=overwrite)
         side = "observation side" if blind else "whole data set"
-        say(f"{output}: {side} of {contents.content_hash[:12]}")
+        options.say(f"{output}: {side} of {contents.content_hash[:12]}")
     elif blind:
         raise InputError(f"{path}: expected a data set to pack with --blind, found none")
     else:
@@ -338,4 +290,4 @@ def pack(
         with submitted_files(path) as files:
             count, carded = pack_results(files, output, (card or []), overwrite=overwrite)
         described = f"the card of {' and '.join(carded)}" if carded else "no solver card"
-        say(f"{output}: {count} result(s), {described}")
+        options.say(f"{output}: {count} result(s), {described}")

@@ -67,50 +67,44 @@ complete_solver = complete(plugins.list_solvers)
 complete_scene = complete(plugins.list_scenes)
 complete_task = complete(plugins.list_tasks)
 
-DataSet = Annotated[Path, typer.Argument(metavar="DATASET", help="A data set folder.")]
+
+def option(metavar: str | None, text: str, *flags: str, **more: Any) -> Any:
+    """Declare an option by the word for its value and its help."""
+    return typer.Option(*flags, metavar=metavar, help=text, **more)
+
+
+def argument(metavar: str, text: str, **more: Any) -> Any:
+    """Declare an argument by its word and its help."""
+    return typer.Argument(metavar=metavar, help=text, **more)
+
+
+DataSet = Annotated[Path, argument("DATASET", "A data set folder.")]
 SceneName = Annotated[
     str,
-    typer.Argument(
-        metavar="SCENE",
-        help="A scene file, or the name of a bundled scene.",
-        autocompletion=complete_scene,
+    argument(
+        "SCENE", "A scene file, or the name of a bundled scene.", autocompletion=complete_scene
     ),
 ]
 SuiteName = Annotated[
     str,
-    typer.Argument(
-        metavar="SUITE",
-        help="A suite file, or the name of a bundled suite.",
+    argument(
+        "SUITE",
+        "A suite file, or the name of a bundled suite.",
         autocompletion=complete(plugins.list_suites),
     ),
 ]
 ParameterPairs = Annotated[
-    list[str] | None,
-    typer.Option("-p", "--parameter", metavar="NAME=VALUE", help="Set a parameter; repeatable."),
+    list[str] | None, option("NAME=VALUE", "Set a parameter; repeatable.", "-p", "--parameter")
 ]
-TimeLimit = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SECONDS", help="Time limit of a program. [default: 3600]", show_default=False
-    ),
-]
+TimeLimit = Annotated[float | None, option("SECONDS", "Time limit of a program. [default: 3600]")]
 MemoryLimit = Annotated[
     float | None,
-    typer.Option(
-        metavar="MB",
-        help="Memory limit of all processes of a program. [default: 90 % of the free memory]",
-        show_default=False,
-    ),
+    option("MB", "Memory limit of all processes of a program. [default: 90 % of the free memory]"),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
 Cards = Annotated[
-    list[Path] | None,
-    typer.Option("--card", metavar="FILE", help="Solver card of the results; repeatable."),
+    list[Path] | None, option("FILE", "Solver card of the results; repeatable.", "--card")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON value.")]
-Leaderboard = Annotated[
-    Path, typer.Option(metavar="FOLDER", help="Folder of the records and the page.")
-]
-Jobs = Annotated[
-    int, typer.Option(min=1, metavar="N", help="Number of processes that generate data.")
-]
+Leaderboard = Annotated[Path, option("FOLDER", "Folder of the records and the page.")]
+Jobs = Annotated[int, option("N", "Number of processes that generate data.", min=1)]

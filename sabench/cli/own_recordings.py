@@ -5,21 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from sabench import plugins
-from sabench.cli import tables
-from sabench.cli.options import (
-    AsJson,
-    DataSet,
-    Overwrite,
-    ParameterPairs,
-    complete,
-    parse_parameters,
-    parse_steps,
-    say,
-    say_json,
-)
+from sabench.cli import options, tables
 
 if TYPE_CHECKING:
     from sabench.apps.own_calibration.report import Report
@@ -30,42 +17,37 @@ if TYPE_CHECKING:
 def calibrate(
     folder: Annotated[
         Path,
-        typer.Argument(
-            metavar="FOLDER",
-            help="A folder with calibration.toml and images or points.csv "
+        options.argument(
+            "FOLDER",
+            "A folder with calibration.toml and images or points.csv "
             "(see docs/using/calibrating.md).",
         ),
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FOLDER",
-            help="The folder to create. [default: result, in that folder]",
-            show_default=False,
+        options.option(
+            "FOLDER", "The folder to create. [default: result, in that folder]", "-o", "--output"
         ),
     ] = None,
     solver: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            help="Name of a calibration solver.",
-            autocompletion=complete(lambda: plugins.list_solvers("calibration")),
+        options.option(
+            "NAME",
+            "Name of a calibration solver.",
+            autocompletion=options.complete(lambda: plugins.list_solvers("calibration")),
         ),
     ] = "refractive_autocal",
-    parameter: ParameterPairs = None,
+    parameter: options.ParameterPairs = None,
     unknowns: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Unknowns besides the focal lengths, separated by commas, in place of those of "
+        options.option(
+            "NAMES",
+            "Unknowns besides the focal lengths, separated by commas, in place of those of "
             "calibration.toml; or auto: those that make held-out frames fit better.",
-            show_default=False,
         ),
     ] = None,
-    as_json: AsJson = False,
-    overwrite: Overwrite = False,
+    as_json: options.AsJson = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Calibrate your own cameras from images or points of a target."""
     from dataclasses import asdict
@@ -75,10 +57,10 @@ def calibrate(
 
     announce_compiling()
     out = output or folder / "result"
-    values = parse_parameters(parameter)
+    values = options.parse_parameters(parameter)
     report = make(folder, out, solver, values, unknowns=unknowns, overwrite=overwrite)
     if as_json:
-        say_json(asdict(report))
+        options.say_json(asdict(report))
     else:
         _show_calibration(report, out)
 
@@ -94,12 +76,12 @@ def _show_unknowns(report: Report) -> None:
         lines.append([name, *figures, row.remark or ("yes" if row.chosen else "no")])
     tables.show(["unknowns", "held-out px", "change", "standard error", "keep"], lines)
     quoted = ", ".join(f'"{name}"' for name in report.unknown)
-    say(f"recommended and used: unknown = [{quoted}]")
+    options.say(f"recommended and used: unknown = [{quoted}]")
 
 
 def _show_calibration(report: Report, out: Path) -> None:
     for sentence in report.summary:
-        say(sentence)
+        options.say(sentence)
     if report.compared:
         _show_unknowns(report)
     rows = []
@@ -108,9 +90,11 @@ def _show_calibration(report: Report, out: Path) -> None:
         errors = [tables.format_number(line[key], 3) for key in ("mean_px", "largest_px")]
         rows.append([name, str(line["found"]), str(line["used"]), *errors])
     tables.show(["camera or frame", "found", "used", "mean px", "largest px"], rows)
-    say(f"residuals: {report.noise_px:.4f} px, of which neighbours share {report.misfit_px:.4f} px")
+    options.say(
+        f"residuals: {report.noise_px:.4f} px, of which neighbours share {report.misfit_px:.4f} px"
+    )
     if report.true_px is not None:
-        say(f"expected true error, misfit included: {report.true_px:.4f} px")
+        options.say(f"expected true error, misfit included: {report.true_px:.4f} px")
     if held := report.held_out:
         figures = [
             (f"reprojection {held.reprojection_px:.4f} px", held.reprojection_px),
@@ -120,21 +104,25 @@ def _show_calibration(report: Report, out: Path) -> None:
         what = "frames" if held.frames <= len(report.frames) else "points"
         lost = f" ({held.failed} fits failed)" if held.failed else ""
         good = ", ".join(text for text, there in figures if there)
-        say(f"{held.frames} {what} held out{lost}: {good}")
+        options.say(f"{held.frames} {what} held out{lost}: {good}")
     where = "along the wall's X and Y and its normal"
     for label, std in (("misfit included", report.std_mm), ("noise alone", report.noise_std_mm)):
         if std is not None:
             x, y, z = std
-            say(f"expected scatter of points {where}, {label}: {x:.4f}, {y:.4f}, {z:.4f} mm")
+            options.say(
+                f"expected scatter of points {where}, {label}: {x:.4f}, {y:.4f}, {z:.4f} mm"
+            )
     if report.depth_mm is not None:
-        say(f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm")
+        options.say(
+            f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm"
+        )
     walls = []
     for one in report.wall:
         values = [tables.format_number(value, 4) for value in (one.nominal, one.found, one.std)]
         walls.append([one.name, one.unit or "-", *values, "yes" if one.shown else "no"])
     if walls:
         tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], walls)
-    say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
+    options.say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
 
 
 ROWS = (
@@ -157,30 +145,28 @@ ROWS = (
 
 
 def compare_statistics(
-    dataset: DataSet,
+    dataset: options.DataSet,
     recording: Annotated[
         Path,
-        typer.Argument(
-            metavar="FOLDER",
-            help="Images (tif, png, bmp) of your cameras, in one folder for each or all in one; or "
+        options.argument(
+            "FOLDER",
+            "Images (tif, png, bmp) of your cameras, in one folder for each or all in one; or "
             "a data set.",
         ),
     ],
     frames: Annotated[
-        int,
-        typer.Option(min=1, max=200, metavar="N", help="Images of each camera to read, at most."),
+        int, options.option("N", "Images of each camera to read, at most.", min=1, max=200)
     ] = 20,
     white: Annotated[
         float | None,
-        typer.Option(
+        options.option(
+            "DN",
+            "Grey value of a saturated pixel of your images; by default of the bit depth.",
             min=1.0,
             max=65535.0,
-            metavar="DN",
-            help="Grey value of a saturated pixel of your images; by default of the bit depth.",
-            show_default=False,
         ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Compare a data set's images with your own recordings.
 
@@ -192,7 +178,9 @@ def compare_statistics(
     data = open_dataset(dataset)
     both = measure_dataset(data, frames), measure(recording, frames, white)
     if as_json:
-        say_json(dict(zip(("dataset", "recording"), (one.to_json() for one in both), strict=True)))
+        options.say_json(
+            dict(zip(("dataset", "recording"), (one.to_json() for one in both), strict=True))
+        )
         return
     columns = [one.medians() for one in both]
     rows = [
@@ -201,7 +189,7 @@ def compare_statistics(
     ]
     tables.show(("median over the cameras", "data set", "recording"), rows)
     for name, one in zip(("data set", "recording"), both, strict=True):
-        say(f"{name}: {_describe(one)}")
+        options.say(f"{name}: {_describe(one)}")
 
 
 def cell(value: float | None, factor: float, decimals: int) -> str:
@@ -219,40 +207,29 @@ def _describe(measured: Measured) -> str:
 
 
 def preprocess(
-    source: Annotated[
-        Path, typer.Argument(metavar="DATASET", help="A data set folder, or an image file.")
-    ],
+    source: Annotated[Path, options.argument("DATASET", "A data set folder, or an image file.")],
     camera: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Name or number of the camera; by default the first one.",
-            show_default=False,
-        ),
+        options.option("NAME", "Name or number of the camera; by default the first one."),
     ] = None,
-    frame: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Frame, or page of an image file.")
-    ] = 0,
+    frame: Annotated[int, options.option("N", "Frame, or page of an image file.", min=0)] = 0,
     step: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME[,KEY=VALUE]",
-            help="Step of preprocessing, as in sliding_minimum,window_px=9; repeatable. By default "
+        options.option(
+            "NAME[,KEY=VALUE]",
+            "Step of preprocessing, as in sliding_minimum,window_px=9; repeatable. By default "
             "the steps of the data set.",
         ),
     ] = None,
     false_alarms: Annotated[
         float,
-        typer.Option(
-            min=1e-12, max=0.1, metavar="P", help="Probability that noise makes a peak of a pixel."
-        ),
+        options.option("P", "Probability that noise makes a peak of a pixel.", min=1e-12, max=0.1),
     ] = 1e-5,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="The PNG file to create."),
+        Path | None, options.option("FILE", "The PNG file to create.", "-o", "--output")
     ] = None,
-    as_json: AsJson = False,
-    overwrite: Overwrite = False,
+    as_json: options.AsJson = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Preview the steps of preprocessing on one image, with the peaks in it."""
     from sabench.dataset.preprocessing_preview import preview, preview_figure
@@ -265,14 +242,14 @@ def preprocess(
         source,
         camera=camera,
         frame=frame,
-        steps=parse_steps(step) if step else None,
+        steps=options.parse_steps(step) if step else None,
         false_alarms=false_alarms,
     )
     if output is not None:
         with complete_or_nothing(output, overwrite=overwrite) as file:
             file.write_bytes(draw(preview_figure(shown)))
     if as_json:
-        say_json([_record(one, false_alarms) for one in shown.stages])
+        options.say_json([_record(one, false_alarms) for one in shown.stages])
     else:
         _show(shown, false_alarms, output)
 
@@ -292,7 +269,7 @@ def _record(stage: Stage, false_alarms: float) -> dict[str, object]:
 
 
 def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
-    say(shown.title)
+    options.say(shown.title)
     tables.show(
         ("after", "black", "noise", "threshold", "peaks", "false at most"),
         [
@@ -307,9 +284,9 @@ def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
             for one in shown.stages
         ],
     )
-    say(
+    options.say(
         f"black, noise and threshold: medians over the pixels; false alarms: {false_alarms:g} per "
         "pixel at most"
     )
     if output is not None:
-        say(f"{output}: pictures after each step; circles mark peaks")
+        options.say(f"{output}: pictures after each step; circles mark peaks")

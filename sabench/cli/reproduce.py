@@ -8,16 +8,16 @@ from typing import Annotated
 import typer
 
 from sabench.cli import tables
-from sabench.cli.options import AsJson, say_json
+from sabench.cli.options import AsJson, argument, option, say_json
 from sabench.utils.number_text import significant
 
 
 def reproduce(
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="NAME...",
-            help="What to measure: table-2-1, fig-2-6, ... or all; an unknown name lists them.",
+        argument(
+            "NAME...",
+            "What to measure: table-2-1, fig-2-6, ... or all; an unknown name lists them.",
         ),
     ] = None,
     as_list: Annotated[
@@ -27,29 +27,26 @@ def reproduce(
         ),
     ] = False,
     as_json: AsJson = False,
-    seeds: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Number of seeds to average over.")
-    ] = None,
+    seeds: Annotated[int | None, option("N", "Number of seeds to average over.", min=1)] = None,
     pixels: Annotated[
         int | None,
-        typer.Option(
+        option(
+            "N",
+            "Use small images of this size for a quick trial; the results are not comparable.",
             min=32,
-            metavar="N",
-            help="Use small images of this size for a quick trial; the results are not comparable.",
         ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            "FILE",
+            "Write each name's rows to a JSON file when it is done; other rows stay.",
             "-o",
             "--output",
-            metavar="FILE",
-            help="Write each name's rows to a JSON file when it is done; other rows stay.",
         ),
     ] = None,
     figures: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Write plots of the curves, and a page of all values."),
+        Path | None, option("FOLDER", "Write plots of the curves, and a page of all values.")
     ] = None,
 ) -> None:
     """Reproduce tables and figures of Belden's thesis and compare the values."""

@@ -7,21 +7,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from sabench.cli import tables
-from sabench.cli.options import (
-    AsJson,
-    DataSet,
-    MemoryLimit,
-    Overwrite,
-    ParameterPairs,
-    TimeLimit,
-    complete_scene,
-    complete_solver,
-    complete_task,
-    parse_parameters,
-    say,
-    say_json,
-)
+from sabench.cli import options, tables
 
 if TYPE_CHECKING:
     pass
@@ -32,20 +18,18 @@ if TYPE_CHECKING:
 def solve(
     solver: Annotated[
         str,
-        typer.Argument(
-            metavar="SOLVER",
-            help="Name of a solver, or path of a program (see docs/developing/participate.md).",
-            autocompletion=complete_solver,
+        options.argument(
+            "SOLVER",
+            "Name of a solver, or path of a program (see docs/developing/participate.md).",
+            autocompletion=options.complete_solver,
         ),
     ],
-    dataset: DataSet,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="The result file to create.")
-    ],
-    parameter: ParameterPairs = None,
-    time_limit: TimeLimit = None,
-    memory_limit: MemoryLimit = None,
-    overwrite: Overwrite = False,
+    dataset: options.DataSet,
+    output: Annotated[Path, options.option("FILE", "The result file to create.", "-o", "--output")],
+    parameter: options.ParameterPairs = None,
+    time_limit: options.TimeLimit = None,
+    memory_limit: options.MemoryLimit = None,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Run a solver on a data set and write its result file."""
     from sabench.dataset.verification import probe_dataset
@@ -59,33 +43,32 @@ def solve(
         solver,
         dataset,
         output,
-        parameters=parse_parameters(parameter),
+        parameters=options.parse_parameters(parameter),
         limits=limits_of(time_limit, memory_limit),
         overwrite=overwrite,
     )
     memory = f"{result.peak_mb:.0f} MB" if result.peak_mb else "unknown memory"
-    say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, at most {memory}")
+    options.say(f"{output}: {result.solver}, {result.seconds:.2f} s per frame, at most {memory}")
 
 
 def score(
-    dataset: DataSet,
+    dataset: options.DataSet,
     result: Annotated[
         str,
-        typer.Argument(
-            metavar="RESULT",
-            help="A result file, or truth or empty for the best and worst possible scores.",
+        options.argument(
+            "RESULT", "A result file, or truth or empty for the best and worst possible scores."
         ),
     ],
     task: Annotated[
         str | None,
-        typer.Option(
-            metavar="TASK",
-            help="Task whose scores truth and empty get, if the data set serves several.",
-            autocompletion=complete_task,
+        options.option(
+            "TASK",
+            "Task whose scores truth and empty get, if the data set serves several.",
+            autocompletion=options.complete_task,
         ),
     ] = None,
     track: Annotated[str | None, typer.Option(hidden=True, help="Former name of --task.")] = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Score a result against the truth."""
     from sabench.dataset.verification import probe, probe_dataset
@@ -98,7 +81,7 @@ def score(
         probe(Path(result))
     scores = scores_of(dataset, result, task or track)
     if as_json:
-        say_json(scores)
+        options.say_json(scores)
     else:
         from sabench import tasks
 
@@ -110,11 +93,10 @@ def score(
 
 def conform(
     solver: Annotated[
-        str,
-        typer.Argument(metavar="SOLVER", help="Name of a solver.", autocompletion=complete_solver),
+        str, options.argument("SOLVER", "Name of a solver.", autocompletion=options.complete_solver)
     ],
-    parameter: ParameterPairs = None,
-    as_json: AsJson = False,
+    parameter: options.ParameterPairs = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Test a solver against the laws that every solver obeys.
 
@@ -127,45 +109,44 @@ def conform(
 
     announce_compiling()
     findings = []
-    for finding in check_solver(solver, parse_parameters(parameter)):
+    for finding in check_solver(solver, options.parse_parameters(parameter)):
         findings.append(finding)
         if not as_json:
-            say(f"{finding.verdict:<8} {finding.law}{': ' + finding.text if finding.text else ''}")
+            options.say(
+                f"{finding.verdict:<8} {finding.law}{': ' + finding.text if finding.text else ''}"
+            )
     if as_json:
-        say_json([asdict(finding) for finding in findings])
+        options.say_json([asdict(finding) for finding in findings])
     if any(finding.verdict == "broken" for finding in findings):
         raise typer.Exit(1)
 
 
 def refocus(
-    dataset: DataSet,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FOLDER", help="The folder to create.")
-    ],
+    dataset: options.DataSet,
+    output: Annotated[Path, options.option("FOLDER", "The folder to create.", "-o", "--output")],
     surface: Annotated[
-        str, typer.Option(metavar="NAME", help="Surface: plane, cylinder or height_map.")
+        str, options.option("NAME", "Surface: plane, cylinder or height_map.")
     ] = "plane",
     parameter: Annotated[
         list[str] | None,
-        typer.Option(
+        options.option(
+            "NAME=VALUE",
+            "Set a parameter of the surface, as in center_mm=[0,0,170], turn_deg=[0,20,0], "
+            "radius_mm=40 or file=wall.csv; repeatable.",
             "-p",
             "--parameter",
-            metavar="NAME=VALUE",
-            help="Set a parameter of the surface, as in center_mm=[0,0,170], turn_deg=[0,20,0], "
-            "radius_mm=40 or file=wall.csv; repeatable.",
         ),
     ] = None,
     join: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            help="How views are joined: additive, multiplicative, dark, minimum, maximum or "
-            "median.",
+        options.option(
+            "NAME",
+            "How views are joined: additive, multiplicative, dark, minimum, maximum or median.",
         ),
     ] = "additive",
-    frame: Annotated[int, typer.Option(min=0, metavar="N", help="Frame, from 0.")] = 0,
-    as_json: AsJson = False,
-    overwrite: Overwrite = False,
+    frame: Annotated[int, options.option("N", "Frame, from 0.", min=0)] = 0,
+    as_json: options.AsJson = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Refocus one frame on a plane, a cylinder or a height map."""
     from sabench.apps.surfaces import refocus as make
@@ -176,15 +157,15 @@ def refocus(
         dataset,
         output,
         surface,
-        parse_parameters(parameter),
+        options.parse_parameters(parameter),
         join=cast("Join", join),  # `make` checks the word
         frame=frame,
         overwrite=overwrite,
     ).summary
     if as_json:
-        say_json(made)
+        options.say_json(made)
         return
-    say(
+    options.say(
         f"{output}: {surface} of {made['rows']} x {made['columns']} pixels of "
         f"{made['pixel_mm']:g} mm, {made['seen_percent']:.1f} % seen, by {made['views_mean']:.1f} "
         "cameras on average: image.exr, image.png, points.exr, surface.json"
@@ -192,12 +173,10 @@ def refocus(
 
 
 def quality(
-    dataset: DataSet,
-    result: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="A result file of particles or volumes.")
-    ],
+    dataset: options.DataSet,
+    result: Annotated[Path, options.argument("RESULT", "A result file of particles or volumes.")],
     frames: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Compare the first N frames with their images.")
+        int, options.option("N", "Compare the first N frames with their images.", min=1)
     ] = 1,
     again: Annotated[
         bool,
@@ -208,15 +187,12 @@ def quality(
     ] = True,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="FOLDER",
-            help="Folder to create, with quality.json and residuals.png.",
+        options.option(
+            "FOLDER", "Folder to create, with quality.json and residuals.png.", "-o", "--output"
         ),
     ] = None,
-    as_json: AsJson = False,
-    overwrite: Overwrite = False,
+    as_json: options.AsJson = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Judge a result by the images that it came from, without truth."""
     from sabench.dataset.verification import probe, probe_dataset
@@ -231,7 +207,9 @@ def quality(
     if output is not None:
         write_quality(dataset, judged, output, overwrite=overwrite)
     if as_json:
-        say_json({"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes})
+        options.say_json(
+            {"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes}
+        )
     else:
         _show(judged)
 
@@ -252,28 +230,27 @@ def _show(judged: Quality) -> None:
     ]
     tables.show(("camera", *of_cameras), lines)
     for note in judged.notes:
-        say(f"note: {note}")
+        options.say(f"note: {note}")
 
 
 def view(
     what: Annotated[
         str,
-        typer.Argument(
-            metavar="RIG|DATASET|RESULT",
-            help="A scene file or the name of a bundled scene; cameras.json; a data set; or a "
+        options.argument(
+            "RIG|DATASET|RESULT",
+            "A scene file or the name of a bundled scene; cameras.json; a data set; or a "
             "result file next to its data set.",
-            autocompletion=complete_scene,
+            autocompletion=options.complete_scene,
         ),
     ],
     result: Annotated[
-        Path | None,
-        typer.Argument(metavar="RESULT", help="A result file of the data set."),
+        Path | None, options.argument("RESULT", "A result file of the data set.")
     ] = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="The page to create.")
-    ] = Path("view.html"),
-    as_json: AsJson = False,
-    overwrite: Overwrite = False,
+    output: Annotated[Path, options.option("FILE", "The page to create.", "-o", "--output")] = Path(
+        "view.html"
+    ),
+    as_json: options.AsJson = False,
+    overwrite: options.Overwrite = False,
 ) -> None:
     """Show a rig, a data set or a result in space, as one page for any browser.
 
@@ -289,12 +266,12 @@ def view(
     made = make(what, result)
     made.save(output, overwrite=overwrite)
     if as_json:
-        say_json({"page": str(output), **made.summary, "notes": made.notes})
+        options.say_json({"page": str(output), **made.summary, "notes": made.notes})
         return
     shown = made.summary
-    say(
+    options.say(
         f"{output}: {shown['cameras']} camera(s), {shown['frames']} frame(s), {shown['particles']} "
         f"particles, {shown['bubbles']} bubbles, {shown['bytes'] / 1e6:.1f} MB"
     )
     for note in made.notes:
-        say(f"note: {note}")
+        options.say(f"note: {note}")

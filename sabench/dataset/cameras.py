@@ -11,15 +11,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from pydantic import Field
 
-from sabench.dataset.schema import (
-    CAMERAS,
-    FORMAT,
-    TRUE_CAMERAS,
-    VERSION,
-    Record,
-    check_versioned,
-    read_versioned,
-)
+from sabench.dataset import schema
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import CameraEntry, record_camera
@@ -133,7 +125,7 @@ def _is_sound(wall: WallRecord) -> bool:
 _MOST_DN = 65535  # of 16 bits
 
 
-class SensorLevels(Record):
+class SensorLevels(schema.Record):
     """Grey levels of the sensor: of no light and of saturation.
 
     `by_camera` has both of each camera where they differ, as dark images show them.
@@ -145,7 +137,7 @@ class SensorLevels(Record):
     by_camera: tuple[tuple[float, float], ...] = ()
 
 
-class CamerasFile(Record):
+class CamerasFile(schema.Record):
     """cameras.json: the observation, apart from the images."""
 
     format: str
@@ -197,7 +189,7 @@ class CamerasFile(Record):
         return [pair for frames in self.sequences() for pair in itertools.pairwise(frames)]
 
 
-class TrueCamerasFile(Record):
+class TrueCamerasFile(schema.Record):
     """true_cameras.json: the true cameras, where cameras.json holds others.
 
     `wall` is there where the true wall is not the nominal one.
@@ -209,7 +201,7 @@ class TrueCamerasFile(Record):
     cameras: tuple[Camera, ...]
 
 
-class CalibratedFile(Record):
+class CalibratedFile(schema.Record):
     """cameras.json of a calibration: cameras and their walls alone."""
 
     format: str
@@ -229,7 +221,7 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
     if isinstance(keys, dict) and "grid" in keys:
         setup = read_cameras(path.parent)
         return setup.cameras, setup.grid
-    loaded = read_versioned(CalibratedFile, path)
+    loaded = schema.read_versioned(CalibratedFile, path)
     walls = _walls(loaded.wall, len(loaded.cameras))
     _check_names(loaded.cameras, path)
     _check_cameras(loaded.cameras, path)
@@ -239,13 +231,13 @@ def read_calibrated(path: Path) -> tuple[tuple[CameraModel, ...], Grid | None]:
 
 def read_cameras(root: Path) -> CamerasFile:
     """Read the cameras of a data set, every one with its wall."""
-    path = inside(root, CAMERAS)
+    path = inside(root, schema.CAMERAS)
     return check_setup(read_json(path), path)
 
 
 def check_setup(value: Any, path: Path) -> CamerasFile:
     """Check the cameras of a data set, as `cameras.json` and shards hold them."""
-    loaded = check_versioned(CamerasFile, value, path)
+    loaded = schema.check_versioned(CamerasFile, value, path)
     _check_names(loaded.cameras, path)
     _check_cameras(loaded.cameras, path)
     first = loaded.cameras[0]
@@ -276,21 +268,21 @@ def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
     They have the same names and image sizes, and are behind the same walls unless the file has
     others.
     """
-    path = inside(root, TRUE_CAMERAS)
+    path = inside(root, schema.TRUE_CAMERAS)
     return check_true_cameras(read_json(path), path, nominal)
 
 
 def check_true_cameras(value: Any, path: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
     """Check true cameras, as `true_cameras.json` and shards hold them."""
-    loaded = check_versioned(TrueCamerasFile, value, path)
+    loaded = schema.check_versioned(TrueCamerasFile, value, path)
     cameras = loaded.cameras
     expected, got = (
         [(c.name, c.rows, c.columns) for c in group] for group in (nominal.cameras, cameras)
     )
     if got != expected:
         raise InputError(
-            f"{path}: cameras: expected names and image sizes as in {CAMERAS}, {expected}, got "
-            f"{got}"
+            f"{path}: cameras: expected names and image sizes as in {schema.CAMERAS}, {expected}, "
+            f"got {got}"
         )
     _check_cameras(cameras, path)
     walls = _walls(loaded.wall, len(cameras)) if loaded.wall else nominal.walls_of_cameras()
@@ -394,7 +386,7 @@ def list_cameras(cameras: Sequence[CameraModel], **keys: Any) -> dict[str, Any]:
     """
     records = [_camera_entry(camera) for camera in cameras]
     values = {key: _plain(value) for key, value in keys.items()}
-    head = {"format": FORMAT, "version": VERSION}
+    head = {"format": schema.FORMAT, "version": schema.VERSION}
     return {**head, **values, "cameras": records}
 
 

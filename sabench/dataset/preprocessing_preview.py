@@ -101,11 +101,7 @@ def preview(
 
 
 def _of_dataset(
-    data: Dataset,
-    camera: str | None,
-    frame: int,
-    steps: Sequence[Step] | None,
-    false_alarms: float,
+    data: Dataset, camera: str | None, frame: int, steps: Sequence[Step] | None, false_alarms: float
 ) -> Preview:
     if "particles" not in data.shows:
         raise InputError(

@@ -13,19 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.api import CalibrationCase, Observation, Shown
-from sabench.api.truth import (
-    Bubbles,
-    Particles,
-    Placed,
-    Sight,
-    Sighting,
-    Solid,
-    Target,
-    TargetPoints,
-    TargetPose,
-    View,
-)
+from sabench.api import CalibrationCase, Observation, Shown, truth
 from sabench.dataset import schema
 from sabench.dataset.arrays import AnyArrays, group_of, read_arrays
 from sabench.dataset.cameras import CamerasFile, read_cameras, read_true_cameras
@@ -251,34 +239,34 @@ class Dataset:
             for camera in self.setup.cameras
         ]
 
-    def particles(self, frame: int) -> Particles:
+    def particles(self, frame: int) -> truth.Particles:
         """Read the true particles of a frame."""
         with self._open_truth(frame) as file:
-            return _read(file, Particles, frame)
+            return _read(file, truth.Particles, frame)
 
-    def views(self, frame: int) -> list[View]:
+    def views(self, frame: int) -> list[truth.View]:
         """Read every camera's true particle images, in the cameras' order."""
         with self._open_truth(frame) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/id", (None,), "i"))
-            return [_read(file, View, frame, one.name, n=n) for one in self.setup.cameras]
+            return [_read(file, truth.View, frame, one.name, n=n) for one in self.setup.cameras]
 
-    def bubbles(self, frame: int) -> Bubbles:
+    def bubbles(self, frame: int) -> truth.Bubbles:
         """Read the true bubbles of a frame."""
         with self._open_truth(frame) as file:
-            return _read(file, Bubbles, frame)
+            return _read(file, truth.Bubbles, frame)
 
-    def solids(self, frame: int) -> list[Solid]:
+    def solids(self, frame: int) -> list[truth.Solid]:
         """Read the true bodies of a frame."""
         with self._open_truth(frame) as file:
             count = len(names_in(file, f"{schema.frame_group(frame)}/bodies"))
-            return [_read(file, Solid, frame, number) for number in range(count)]
+            return [_read(file, truth.Solid, frame, number) for number in range(count)]
 
-    def sight(self, frame: int, camera: CameraModel) -> Sight:
+    def sight(self, frame: int, camera: CameraModel) -> truth.Sight:
         """Read the true view of a frame's bubbles and bodies by one camera."""
         with self._open_truth(frame) as file:
             n = len(read_array(file, f"{schema.frame_group(frame)}/bubbles/id", (None,), "i"))
             sizes = {"rows": camera.rows, "columns": camera.columns, "n": n}
-            return _read(file, Sight, frame, camera.name, **sizes)
+            return _read(file, truth.Sight, frame, camera.name, **sizes)
 
     @property
     def shows(self) -> tuple[Shown, ...]:
@@ -298,7 +286,7 @@ class Dataset:
         target, setup = self._target(), self.setup
         sizes = {"camera": len(setup.cameras), "frame": setup.frames}
         with open_hdf5(inside(self.root, schema.POINTS)) as file:
-            points = _read(file, TargetPoints, point=len(target.points_mm), **sizes)
+            points = _read(file, truth.TargetPoints, point=len(target.points_mm), **sizes)
         return CalibrationCase(
             target,
             points.pixels,
@@ -310,12 +298,14 @@ class Dataset:
             setup.known_cameras,
         )
 
-    def placed(self) -> Placed:
+    def placed(self) -> truth.Placed:
         """Read the target's true positions and rotations: not for solvers."""
         target = self._target()
         with open_hdf5(self._truth()) as file:
             frames = range(self.setup.frames)
-            return Placed(target, tuple(_read(file, TargetPose, frame) for frame in frames))
+            return truth.Placed(
+                target, tuple(_read(file, truth.TargetPose, frame) for frame in frames)
+            )
 
     def sightings(self) -> tuple[F64, Bool]:
         """Read the true pixels of the target's points, and which are outliers.
@@ -328,10 +318,10 @@ class Dataset:
         sizes = {"frame": self.setup.frames, "point": len(self._target().points_mm)}
         with open_hdf5(self._truth()) as file:
             names = [camera.name for camera in self.setup.cameras]
-            seen = [_read(file, Sighting, which=name, **sizes) for name in names]
+            seen = [_read(file, truth.Sighting, which=name, **sizes) for name in names]
         return np.stack([one.pixel for one in seen]), np.stack([one.outlier for one in seen])
 
-    def _target(self) -> Target:
+    def _target(self) -> truth.Target:
         if not self.shows_target:
             raise InputError(
                 f"{self.root}: expected a data set with a calibration target, got one with "

@@ -16,15 +16,8 @@ import numpy as np
 
 from sabench.api.estimates import Calibration, Estimate
 from sabench.api.solvers import TaskName
+from sabench.dataset import hdf5
 from sabench.dataset.arrays import group_of, read_arrays, write_arrays
-from sabench.dataset.hdf5 import (
-    create_hdf5,
-    delay_interrupts,
-    names_in,
-    open_hdf5,
-    read_array,
-    read_attributes,
-)
 from sabench.dataset.reader import Dataset
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import decode_cameras
@@ -93,8 +86,8 @@ class Result:
 
         Raises as `read` does.
         """
-        with open_hdf5(self.path) as file:
-            names = names_in(file, ITERATIONS)
+        with hdf5.open_hdf5(self.path) as file:
+            names = hdf5.names_in(file, ITERATIONS)
             numbers = sorted(int(name) for name in names if name.isascii() and name.isdigit())
         if len(numbers) > MOST_ITERATIONS:
             raise InputError(
@@ -102,15 +95,15 @@ class Result:
             )
         for number in numbers:
             group = f"{ITERATIONS}/{number}"
-            with open_hdf5(self.path) as file:
-                (seconds,) = read_array(file, f"{group}/seconds", (1,), "f")
+            with hdf5.open_hdf5(self.path) as file:
+                (seconds,) = hdf5.read_array(file, f"{group}/seconds", (1,), "f")
             took = _cost(float(seconds), f"{self.path}: {group}/seconds")
             yield number, took or 0.0, self._read(kind, group)
 
     def _read(self, kind: type[AnEstimate], group: str) -> AnEstimate:
         sizes = dict(zip("zyx", self.grid.shape, strict=True))
-        with open_hdf5(self.path) as file:
-            fetch, names = functools.partial(read_array, file), names_in(file, group)
+        with hdf5.open_hdf5(self.path) as file:
+            fetch, names = functools.partial(hdf5.read_array, file), hdf5.names_in(file, group)
             return read_arrays(kind, fetch, group, file.filename, sizes, names)
 
 
@@ -132,11 +125,11 @@ class ResultWriter:
     def add_iteration(self, estimate: Estimate, number: int, seconds: float) -> None:
         """Store the first frame's estimate after an iteration, and its seconds."""
         self._add(estimate, f"{ITERATIONS}/{number}")
-        with delay_interrupts():
+        with hdf5.delay_interrupts():
             self._file[ITERATIONS][str(number)].create_dataset("seconds", data=[seconds])
 
     def _add(self, estimate: Estimate, name: str) -> None:
-        with delay_interrupts():
+        with hdf5.delay_interrupts():
             write_arrays(self._file, estimate, name)
             self._file.flush()
         self._check()
@@ -146,7 +139,7 @@ class ResultWriter:
 
         Velocimetry reconstructs the frames before it measures a velocity field.
         """
-        with delay_interrupts():
+        with hdf5.delay_interrupts():
             self._file.attrs["reconstruction_s"] = seconds
 
     def set_cost(
@@ -167,17 +160,17 @@ class ResultWriter:
             "compile_s": compile_s,
             "cpu_share": cpu_share,
         }
-        with delay_interrupts():
+        with hdf5.delay_interrupts():
             self._file.attrs.update({key: one for key, one in costs.items() if one is not None})
 
     def set_isolated(self) -> None:
         """Note that the solver was confined to the observation side of the data set."""
-        with delay_interrupts():
+        with hdf5.delay_interrupts():
             self._file.attrs["isolated"] = 1
 
     def set_whole_process(self) -> None:
         """Note that the seconds include the start of a process and its files."""
-        with delay_interrupts():
+        with hdf5.delay_interrupts():
             self._file.attrs["whole_process"] = 1
 
 
@@ -197,9 +190,9 @@ def result_writer(
     """
     with (
         complete_or_nothing(target, overwrite=overwrite) as path,
-        create_hdf5(path) as (file, check),
+        hdf5.create_hdf5(path) as (file, check),
     ):
-        with delay_interrupts():
+        with hdf5.delay_interrupts():
             file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
             file.attrs["dataset"], file.attrs["solver"] = dataset.content_hash, solver
             file.attrs["task"] = task
@@ -215,7 +208,7 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
     Raises InputError for another kind of file, or one of another data set.
     """
     file_path = Path(path)
-    with open_hdf5(file_path) as file:
+    with hdf5.open_hdf5(file_path) as file:
         head = _head(file)
     if not _names(head).fits(dataset):
         raise InputError(
@@ -269,13 +262,13 @@ def read_result_cameras(path: Path) -> tuple[CameraModel, ...]:
 
     Raises InputError for another kind of file, or one without cameras.
     """
-    with open_hdf5(path) as file:
+    with hdf5.open_hdf5(path) as file:
         task = _task(_head(file), path)
         if task != "calibration":
             raise InputError(
                 f"{path}: expected a result of the task calibration, got one of {task}"
             )
-        code = read_array(file, f"{Calibration.GROUP}/cameras", (None,), "u")
+        code = hdf5.read_array(file, f"{Calibration.GROUP}/cameras", (None,), "u")
     try:
         return decode_cameras(code.astype(np.uint8))
     except InputError as error:
@@ -287,7 +280,7 @@ def read_dataset_names(path: Path) -> DatasetNames:
 
     Raises as `open_result` does.
     """
-    with open_hdf5(path) as file:
+    with hdf5.open_hdf5(path) as file:
         return _names(_head(file))
 
 
@@ -296,7 +289,7 @@ def read_solver(path: Path) -> str:
 
     Raises as `open_result` does.
     """
-    with open_hdf5(path) as file:
+    with hdf5.open_hdf5(path) as file:
         return _solver(_head(file))
 
 
@@ -307,7 +300,7 @@ def _solver(head: dict[str, Any]) -> str:
 def add_identity(path: Path, dataset: Dataset) -> None:
     """Add the data set's identity to a result that was made of its observation side."""
     if dataset.identity is not None:
-        with delay_interrupts(), h5py.File(path, "r+") as file:
+        with hdf5.delay_interrupts(), h5py.File(path, "r+") as file:
             file.attrs["identity"] = dataset.identity
 
 
@@ -317,7 +310,7 @@ def _names(head: dict[str, Any]) -> DatasetNames:
 
 
 def _head(file: Any) -> dict[str, Any]:
-    head = read_attributes(file, _ATTRIBUTES)
+    head = hdf5.read_attributes(file, _ATTRIBUTES)
     version = head.get("version")
     if head.get("format") != FORMAT or version != VERSION:
         got = f"{head.get('format')!r} version {version}"
@@ -365,7 +358,7 @@ def estimate_hash(path: Path) -> str:
             found[name] = node
 
     content = hashlib.sha256()
-    with open_hdf5(path) as file:
+    with hdf5.open_hdf5(path) as file:
         file.visititems(collect)
         for name in sorted(found):
             node = found[name]

@@ -177,13 +177,7 @@ class StoredShard:
             return lambda name, shape, kinds: stored(name, shape, kinds)[:, camera]
 
         return tuple(
-            read_arrays(
-                View,
-                of_camera(camera),
-                "views",
-                self._path("truth"),
-                {"n": count},
-            )
+            read_arrays(View, of_camera(camera), "views", self._path("truth"), {"n": count})
             for camera in range(cameras)
         )
 

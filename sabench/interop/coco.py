@@ -67,22 +67,23 @@ def _annotations(bubbles: Bubbles, sight: Sight) -> Iterator[dict[str, Any]]:
     for row, identity in enumerate(bubbles.id.tolist()):
         mask = sight.number == row
         if mask.any():
-            flat = mask.ravel(order="F")
-            changes = np.flatnonzero(np.diff(flat.astype(np.int8))) + 1
-            ends = [0, *changes.tolist(), len(flat)]
-            lengths = np.diff(ends).tolist()
             yield {
                 "category_id": 1,
                 "iscrowd": 0,
                 "area": int(mask.sum()),
                 "bbox": _box(mask),
-                "segmentation": {
-                    "size": list(mask.shape),
-                    "counts": ([0, *lengths] if flat[0] else lengths),
-                },
+                "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
                 "bubble": identity,
                 "visible": float(sight.visible[row]),
             }
+
+
+def run_lengths(mask: Bool) -> list[int]:
+    """Compute run lengths of a mask, column by column, the first one of zeros."""
+    flat = mask.ravel(order="F")
+    changes = np.flatnonzero(np.diff(flat.astype(np.int8))) + 1
+    lengths: list[int] = np.diff([0, *changes.tolist(), len(flat)]).tolist()
+    return [0, *lengths] if flat[0] else lengths
 
 
 def _box(mask: Bool) -> list[int]:

@@ -27,22 +27,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.central_camera import image_lattice
 from sabench.geometry.lens import Distortion
 from sabench.geometry.polynomial_cameras import Soloff
-from sabench.interop.foreign import (
-    ForeignWorld,
-    Recording,
-    TrackTable,
-    note,
-    number_strangers,
-    unit_mm,
-)
-from sabench.interop.lenses import (
-    PIXEL_MM,
-    Extent,
-    Pose,
-    camera_of_pairs,
-    check_positive,
-    plain_camera,
-)
+from sabench.interop import foreign, lenses
 from sabench.utils.arrays import F64, I64, nested
 from sabench.utils.errors import InputError
 from sabench.utils.tables import content_lines, read_table, split_numbers
@@ -58,7 +43,7 @@ _POWERS = (
 )  # fmt: skip
 
 
-def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
+def read_cameras(path: Path, extent: lenses.Extent) -> list[CameraModel]:
     """Read one camera file, or all files of a folder that begin as camera files do.
 
     Raises InputError for a missing camera file, or a broken one.
@@ -79,7 +64,7 @@ def _is_camera(path: Path) -> bool:
     return head.startswith((_TSAI, _ZOLOF))
 
 
-def _read_camera(path: Path, extent: Extent) -> CameraModel:
+def _read_camera(path: Path, extent: lenses.Extent) -> CameraModel:
     lines = content_lines(path)
     model = lines[0][1].split()[0].lower() if lines else ""
     if model == _ZOLOF:
@@ -89,7 +74,7 @@ def _read_camera(path: Path, extent: Extent) -> CameraModel:
 
 
 def _read_tsai(
-    path: Path, lines: Sequence[tuple[int, str]], extent: Extent, *, has_size: bool
+    path: Path, lines: Sequence[tuple[int, str]], extent: lenses.Extent, *, has_size: bool
 ) -> CameraModel:
     counts = (2,) * has_size + (3, 3, 1, 2, 5, 5, 5)
     if len(lines) < len(counts) + 1:
@@ -102,15 +87,19 @@ def _read_tsai(
     ]
     columns, height = rows.pop(0).astype(int) if has_size else extent.image(str(path))[::-1]
     center, angles, (focal,), offset = rows[:4]
-    check_positive(str(path), "image size and focal length", columns, height, focal)
-    pose = Pose(_name(lines[0][1]), int(height), int(columns), center, _rotation(angles), str(path))
+    lenses.check_positive(str(path), "image size and focal length", columns, height, focal)
+    pose = lenses.Pose(
+        _name(lines[0][1]), int(height), int(columns), center, _rotation(angles), str(path)
+    )
     middle = np.array([columns, height]) / 2.0 + offset
     correction = np.stack(rows[4:7])
     if not correction.any():
         column, row = middle
-        return plain_camera(pose, focal, (float(column), float(row)), Distortion(), PIXEL_MM)
+        return lenses.plain_camera(
+            pose, focal, (float(column), float(row)), Distortion(), lenses.PIXEL_MM
+        )
     pixels = image_lattice(pose.rows, pose.columns)
-    return camera_of_pairs(pose, _ideal(pixels, middle, focal, correction), pixels, focal)
+    return lenses.camera_of_pairs(pose, _ideal(pixels, middle, focal, correction), pixels, focal)
 
 
 def _name(text: str) -> str:
@@ -133,7 +122,7 @@ def _rotation(angles: F64) -> F64:
     return np.asarray(about_x @ about_y @ about_z)
 
 
-def _read_zolof(path: Path, lines: Sequence[tuple[int, str]], extent: Extent) -> CameraModel:
+def _read_zolof(path: Path, lines: Sequence[tuple[int, str]], extent: lenses.Extent) -> CameraModel:
     """Read the polynomials of column and row, which are a Soloff camera's."""
     table = np.full((len(_POWERS), 2), np.nan)
     for number, text in lines[1:]:
@@ -172,7 +161,7 @@ def unfit(cameras: Sequence[CameraModel]) -> str | None:
 
 
 def write_cameras(
-    folder: Path, cameras: Sequence[CameraModel], world: ForeignWorld, points_mm: F64 | None
+    folder: Path, cameras: Sequence[CameraModel], world: foreign.ForeignWorld, points_mm: F64 | None
 ) -> None:
     """Write a file for each camera, named as the camera.
 
@@ -192,7 +181,7 @@ def write_cameras(
         (folder / camera.name).write_text(text, encoding="utf-8")
     if errors:
         error_px, error_mm = (max(column) for column in zip(*errors.values(), strict=True))
-        note(
+        foreign.note(
             f"myptv: polynomials replace {', '.join(errors)} in the volume; they differ by up to "
             f"{error_px:.2g} px, and their lines of sight by up to {error_mm:.2g} mm"
         )
@@ -266,7 +255,7 @@ _SMOOTHED = 11  # columns
 _SIDE = 3.0  # of blobs, whose size is not known
 
 
-def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> TrackTable:
+def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> foreign.TrackTable:
     """Read particles, trajectories or smoothed trajectories of a file or folder.
 
     Raises InputError for a missing file, or a broken one; velocities without the time between
@@ -274,12 +263,12 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
     """
     file = _file(path)
     values = _values(file)
-    factor = 1.0 if unit is None else unit_mm(unit)
+    factor = 1.0 if unit is None else foreign.unit_mm(unit)
     frame = _whole(file, values[:, -1], "frame")
     if not _is_whole(values[:, 0]):
-        note(f"{file}: its particles have no trajectories")
-        return TrackTable(frame, values[:, :3] * factor).sorted()
-    number = number_strangers(values[:, 0].astype(np.int64))
+        foreign.note(f"{file}: its particles have no trajectories")
+        return foreign.TrackTable(frame, values[:, :3] * factor).sorted()
+    number = foreign.number_strangers(values[:, 0].astype(np.int64))
     rates: dict[str, F64] = {}
     # else whole numbers: blobs of cameras
     if values.shape[1] == _SMOOTHED and not _is_whole(values[:, 4:9]):
@@ -287,7 +276,7 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
             raise InputError(f"{file}: velocities are per frame: give the time between frames")
         rates["velocity_mm_s"] = values[:, 4:7] * factor / interval_s
         rates["acceleration_mm_s2"] = values[:, 7:10] * factor / interval_s**2
-    return TrackTable(frame, values[:, 1:4] * factor, number, **rates).sorted()
+    return foreign.TrackTable(frame, values[:, 1:4] * factor, number, **rates).sorted()
 
 
 def _file(path: Path) -> Path:
@@ -321,7 +310,7 @@ def _whole(file: Path, values: F64, what: str) -> I64:
     return values.astype(np.int64)
 
 
-def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
+def write_tracks(folder: Path, table: foreign.TrackTable, recording: foreign.Recording) -> None:
     """Write blobs, particles and trajectories; smoothed ones with velocities."""
     interval_s = recording.interval_s
     # blobs of each particle (n, camera) count from 0 in each frame; -1 where a camera does not

@@ -19,13 +19,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens import Distortion
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.interop.foreign import ForeignWorld, note
-from sabench.interop.lenses import (
-    Extent,
-    Pose,
-    camera_of_lens,
-    camera_of_matrix,
-    center_of,
-)
+from sabench.interop.lenses import Extent, Pose, camera_of_lens, camera_of_matrix, center_of
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.tables import read_text

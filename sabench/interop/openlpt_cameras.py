@@ -15,16 +15,8 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.interop import openlpt
+from sabench.interop import lenses, openlpt
 from sabench.interop.foreign import ForeignWorld
-from sabench.interop.lenses import (
-    Extent,
-    Pose,
-    camera_of_matrix,
-    center_of,
-    check_media,
-    check_positive,
-)
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.tables import content_lines, split_numbers
@@ -33,7 +25,7 @@ LOST_OF_CAMERAS = ("f-numbers and focal lengths", "the pixel pitch", "the depth 
 _COUNTS = (2, 3, 3, 3, None, 3, 3, 3, 3, 3, 3, 3, 3, 3)  # numbers on the lines of a pinhole
 
 
-def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
+def read_cameras(path: Path, extent: lenses.Extent) -> list[CameraModel]:
     """Read one camera file, or all of a folder (cam*.txt).
 
     Raises InputError for a missing camera file, or a broken one.
@@ -73,15 +65,21 @@ def _read_camera(path: Path) -> CameraModel:
         np.stack(rows[6:9]),
         rows[12],
     )
-    check_positive(str(path), "image size", *size)
+    lenses.check_positive(str(path), "image size", *size)
     wall = _read_plates(path, rest[len(_COUNTS) :]) if kind == "PINPLATE" else None
-    pose = Pose(
-        path.stem, int(size[0]), int(size[1]), center_of(rotation, move), rotation, str(path), wall
+    pose = lenses.Pose(
+        path.stem,
+        int(size[0]),
+        int(size[1]),
+        lenses.center_of(rotation, move),
+        rotation,
+        str(path),
+        wall,
     )
     values = bent.tolist()
     if len(values) > 5 and any(values[5:]):
         raise InputError(f"{path}: expected five coefficients of distortion, got {len(values)}")
-    return camera_of_matrix(pose, matrix, Distortion(*(values + 5 * [0.0])[:5]))
+    return lenses.camera_of_matrix(pose, matrix, Distortion(*(values + 5 * [0.0])[:5]))
 
 
 def _read_plates(path: Path, lines: Sequence[tuple[int, str]]) -> Wall | None:
@@ -96,11 +94,11 @@ def _read_plates(path: Path, lines: Sequence[tuple[int, str]]) -> Wall | None:
             f"{path}: plates: expected a point and a normal of 3 numbers and 2 more indices than "
             f"widths, got {len(point)}, {len(normal)}, {len(indices)} and {len(widths)}"
         )
-    check_positive(str(path), "refractive index", *indices)
-    check_positive(str(path), "width", *widths)
+    lenses.check_positive(str(path), "refractive index", *indices)
+    lenses.check_positive(str(path), "width", *widths)
     if len(set(indices)) == 1:
         return None
-    check_media(str(path), indices[::-1].tolist())
+    lenses.check_media(str(path), indices[::-1].tolist())
     normal = normal / np.linalg.norm(normal)
     layers = tuple(
         Layer(f"plate_{number}", float(index), float(width))

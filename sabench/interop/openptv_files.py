@@ -24,16 +24,8 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import Distortion, distort
 from sabench.geometry.refraction import Layer, Wall
-from sabench.interop import openptv
+from sabench.interop import lenses, openptv
 from sabench.interop.foreign import ForeignWorld, Recording, TrackTable, note, unit_mm
-from sabench.interop.lenses import (
-    Extent,
-    Pose,
-    camera_of_lens,
-    check_media,
-    check_positive,
-    plain_camera,
-)
 from sabench.interop.openptv import join_links
 from sabench.utils.arrays import F64, I64, triple
 from sabench.utils.errors import InputError
@@ -60,7 +52,7 @@ class _Control:
     thickness_mm: float
 
 
-def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
+def read_cameras(path: Path, extent: lenses.Extent) -> list[CameraModel]:
     """Read the cameras of a project folder, or of a file ptv.par in it.
 
     Raises InputError for a file that is missing or broken.
@@ -68,7 +60,7 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     control = _read_control(_find_control(path))
     folder = control.path.parent
     root = folder.parent if folder.name.startswith("parameters") else folder
-    check_media(str(control.path), control.indices)
+    lenses.check_media(str(control.path), control.indices)
     return [_read_camera(root, name, control) for name in control.names]
 
 
@@ -96,8 +88,8 @@ def _read_control(path: Path) -> _Control:
     columns, rows, across, along, _, air, glass, fluid, thick = (
         _number(path, lines, first + i) for i in range(9)
     )
-    check_positive(str(path), "image size and pixel pitch", columns, rows, across, along)
-    check_positive(str(path), "refractive index", air, glass, fluid)
+    lenses.check_positive(str(path), "image size and pixel pitch", columns, rows, across, along)
+    lenses.check_positive(str(path), "refractive index", air, glass, fluid)
     return _Control(
         path, names, int(columns), int(rows), (across, along), (air, glass, fluid), thick
     )
@@ -129,11 +121,11 @@ def _read_camera(root: Path, name: str, control: _Control) -> CameraModel:
         rows[6],
         rows[7],
     )
-    check_positive(str(path), "principal distance", distance)
+    lenses.check_positive(str(path), "principal distance", distance)
     rotation = np.stack([turned[:, 0], -turned[:, 1], -turned[:, 2]])
     wall = _wall(path, control, glass, position)
     plain = Path(name).name.split(".")[0]
-    pose = Pose(plain, control.rows, control.columns, position, rotation, str(path), wall)
+    pose = lenses.Pose(plain, control.rows, control.columns, position, rotation, str(path), wall)
     addpar = _read_distortion(root / f"{name}.addpar")
     return _camera(pose, control, distance, np.array([across, above]), addpar)
 
@@ -167,7 +159,7 @@ def _wall(path: Path, control: _Control, glass: F64, position: F64) -> Wall | No
 
 
 def _camera(
-    pose: Pose, control: _Control, distance: float, offset: F64, addpar: F64
+    pose: lenses.Pose, control: _Control, distance: float, offset: F64, addpar: F64
 ) -> CameraModel:
     """Make a `Camera` if it has such a lens, else a central camera."""
     k1, k2, k3, p1, p2, scale, shear = addpar.tolist()
@@ -178,7 +170,7 @@ def _camera(
     if plain and across == along and shear == 0.0:
         column, row = middle + scale * offset * [1.0, -1.0] / across
         focal = scale * b / across
-        return plain_camera(pose, focal, (float(column), float(row)), lens, across)
+        return lenses.plain_camera(pose, focal, (float(column), float(row)), lens, across)
 
     def project(ideal: F64) -> F64:
         start = ideal * [1.0, -1.0] * b + offset
@@ -191,7 +183,7 @@ def _camera(
         f"{pose.where}: its distortion about the image's centre, or its pixels, are not those of a "
         "camera of the kind `pinhole`: it is `central`"
     )
-    return camera_of_lens(pose, project, b / across)
+    return lenses.camera_of_lens(pose, project, b / across)
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:

@@ -43,11 +43,7 @@ def check_form(form: str) -> None:
 
 
 def read_tracks(
-    path: str | Path,
-    form: TrackFormat,
-    *,
-    unit: str | None = None,
-    interval_s: float | None = None,
+    path: str | Path, form: TrackFormat, *, unit: str | None = None, interval_s: float | None = None
 ) -> TrackTable:
     """Read the particles of all frames, in the world of the files.
 

@@ -227,4 +227,4 @@ def record_image(frame: FrameContent, view: CameraView, camera: int) -> U16:
     sensor, pattern = scene.sensor.of_camera(camera), None
     if sensor.has_pattern:
         pattern = make_pattern(sensor, photons.shape, stream(seed, "sensor pattern", camera))
-    return expose(sensor, photons, stream(seed, "sensor", frame.number, camera), pattern)
+    return expose(sensor, photons, frame.sensor_noise(camera), pattern)

@@ -20,6 +20,7 @@ from sabench.simulation.rendering.particle_light import Scatterers, scatterers_o
 from sabench.simulation.rendering.pixel_truth import depth_of, meets
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
+from sabench.utils.rng import stream
 from sabench.worlds import calibration_targets
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.tracers import Motion, moments, pulse
@@ -86,6 +87,10 @@ class FrameContent:
     def solids(self) -> list[Solid]:
         """Surfaces of the bodies."""
         return [solid for solid, _ in self.bodies]
+
+    def sensor_noise(self, camera: int) -> np.random.Generator:
+        """Random numbers of one camera's sensor, by its number in the rig."""
+        return stream(self.seed, "sensor", self.number, camera)
 
 
 def inside(bubbles: Bubbles, solids: Sequence[Solid], points_mm: F64) -> Bool:

@@ -49,9 +49,11 @@ assert out.exit_code == 0 and 'msa' in out.output, out.output
 
 def test_names_for_completion_import_no_plug_in() -> None:
     script = """
+from sabench import plugins
 from sabench.cli import options
 assert options.complete_solver('refr') and options.complete_scene('qu') == ['quick']
-assert options.complete_calibration_solver('m') == [] and options.complete_suite('c')
+assert options.complete(lambda: plugins.list_solvers('calibration'))('m') == []
+assert options.complete(plugins.list_suites)('c')
 """
     assert not loaded(script)
 

@@ -21,14 +21,7 @@ import numpy as np
 from sabench.api.arrays import Arrays
 from sabench.api.truth import Truth
 from sabench.dataset import schema
-from sabench.dataset.arrays import (
-    AnyArrays,
-    Named,
-    group_of,
-    name_of,
-    named_arrays,
-    read_arrays,
-)
+from sabench.dataset.arrays import AnyArrays, Named, group_of, name_of, named_arrays, read_arrays
 from sabench.images.tiff_exr import write_exr, write_tiff
 from sabench.scenes import Scene, parse_scene
 from sabench.utils.arrays import F32, U16

@@ -278,10 +278,7 @@ def _lamps(light: Lighting | None, camera: Camera, origin: F64, full: float) -> 
 
 
 def _bounding_radius(
-    bubbles: Bubbles,
-    bodies: Sequence[tuple[Solid, Material]],
-    cloud: Cloud | None,
-    origin: F64,
+    bubbles: Bubbles, bodies: Sequence[tuple[Solid, Material]], cloud: Cloud | None, origin: F64
 ) -> float:
     corners = [
         np.linalg.norm(bubbles.center_mm - origin, axis=1)

@@ -116,12 +116,7 @@ def _from_behind(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:
     routes = []
     for face in range(len(rear) + 1):
         passed = rear[:face]
-        unfolded = (
-            *wall.layers,
-            Layer("fluid", fluid, wall.depth_mm),
-            *passed,
-            *passed[::-1],
-        )
+        unfolded = (*wall.layers, Layer("fluid", fluid, wall.depth_mm), *passed, *passed[::-1])
         extra = 2.0 * sum(layer.thickness_mm for layer in passed)
         routes.append(
             Route(

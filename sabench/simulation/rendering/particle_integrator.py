@@ -16,11 +16,7 @@ import numpy as np
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
-from sabench.simulation.rendering.camera_rays import (
-    mark_unobstructed,
-    mean_of_rays,
-    pinhole_rays,
-)
+from sabench.simulation.rendering.camera_rays import mark_unobstructed, mean_of_rays, pinhole_rays
 from sabench.utils.arrays import F32, F64, I64
 
 _ROUNDING = 2e-6  # of distances: rays go on so far behind what they met

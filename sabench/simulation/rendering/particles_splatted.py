@@ -121,14 +121,7 @@ def _find_lit(pixel: Any, photons: Any, spread: Any, rows: int, columns: int) ->
 
 @numba.njit(cache=True)
 def _sort_windows(
-    pixel: Any,
-    photons: Any,
-    spread: Any,
-    lit: Any,
-    corners: Any,
-    sizes: Any,
-    edge: int,
-    bands: int,
+    pixel: Any, photons: Any, spread: Any, lit: Any, corners: Any, sizes: Any, edge: int, bands: int
 ) -> Any:
     """Sort particles by the band of rows that their windows begin in.
 
@@ -173,14 +166,7 @@ def _clear(image: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _add_windows(
-    image: Any,
-    starts: Any,
-    pixel: Any,
-    photons: Any,
-    sigma: Any,
-    tilt: Any,
-    corner: Any,
-    size: Any,
+    image: Any, starts: Any, pixel: Any, photons: Any, sigma: Any, tilt: Any, corner: Any, size: Any
 ) -> None:
     """Add particles' windows: even bands first, then odd."""
     bands = len(starts) - 1

@@ -13,21 +13,13 @@ import mitsuba as mi
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.simulation.rendering.camera_rays import (
-    lens_rays,
-    mean_of_rays,
-    opaque,
-)
+from sabench.simulation.rendering.camera_rays import lens_rays, mean_of_rays, opaque
 from sabench.simulation.rendering.lamps import Lamps
 from sabench.utils.arrays import F32, F64, Bool
 
 # irrational steps along columns and rows, so that neighbours differ much: of a pixel's lattice
 # along columns, along rows, and of the rotation of the aperture's points
-_STEPS = (
-    (0.7548777, 0.5698403),
-    (0.5698403, 0.2451223),
-    (0.2451223, 0.8191725),
-)
+_STEPS = ((0.7548777, 0.5698403), (0.5698403, 0.2451223), (0.2451223, 0.8191725))
 
 
 @dataclass(frozen=True)

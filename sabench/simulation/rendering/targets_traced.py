@@ -38,11 +38,7 @@ def render(
 
     origin = pose.position_mm
     scene = mi.load_dict(
-        {
-            "type": "scene",
-            **interfaces(mi, origin, camera),
-            **_shapes(mi, target, pose),
-        }
+        {"type": "scene", **interfaces(mi, origin, camera), **_shapes(mi, target, pose)}
     )
     squares = (
         (target.columns, target.rows)
