@@ -184,18 +184,17 @@ class Velocity(Estimate):
             raise InputError(f"step_mm: expected positive numbers, got {self.step_mm}")
         if not self.valid.size:
             raise InputError(f"valid: expected nodes (z, y, x), got {self.valid.shape}")
-        if self.plane_axes is not None:
-            self._check_plane(self.plane_axes)
-
-    def _check_plane(self, axes: F64) -> None:
+        axes, planes = self.plane_axes, len(self.valid)
+        if axes is None:
+            return
         if axes.shape != (2, 3) or not np.allclose(axes @ axes.T, np.eye(2), atol=1e-6):
             raise InputError(
                 "plane_axes: expected two unit vectors (2, 3) at right angles, got "
                 f"{np.asarray(axes).tolist()}"
             )
-        if len(self.valid) != 1:
+        if planes != 1:
             raise InputError(
-                f"plane_axes: expected a field of one plane of nodes, got {len(self.valid)} planes"
+                f"plane_axes: expected a field of one plane of nodes, got {planes} planes"
             )
 
     @property

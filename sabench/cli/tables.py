@@ -35,25 +35,17 @@ def show(headings: Sequence[str], rows: Rows, keys: int = 1) -> None:
     elif len(rows) == 1:
         _print(("", "value"), list(zip(headings, rows[0], strict=True)))
     else:
-        for part in _split(sizes, keys):
+        first = list(range(keys))
+        parts: list[list[int]] = [[]]
+        free = left = width() - 1 - sum(sizes[:keys])
+        for column in range(keys, len(sizes)):
+            if parts[-1] and sizes[column] > left:
+                parts.append([])
+                left = free
+            parts[-1].append(column)
+            left -= sizes[column]
+        for part in [first + part for part in parts]:
             _print([headings[i] for i in part], [[row[i] for i in part] for row in rows])
-
-
-def _split(sizes: Sequence[int], keys: int) -> list[list[int]]:
-    """Distribute columns over tables of the allowed width.
-
-    Each table has the key columns first.
-    """
-    first = list(range(keys))
-    parts: list[list[int]] = [[]]
-    free = left = width() - 1 - sum(sizes[:keys])
-    for column in range(keys, len(sizes)):
-        if parts[-1] and sizes[column] > left:
-            parts.append([])
-            left = free
-        parts[-1].append(column)
-        left -= sizes[column]
-    return [first + part for part in parts]
 
 
 def show_wrapped(headings: Sequence[str], rows: Rows) -> None:

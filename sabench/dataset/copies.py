@@ -22,7 +22,7 @@ from sabench.dataset.hdf5 import open_hdf5, read_array
 from sabench.dataset.reader import Dataset
 from sabench.images.tiff_exr import read_exr, read_tiff, write_tiff
 from sabench.scenes.sensor import Sensor
-from sabench.utils.arrays import F32, F64, U16, Bool
+from sabench.utils.arrays import U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, inside, read_json, zip_folder
 from sabench.utils.progress import progress_bar
@@ -96,23 +96,17 @@ def pack_samples(root: Path, out: Path, *, blind: bool, overwrite: bool = False)
     files = [name for name in contents.all_files if not blind or schema.is_observed(name)]
     with _folder_of(out, overwrite) as folder:
         for name in progress_bar(files, "copy"):
-            place = inside(folder, name)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(inside(root, name), place)
+            _copy_file(root, folder, name)
         text = (root / schema.MANIFEST).read_text(encoding="utf-8")
         if blind:
-            text = schema.seal(_without_truth(contents))
+            keys = set(schema.ShardedContents.model_fields)
+            head = contents.model_dump(mode="json", include=keys) | {"side": "observation"}
+            for listed in (head["files"], *(entry["files"] for entry in head["shards"])):
+                for name in [name for name in listed if not schema.is_observed(name)]:
+                    del listed[name]
+            text = schema.seal(head)
         (folder / schema.MANIFEST).write_text(text, encoding="utf-8")
     return out
-
-
-def _without_truth(contents: schema.ShardedContents) -> dict[str, Any]:
-    keys = set(schema.ShardedContents.model_fields)
-    head = contents.model_dump(mode="json", include=keys) | {"side": "observation"}
-    for files in (head["files"], *(entry["files"] for entry in head["shards"])):
-        for name in [name for name in files if not schema.is_observed(name)]:
-            del files[name]
-    return head
 
 
 @contextlib.contextmanager
@@ -141,9 +135,13 @@ def _copy_side(dataset: Dataset, folder: Path, blind: bool) -> None:
         )
     whole = dataset.contents if dataset.recorded else dataset.manifest
     for name in [*whole.files, schema.MANIFEST]:
-        place = inside(folder, name)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(inside(dataset.root, name), place)
+        _copy_file(dataset.root, folder, name)
+
+
+def _copy_file(root: Path, folder: Path, name: str) -> None:
+    place = inside(folder, name)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(inside(root, name), place)
 
 
 _MOST_FAULTS = 100
@@ -170,10 +168,9 @@ def disagreements(one: Dataset, other: Dataset) -> list[str]:
 
 def _differences(one: Dataset, other: Dataset) -> Iterator[str]:
     if one.manifest.identity is None or one.identity != other.manifest.identity:
-        yield (
-            f"{other.root / schema.MANIFEST}: identity: expected {_short(one.identity)} as in "
-            f"{one.root}, got {_short(other.identity)}"
-        )
+        expected, got = ((each or "none")[:12] for each in (one.identity, other.identity))
+        path = other.root / schema.MANIFEST
+        yield f"{path}: identity: expected {expected} as in {one.root}, got {got}"
         return
     if one.content_hash == other.content_hash:
         return
@@ -183,10 +180,6 @@ def _differences(one: Dataset, other: Dataset) -> Iterator[str]:
     for name in progress_bar(sorted(names & others), "compare"):
         if one.manifest.files[name] != other.manifest.files[name]:
             yield from _compare_files(one, other, name)
-
-
-def _short(identity: str | None) -> str:
-    return identity[:12] if identity else "none"
 
 
 def _compare_files(one: Dataset, other: Dataset, name: str) -> Iterator[str]:
@@ -224,13 +217,11 @@ def _compare_images(one: Dataset, first: Path, second: Path) -> Iterator[str]:
         number = names.index(first.stem) if first.stem in names else 0
         different = _other_grey(*read, one.scene.sensor.of_camera(number))
     else:
-        different = _other_radiance(read_exr(first, shape), read_exr(second, shape))
+        light = read_exr(first, shape)
+        other_light = read_exr(second, shape)
+        scale = max(float(light.max(initial=0.0)), float(other_light.max(initial=0.0)))
+        different = np.asarray(np.abs(light.astype(float) - other_light) > _RADIANCE * scale)
     yield from _too_many(different, first, second)
-
-
-def _other_radiance(one: F32, other: F32) -> Bool:
-    scale = max(float(one.max(initial=0.0)), float(other.max(initial=0.0)))
-    return np.asarray(np.abs(one.astype(float) - other) > _RADIANCE * scale)
 
 
 def _other_grey(one: U16, other: U16, sensor: Sensor) -> Bool:
@@ -259,11 +250,11 @@ def _compare_hdf5(first: Path, second: Path, *, detected: bool) -> Iterator[str]
         for name in sorted(names ^ others):
             yield f"{second}: {name}: expected the arrays of {first}, got others"
         for name in sorted(names & others):
-            values = [
+            first_values, second_values = (
                 read_array(file, name, file[name].shape, file[name].dtype.kind)
                 for file in (one, other)
-            ]
-            if not _agree(name, values[0], values[1], detected=detected):
+            )
+            if not _agree(name, first_values, second_values, detected=detected):
                 yield f"{second}: {name}: expected the values of {first} up to rounding, got others"
 
 
@@ -293,10 +284,6 @@ def _share_beyond(one: npt.NDArray[Any], other: npt.NDArray[Any], allowed: float
     """Compute the share of values that differ by more; NaN agrees with NaN alone."""
     first, second = one.astype(np.float64), other.astype(np.float64)
     same: Bool = (first == second) | (np.isnan(first) & np.isnan(second))
-    near: Bool = np.abs(_difference(first, second)) <= allowed
-    return float(np.mean(~(same | near))) if one.size else 0.0
-
-
-def _difference(one: F64, other: F64) -> F64:
     with np.errstate(invalid="ignore"):
-        return np.asarray(one - other)
+        near: Bool = np.abs(first - second) <= allowed
+    return float(np.mean(~(same | near))) if one.size else 0.0

@@ -43,7 +43,8 @@ def check_storage(node: Any, where: str) -> None:
     if not node.chunks:
         return
     file_bytes = Path(node.file.filename).stat().st_size
-    size, most = chunk_bytes(node), math.prod(map(_pieces, node.shape, node.chunks))
+    pieces = (-(-length // part) for length, part in zip(node.shape, node.chunks, strict=True))
+    size, most = chunk_bytes(node), math.prod(pieces)
     chunks = _chunks(node)
     if len(chunks) > most:
         raise InputError(f"{where}: expected at most {most} chunks, got {len(chunks)}")
@@ -70,7 +71,15 @@ def check_streams(node: Any, where: str) -> None:
     filters = tuple(plan.get_filter(number)[0] for number in range(plan.get_nfilters()))
     size = chunk_bytes(node)
     for chunk in _chunks(node):
-        if _deflated(filters, chunk) and not _holds(node, chunk.chunk_offset, size):
+        if not _deflated(filters, chunk):
+            continue
+        stream = zlib.decompressobj()
+        try:
+            stored = node.id.read_direct_chunk(chunk.chunk_offset)[1]
+            intact = len(stream.decompress(stored, size + 1)) == size and stream.eof
+        except zlib.error:
+            intact = False
+        if not intact:
             raise InputError(
                 f"{where}: expected a deflate stream of {size} bytes in every chunk, got another "
                 f"at {list(chunk.chunk_offset)}"
@@ -82,16 +91,6 @@ def chunk_bytes(node: Any) -> int:
     return int(math.prod(node.chunks) * node.id.get_type().get_size())
 
 
-def _holds(node: Any, offset: tuple[int, ...], size: int) -> bool:
-    _, stored = node.id.read_direct_chunk(offset)
-    stream = zlib.decompressobj()
-    try:
-        made = len(stream.decompress(stored, size + 1))
-    except zlib.error:
-        return False
-    return made == size and stream.eof
-
-
 def _chunks(node: Any) -> list[Any]:
     found: list[Any] = []
     node.id.chunk_iter(found.append)
@@ -101,10 +100,6 @@ def _chunks(node: Any) -> list[Any]:
 def _deflated(filters: tuple[int, ...], chunk: Any) -> bool:
     """Say whether a chunk is compressed: a writer leaves out what does not help."""
     return bool(filters) and not chunk.filter_mask >> (len(filters) - 1) & 1
-
-
-def _pieces(size: int, piece: int) -> int:
-    return -(-size // piece)
 
 
 _LONGEST = 1 << 20  # characters of an attribute
@@ -334,12 +329,8 @@ def _attribute(file: Any, name: str) -> Any:
     where = f"{file.filename}: attribute {name}"
     identity = file.attrs.get_id(name)
     dtype = _dtype(identity, where)
-    if (
-        identity.shape is None
-        or math.prod(identity.shape) != 1
-        or dtype.kind not in "iufbSO"
-        or dtype.itemsize > _LONGEST
-    ):
+    single = identity.shape is not None and math.prod(identity.shape) == 1
+    if not single or dtype.kind not in "iufbSO" or dtype.itemsize > _LONGEST:
         raise InputError(
             f"{where}: expected one string or number, got {dtype} of shape {identity.shape}"
         )

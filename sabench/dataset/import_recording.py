@@ -317,7 +317,11 @@ def _store_all(
         if mask is not None:
             writer.add_mask(camera.name, mask)
         values[camera.name], counts[camera.name] = GreyValues(), 0
-        images = progress_bar(_images(camera, paths, options), f"import {camera.name}")
+        every = _numbered(read_images(paths, (camera.rows, camera.columns), options.raw))
+        wanted = options.frames
+        images = progress_bar(
+            itertools.islice(every, wanted.start, wanted.stop, wanted.step), f"import {camera.name}"
+        )
         for frame, (path, page, image) in enumerate(images):
             values[camera.name].add(
                 image, None if mask is None else mask[: image.shape[0], : image.shape[1]]
@@ -330,14 +334,6 @@ def _store_all(
     if references is not None:
         writer.set_references(references)
     return counts, values
-
-
-def _images(
-    camera: CameraModel, paths: Sequence[Path], options: ImportOptions
-) -> Iterator[tuple[Path, int, U16]]:
-    every = _numbered(read_images(paths, (camera.rows, camera.columns), options.raw))
-    chosen = options.frames
-    return itertools.islice(every, chosen.start, chosen.stop, chosen.step)
 
 
 def _numbered(images: Iterator[tuple[Path, U16]]) -> Iterator[tuple[Path, int, U16]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -131,11 +131,8 @@ class Dataset:
     def manifest(self) -> Manifest:
         """Contents and origin: truth, not for solvers."""
         if not isinstance(self.contents, Manifest):
-            got = (
-                "a recorded one, which has none: see `sabench quality`"
-                if self.recorded
-                else "the observation side alone"
-            )
+            recorded = "a recorded one, which has none: see `sabench quality`"
+            got = recorded if self.recorded else "the observation side alone"
             raise InputError(f"{self.root}: expected a data set with its truth, got {got}")
         return self.contents
 
@@ -188,13 +185,13 @@ class Dataset:
         """Read which pixels (camera, row, column) masks leave out; None without masks."""
         if not any(schema.mask_name(one.name) in self.contents.files for one in self.setup.cameras):
             return None
-        return np.stack([self._masked(camera) for camera in self.setup.cameras])
-
-    def _masked(self, camera: CameraModel) -> Bool:
-        name, shape = schema.mask_name(camera.name), (camera.rows, camera.columns)
-        if name not in self.contents.files:
-            return np.zeros(shape, dtype=np.bool_)
-        return np.asarray(read_tiff(inside(self.root, name), shape) == 0)
+        first = self.setup.cameras[0]
+        masked = np.zeros((len(self.setup.cameras), first.rows, first.columns), dtype=np.bool_)
+        for camera, leaves_out in zip(self.setup.cameras, masked, strict=True):
+            name = schema.mask_name(camera.name)
+            if name in self.contents.files:
+                leaves_out[:] = read_tiff(inside(self.root, name), leaves_out.shape) == 0
+        return masked
 
     def _raw(self, frame: int) -> U16:
         """Read the raw images (camera, row, column) of a frame."""
@@ -333,11 +330,9 @@ class Dataset:
         _ = self.manifest  # raises where there is no truth
         return inside(self.root, name)
 
-    @contextlib.contextmanager
-    def _open_truth(self, frame: int) -> Iterator[Any]:
+    def _open_truth(self, frame: int) -> contextlib.AbstractContextManager[Any]:
         self._check_frame(frame)
-        with open_hdf5(self._truth()) as file:
-            yield file
+        return open_hdf5(self._truth())
 
     def _check_frame(self, frame: int) -> None:
         if not 0 <= frame < self.setup.frames:
@@ -350,9 +345,8 @@ def _read(
     """Read what a class declares from an HDF5 file."""
     group = group_of(kind, frame, which)
     names = names_in(file, group) if any(one.optional for one in kind.ARRAYS) else ()
-    return read_arrays(
-        kind, functools.partial(read_array, file), group, file.filename, sizes, names
-    )
+    fetch = functools.partial(read_array, file)
+    return read_arrays(kind, fetch, group, file.filename, sizes, names)
 
 
 def open_dataset(path: str | Path) -> Dataset:

@@ -27,21 +27,12 @@ from sabench.utils.files import complete_or_nothing
 from sabench.utils.validation import printable
 
 FORMAT, VERSION = "sabench-result", 2
+_COSTS = ("seconds", "peak_mb", "compile_s", "reconstruction_s", "cpu_share")
+_FLAGS = ("isolated", "whole_process")
 _ATTRIBUTES = (
-    "format",
-    "version",
-    "dataset",
-    "identity",
-    "task",
-    "solver",
-    "parameters",
-    "seconds",
-    "peak_mb",
-    "compile_s",
-    "reconstruction_s",
-    "cpu_share",
-    "isolated",
-    "whole_process",
+    *("format", "version", "dataset", "identity", "task", "solver", "parameters"),
+    *_COSTS,
+    *_FLAGS,
 )
 ITERATIONS = "iterations"  # group of estimates on the way
 MOST_ITERATIONS = 100  # of which a file may have estimates
@@ -154,12 +145,8 @@ class ResultWriter:
         The memory is None if it is not known, as is the time of compilation, of all frames, and the
         share of the CPU.
         """
-        costs = {
-            "seconds": seconds,
-            "peak_mb": peak_mb,
-            "compile_s": compile_s,
-            "cpu_share": cpu_share,
-        }
+        costs = {"seconds": seconds, "peak_mb": peak_mb}
+        costs |= {"compile_s": compile_s, "cpu_share": cpu_share}
         with hdf5.delay_interrupts():
             self._file.attrs.update({key: one for key, one in costs.items() if one is not None})
 
@@ -215,10 +202,8 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
             f"{path}: expected a result of the data set {dataset.content_hash[:12]} "
             f"({dataset.root}), got one of {str(head.get('dataset'))[:12]}"
         )
-    costs = {
-        key: _cost(head.get(key), f"{path}: attribute {key}")
-        for key in ("seconds", "peak_mb", "compile_s", "reconstruction_s", "cpu_share")
-    }
+    costs = {key: _cost(head.get(key), f"{path}: attribute {key}") for key in _COSTS}
+    flags = {key: bool(head.get(key, 0) == 1) for key in _FLAGS}
     text = str(head.get("parameters", "{}"))
     where = f"{path}: attribute parameters: expected a JSON object"
     try:
@@ -234,9 +219,8 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
         solver=_solver(head),
         parameters=value,
         grid=dataset.setup.grid,
-        isolated=bool(head.get("isolated", 0) == 1),
-        whole_process=bool(head.get("whole_process", 0) == 1),
         **costs,
+        **flags,
     )
 
 
@@ -349,12 +333,8 @@ def estimate_hash(path: Path) -> str:
     found: dict[str, Any] = {}
 
     def collect(name: str, node: Any) -> None:
-        on_the_way = name.startswith(f"{ITERATIONS}/")
-        if (
-            isinstance(node, h5py.Dataset)
-            and name.rpartition("/")[2] != _LEFT_OUT
-            and not on_the_way
-        ):
+        counts = name.rpartition("/")[2] != _LEFT_OUT and not name.startswith(f"{ITERATIONS}/")
+        if isinstance(node, h5py.Dataset) and counts:
             found[name] = node
 
     content = hashlib.sha256()

@@ -97,16 +97,15 @@ class Batch(Generic[S]):
             positions, present = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.bool_)
             for row, one in enumerate(self.samples):
                 for frame, own in enumerate(one.particles):
-                    _check_count(one.number, len(own), particles)
+                    if len(own) > particles:
+                        raise InputError(
+                            f"sample {one.number}: expected at most {particles} particles, got "
+                            f"{len(own)}"
+                        )
                     positions[row, frame, : len(own)] = own.position_mm
                     present[row, frame, : len(own)] = True
             arrays |= {"position_mm": positions, "present": present}
         return arrays
-
-
-def _check_count(number: int, count: int, most: int) -> None:
-    if count > most:
-        raise InputError(f"sample {number}: expected at most {most} particles, got {count}")
 
 
 def make_batch(samples: Sequence[S]) -> Batch[S]:

@@ -338,14 +338,12 @@ class _Collected:
                 own = [getattr(particles, one.name) for particles in frames]
                 truth[f"particles/{one.label}"] = np.concatenate(own)
         if "views" in kept.truth:
-            self._store_views(truth)
-
-    def _store_views(self, truth: Any) -> None:
-        """Store the particles' images (particle, camera)."""
-        frames = [one for sample in self._samples for one in sample.views]
-        for one in View.ARRAYS:
-            own = [np.stack([getattr(v, one.name) for v in views], axis=1) for views in frames]
-            truth[f"views/{one.label}"] = one.to_file(np.concatenate(own))
+            of_frames = [one for sample in self._samples for one in sample.views]
+            for one in View.ARRAYS:
+                stacked = [
+                    np.stack([getattr(v, one.name) for v in views], axis=1) for views in of_frames
+                ]
+                truth[f"views/{one.label}"] = one.to_file(np.concatenate(stacked))
 
 
 def as_text(value: Any) -> U8:

@@ -162,7 +162,7 @@ class StoredShard:
 
     def _particles(self, part: slice) -> Particles:
         def fetch(name: str, shape: tuple[int | None, ...], kinds: str) -> npt.NDArray[Any]:
-            return self._part("truth", name, (self._rows, *shape[1:]), kinds, part)
+            return self._part("truth", name, (int(self._ends[-1]), *shape[1:]), kinds, part)
 
         return read_arrays(Particles, fetch, "particles", self._path("truth"))
 
@@ -171,7 +171,9 @@ class StoredShard:
 
         @functools.cache
         def stored(name: str, shape: tuple[int | None, ...], kinds: str) -> npt.NDArray[Any]:
-            return self._part("truth", name, (self._rows, cameras, *shape[1:]), kinds, part)
+            return self._part(
+                "truth", name, (int(self._ends[-1]), cameras, *shape[1:]), kinds, part
+            )
 
         def of_camera(camera: int) -> Fetch:
             return lambda name, shape, kinds: stored(name, shape, kinds)[:, camera]
@@ -190,19 +192,11 @@ class StoredShard:
     @property
     def _ends(self) -> I64:
         """Rows at which the particles of each frame of each sample end."""
-        ends: I64 = self._checked("ends", self._read_ends)
-        return ends
-
-    def _read_ends(self) -> I64:
         shape = (len(self), self._shape[0])
         ends: I64 = self._all("truth", "particles/end", shape, "i").reshape(-1)
         if (np.diff(ends, prepend=0) < 0).any():
             raise InputError(f"{self._path('truth')}: particles/end: expected ascending numbers")
         return ends
-
-    @property
-    def _rows(self) -> int:
-        return int(self._ends[-1])
 
     def _need(self, kind: str) -> None:
         if self._truth is not None and kind not in self._truth:

@@ -131,7 +131,12 @@ def verify(path: str | Path) -> list[str]:
     except InputError as error:
         return [_sentence(error)]
     faults = list(itertools.islice(_byte_faults(root, manifest), _MOST_FAULTS))
-    faults = faults or list(itertools.islice(_faults_inside(root, manifest), _MOST_FAULTS))
+    if not faults:
+        if isinstance(manifest, schema.ShardedContents):
+            inner = shard_faults(root, manifest, _try)
+        else:
+            inner = _content_faults(Dataset(root, manifest))
+        faults = list(itertools.islice(inner, _MOST_FAULTS))
     return [one_line(fault, _LONGEST) for fault in faults]
 
 
@@ -152,12 +157,6 @@ def describe_contents(path: str | Path) -> str:
     elsewhere = "" if dataset.references is None else f", images in {dataset.references.folder}"
     size = f"{frames} frame(s) of {cameras} camera(s)"
     return f"; recorded: {size}{masks}{elsewhere}; no truth, no scene"
-
-
-def _faults_inside(root: Path, manifest: schema.Contents) -> Iterator[str]:
-    if isinstance(manifest, schema.ShardedContents):
-        return shard_faults(root, manifest, _try)
-    return _content_faults(Dataset(root, manifest))
 
 
 def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
@@ -183,16 +182,14 @@ def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
                 continue
             got = schema.FileEntry.of(file)
             if got != entry:
-                yield f"{file}: its bytes do not match the manifest{_guess(got, entry, known)}"
+                guess = (
+                    f": {got.bytes} of {entry.bytes} are left" if got.bytes < entry.bytes else ""
+                )
+                if got.sha256 in known:
+                    guess = f": they are those of {known[got.sha256]}"
+                yield f"{file}: its bytes do not match the manifest{guess}"
         except (InputError, OSError) as error:
             yield _sentence(error)
-
-
-def _guess(got: schema.FileEntry, entry: schema.FileEntry, known: dict[str, str]) -> str:
-    """Say what may have become of a file, as the end of a sentence."""
-    if got.sha256 in known:
-        return f": they are those of {known[got.sha256]}"
-    return f": {got.bytes} of {entry.bytes} are left" if got.bytes < entry.bytes else ""
 
 
 def _content_faults(dataset: Dataset) -> Iterator[str]:

@@ -117,7 +117,27 @@ def list_setups(
 
     The second is None where the true cameras are the nominal ones.
     """
-    keys = _observation(scene, len(nominal)) | ({"shows": shows} if shows else {})
+    keys: dict[str, Any] = {
+        "frames": scene.frames,
+        "interval_s": scene.interval_s,
+        "sensor": {
+            "black_dn": scene.sensor.black_level_dn,
+            "white_dn": scene.sensor.white_dn,
+            "bit_depth": scene.sensor.bit_depth,
+        },
+    }
+    if by_camera := scene.sensor.levels_by_camera(len(nominal)):
+        keys["sensor"]["by_camera"] = by_camera
+    if scene.timing is not None:
+        keys["times_s"] = [scene.time_s(frame) for frame in range(scene.frames)]
+        keys["pulses"] = len(scene.timing.pulses_s)
+    if scene.preprocessing:
+        keys["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
+    if scene.unknown:
+        keys["unknown"] = scene.unknown
+    if scene.calibration and scene.calibration.known_cameras:
+        keys["known_cameras"] = True
+    keys = keys | ({"shows": shows} if shows else {})
     keys |= {"wall": wall_entry(nominal), "grid": rig.grid}
     setup = list_cameras(nominal, **keys)
     if not scene.calibration:
@@ -148,31 +168,6 @@ def _copy_given(root: Path, table: str, path: Path) -> Path:
     for one in files:
         shutil.copyfile(one, root / folder / one.name)
     return folder / path.name
-
-
-def _observation(scene: Scene, cameras: int) -> dict[str, Any]:
-    """List the keys of cameras.json besides the cameras, their wall and the grid."""
-    keys: dict[str, Any] = {
-        "frames": scene.frames,
-        "interval_s": scene.interval_s,
-        "sensor": {
-            "black_dn": scene.sensor.black_level_dn,
-            "white_dn": scene.sensor.white_dn,
-            "bit_depth": scene.sensor.bit_depth,
-        },
-    }
-    if by_camera := scene.sensor.levels_by_camera(cameras):
-        keys["sensor"]["by_camera"] = by_camera
-    if scene.timing is not None:
-        keys["times_s"] = [scene.time_s(frame) for frame in range(scene.frames)]
-        keys["pulses"] = len(scene.timing.pulses_s)
-    if scene.preprocessing:
-        keys["preprocessing"] = [step.model_dump() for step in scene.preprocessing]
-    if scene.unknown:
-        keys["unknown"] = scene.unknown
-    if scene.calibration and scene.calibration.known_cameras:
-        keys["known_cameras"] = True
-    return keys
 
 
 def _manifest(

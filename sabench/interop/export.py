@@ -33,17 +33,6 @@ NAME = "state.py"
 _TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
 
 
-def write_state(root: Path, home: Path) -> None:
-    """Write a state into an export's folder, whose files it finds when it is loaded.
-
-    Parameters
-    ----------
-    home : where the folder will lie, for a ParaView that does not tell where the state is.
-    """
-    text = _TEMPLATE.read_text(encoding="utf-8").replace("{{ folder }}", repr(str(home)))
-    (root / NAME).write_text(text, encoding="utf-8")
-
-
 Format = Literal[
     "vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv", "coco"
 ]
@@ -91,7 +80,10 @@ def export(
         root.mkdir()
         if to == "vtk":
             vtkhdf.write(root, data, found)
-            write_state(root, Path(out).absolute())
+            text = _TEMPLATE.read_text(encoding="utf-8").replace(
+                "{{ folder }}", repr(str(Path(out).absolute()))
+            )
+            (root / NAME).write_text(text, encoding="utf-8")
         elif to == "coco":
             if found is not None:
                 raise InputError(

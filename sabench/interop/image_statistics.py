@@ -42,11 +42,8 @@ def measure_frame(frame: Observation) -> FrameStatistics:
     floor = max(_FLOOR, *(_NOISE * background_noise(image) for image in images))
     peaks = [find_peaks(image, floor).pixels for image in images]
     count = int(np.median([len(one) for one in peaks]))
-    low, voxel, shape = (
-        np.asarray(frame.grid.low_mm),
-        np.asarray(frame.grid.voxel_mm),
-        np.asarray(frame.grid.shape[::-1]),
-    )
+    grid = frame.grid
+    low, voxel, shape = (np.asarray(one) for one in (grid.low_mm, grid.voxel_mm, grid.shape[::-1]))
     middle = low + voxel * (shape - 1) / 2.0
     step = np.array([voxel[0], 0.0, 0.0])
     shift = [

@@ -99,19 +99,14 @@ def _read_tsai(
             pose, focal, (float(column), float(row)), Distortion(), lenses.PIXEL_MM
         )
     pixels = image_lattice(pose.rows, pose.columns)
-    return lenses.camera_of_pairs(pose, _ideal(pixels, middle, focal, correction), pixels, focal)
+    x, y = pixels.T
+    terms = np.stack([x, y, x**2, y**2, x * y], axis=1)
+    along = np.column_stack([pixels - middle, np.full(len(pixels), focal)]) + terms @ correction.T
+    return lenses.camera_of_pairs(pose, np.asarray(along[:, :2] / along[:, 2:]), pixels, focal)
 
 
 def _name(text: str) -> str:
     return "".join(mark if mark.isalnum() else "_" for mark in text) or "camera"
-
-
-def _ideal(pixels: F64, middle: F64, focal: float, correction: F64) -> F64:
-    """Compute ideal image coordinates of pixels (n, 2) with the correction E (3, 5)."""
-    column, row = pixels.T
-    terms = np.stack([column, row, column**2, row**2, column * row], axis=1)
-    along = np.column_stack([pixels - middle, np.full(len(pixels), focal)]) + terms @ correction.T
-    return np.asarray(along[:, :2] / along[:, 2:])
 
 
 def _rotation(angles: F64) -> F64:

@@ -113,7 +113,11 @@ def camera_text(camera: Camera) -> str:
         camera.principal_point_px,
         camera.distortion,
     )
-    wall = camera.wall if isinstance(camera.wall, Wall) and _bends(camera.wall) else None
+    wall = (
+        camera.wall
+        if isinstance(camera.wall, Wall) and (len(set(camera.wall.indices)) > 1)
+        else None
+    )
     parts = [
         "# Camera Model",
         "PINPLATE" if wall else "PINHOLE",
@@ -157,10 +161,6 @@ def unfit(camera: Camera) -> str | None:
     if coefficients.any() and camera.tilt_deg != UPRIGHT:
         return "OpenLPT has no tilted sensor behind a lens with distortion"
     return None
-
-
-def _bends(wall: Wall) -> bool:
-    return len(set(wall.indices)) > 1
 
 
 def _plates(wall: Wall) -> list[str]:
@@ -331,11 +331,9 @@ def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
         made = _read_file(file, unit)
         own = np.asarray(made.trajectory) + before
         before = int(own.max(initial=before - 1)) + 1
-        frame, position, number = (
-            [*frame, made.frame],
-            [*position, made.position_mm],
-            [*number, own],
-        )
+        frame.append(made.frame)
+        position.append(made.position_mm)
+        number.append(own)
     numbers = [np.concatenate([_NONE, *one]) for one in (frame, number)]
     return TrackTable(numbers[0], np.concatenate(position), numbers[1]).sorted()
 

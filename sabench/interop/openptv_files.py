@@ -57,7 +57,24 @@ def read_cameras(path: Path, extent: lenses.Extent) -> list[CameraModel]:
 
     Raises InputError for a file that is missing or broken.
     """
-    control = _read_control(_find_control(path))
+    file = _find_control(path)
+    lines = content_lines(file)
+    count = int(_number(file, lines, 0))
+    if not 1 <= count <= 64 or len(lines) < 2 * count + 12:
+        raise InputError(
+            f"{file}: line 1: expected the number of cameras and {2 * count + 11} lines more, got "
+            f"{lines[0][1] if lines else 'nothing'!r} and {len(lines) - 1}"
+        )
+    names = tuple(lines[2 + 2 * i][1] for i in range(count))
+    first = 2 * count + 4
+    columns, rows, across, along, _, air, glass, fluid, thick = (
+        _number(file, lines, first + i) for i in range(9)
+    )
+    lenses.check_positive(str(file), "image size and pixel pitch", columns, rows, across, along)
+    lenses.check_positive(str(file), "refractive index", air, glass, fluid)
+    control = _Control(
+        file, names, int(columns), int(rows), (across, along), (air, glass, fluid), thick
+    )
     folder = control.path.parent
     root = folder.parent if folder.name.startswith("parameters") else folder
     lenses.check_media(str(control.path), control.indices)
@@ -72,27 +89,6 @@ def _find_control(path: Path) -> Path:
     if found is None:
         raise InputError(f"{path}: expected an OpenPTV project with parameters/ptv.par, found none")
     return found
-
-
-def _read_control(path: Path) -> _Control:
-    """Read ptv.par: the number of cameras, names, sizes and media, one on each line."""
-    lines = content_lines(path)
-    count = int(_number(path, lines, 0))
-    if not 1 <= count <= 64 or len(lines) < 2 * count + 12:
-        raise InputError(
-            f"{path}: line 1: expected the number of cameras and {2 * count + 11} lines more, got "
-            f"{lines[0][1] if lines else 'nothing'!r} and {len(lines) - 1}"
-        )
-    names = tuple(lines[2 + 2 * i][1] for i in range(count))
-    first = 2 * count + 4
-    columns, rows, across, along, _, air, glass, fluid, thick = (
-        _number(path, lines, first + i) for i in range(9)
-    )
-    lenses.check_positive(str(path), "image size and pixel pitch", columns, rows, across, along)
-    lenses.check_positive(str(path), "refractive index", air, glass, fluid)
-    return _Control(
-        path, names, int(columns), int(rows), (across, along), (air, glass, fluid), thick
-    )
 
 
 def _number(path: Path, lines: Sequence[tuple[int, str]], index: int) -> float:

@@ -70,7 +70,20 @@ def _export_truth(root: Path, data: Dataset) -> None:
     step = scene.flow_grid_mm or (max(scene.volume.size_mm) / _NODES,) * 3
     for frame in progress_bar(range(data.setup.frames), "export"):
         if "particles" in data.shows:
-            _export_particles(root, data, frame)
+            particles, grid = data.particles(frame), data.setup.grid
+            values = {
+                "id": particles.id,
+                "diameter_mm": particles.diameter_mm,
+                "velocity_mm_s": particles.velocity_mm_s,
+            }
+            write_points(root / f"particles_{frame:04d}.vtkhdf", particles.position_mm, values)
+            volume = true_field(grid, particles, data.views(frame))
+            write_lattice(
+                root / f"volume_{frame:04d}.vtkhdf",
+                grid.low_mm,
+                grid.voxel_mm,
+                {"intensity": volume},
+            )
         if scene.tracers is not None and scene.tracers.flow is not None:
             field, slopes = lattice(scene, frame, step, data.manifest.seed)
             write_lattice(
@@ -87,20 +100,6 @@ def _export_truth(root: Path, data: Dataset) -> None:
             )
         if isinstance(world, BubbleWorld) and world.solids:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
-
-
-def _export_particles(root: Path, data: Dataset, frame: int) -> None:
-    particles, grid = data.particles(frame), data.setup.grid
-    about = {
-        "id": particles.id,
-        "diameter_mm": particles.diameter_mm,
-        "velocity_mm_s": particles.velocity_mm_s,
-    }
-    write_points(root / f"particles_{frame:04d}.vtkhdf", particles.position_mm, about)
-    volume = true_field(grid, particles, data.views(frame))
-    write_lattice(
-        root / f"volume_{frame:04d}.vtkhdf", grid.low_mm, grid.voxel_mm, {"intensity": volume}
-    )
 
 
 def _write_reconstruction(root: Path, data: Dataset, frame: int, found: Reconstruction) -> None:
@@ -296,14 +295,9 @@ def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) 
         for name in ("Vertices", "Lines", "Polygons", "Strips"):
             own = cells if name == kind else cells[:0]
             group = root.create_group(name)
-            group["NumberOfConnectivityIds"], group["NumberOfCells"] = (
-                np.array([own.size]),
-                np.array([len(own)]),
-            )
-            group["Connectivity"], group["Offsets"] = (
-                own.ravel(),
-                own.shape[1] * np.arange(len(own) + 1),
-            )
+            group["NumberOfConnectivityIds"] = np.array([own.size])
+            group["NumberOfCells"], group["Connectivity"] = np.array([len(own)]), own.ravel()
+            group["Offsets"] = own.shape[1] * np.arange(len(own) + 1)
         for name, values in data.items():
             root[name] = values
         check()

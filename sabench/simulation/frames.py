@@ -175,7 +175,13 @@ class Frames:
         if self._phases is None or bubbles is None or particles is None:
             return self.assemble(number, bubbles, particles)
         solids = [solid for solid, _ in self._phases.bodies(number)]
-        particles = _select(particles, ~inside(bubbles, solids, particles.position_mm))
+        which = ~inside(bubbles, solids, particles.position_mm)
+        particles = Particles(
+            particles.id[which],
+            particles.position_mm[which],
+            particles.diameter_mm[which],
+            particles.velocity_mm_s[which],
+        )
         direction = np.asarray(self.scene.particle_world.illumination.direction)
         back = np.tile(-direction / np.linalg.norm(direction), (len(particles), 1))
         dark = meets(bubbles, particles.position_mm, back)
@@ -265,12 +271,3 @@ def light_in_fluid(scene: Scene) -> Scene:
         return scene
     light = enter_fluid(scene.light, np.asarray(scene.volume.center_mm), scene.fluid_index)
     return scene.model_copy(update={"illumination": light})
-
-
-def _select(particles: Particles, which: Bool) -> Particles:
-    return Particles(
-        particles.id[which],
-        particles.position_mm[which],
-        particles.diameter_mm[which],
-        particles.velocity_mm_s[which],
-    )

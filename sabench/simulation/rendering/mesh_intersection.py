@@ -32,16 +32,13 @@ class BodySearch:
 
     def __init__(self, bodies: Sequence[Solid]) -> None:
         self._mi = mi = backend.mitsuba()
-        self._origin = np.asarray(
-            np.mean([solid.vertices_mm.mean(axis=0) for solid in bodies], axis=0)
-        )  # single precision: small numbers near them
+        # single precision: small numbers near the bodies
+        middles = [solid.vertices_mm.mean(axis=0) for solid in bodies]
+        self._origin = origin = np.asarray(np.mean(middles, axis=0))
         self._radius = max(
-            float(np.linalg.norm(solid.vertices_mm - self._origin, axis=1).max())
-            for solid in bodies
+            float(np.linalg.norm(solid.vertices_mm - origin, axis=1).max()) for solid in bodies
         )
-        meshes = {}
-        for number, solid in enumerate(bodies):
-            meshes[f"body_{number}"] = mesh_of(mi, solid, self._origin)
+        meshes = {f"body_{n}": mesh_of(mi, solid, origin) for n, solid in enumerate(bodies)}
         self._scene = mi.load_dict({"type": "scene", **meshes})
 
     def first(self, starts_mm: F64, directions: F64) -> tuple[F64, I64]:
@@ -73,17 +70,13 @@ class BodySearch:
         mi = self._mi
         position = mi.Point3f((points_mm - self._origin).T.astype(np.float32))
         direction = mi.Vector3f(*(float(v) for v in _ODD))
-        balance, active = (
-            np.zeros(len(points_mm), dtype=np.int64),
-            np.ones(len(points_mm), dtype=np.bool_),
-        )
+        balance = np.zeros(len(points_mm), dtype=np.int64)
+        active = np.ones(len(points_mm), dtype=np.bool_)
         while active.any():
             met = self._scene.ray_intersect(mi.Ray3f(position, direction), mi.Bool(active))
             active &= np.array(met.is_valid())
-            outwards = (
-                np.array(met.n.x * direction.x + met.n.y * direction.y + met.n.z * direction.z)
-                > 0.0
-            )
+            along = met.n.x * direction.x + met.n.y * direction.y + met.n.z * direction.z
+            outwards = np.array(along) > 0.0
             balance += np.where(active, np.where(outwards, 1, -1), 0)
             position = mi.Point3f(met.spawn_ray(direction).o)
         return np.asarray(balance > 0)

@@ -100,12 +100,8 @@ def leave(device: Any, ray: Any) -> tuple[Any, Any, Any]:
     back = along > 0.0
     _, _, out_in_front = _cross(ray.o, ray.d, device.normal, device.front)
     if device.rear is None:
-        position, direction, out_behind, behind = (
-            ray.o,
-            ray.d,
-            mi.Float(1.0),
-            mi.Float(device.front[0][0]),
-        )
+        position, direction, out_behind = ray.o, ray.d, mi.Float(1.0)
+        behind = mi.Float(device.front[0][0])
     else:
         position, direction, out_behind = _cross(ray.o, ray.d, device.normal, device.rear)
         behind = device.rear[0][0]

@@ -40,18 +40,11 @@ def render(
     scene = mi.load_dict(
         {"type": "scene", **interfaces(mi, origin, camera), **_shapes(mi, target, pose)}
     )
-    squares = (
-        (target.columns, target.rows)
-        if target.pattern in ("circles", "wand")
-        else (target.columns + 1, target.rows + 1)
-    )
+    more = 0 if target.pattern in ("circles", "wand") else 1
+    squares = target.columns + more, target.rows + more
+    sizes = target.pitch_mm, target.mark_mm
     paint = target_integrator.Paint(
-        target.pattern,
-        squares,
-        target.pitch_mm,
-        target.mark_mm,
-        marker_bits(target),
-        pose.rotation.T,
+        target.pattern, squares, *sizes, marker_bits(target), pose.rotation.T
     )
     lamps = place_lamps(lighting, camera, center_mm, origin)
     planes = len(camera.wall.layers) + 1 if camera.wall else 0
@@ -82,12 +75,8 @@ def marker_bits(target: Target) -> Bool:
 
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     count = (target.columns + 1) * (target.rows + 1) // 2
-    return np.stack(
-        [
-            cv2.aruco.generateImageMarker(dictionary, number, _CELLS).ravel() > 0
-            for number in range(count)
-        ]
-    )
+    markers = [cv2.aruco.generateImageMarker(dictionary, n, _CELLS) for n in range(count)]
+    return np.stack([marker.ravel() > 0 for marker in markers])
 
 
 def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
@@ -104,10 +93,10 @@ def _shapes(mi: Any, target: Target, pose: Pose) -> dict[str, Any]:
             }
             for i, ball in enumerate(balls)
         }
-    half = [
+    width, height = (
         (count + 1) / 2.0 * target.pitch_mm + _QUIET * target.pitch_mm
         for count in (target.columns, target.rows)
-    ]
+    )
     frame = np.eye(4)
-    frame[:3, :3] = pose.rotation * [half[0], half[1], 1.0]
+    frame[:3, :3] = pose.rotation * [width, height, 1.0]
     return {"board": {"type": "rectangle", "to_world": mi.ScalarTransform4f(frame), "bsdf": matte}}
