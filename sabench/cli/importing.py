@@ -84,10 +84,13 @@ def _with_keys(command: Callable[..., None]) -> Callable[..., None]:
     after = [one for one in own.parameters.values() if one.kind is one.KEYWORD_ONLY]
     keys = []
     for name, key in _KEYS.items():
-        kind = Annotated[key.kind, option(key.metavar, key.help, key.flag, min=key.least)]
+        declared = option(key.metavar, key.help, key.flag, min=key.least)
         keys.append(
             inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=key.default, annotation=kind
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=key.default,
+                annotation=Annotated[key.kind, declared],
             )
         )
     signature = own.replace(parameters=[*before, *keys, *after])

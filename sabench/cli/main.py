@@ -144,7 +144,7 @@ def main() -> NoReturn:
             raise
         if type(error).__name__ == "Abort":
             _fail(_INTERRUPTED)
-        _fail(error.format_message())
+        _fail(error.format_message())  # type: ignore[attr-defined]
     if code == 130:  # the command-line library reports Ctrl-C so
         _fail(_INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)

@@ -233,7 +233,7 @@ def import_recording(
     files = find_image_files(folder, [one.name for one in calibration], options.pattern)
     chosen = pair_images(folder, files, calibration, options.pairs, notes)
     check_numbers({camera.name: paths for camera, paths in chosen}, options.frames, notes)
-    cameras = [camera for camera, _ in chosen]
+    cameras: list[Any] = [camera for camera, _ in chosen]  # all are dataclasses
     voxels = _grid(cameras, options, grid, notes)
     _check_views(cameras, voxels, notes)
     with recorded_writer(out, folder.resolve().name, overwrite=overwrite) as writer:

@@ -202,7 +202,9 @@ def open_result(path: str | Path, dataset: Dataset) -> Result:
             f"{path}: expected a result of the data set {dataset.content_hash[:12]} "
             f"({dataset.root}), got one of {str(head.get('dataset'))[:12]}"
         )
-    costs = {key: _cost(head.get(key), f"{path}: attribute {key}") for key in _COSTS}
+    costs: dict[str, Any] = {
+        key: _cost(head.get(key), f"{path}: attribute {key}") for key in _COSTS
+    }
     flags = {key: bool(head.get(key, 0) == 1) for key in _FLAGS}
     text = str(head.get("parameters", "{}"))
     where = f"{path}: attribute parameters: expected a JSON object"

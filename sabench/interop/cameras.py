@@ -106,9 +106,7 @@ def write_cameras(
     folder.
     """
     _check_form(form)
-    reason = _MODULES[form].unfit(cameras)
-    if reason:
-        raise InputError(f"{form}: {reason}")
+    check_writable(cameras, form)
     with complete_or_nothing(Path(folder), overwrite=overwrite) as partial:
         partial.mkdir()
         write_into(partial, cameras, form, grid)
@@ -133,6 +131,12 @@ def write_into(
     if lost:
         note(f"{form}: its camera files do not carry {'; '.join(lost)}")
     return world
+
+
+def check_writable(cameras: Sequence[CameraModel], form: CameraFormat) -> None:
+    """Raise an InputError if a format cannot describe some cameras."""
+    if reason := _MODULES[form].unfit(cameras):
+        raise InputError(f"{form}: {reason}")
 
 
 def losses(form: CameraFormat) -> tuple[str, ...]:

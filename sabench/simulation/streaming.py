@@ -126,7 +126,7 @@ def stream(
             raise InputError(f"split: expected one of {', '.join(names)}, got {name!r}")
         if not shares[names.index(name)] > 0.0:
             raise InputError(f"split: expected a share of {name} above 0, got {list(shares)}")
-        numbers = _of_split(numbers, *name, shares)
+        numbers = (number for number in numbers if split_of(number, shares) == name)
     return _batches(SampleMaker(scene, seed, choose_renderer(backend)), batch, numbers, part)
 
 
@@ -137,10 +137,6 @@ def stream_key(scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = 
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
     return Job(scene, seed, choose_renderer(backend), scene.title).key
-
-
-def _of_split(numbers: Iterator[int], name: str, shares: Sequence[float]) -> Iterator[int]:
-    return (number for number in numbers if split_of(number, shares) == name)
 
 
 def _batches(
