@@ -56,8 +56,32 @@ class Observation:
             raise InputError(
                 f"black_dn: expected it below white_dn, got {self.black_dn:g} and {self.white_dn:g}"
             )
-        _check_kind(self.images)
-        _check_sizes(self.images, self.cameras)
+        images: Any = self.images
+        cameras = self.cameras
+        if not isinstance(images, np.ndarray):
+            raise InputError(
+                "images: expected one uint16 array (camera, row, column), got "
+                f"{type(images).__name__}"
+            )
+        if images.dtype != np.uint16:
+            odd = _oddities(images)
+            raise InputError(f"images: expected uint16 grey values, got {images.dtype}{odd}")
+        if images.ndim != 3:
+            got = images.shape
+            raise InputError(f"images: expected the shape (camera, row, column), got {got}")
+        if not cameras or len(images) != len(cameras):
+            without = ", ".join(camera.name for camera in cameras[len(images) :])
+            raise InputError(
+                f"images: expected one for each of {len(cameras)} cameras, got "
+                f"{len(images)}{': none for ' + without if without else ''}"
+            )
+        rows, columns = images.shape[1:]
+        for camera in cameras:
+            if (camera.rows, camera.columns) != (rows, columns):
+                raise InputError(
+                    f"{camera.name}: expected an image of {camera.rows} x {camera.columns} pixels "
+                    f"(rows x columns), got {rows} x {columns}"
+                )
 
     def normalised_images(self) -> F32:
         """Scale each camera's images to the peak of a bright particle in it.
@@ -83,20 +107,6 @@ class Observation:
         return repair(self.images, self.black_dn, self.white_dn)
 
 
-def _check_kind(images: Any) -> None:
-    """Check that the images are one array of unsigned 16-bit numbers."""
-    if not isinstance(images, np.ndarray):
-        raise InputError(
-            f"images: expected one uint16 array (camera, row, column), got {type(images).__name__}"
-        )
-    if images.dtype != np.uint16:
-        raise InputError(
-            f"images: expected uint16 grey values, got {images.dtype}{_oddities(images)}"
-        )
-    if images.ndim != 3:
-        raise InputError(f"images: expected the shape (camera, row, column), got {images.shape}")
-
-
 def _oddities(values: Any) -> str:
     """Describe which values of an array of another type cannot be grey values."""
     if values.dtype.kind not in "fi":
@@ -106,23 +116,6 @@ def _oddities(values: Any) -> str:
         "negative": int((values < 0).sum()),
     }
     return "".join(f", {count} of them {what}" for what, count in counts.items() if count)
-
-
-def _check_sizes(images: U16, cameras: tuple[CameraModel, ...]) -> None:
-    """Check that every camera has an image of its own size."""
-    if not cameras or len(images) != len(cameras):
-        without = ", ".join(camera.name for camera in cameras[len(images) :])
-        raise InputError(
-            f"images: expected one for each of {len(cameras)} cameras, got "
-            f"{len(images)}{': none for ' + without if without else ''}"
-        )
-    rows, columns = images.shape[1:]
-    for camera in cameras:
-        if (camera.rows, camera.columns) != (rows, columns):
-            raise InputError(
-                f"{camera.name}: expected an image of {camera.rows} x {camera.columns} pixels "
-                f"(rows x columns), got {rows} x {columns}"
-            )
 
 
 @dataclass(frozen=True)

@@ -78,9 +78,8 @@ def fit_camera(
     for fit in (fit_projective, fit_soloff):
         try:
             made = fit(name, *size, points[~held], image[~held])
-            errors[fit] = float(
-                np.sqrt(np.mean((made.project(points[held])[0] - image[held]) ** 2))
-            )
+            miss = made.project(points[held])[0] - image[held]
+            errors[fit] = float(np.sqrt(np.mean(miss**2)))
         except InputError as error:
             fault = error
     if not errors:
@@ -104,9 +103,8 @@ def _pinhole(camera: Projective, where: str) -> CameraModel | None:
     upper, turn = upper @ signs, signs @ turn
     upper = upper / upper[2, 2]
     focal = float(np.sqrt(upper[0, 0] * upper[1, 1]))
-    if max(abs(upper[0, 0] - upper[1, 1]), abs(upper[0, 1])) > _SQUARE * focal:
-        return None
-    if np.linalg.det(turn) < 0.0:
+    skew = max(abs(upper[0, 0] - upper[1, 1]), abs(upper[0, 1]))
+    if skew > _SQUARE * focal or np.linalg.det(turn) < 0.0:
         return None
     pose = Pose(camera.name, camera.rows, camera.columns, np.array(camera.center_mm), turn, where)
     middle = (float(upper[0, 2]), float(upper[1, 2]))
@@ -186,10 +184,6 @@ def _read_frame(file: Path, number: int, unit: str | None) -> TrackTable:
             f"{file}: variables: expected as many names as columns, {values.shape[1]}, got "
             f"{len(names)}"
         )
-    return _named(file, number, names, values, unit)
-
-
-def _named(file: Path, number: int, names: list[str], values: F64, unit: str | None) -> TrackTable:
     columns = {name: Array(values[:, i], None) for i, name in enumerate(names)}
     frame = Array(np.full(len(values), float(number)), None)
     return table_of_columns(str(file), columns | {"frame": frame}, unit)
@@ -203,10 +197,6 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
         rows = [" ".join(map(repr, row)) for row in own.position_mm.tolist()]
         if own.trajectory is not None:
             rows = [f"{row} {n}" for row, n in zip(rows, own.trajectory.tolist(), strict=True)]
-        head = [
-            f'Title = "Snapshot {frame}"',
-            f"Variables = {names}",
-            f"Zone I={len(own)}, F=POINT",
-        ]
-        text = "\n".join([*head, *rows]) + "\n"
+        head = f'Title = "Snapshot {frame}"\nVariables = {names}\nZone I={len(own)}, F=POINT\n'
+        text = head + "".join(f"{row}\n" for row in rows)
         (folder / f"particles_{frame:04d}.dat").write_text(text, encoding="utf-8")

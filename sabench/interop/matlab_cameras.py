@@ -24,18 +24,8 @@ from sabench.interop.lenses import Extent, Pose, camera_of_matrix, center_of
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 
-_FIELDS = (
-    "K",
-    "IntrinsicMatrix",
-    "RadialDistortion",
-    "TangentialDistortion",
-    "ImageSize",
-    "R",
-    "t",
-    "T",
-    "RotationMatrix",
-    "TranslationVector",
-)
+_LENS = ("K", "IntrinsicMatrix", "RadialDistortion", "TangentialDistortion", "ImageSize")
+_FIELDS = (*_LENS, "R", "t", "T", "RotationMatrix", "TranslationVector")
 LOST_OF_CAMERAS: tuple[str, ...] = ()
 Structure = dict[str, F64]
 

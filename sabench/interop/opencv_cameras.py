@@ -63,10 +63,8 @@ def _read_camera(path: Path, extent: Extent) -> CameraModel:
     if bent.size > 5 and bent[5:].any():
 
         def lens(ideal: F64) -> F64:
-            points = np.column_stack([ideal, np.ones(len(ideal))])
-            return np.asarray(
-                cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, bent)[0][:, 0]
-            )
+            points, none = np.column_stack([ideal, np.ones(len(ideal))]), np.zeros(3)
+            return np.asarray(cv2.projectPoints(points, none, none, matrix, bent)[0][:, 0])
 
         note(f"{pose.where}: its distortion has {bent.size} coefficients: the camera is `central`")
         return camera_of_lens(pose, lens, float(matrix[0, 0]))

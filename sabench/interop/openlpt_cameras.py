@@ -30,18 +30,15 @@ def read_cameras(path: Path, extent: lenses.Extent) -> list[CameraModel]:
 
     Raises InputError for a missing camera file, or a broken one.
     """
-    files = sorted(path.glob("cam*.txt"), key=_order) if path.is_dir() else [path]
+    files = [path]
+    if path.is_dir():  # cam10 behind cam9
+        files = sorted(path.glob("cam*.txt"), key=lambda file: (len(file.name), file.name))
     files = [file for file in files if not file.stem.endswith("ImageNames")]
     if not files:
         raise InputError(
             f"{path}: expected OpenLPT's camera files cam0.txt, cam1.txt ..., found none"
         )
     return [_read_camera(file) for file in files]
-
-
-def _order(path: Path) -> tuple[int, str]:
-    """Sort cam10 behind cam9."""
-    return len(path.name), path.name
 
 
 def _read_camera(path: Path) -> CameraModel:
@@ -58,25 +55,12 @@ def _read_camera(path: Path) -> CameraModel:
         np.array(split_numbers(text, f"{path}: line {number}", count))
         for (number, text), count in zip(rest, _COUNTS, strict=False)
     ]
-    size, matrix, bent, rotation, move = (
-        rows[0],
-        np.stack(rows[1:4]),
-        rows[4],
-        np.stack(rows[6:9]),
-        rows[12],
-    )
+    size, matrix, rotation = rows[0], np.stack(rows[1:4]), np.stack(rows[6:9])
     lenses.check_positive(str(path), "image size", *size)
     wall = _read_plates(path, rest[len(_COUNTS) :]) if kind == "PINPLATE" else None
-    pose = lenses.Pose(
-        path.stem,
-        int(size[0]),
-        int(size[1]),
-        lenses.center_of(rotation, move),
-        rotation,
-        str(path),
-        wall,
-    )
-    values = bent.tolist()
+    center, (height, width) = lenses.center_of(rotation, rows[12]), size.astype(int).tolist()
+    pose = lenses.Pose(path.stem, height, width, center, rotation, str(path), wall)
+    values = rows[4].tolist()
     if len(values) > 5 and any(values[5:]):
         raise InputError(f"{path}: expected five coefficients of distortion, got {len(values)}")
     return lenses.camera_of_matrix(pose, matrix, Distortion(*(values + 5 * [0.0])[:5]))

@@ -107,10 +107,9 @@ def unfit(camera: Camera) -> str | None:
 
 def unlike(cameras: Sequence[Camera]) -> str | None:
     """Say why OpenPTV cannot describe cameras together; None if it can."""
-    media = [media_of(camera) for camera in cameras]
     first = cameras[0]
-    for camera, own in zip(cameras, media, strict=True):
-        if own != media[0]:
+    for camera in cameras:
+        if media_of(camera) != media_of(first):
             got = f"{camera.name} has another than {first.name}"
             return f"OpenPTV supports one kind of wall, and {got}"
         if camera.pixel_mm != first.pixel_mm:
@@ -267,14 +266,12 @@ def join_links(counts: list[int], links: list[list[int]]) -> list[I64]:
     out: list[I64] = []
     born = 0
     for frame, count in enumerate(counts):
-        before = np.array(
-            links[frame] if frame < len(links) and len(links[frame]) == count else [-1] * count,
-            dtype=np.int64,
-        )
+        known = frame < len(links) and len(links[frame]) == count
+        before = np.array(links[frame] if known else [-1] * count, dtype=np.int64)
         number = np.full(count, -1, dtype=np.int64)
         if frame:
-            known = (before >= 0) & (before < counts[frame - 1])
-            number[known] = out[-1][before[known]]
+            linked = (before >= 0) & (before < counts[frame - 1])
+            number[linked] = out[-1][before[linked]]
             _, first = np.unique(number, return_index=True)
             twice = np.setdiff1d(np.arange(count), first)
             number[twice] = -1

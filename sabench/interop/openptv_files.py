@@ -247,19 +247,13 @@ def write_parameters(
     """
     low, high = openptv.ends_mm(grid, openptv.world_of(grid))
     band_mm = settings.tolerance_px * cameras[0].pixel_mm
-    move, change = settings.move_mm, settings.change_mm
+    move, change, bright = settings.move_mm, settings.change_mm, settings.threshold
     files = {
         "sequence": [*(f"img/cam{number}." for number in range(1, len(cameras) + 1)), *frames],
         # the volume at its left and right ends, similarity of targets, band on the sensor
         "criteria": [low[0], low[2], high[2], high[0], low[2], high[2], *4 * [0.01], 0, band_mm],
         # thresholds, discontinuity, least and most pixels in all, along X and Y, sum of grey
-        "targ_rec": [
-            *4 * [settings.threshold],
-            settings.discontinuity,
-            *(2, 400, 1, 40, 1, 40),
-            settings.threshold,
-            2,
-        ],
+        "targ_rec": [*4 * [bright], settings.discontinuity, 2, 400, 1, 40, 1, 40, bright, 2],
         "track": [*3 * [-move, move], settings.angle_gon, change, 0],
     }
     for name, lines in files.items():

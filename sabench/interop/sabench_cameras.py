@@ -10,7 +10,6 @@ from pydantic import TypeAdapter, ValidationError
 
 from sabench.dataset.cameras import behind, check_walls, wall_entry, write_cameras as write_file
 from sabench.dataset.schema import CAMERAS
-from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.camera_records import read_camera
 from sabench.geometry.cylinder_wall import WallsRecord
@@ -35,9 +34,10 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     if not isinstance(entries, list) or not entries:
         raise InputError(f"{file}: cameras: expected a list of cameras, got {entries!r}")
     cameras = [
-        read_camera({"model": "pinhole"} | entry, f"{file}: cameras: {number}")
-        if isinstance(entry, dict)
-        else read_camera(entry, f"{file}: cameras: {number}")
+        read_camera(
+            {"model": "pinhole"} | entry if isinstance(entry, dict) else entry,
+            f"{file}: cameras: {number}",
+        )
         for number, entry in enumerate(entries)
     ]
     try:
@@ -46,11 +46,7 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
         raise InputError(f"{file}: wall: {error.errors()[0]['msg']}") from error
     walls = wall if isinstance(wall, tuple) else (wall,) * len(cameras)
     check_walls(file, walls, len(cameras))
-    pairs = zip(walls, cameras, strict=True)
-    return [
-        behind([one], [camera])[0] if isinstance(camera, Camera) else camera
-        for one, camera in pairs
-    ]
+    return list(behind(walls, cameras))
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:

@@ -221,26 +221,16 @@ def write_lattice(
         for name, values in data.items():
             if shape[0] == 1:  # VTK reads a plane as an array without this axis
                 values = values[0]
-            chunk = (1, *values.shape[1:])
-            file.create_dataset(
-                f"VTKHDF/PointData/{name}",
-                data=values,
-                chunks=chunk,
-                compression="gzip",
-                compression_opts=1,
-            )
+            packing = {"chunks": (1, *values.shape[1:]), "compression": "gzip"}
+            name = f"VTKHDF/PointData/{name}"
+            file.create_dataset(name, data=values, compression_opts=1, **packing)
         check()
 
 
 def write_points(path: Path, points_mm: F64, data: Data) -> None:
     """Write points (n, 3) with values as VTK's poly data."""
-    _write_cells(
-        path,
-        points_mm,
-        "Vertices",
-        np.arange(len(points_mm))[:, None],
-        {f"PointData/{name}": values for name, values in data.items()},
-    )
+    values = {f"PointData/{name}": one for name, one in data.items()}
+    _write_cells(path, points_mm, "Vertices", np.arange(len(points_mm))[:, None], values)
 
 
 def write_surfaces(path: Path, solids: Sequence[Solid]) -> None:
@@ -249,17 +239,11 @@ def write_surfaces(path: Path, solids: Sequence[Solid]) -> None:
     `body` is the number of each triangle's body, in the order of a scene's `solids`.
     """
     before = np.cumsum([0, *(len(solid.vertices_mm) for solid in solids[:-1])])
-    faces = np.concatenate(
-        [solid.faces + first for solid, first in zip(solids, before, strict=True)]
-    )
+    pairs = zip(solids, before, strict=True)
+    faces = np.concatenate([solid.faces + first for solid, first in pairs])
     body = np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
-    _write_cells(
-        path,
-        np.concatenate([solid.vertices_mm for solid in solids]),
-        "Polygons",
-        faces,
-        {"CellData/body": body},
-    )
+    vertices_mm = np.concatenate([solid.vertices_mm for solid in solids])
+    _write_cells(path, vertices_mm, "Polygons", faces, {"CellData/body": body})
 
 
 def write_rig(path: Path, cameras: Sequence[CameraModel], grid: Grid) -> None:

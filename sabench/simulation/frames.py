@@ -206,17 +206,13 @@ class Frames:
             skewed = scene.timing is not None and scene.timing.skew_s is not None
             exposed = functools.partial(self._expose, particles, number) if skewed else None
             tracers = Tracers(particles, positions, self._scatterers, illuminated, exposed=exposed)
-        return FrameContent(
-            scene,
-            self.rig,
-            self.seed,
-            number,
-            self.renderer,
-            bubbles,
-            tuple(self._phases.bodies(number)) if self._phases else (),
-            tracers,
-            *((self.placed.target, self.placed.poses[number]) if self.placed else ()),
+        bodies = tuple(self._phases.bodies(number)) if self._phases else ()
+        content = FrameContent(
+            scene, self.rig, self.seed, number, self.renderer, bubbles, bodies, tracers
         )
+        if self.placed is None:
+            return content
+        return replace(content, target=self.placed.target, pose=self.placed.poses[number])
 
     @functools.cached_property
     def _scatterers(self) -> Scatterers | None:
