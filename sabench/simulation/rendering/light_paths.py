@@ -293,9 +293,8 @@ def _object_shape(camera: Camera, points: F64, direction: F64) -> tuple[F64, F64
     In px/mm, mean over directions; shifts (n, 2, 3) lie across the light path.
     """
     step = 1e-3  # mm: far above float64's noise, far below any change of magnification
-    first = np.cross(
-        direction, camera.rotation[1]
-    )  # never along the path: a path in view is near the camera's Z axis
+    # never along the path: a path in view is near the camera's Z axis
+    first = np.cross(direction, camera.rotation[1])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     basis = np.stack([first, np.cross(direction, first)], axis=1)
     ends = [

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 from sabench.utils.philox import block
 
@@ -25,27 +26,45 @@ _CELLS = 64  # of a uniform number, that shorten a search
 _SERIES = 16  # Stirling's errors of smaller numbers are tabulated
 
 
-height, tail = math.exp(-0.5 * _EDGE**2), math.erfc(_EDGE / math.sqrt(2.0))
-area = _EDGE * height + math.sqrt(math.pi / 2.0) * tail
-edges = np.zeros(_LAYERS + 1)
-edges[0], edges[1] = area / height, _EDGE  # the lowest layer holds the tail
-for i in range(2, _LAYERS):
-    height += area / edges[i - 1]
-    edges[i] = math.sqrt(-2.0 * math.log(height))
-_EDGES, _HEIGHTS = edges, np.exp(-0.5 * edges**2)
-means = np.arange(_LARGE * _PER_UNIT)[:, None] / _PER_UNIT
-chances = np.ones((len(means), _MOST))
-chances[:, 1:] = means / np.arange(1, _MOST)
-table = np.cumsum(np.exp(-means) * np.cumprod(chances, axis=1), axis=1)
-table[:, -1] = np.inf
-_DISTRIBUTIONS = table
+def _ziggurat() -> tuple[F64, F64]:
+    """Compute the edges (257,) of layers of equal area, and exp(-x^2 / 2) there."""
+    height, tail = math.exp(-0.5 * _EDGE**2), math.erfc(_EDGE / math.sqrt(2.0))
+    area = _EDGE * height + math.sqrt(math.pi / 2.0) * tail
+    edges = np.zeros(_LAYERS + 1)
+    edges[0], edges[1] = area / height, _EDGE  # the lowest layer holds the tail
+    for i in range(2, _LAYERS):
+        height += area / edges[i - 1]
+        edges[i] = math.sqrt(-2.0 * math.log(height))
+    return edges, np.exp(-0.5 * edges**2)
+
+
+def _distributions() -> F64:
+    """Tabulate cumulative Poisson distributions (mean, number).
+
+    The last column ends searches.
+    """
+    means = np.arange(_LARGE * _PER_UNIT)[:, None] / _PER_UNIT
+    chances = np.ones((len(means), _MOST))
+    chances[:, 1:] = means / np.arange(1, _MOST)
+    table = np.cumsum(np.exp(-means) * np.cumprod(chances, axis=1), axis=1)
+    table[:, -1] = np.inf
+    return table
+
+
+def _stirling_errors() -> F64:
+    """Tabulate log k! - log(sqrt(2 pi k) (k / e)^k); 0 for k = 0, which has none."""
+    errors = np.zeros(_SERIES)
+    for k in range(1, _SERIES):
+        errors[k] = math.lgamma(k + 1) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
+    return errors
+
+
+_EDGES, _HEIGHTS = _ziggurat()
+_DISTRIBUTIONS = _distributions()
 _STARTS = np.stack(
     [np.searchsorted(row, np.arange(_CELLS) / _CELLS, side="right") for row in _DISTRIBUTIONS]
 ).astype(np.uint8)
-errors = np.zeros(_SERIES)
-for k in range(1, _SERIES):
-    errors[k] = math.lgamma(k + 1) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
-_ERRORS = errors
+_ERRORS = _stirling_errors()
 
 
 @numba.njit(cache=True, inline="always")
@@ -155,6 +174,7 @@ def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x
 
 @numba.njit(cache=True)
 def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
+    """Draw a Poisson number."""
     if mean * _PER_UNIT < 1.0:
         return _invert(_uniform(words[0], words[1]), mean)
     if mean < _LARGE:
@@ -164,6 +184,7 @@ def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
 
 @numba.njit(cache=True)
 def _look_up(words: Any, mean: float) -> Any:
+    """Draw from a tabulated distribution, and add a number of the rest of the mean."""
     cell = np.uintp(np.intp(mean * _PER_UNIT))
     u = _uniform(words[0], words[1])
     k = np.uintp(_STARTS[cell, np.uintp(np.intp(u * _CELLS))])
@@ -174,6 +195,7 @@ def _look_up(words: Any, mean: float) -> Any:
 
 @numba.njit(cache=True)
 def _invert(u: float, mean: float) -> Any:
+    """Find a small mean's number whose cumulative probability exceeds u."""
     if u < 1.0 - mean:  # which is less than exp(-mean)
         return 0.0
     k, chance = 0, math.exp(-mean)

@@ -23,9 +23,8 @@ from sabench.simulation.rendering.particle_light import Scatterers, intensity
 from sabench.utils.arrays import F64, triple
 
 _TAIL, _LEAST_REACH = 4.0, 4  # widths, and more pixels, to the end of a discrete Gaussian
-_AIRY = 2.44 / np.sqrt(
-    8 * 3.67
-)  # sigma of the Gaussian nearest to Airy's disc / (lambda N (1 + M)): Adrian and Yao (1985)
+# sigma of the Gaussian nearest to Airy's disc / (lambda N (1 + M)): Adrian and Yao (1985)
+_AIRY = 2.44 / np.sqrt(8 * 3.67)
 _MANY = 200  # particles whose paths are worth an interpolation
 _SLACK = 1.02  # of the volume: particles that have left it a little
 

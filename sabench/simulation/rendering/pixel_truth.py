@@ -18,9 +18,8 @@ from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.utils.arrays import F32, F64, I32, Bool
 from sabench.utils.compiled import numba
 
-_FINER = (
-    5  # lines of sight across a pixel, for shares of bubbles; odd, so that one is the pixel's own
-)
+# lines of sight across a pixel, for shares of bubbles; odd, so that one is the pixel's own
+_FINER = 5
 _AROUND, _STEPS = 48, 8  # points of a contour, and steps of the secant method to each
 
 
@@ -41,11 +40,13 @@ def see(camera: Camera, bubbles: Bubbles, bodies: Sequence[Solid] = ()) -> Sight
     first, distance = number[middle, middle].copy(), near[middle, middle].astype(np.float64)
     distance[first == NOTHING] = np.nan
     positions = starts + directions * distance[..., None]
+    depth, path = depth_of(camera, positions), before + distance
+    visible = _shares(seen, whole, contour)
     return Sight(
         first,
-        depth_of(camera, positions).astype(np.float32),
-        (before + distance).astype(np.float32),
-        _shares(seen, whole, contour),
+        depth.astype(np.float32),
+        path.astype(np.float32),
+        visible,
         pixel,
         contour.astype(np.float32),
     )
@@ -70,16 +71,12 @@ def outlines(camera: Camera, bubbles: Bubbles, pixel: F64) -> F64:
     at_shortest = _distances(camera, bubbles, np.repeat(pixel[:, None], _AROUND, axis=1)) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         for _ in range(_STEPS):
-            here = (
-                _distances(camera, bubbles, pixel[:, None] + lengths[..., None] * directions) ** 2
-            )
+            pixels = pixel[:, None] + lengths[..., None] * directions
+            here = _distances(camera, bubbles, pixels) ** 2
             scale = (here - at_shortest) / (lengths**2 - shortest**2)
             step = np.sqrt(np.maximum(lengths**2 + (1.0 - here) / scale, 1e-12))
-            shortest, at_shortest, lengths = (
-                lengths,
-                here,
-                np.where(np.abs(here - 1.0) < 1e-10, lengths, step),
-            )
+            shortest, at_shortest = lengths, here
+            lengths = np.where(np.abs(here - 1.0) < 1e-10, lengths, step)
             lengths = np.where(lengths == shortest, shortest * (1.0 + 1e-13), lengths)
     return np.asarray(pixel[:, None] + lengths[..., None] * directions)
 
@@ -96,24 +93,16 @@ def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
 
 
 def _lines(camera: Camera) -> tuple[F64, F64, F64]:
-    """Compute lines of sight of all pixels in the fluid.
+    """Compute starts and unit directions (rows, columns, 3) of lines of sight in the fluid.
 
-    Starts and unit directions (rows, columns, 3), and path lengths before the fluid (rows,
-    columns).
+    Also returns their path lengths (rows, columns) before the fluid.
     """
-    column, row = np.meshgrid(
-        np.arange(camera.columns, dtype=np.float64), np.arange(camera.rows, dtype=np.float64)
-    )
-    pixels, shape = np.column_stack([column.ravel(), row.ravel()]), (camera.rows, camera.columns)
-    rays = camera.back_project(pixels)
-    before = length_to_fluid(
-        camera.wall, np.asarray(camera.center_mm), camera.directions(pixels)[0]
-    )
-    return (
-        rays.origins_mm.reshape(*shape, 3),
-        rays.directions.reshape(*shape, 3),
-        before.reshape(shape),
-    )
+    shape = camera.rows, camera.columns
+    row, column = np.indices(shape, dtype=np.float64)
+    pixels = np.column_stack([column.ravel(), row.ravel()])
+    rays, outwards = camera.back_project(pixels), camera.directions(pixels)[0]
+    before = length_to_fluid(camera.wall, np.asarray(camera.center_mm), outwards).reshape(shape)
+    return rays.origins_mm.reshape(*shape, 3), rays.directions.reshape(*shape, 3), before
 
 
 def depth_of(camera: Camera, places_mm: F64) -> F64:
@@ -156,14 +145,12 @@ def _shares(seen: Any, whole: Any, contour: F64) -> F64:
         if len(contour)
         else np.zeros(0)
     )
-    area = area / (
-        np.sin(2.0 * np.pi / _AROUND) / (2.0 * np.pi / _AROUND)
-    )  # of the curve, not of its chords
+    # of the curve, not of its chords
+    area = area / (np.sin(2.0 * np.pi / _AROUND) / (2.0 * np.pi / _AROUND))
     with np.errstate(invalid="ignore", divide="ignore"):
         inside = np.minimum(whole / (area * _FINER**2), 1.0)
-        inside = np.where(
-            whole > 20 * _FINER, inside, np.where(whole > 0, 1.0, 0.0)
-        )  # few lines tell the area badly
+        # few lines tell the area badly
+        inside = np.where(whole > 20 * _FINER, inside, np.where(whole > 0, 1.0, 0.0))
         return np.where(
             whole > 0,
             np.nan_to_num(seen / np.maximum(whole, 1) * np.where(inside > 0.98, 1.0, inside)),
@@ -172,16 +159,10 @@ def _shares(seen: Any, whole: Any, contour: F64) -> F64:
 
 
 def _bodies(starts: F64, directions: F64, bodies: Sequence[Solid], near: F32, number: I32) -> None:
-    """Enter the first bodies along all finer lines of sight."""
     search = BodySearch(bodies)
     for down in range(_FINER):
         for across in range(_FINER):
-            part = np.ix_(
-                *(
-                    range(start, size, _FINER)
-                    for start, size in zip((down, across), near.shape, strict=True)
-                )
-            )
+            part = slice(down, None, _FINER), slice(across, None, _FINER)
             start, direction = (
                 _interpolate(lines, (down - _FINER // 2) / _FINER, (across - _FINER // 2) / _FINER)
                 for lines in (starts, directions)
@@ -196,9 +177,8 @@ def _interpolate(lines: F64, down: float, across: float) -> F64:
 
     They bend by far less than a pixel's own angle.
     """
-    return np.asarray(
-        lines + down * np.gradient(lines, axis=0) + across * np.gradient(lines, axis=1)
-    )
+    by_row, by_column = np.gradient(lines, axis=(0, 1))
+    return np.asarray(lines + down * by_row + across * by_column)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -254,14 +234,9 @@ def meets(bubbles: Bubbles, starts_mm: F64, directions: F64) -> Bool:
     """Find which lines from points (n, 3) along unit vectors meet a bubble."""
     out = np.zeros(len(starts_mm), dtype=np.bool_)
     if len(bubbles):
-        _meet(
-            np.ascontiguousarray(starts_mm),
-            np.ascontiguousarray(directions),
-            bubbles.center_mm,
-            bubbles.to_ball,
-            bubbles.semi_axes_mm.max(axis=1),
-            out,
-        )
+        lines = np.ascontiguousarray(starts_mm), np.ascontiguousarray(directions)
+        widest = bubbles.semi_axes_mm.max(axis=1)
+        _meet(*lines, bubbles.center_mm, bubbles.to_ball, widest, out)
     return out
 
 
