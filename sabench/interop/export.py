@@ -33,6 +33,15 @@ NAME = "state.py"
 _TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
 
 
+def write_state(root: Path, home: Path) -> None:
+    """Write a state into an export's folder, whose files it finds when it is loaded.
+
+    The folder will lie at `home`, for a ParaView that does not tell the state's own path.
+    """
+    text = _TEMPLATE.read_text(encoding="utf-8").replace("{{ folder }}", repr(str(home)))
+    (root / NAME).write_text(text, encoding="utf-8")
+
+
 Format = Literal[
     "vtk", "openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv", "coco"
 ]
@@ -80,10 +89,7 @@ def export(
         root.mkdir()
         if to == "vtk":
             vtkhdf.write(root, data, found)
-            text = _TEMPLATE.read_text(encoding="utf-8").replace(
-                "{{ folder }}", repr(str(Path(out).absolute()))
-            )
-            (root / NAME).write_text(text, encoding="utf-8")
+            write_state(root, Path(out).absolute())
         elif to == "coco":
             if found is not None:
                 raise InputError(

@@ -16,9 +16,17 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.writer import dataset_writer
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld, build_rig, load_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
-from sabench.simulation.recording import schedule
 from sabench.simulation.recording.parts import Job, Parts
 from sabench.simulation.recording.recorders import Recorder, record_task, recorder_of
+from sabench.simulation.recording.schedule import (
+    InProcess,
+    ProcessPool,
+    Schedule,
+    Task,
+    UnfinishedError,
+    WorkerPool,
+    run_schedule,
+)
 from sabench.utils import memory
 from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
@@ -103,24 +111,24 @@ def generate(
         do = functools.partial(record_task, recorder, parts)
         workers = worker_pool(parts.root, do, jobs, scheduler)
         with contextlib.closing(workers):
-            tasks = schedule.Schedule(
+            tasks = Schedule(
                 loaded.frames, recorder.views, chained=recorder.chained, ahead=workers.ahead
             )
-            schedule.run_schedule(workers, tasks, f"render {label} with {job.renderer}")
+            run_schedule(workers, tasks, f"render {label} with {job.renderer}")
         put_together(target, job, recorder, parts, overwrite=overwrite)
     return open_dataset(target)
 
 
 def worker_pool(
-    root: Path, do: Callable[[schedule.Task], None], jobs: int, scheduler: str | None
-) -> schedule.WorkerPool:
+    root: Path, do: Callable[[Task], None], jobs: int, scheduler: str | None
+) -> WorkerPool:
     """Open this process, some processes or the workers of a Dask scheduler as a pool.
 
     `root` is the job's folder. Raises InputError if Dask is not installed, or there is no scheduler
     at the address.
     """
     if not scheduler:
-        return schedule.InProcess(do) if jobs == 1 else schedule.ProcessPool(root, jobs)
+        return InProcess(do) if jobs == 1 else ProcessPool(root, jobs)
     try:
         from sabench.simulation.recording.dask_workers import DaskPool
     except ImportError as error:
@@ -146,7 +154,7 @@ def _parts(target: Path, job: Job) -> Iterator[Parts]:
         raise InputError(
             f"{target}: expected nobody else at it, but another process is making this data set"
         ) from error
-    except schedule.UnfinishedError:
+    except UnfinishedError:
         raise
     except InputError:  # another try would fail again
         _forget(target)

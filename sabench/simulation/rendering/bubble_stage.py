@@ -160,16 +160,7 @@ class Stager:
         self._lamps = _lamps(lights.lighting, camera, self.origin, full)
         shining = [light.exposure for light in (lights.backlight, lights.lighting) if light]
         self.brightest = max(shining, default=1.0) * full
-        corners = [
-            np.linalg.norm(bubbles.center_mm - self.origin, axis=1)
-            + bubbles.semi_axes_mm.max(axis=1, initial=0.0)
-        ]
-        corners += [np.linalg.norm(solid.vertices_mm - self.origin, axis=1) for solid, _ in bodies]
-        if self._cloud is not None:
-            corners.append(np.linalg.norm(self._cloud.centers, axis=1) + self._cloud.radii)
-        self._radius = (
-            1.01 * max((float(part.max(initial=0.0)) for part in corners), default=0.0) + 1.0
-        )
+        self._radius = _bounding_radius(bubbles, bodies, self._cloud, self.origin)
         self._made: tuple[float, Stage] | None = None
 
     def __call__(self, delay_s: float) -> Stage:
@@ -284,3 +275,16 @@ def _lamps(light: Lighting | None, camera: Camera, origin: F64, full: float) -> 
     pinhole, facing = np.asarray(camera.center_mm), facing_of(camera)
     behind = full / float(transmittance(camera.wall, pinhole, facing[None])[0])
     return place_lamps(light, camera, origin, origin, behind)
+
+
+def _bounding_radius(
+    bubbles: Bubbles, bodies: Sequence[tuple[Solid, Material]], cloud: Cloud | None, origin: F64
+) -> float:
+    corners = [
+        np.linalg.norm(bubbles.center_mm - origin, axis=1)
+        + bubbles.semi_axes_mm.max(axis=1, initial=0.0)
+    ]
+    corners += [np.linalg.norm(solid.vertices_mm - origin, axis=1) for solid, _ in bodies]
+    if cloud is not None:
+        corners.append(np.linalg.norm(cloud.centers, axis=1) + cloud.radii)
+    return 1.01 * max((float(part.max(initial=0.0)) for part in corners), default=0.0) + 1.0
