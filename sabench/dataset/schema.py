@@ -229,7 +229,7 @@ def is_observed(name: str) -> bool:
 
 
 def read_manifest(root: Path) -> Contents:
-    """Read the manifest of a data set: whole, its observation side alone, or recorded.
+    """Read the manifest of a data set, of its observation side or of a recorded one.
 
     Raises InputError if there is none, it is broken or of another format.
     """

@@ -1,4 +1,4 @@
-"""Point lists and particle files of the challenges on Lagrangian particle tracking.
+"""Point lists and particle files of the challenges on particle tracking.
 
 Cameras are lists of points: X Y Z and the pixels x1 y1 x2 y2 ... of all. Pixel (0, 0) is the centre
 of the first pixel. The reader fits a model to each camera; a camera that does not see a point has

@@ -1,4 +1,6 @@
-"""Files of an OpenPTV project: cameras (ptv.par, .ori, .addpar), settings and results.
+"""Files of an OpenPTV project: cameras, settings and results.
+
+Cameras are in ptv.par and .ori and .addpar files.
 
 Source: the formats as the library optv 0.3.2 reads them. Its world is kept as it is. Positions on
 the sensor are in mm, X to the right and Y up from the image's centre, and the distortion acts about

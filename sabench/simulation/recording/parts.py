@@ -51,7 +51,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Hash of all that partial results depend on: those of equal keys may be combined."""
+        """Hash of all that parts depend on: those of equal keys may be combined."""
         versions = {package: importlib.metadata.version(package) for package in _RENDERING}
         return digest([self.scene.hash, self.seed, self.renderer, code_hash(), versions])
 

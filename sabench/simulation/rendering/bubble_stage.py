@@ -1,4 +1,4 @@
-"""Stage of a render: bubbles, drops, bodies, tracers, walls and lights, in Mitsuba.
+"""Stage of a render: bubbles, drops, bodies, tracers, walls and lights.
 
 Positions are in the frame of the render, whose origin is the lamps' centre: single precision.
 """

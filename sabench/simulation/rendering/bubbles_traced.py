@@ -1,6 +1,6 @@
-"""Renderer of bubbles, drops, bodies and tracers under a diffuser or lamps, to an accuracy.
+"""Renderer of bubbles, drops, bodies and tracers under a diffuser or lamps.
 
-Pixels get passes of rays until the scatter of their means is as small as requested.
+Pixels get passes of rays until the scatter of their means is as small as the requested accuracy.
 """
 
 from __future__ import annotations

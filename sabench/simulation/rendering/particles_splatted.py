@@ -1,4 +1,4 @@
-"""Analytic renderer: Gaussian particle images, integrated over each pixel, and Airy's rings.
+"""Analytic renderer: Gaussians integrated over each pixel, and Airy's rings.
 
 A Gaussian has the core of Airy's pattern, but not the light far from it: 4 to 8 % of all light lies
 more than five pixels away. A filter turns the Gaussian pattern of a whole image into Airy's.

@@ -1,4 +1,4 @@
-"""True visibility of bubbles and bodies in each pixel, along refracted lines of sight.
+"""True visibility of bubbles and bodies, along refracted lines of sight.
 
 Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met by their equation:
 nothing here comes from the renderer, whose depths and masks would be those of straight rays.
@@ -93,9 +93,9 @@ def _distances(camera: Camera, bubbles: Bubbles, pixels: F64) -> F64:
 
 
 def _lines(camera: Camera) -> tuple[F64, F64, F64]:
-    """Compute starts and unit directions (rows, columns, 3) of lines of sight in the fluid.
+    """Compute starts and unit directions of lines of sight in the fluid.
 
-    Also returns their path lengths (rows, columns) before the fluid.
+    They are (rows, columns, 3). Also returns the path lengths (rows, columns) before the fluid.
     """
     shape = camera.rows, camera.columns
     row, column = np.indices(shape, dtype=np.float64)
