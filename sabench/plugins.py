@@ -139,7 +139,6 @@ def load(kind: str, name: str) -> type[Any]:
 
 @functools.cache
 def _load(kind: str, name: str, searched: tuple[Path, ...]) -> type[Any]:
-    """Import a plug-in from folders, once."""
     file = file_of(kind, name)
     sys.modules[f"{__name__}.{kind}"].__path__ = [str(folder) for folder in searched]
     try:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.camera_model import SensorCamera
 from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.plane_polynomials import slopes, terms
 from sabench.geometry.refraction import Rays, trace_into_fluid, trace_to_points
@@ -30,7 +30,7 @@ _STEPS, _NEAR_PX = 30, 1e-10
 
 
 @dataclass(frozen=True)
-class CentralCamera:
+class CentralCamera(SensorCamera):
     """Pinhole with a polynomial in place of focal length and distortion.
 
     Attributes
@@ -117,10 +117,6 @@ class CentralCamera:
         return np.asarray(
             points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
         )
-
-    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
-        return on_sensor(self.rows, self.columns, pixels, margin_px)
 
     def _lens(self, unit: F64) -> F64:
         return np.asarray(terms(unit, self.degree) @ np.asarray(self.coefficients).T)

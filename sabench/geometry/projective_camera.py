@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.camera_model import SensorCamera
 from sabench.geometry.refraction import Rays
 from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
@@ -16,7 +16,7 @@ _STEPS = 30
 
 
 @dataclass(frozen=True)
-class Projective:
+class Projective(SensorCamera):
     """Linear map of homogeneous coordinates, with 11 free parameters.
 
     It is a pinhole with any pixels, in a single medium.
@@ -70,10 +70,6 @@ class Projective:
             directions,
             np.isfinite(directions).all(axis=1),
         )
-
-    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
-        return on_sensor(self.rows, self.columns, pixels, margin_px)
 
 
 def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Projective:

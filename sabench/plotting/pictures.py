@@ -162,7 +162,6 @@ def with_scale_bar(picture: bytes, width_mm: float) -> bytes:
 
 
 def _window(part: F32) -> F64:
-    """Cut the central window of the middle plane."""
     if part.ndim != 3 or not part.size:
         raise ValueError(
             f"slice_picture: expected a scored part (z, y, x) with voxels, got shape {part.shape}"
@@ -177,7 +176,6 @@ def _top(window: F64) -> float:
 
 
 def _enlarge(pixels: U8) -> U8:
-    """Enlarge each voxel to a block of whole pixels."""
     block = max(1, _ENLARGED_PX // max(pixels.shape[:2]))
     return pixels.repeat(block, axis=0).repeat(block, axis=1)
 
@@ -291,7 +289,6 @@ def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:
 
 
 def _lines(sheet: U8, starts: F64, ends: F64, grey: int, width: int) -> None:
-    """Draw lines between points (n, 2) in px."""
     import cv2
 
     finer = 16.0  # four fractional bits
@@ -327,7 +324,6 @@ def join_blocks(images: npt.NDArray[AnyNumber], block: int) -> npt.NDArray[AnyNu
 
 
 def _grey(values: F64, top: float, gamma: float) -> U8:
-    """Scale 0 to `top` to 0 to 255."""
     scaled = np.clip(values / top, 0.0, 1.0) if top > 0.0 else np.zeros_like(values)
     return np.rint(255.0 * scaled**gamma).astype(np.uint8)
 

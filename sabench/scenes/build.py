@@ -75,7 +75,6 @@ def _check_in_cylinder(wall: CylinderWall, corners: F64) -> None:
 
 
 def _check_behind(wall: Wall, corners: F64) -> None:
-    """Check that a volume's corners (8, 3) are between a wall and the back wall."""
     depth = wall.depth_of(corners) - wall.thickness_mm
     if depth.min() <= 0.0:
         raise InputError(
@@ -270,7 +269,6 @@ def _check_light(
     discs: tuple[Disc, ...],
     check: Collector,
 ) -> None:
-    """Collect the faults of occluders and of the backlight."""
     for number, disc in enumerate(discs):
         with check.collect():
             check_occluder(disc, walls, cameras, corners, f"occluders.{number}")
@@ -347,7 +345,6 @@ def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
 
 
 def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> tuple[Camera, ...]:
-    """Build all cameras, collecting the faults of all."""
     cameras, check = [], Collector("")
     for number, place in enumerate(_places(scene.cameras)):
         with check.collect():

@@ -130,7 +130,6 @@ class Calibration(Table):
 
     @model_validator(mode="after")
     def _check_known(self) -> Calibration:
-        """Check that known cameras have no errors and no unknowns."""
         if not self.known_cameras:
             return self
         errors = ("shift_px", "center_mm", "turn_deg", "focal_percent", "tilt_deg")

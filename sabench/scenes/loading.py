@@ -117,7 +117,6 @@ def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None)
 
 
 def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]:
-    """Fill in all parameters of a generator's table."""
     if not isinstance(given, dict):
         return {}  # the scene's own check names it
     rest = dict(given)
@@ -140,7 +139,6 @@ def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]
 
 
 def _find_file(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]:
-    """Find a generator's file or series: its absolute path and its hash."""
     path = (folder / made["file"]).resolve()
     if not file_series(path):
         raise InputError(f"{table}.file: expected a file, but there is none at {path}")

@@ -69,7 +69,6 @@ def _drop_unmeasured(camera: Camera, spec: Calibration) -> Camera:
 
 
 def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    """Move the principal point in a random direction."""
     angle = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
     column, row = camera.principal_point_px
     return replace(
@@ -82,7 +81,6 @@ def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
 
 
 def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    """Perturb position, rotation, principal distance and the tilt of the sensor."""
     rng = stream(seed, "rough cameras", number)
     center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
     rotation = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(

@@ -130,7 +130,6 @@ def _remove(path: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    """Write every byte to the disk before the rename."""
     for file in (
         [path] if path.is_file() else [entry for entry in path.rglob("*") if entry.is_file()]
     ):
@@ -162,10 +161,7 @@ def series_hash(path: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a file of this name.
-
-    False for a name that no disk can hold.
-    """
+    """Return whether there is a file of this name. False for a name that no disk can hold."""
     try:
         return path.is_file()
     except OSError:
@@ -187,10 +183,7 @@ def sha256(path: Path) -> str:
 
 
 def canonical_json(value: Any) -> str:
-    """Format as JSON with sorted keys and shortest numbers.
-
-    Equal values give equal text.
-    """
+    """Format as JSON with sorted keys and shortest numbers. Equal values give equal text."""
     text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     return text.encode("utf-8", "replace").decode(
         "utf-8"
@@ -198,10 +191,7 @@ def canonical_json(value: Any) -> str:
 
 
 def digest(value: Any) -> str:
-    """Compute the SHA-256 of a value's canonical JSON.
-
-    Equal values have equal digests.
-    """
+    """Compute the SHA-256 of a value's canonical JSON. Equal values have equal digests."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 

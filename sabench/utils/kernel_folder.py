@@ -85,7 +85,6 @@ def hash_sources(package: Path) -> str:
 
 
 def _imported(package: Path, text: str) -> set[Path]:
-    """List the files that a text may import of the package, directly."""
     places = set()
     for module, names in _IMPORT.findall(text):
         folder = package.joinpath(*module.split(".")[1:])

@@ -49,10 +49,7 @@ def _keep_alive(progress: Progress, ended: threading.Event) -> None:
 
 @contextlib.contextmanager
 def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar for work that finishes in any order.
-
-    Call the yielded function once per item.
-    """
+    """Show a bar for work that finishes in any order. Call the yielded function once per item."""
     with _progress(refresh=True) as progress:
         task = progress.add_task(doing, total=total)
         yield lambda: progress.advance(task)
@@ -80,10 +77,7 @@ def announce_compiling() -> None:
 
 
 def _compile_listener() -> Any:
-    """Make a listener of numba's compile events.
-
-    Kernels that come from the cache send none.
-    """
+    """Make a listener of numba's compile events. Kernels that come from the cache send none."""
     from numba.core.event import Listener
 
     class CompileListener(Listener):  # type: ignore[misc]

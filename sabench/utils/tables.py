@@ -220,7 +220,6 @@ def _split(line: str, mark: str | None) -> list[str]:
 
 
 def _words(line: str, mark: str | None) -> list[str]:
-    """Split a line; separators in quotation marks are kept."""
     words = line.split(mark)
     if mark and '"' in line:
         with contextlib.suppress(csv.Error):
@@ -229,13 +228,11 @@ def _words(line: str, mark: str | None) -> list[str]:
 
 
 def _is_text(rows: Sequence[Sequence[str]], column: int) -> bool:
-    """Tell a column of text, by its words in some rows."""
     words = [row[column] for row in rows if column < len(row)]
     return bool(words) and all(word and not _NUMBER.match(word) for word in words)
 
 
 def _is_header(words: Sequence[str]) -> bool:
-    """Tell a line of names, in which no word is a number."""
     return not any(_NUMBER.match(word) for word in words if word)
 
 

@@ -102,7 +102,6 @@ def sentences(model: type[BaseModel], error: ValidationError, prefix: str = "") 
 def _texts(
     model: type[BaseModel], fault: Any, path: list[str], near: str | None
 ) -> Iterator[tuple[list[str], str, str]]:
-    """Give the key inside the faulty value, the kind and the sentence of each fault."""
     kind, inner = fault["type"], fault.get("ctx", {}).get("error")
     if isinstance(inner, FaultsError):
         for key, text in inner.faults:
@@ -124,7 +123,6 @@ def _texts(
 
 
 def _in_words(message: str) -> str:
-    """Turn a message of pydantic into a phrase of what was expected."""
     text = f"{message[0].lower()}{message[1:]}"
     for pattern, words in _WORDS:
         text, changed = re.subn(pattern, words, text)

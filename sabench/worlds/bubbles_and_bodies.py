@@ -139,13 +139,11 @@ def _check_closed(body: Solid, where: str, scene: Scene) -> Solid:
 
 
 def _wall_of(scene: Scene) -> Wall | None:
-    """Build the one plane wall that bubbles and bodies may be behind."""
     check_one_plane(scene)
     return build_wall(scene.plane) if scene.plane else None
 
 
 def _depths(wall: Wall) -> tuple[float, float]:
-    """Return the depths of the inner faces of both walls."""
     inner = wall.thickness_mm
     return inner, inner + wall.depth_mm if wall.depth_mm is not None else np.inf
 
@@ -178,7 +176,6 @@ def _check_apart(bubbles: Bubbles, where: str) -> None:
 
 
 def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None:
-    """Check that no bubble crosses a body's surface."""
     if not len(bubbles):
         return
     bad = np.flatnonzero(touching(bubbles, solid))
@@ -203,7 +200,6 @@ def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
 
 
 def _describe(bubbles: Bubbles, which: I64) -> str:
-    """Describe a few bubbles by number, position and size."""
     shown = [
         f"{bubbles.id[n]} at {np.round(bubbles.center_mm[n], 3).tolist()} mm with semi-axes "
         f"{np.round(bubbles.semi_axes_mm[n], 3).tolist()} mm"

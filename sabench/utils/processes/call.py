@@ -101,7 +101,6 @@ def _without_script() -> Iterator[None]:
 
 
 def _choose_environment(view: View) -> dict[str, str]:
-    """Choose the variables of a confined process."""
     names, beginnings = _KEPT
     kept = {
         name: value
@@ -250,7 +249,6 @@ def _read(
 
 
 def _silence() -> None:
-    """Send what libraries print about damaged files nowhere."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)

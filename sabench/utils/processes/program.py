@@ -220,7 +220,6 @@ def _pause_s(elapsed_s: float, limit_s: float) -> float:
 
 
 def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
-    """Wait until the time is over or the program has ended."""
     end = time.monotonic() + seconds
     while process.poll() is None and (left := end - time.monotonic()) > 0.0:
         time.sleep(min(left, 0.01))
@@ -240,10 +239,7 @@ def _end(process: subprocess.Popen[bytes], token: str) -> None:
 
 
 def _held_mb(process: subprocess.Popen[bytes]) -> float:
-    """Return the resident memory of a program's processes together, in MB.
-
-    1 MB is 10^6 bytes.
-    """
+    """Return the resident memory of a program's processes together, in MB. 1 MB is 10^6 bytes."""
     held = 0
     for member in _family(process):
         with contextlib.suppress(psutil.Error):
@@ -268,7 +264,6 @@ def _family(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
 
 
 def _find_marked(variable: str, token: str) -> list[psutil.Process]:
-    """Return the processes with a token in their environment, wherever they are."""
     found = []
     for one in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
@@ -278,10 +273,7 @@ def _find_marked(variable: str, token: str) -> list[psutil.Process]:
 
 
 def _size_mb(folder: Path) -> float:
-    """Return the disk space of all files below a folder, in MB.
-
-    Links are not followed.
-    """
+    """Return the disk space of all files below a folder, in MB. Links are not followed."""
     blocks = 0
     for path, _, files in os.walk(folder):
         for name in files:
@@ -326,10 +318,7 @@ def overdue(time_s: float) -> str:
 
 @contextlib.contextmanager
 def kill_if_left(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Kill a process and all below it if the block ends first.
-
-    Its pipes are closed, too.
-    """
+    """Kill a process and all below it if the block ends first. Its pipes are closed, too."""
     try:
         yield
     finally:

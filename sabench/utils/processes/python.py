@@ -89,10 +89,7 @@ def ignored_interrupts() -> Iterator[None]:
 
 
 def missing(module: str, package: str) -> str | None:
-    """Say how to install a package of the extra `competitors`.
-
-    Returns None if it is there.
-    """
+    """Say how to install a package of the extra `competitors`. Returns None if it is there."""
     if importlib.util.find_spec(module):
         return None
     return f"the package {package} is not installed: pip install sabench[competitors]"
@@ -232,7 +229,6 @@ class Servers:
 
 
 def _listen(pipe: IO[bytes], number: int, lines: _Lines) -> None:
-    """Queue each line of a server, and an empty one when it has ended."""
     with contextlib.suppress(OSError, ValueError):
         for line in pipe:
             if line.endswith(b"\n"):  # a killed server may leave half a line

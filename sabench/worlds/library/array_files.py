@@ -117,7 +117,6 @@ def _read_apart(
 def _store(
     path: Path, names: Names, folder: Path, files: Sequence[Path], suffix: str, skip_lines: int
 ) -> None:
-    """Read arrays of a file or a series and store them in a folder."""
     parts = [_read_one(file, names, suffix, skip_lines) for file in files]
     contents = []
     for number, name in enumerate(parts[0] if names is None else names):
@@ -239,7 +238,6 @@ def _numbers(path: Path, name: str, values: Any) -> F64:
 
 
 def _text(attributes: Any) -> str | None:
-    """Return the attribute `units`, if there is one."""
     value = attributes.get("units")
     if isinstance(value, np.ndarray):
         value = value.ravel()[0] if value.size == 1 else None
@@ -249,7 +247,6 @@ def _text(attributes: Any) -> str | None:
 
 
 def _from_vtk(path: Path, names: Names) -> dict[str, Array]:
-    """Read the point data of a lattice along the axes."""
     try:
         from vtkmodules.util.numpy_support import vtk_to_numpy
     except ImportError as error:

@@ -65,7 +65,6 @@ def surface_of(
 
 
 def _sample(function: Callable[[F64], F64], axes: list[F64]) -> F32:
-    """Sample a function at all nodes (x, y, z)."""
     y, z = (one.ravel() for one in np.meshgrid(axes[1], axes[2], indexing="ij"))
     values = np.empty([len(axis) for axis in axes], dtype=np.float32)
     for row, x in enumerate(axes[0]):
@@ -76,7 +75,6 @@ def _sample(function: Callable[[F64], F64], axes: list[F64]) -> F32:
 
 
 def _check_inside(values: F32, low_mm: F64, step_mm: float) -> None:
-    """Check that something is inside, and nothing of it at the lattice's edge."""
     high = low_mm + step_mm * (np.array(values.shape) - 1)
     where = f"{np.round(low_mm, 3).tolist()} to {np.round(high, 3).tolist()} mm"
     if not values.min() < 0.0:

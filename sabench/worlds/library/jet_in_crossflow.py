@@ -60,10 +60,7 @@ class Crossflow(BaseModel):
         )
 
     def upper_mm(self, x: F64) -> F64:
-        """Compute the spray's upper edge above the nozzle.
-
-        At distances x > 0 along the gas.
-        """
+        """Compute the spray's upper edge above the nozzle. At distances x > 0 along the gas."""
         return np.asarray(
             _UPPER[0]
             * self.momentum_ratio ** _UPPER[1]
@@ -92,7 +89,6 @@ class Crossflow(BaseModel):
         return starts, ends, first, last
 
     def _column(self, rng: np.random.Generator) -> Cones:
-        """Make the column along its path, with waves that grow."""
         along = np.linspace(0.0, 1.0, _PIECES + 1)
         y = along * self.break_mm[1]
         x = (y / self.diameter_mm / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm
@@ -191,10 +187,7 @@ class Spray:
         return np.column_stack([x, y, self.jet.width_mm(x) * (line[:, 1] - 0.5)])
 
     def velocities(self, age: F64, positions: F64) -> F64:
-        """Compute velocities (n, 3) at positions.
-
-        Height and width grow as a power of x.
-        """
+        """Compute velocities (n, 3) at positions. Height and width grow as a power of x."""
         speed = -self.gas_mm_s * np.expm1(-age / self.response_s)
         slope = positions * _POWER / positions[:, :1]
         slope[:, 0] = 1.0

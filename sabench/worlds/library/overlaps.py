@@ -35,7 +35,6 @@ def contains(body: Solid, points_mm: F64) -> Bool:
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
 def _solid_angles(points: Any, vertices: Any, faces: Any, out: Any) -> None:
-    """Sum the signed solid angles of all faces as seen from each point."""
     for n in numba.prange(len(points)):
         total = 0.0
         for f in range(len(faces)):
@@ -66,10 +65,7 @@ _STEPS = 40  # of the golden section: to 4e-9
 
 
 def shapes_of(semi_axes_mm: F64, rotation: F64) -> F64:
-    """Compute matrices whose inverses are the ellipsoids' quadratic forms.
-
-    (n, 3, 3).
-    """
+    """Compute matrices whose inverses are the ellipsoids' quadratic forms. (n, 3, 3)."""
     return np.asarray(np.einsum("nki,nk,nkj->nij", rotation, semi_axes_mm**2, rotation))
 
 
