@@ -27,7 +27,7 @@ from sabench.geometry.projective_camera import Projective
 from sabench.utils.arrays import U8
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
-from sabench.utils.validation import MODEL_TAG
+from sabench.utils.validation import UNION_TAG
 
 MODELS: dict[str, type[Any]] = {
     "pinhole": Camera,
@@ -43,9 +43,9 @@ _LARGEST = 1e12  # no length or coefficient of a camera is beyond it
 
 def _model_of(value: Any) -> str:
     if isinstance(value, dict):
-        return f"{MODEL_TAG}{value.get('model', 'pinhole')}"
+        return f"{UNION_TAG}{value.get('model', 'pinhole')}"
     named = (name for name, model in MODELS.items() if type(value) is model)
-    return f"{MODEL_TAG}{next(named, '')}"
+    return f"{UNION_TAG}{next(named, '')}"
 
 
 def _without_model(value: Any) -> Any:
@@ -57,7 +57,7 @@ def _without_model(value: Any) -> Any:
 def _any_model() -> Any:
     """Make the union of all models, told apart by the key `model`."""
     members = [
-        Annotated[model, BeforeValidator(_without_model), Tag(f"{MODEL_TAG}{name}")]
+        Annotated[model, BeforeValidator(_without_model), Tag(f"{UNION_TAG}{name}")]
         for name, model in MODELS.items()
     ]
     known = ", ".join(MODELS)
@@ -108,7 +108,8 @@ def read_camera(record: Any, where: str) -> CameraModel:
         return cast(CameraModel, _validator(model).validate_python(fields))
     except ValidationError as error:
         first = error.errors()[0]
-        raise InputError(f"{where}: {first['loc']}: {first['msg']}") from error
+        parts = (str(p).removeprefix(UNION_TAG) if isinstance(p, str) else p for p in first["loc"])
+        raise InputError(f"{where}: {tuple(parts)}: {first['msg']}") from error
 
 
 @functools.cache

@@ -20,6 +20,7 @@ from pydantic import Discriminator, Tag
 from sabench.geometry.refraction import Layer, Paths, Rays, Wall
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.compiled import numba
+from sabench.utils.validation import UNION_TAG
 
 _STEPS = 80
 _SMALLEST = 1e-4  # share of a step below which shorter ones are no longer tried
@@ -364,18 +365,19 @@ class CylinderWall:
 def _shape(value: Any) -> str:
     """Tell a list, a cylinder (it has an axis) and a plane wall apart."""
     if isinstance(value, list | tuple):
-        return "faces"
+        return f"{UNION_TAG}faces"
     axis = "axis" in value if isinstance(value, dict) else isinstance(value, CylinderWall)
-    return "cylinder" if axis else "plane"
+    return f"{UNION_TAG}{'cylinder' if axis else 'plane'}"
 
 
 WallRecord = Annotated[
-    Annotated[Wall, Tag("plane")] | Annotated[CylinderWall, Tag("cylinder")],
+    Annotated[Wall, Tag(f"{UNION_TAG}plane")]
+    | Annotated[CylinderWall, Tag(f"{UNION_TAG}cylinder")],
     Discriminator(_shape),
 ]
 WallsRecord = Annotated[
-    Annotated[Wall, Tag("plane")]
-    | Annotated[CylinderWall, Tag("cylinder")]
-    | Annotated[tuple[WallRecord | None, ...], Tag("faces")],
+    Annotated[Wall, Tag(f"{UNION_TAG}plane")]
+    | Annotated[CylinderWall, Tag(f"{UNION_TAG}cylinder")]
+    | Annotated[tuple[WallRecord | None, ...], Tag(f"{UNION_TAG}faces")],
     Discriminator(_shape),
 ]

@@ -29,7 +29,7 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
         nominal = draw_nominal_wall(wall, spec, seed)
         cameras = tuple(replace(camera, wall=nominal) for camera in cameras)
     return tuple(
-        _perturb(_shift(_drop_unmeasured(camera, spec), spec, seed, number), spec, seed, number)
+        _perturb(_shift(camera, spec, seed, number), spec, seed, number)
         for number, camera in enumerate(cameras)
     )
 
@@ -62,17 +62,14 @@ def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
     )
 
 
-def _drop_unmeasured(camera: Camera, spec: Calibration) -> Camera:
-    """Set coefficients of distortion that are unknown to zero."""
-    unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
-    return replace(camera, distortion=replace(camera.distortion, **unmeasured))
-
-
 def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
+    """Move the principal point, and set unknown coefficients of distortion to zero."""
     angle = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
     column, row = camera.principal_point_px
+    unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
     return replace(
         camera,
+        distortion=replace(camera.distortion, **unmeasured),
         principal_point_px=(
             column + spec.shift_px * float(np.cos(angle)),
             row + spec.shift_px * float(np.sin(angle)),
