@@ -54,15 +54,13 @@ def refuse(faults: Iterable[tuple[str, str]]) -> None:
 
 def join_faults(error: ValidationError, faults: Sequence[tuple[str, str]]) -> ValidationError:
     """Join the faults of fields and those of the whole table in one error."""
-    keys = InitErrorDetails.__annotations__
     details: list[Any] = [
-        {key: fault[key] for key in fault if key in keys}
+        {key: value for key, value in fault.items() if key in ("type", "loc", "input", "ctx")}
         for fault in error.errors(include_url=False)
     ]
     if faults:
-        details.append(
-            {"type": "value_error", "input": None, "ctx": {"error": FaultsError(faults)}}
-        )
+        whole = {"error": FaultsError(faults)}
+        details.append({"type": "value_error", "input": None, "ctx": whole})
     return ValidationError.from_exception_data(error.title, details)
 
 
@@ -107,9 +105,8 @@ def _texts(
         yield [], kind, "this key is missing"
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
         key, tag = fault["ctx"]["discriminator"].strip("'"), fault["ctx"].get("tag")
-        expected = (
-            f"expected one of {fault['ctx'].get('expected_tags')}, got {printable(repr(tag))}"
-        )
+        tags, got = fault["ctx"].get("expected_tags"), printable(repr(tag))
+        expected = f"expected one of {tags}, got {got}"
         yield [key], kind, expected if tag else "this key is missing"
     elif kind == "value_error":
         yield [], kind, str(fault["msg"]).removeprefix("Value error, ")
