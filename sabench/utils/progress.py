@@ -32,19 +32,19 @@ def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
     ended = threading.Event()
     with _progress(refresh=False) as progress:
         task = progress.add_task(doing, total=total)
+
+        def keep_alive() -> None:
+            while not ended.wait(_REFRESH_S):
+                progress.refresh()
+
         if console.is_terminal:
-            threading.Thread(target=_keep_alive, args=(progress, ended), daemon=True).start()
+            threading.Thread(target=keep_alive, daemon=True).start()
         try:
             for item in items:
                 yield item
                 progress.advance(task)
         finally:
             ended.set()
-
-
-def _keep_alive(progress: Progress, ended: threading.Event) -> None:
-    while not ended.wait(_REFRESH_S):
-        progress.refresh()
 
 
 @contextlib.contextmanager
@@ -67,21 +67,11 @@ def _progress(*, refresh: bool) -> Progress:
 
 @functools.cache
 def announce_compiling() -> None:
-    """Have this process print a notice if compiling kernels takes over a second.
-
-    It is printed once.
-    """
+    """Have this process print a notice, once, if compiling kernels takes over a second."""
     from numba.core import event
 
-    event.register("numba:compile", _compile_listener())
-
-
-def _compile_listener() -> Any:
-    """Make a listener of numba's compile events. Kernels that come from the cache send none."""
-    from numba.core.event import Listener
-
-    class CompileListener(Listener):  # type: ignore[misc]
-        """Timer that runs while kernels compile."""
+    class CompileListener(event.Listener):  # type: ignore[misc]
+        """Timer that runs while kernels compile; those from the cache send no events."""
 
         def __init__(self) -> None:
             self.depth = 0  # a kernel that calls others compiles them within its own compilation
@@ -101,7 +91,7 @@ def _compile_listener() -> Any:
             if self.depth == 0 and self.timer:
                 self.timer.cancel()
 
-    return CompileListener()
+    event.register("numba:compile", CompileListener())
 
 
 @functools.cache
