@@ -169,13 +169,10 @@ def _from_hdf5(path: Path, names: Names) -> dict[str, Array]:
     try:
         with h5py.File(path) as file:
             sets: dict[str, Any] = {}
-            file.visititems(
-                lambda name, item: (
-                    sets.update({name: item})
-                    if isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external)
-                    else None
-                )
-            )
+            file.visititems(sets.__setitem__)
+            for name, item in list(sets.items()):
+                if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
+                    del sets[name]
             return {
                 name: Array(_numbers(path, name, sets[name][()]), _text(sets[name].attrs))
                 for name in _choose(path, names, sets)
@@ -255,27 +252,23 @@ def _from_vtk(path: Path, names: Names) -> dict[str, Array]:
         ) from error
     data = _vtk_lattice(path)
     counts = data.GetDimensions()
-    axes = {
-        axis: np.array([_vtk_coordinate(data, number, index) for index in range(counts[number])])
-        for number, axis in enumerate("xyz")
-    }
-    points = data.GetPointData()
-    there = [points.GetArrayName(number) for number in range(points.GetNumberOfArrays())]
-    found = {}
-    for name in _check_names(path, names or (), [*axes, *there]):
+    axes = {}
+    for number, axis in enumerate("xyz"):
+        nodes = np.zeros((counts[number], 3), dtype=int)
+        nodes[:, number] = np.arange(counts[number])
+        points = [data.GetPoint(data.ComputePointId(node)) for node in nodes.tolist()]
+        axes[axis] = np.array([float(point[number]) for point in points])
+    content = data.GetPointData()
+    inside = [content.GetArrayName(number) for number in range(content.GetNumberOfArrays())]
+    arrays = {}
+    for name in _check_names(path, names or (), [*axes, *inside]):
         if name in axes:
-            found[name] = Array(axes[name])
+            arrays[name] = Array(axes[name])
         else:
-            values = vtk_to_numpy(points.GetArray(name))
+            values = vtk_to_numpy(content.GetArray(name))
             shaped = values.reshape(*counts[::-1], *values.shape[1:])
-            found[name] = Array(_numbers(path, name, shaped))
-    return found
-
-
-def _vtk_coordinate(data: Any, axis: int, index: int) -> float:
-    where = [0, 0, 0]
-    where[axis] = index
-    return float(data.GetPoint(data.ComputePointId(where))[axis])
+            arrays[name] = Array(_numbers(path, name, shaped))
+    return arrays
 
 
 def _vtk_lattice(path: Path) -> Any:
