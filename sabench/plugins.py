@@ -101,12 +101,9 @@ def _hint(kind: str, name: str, known: list[str]) -> str:
     near = difflib.get_close_matches(name, known, 1)
     what = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
     own = f"for one of your own, SABENCH_PLUGINS is the folder that holds {kind}/{name}.py"
-    missing = [
-        entry
-        for entry in os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep)
-        if entry and not (Path(entry) / kind).is_dir()
-    ]
-    return f"{what}; {own}" + "".join(f"; there is no folder {one}/{kind}" for one in missing)
+    entries = filter(None, os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep))
+    missing = [entry for entry in entries if not (Path(entry) / kind).is_dir()]
+    return f"{what}; {own}" + "".join(f"; there is no folder {entry}/{kind}" for entry in missing)
 
 
 def is_bundled(kind: str, name: str) -> bool:

@@ -17,7 +17,7 @@ from sabench.geometry.camera_model import SensorCamera
 from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.plane_polynomials import slopes, terms
 from sabench.geometry.refraction import Rays, trace_into_fluid, trace_to_points
-from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of
+from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
 
 Lens = Callable[[F64], F64]  # pixels (n, 2) at ideal image coordinates (n, 2)
@@ -165,10 +165,8 @@ def invert_lens(lens: Lens, pixels: F64, guess: F64) -> F64:
             miss = pixels - lens(ideal)
             if np.nanmax(np.abs(miss), initial=0.0) < _NEAR_PX:
                 break
-            across, along = (
-                (lens(ideal + step) - lens(ideal - step)) / (2.0 * delta)
-                for step in delta * np.eye(2)
-            )
+            steps = delta * np.eye(2)
+            across, along = ((lens(ideal + s) - lens(ideal - s)) / (2.0 * delta) for s in steps)
             ideal = ideal + solve_pairs(across, along, miss)
         ideal[~(np.abs(pixels - lens(ideal)).max(axis=1) < 1e-6)] = np.nan
     return ideal
@@ -206,18 +204,10 @@ def fit_central_camera(
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     degree, coefficients = _fit((ideal - middle) / half, pixels, name)
     center, rotation = (np.asarray(part, dtype=np.float64) for part in pose)
-    x, y, z = (tuple(row) for row in rotation.tolist())
-    return CentralCamera(
-        name,
-        *size,
-        tuple(center.tolist()),
-        (x, y, z),
-        tuple(middle.tolist()),
-        tuple(half.tolist()),
-        degree,
-        nested(coefficients.T),
-        wall,
-    )
+    x, y, z = map(triple, rotation)
+    box = (tuple(middle.tolist()), tuple(half.tolist()))
+    table = nested(coefficients.T)
+    return CentralCamera(name, *size, triple(center), (x, y, z), *box, degree, table, wall)
 
 
 def _fit(unit: F64, pixels: F64, name: str) -> tuple[int, F64]:

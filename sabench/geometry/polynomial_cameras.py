@@ -154,16 +154,12 @@ class PlanePolynomials(_Fitted):
         Beyond the outer planes, the last two are extrapolated.
         """
         points = rows_of(points_mm, 3, "points_mm")
-        planes, table = (
-            np.asarray(self.planes_mm),
-            np.asarray(self.coefficients).reshape(len(self.planes_mm), 2, len(_QUADRATIC)),
-        )
+        planes = np.asarray(self.planes_mm)
+        table = np.asarray(self.coefficients).reshape(len(planes), 2, len(_QUADRATIC))
         left = np.clip(np.searchsorted(planes, points[:, 2]) - 1, 0, len(planes) - 2)
         share = (points[:, 2] - planes[left]) / (planes[left + 1] - planes[left])
         terms = _quadratic(((points - self.middle_mm) / self.half_mm)[:, :2])
-        before, behind = (
-            np.einsum("nt,nct->nc", terms, table[plane]) for plane in (left, left + 1)
-        )
+        before, behind = (np.einsum("nt,nct->nc", terms, table[p]) for p in (left, left + 1))
         pixels = before + share[:, None] * (behind - before)
         return pixels, np.isfinite(pixels).all(axis=1)
 
@@ -204,20 +200,10 @@ def fit_planes(
     table = []
     for plane in order.tolist():
         terms = _quadratic(((points_mm[plane] - middle) / half)[:, :2])
-        table.append(
-            _fit_terms(
-                terms, pixels[plane], f"{name}: frame {plane}: a polynomial of 6 terms"
-            ).T.ravel()
-        )
-    return PlanePolynomials(
-        name,
-        rows,
-        columns,
-        triple(middle),
-        triple(half),
-        tuple(depths[order].tolist()),
-        nested(np.stack(table)),
-    )
+        what = f"{name}: frame {plane}: a polynomial of 6 terms"
+        table.append(_fit_terms(terms, pixels[plane], what).T.ravel())
+    box, planes = (triple(middle), triple(half)), tuple(depths[order].tolist())
+    return PlanePolynomials(name, rows, columns, *box, planes, nested(np.stack(table)))
 
 
 def _cubic(unit: F64) -> F64:

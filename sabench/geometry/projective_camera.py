@@ -65,11 +65,8 @@ class Projective(SensorCamera):
         inverse = np.linalg.inv(matrix[:, :3])
         directions = np.column_stack([image, np.ones(len(image))]) @ inverse.T
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return Rays(
-            np.tile(-inverse @ matrix[:, 3], (len(image), 1)),
-            directions,
-            np.isfinite(directions).all(axis=1),
-        )
+        origins = np.tile(-inverse @ matrix[:, 3], (len(image), 1))
+        return Rays(origins, directions, np.isfinite(directions).all(axis=1))
 
 
 def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Projective:
@@ -85,12 +82,8 @@ def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F
     (positions, world), (images, image) = _normalise(points_mm), _normalise(pixels)
     full = np.column_stack([positions, np.ones(len(positions))])
     zero = np.zeros_like(full)
-    system = np.vstack(
-        [
-            np.hstack([full, zero, -images[:, :1] * full]),
-            np.hstack([zero, full, -images[:, 1:] * full]),
-        ]
-    )
+    columns_part = np.hstack([full, zero, -images[:, :1] * full])
+    system = np.vstack([columns_part, np.hstack([zero, full, -images[:, 1:] * full])])
     _, values, right = np.linalg.svd(system, full_matrices=False)
     if len(points_mm) < 6 or values[-2] < 1e-8 * values[0]:
         raise InputError(
@@ -123,12 +116,8 @@ def _least_squares(start: F64, full: F64, images: F64) -> F64:
         u, v, w = (full @ entries.reshape(3, 4).T).T
         miss = (images - np.column_stack([u, v]) / w[:, None]).T.ravel()
         part, zero = full / w[:, None], np.zeros_like(full)
-        slope = np.vstack(
-            [
-                np.hstack([part, zero, -(u / w)[:, None] * part]),
-                np.hstack([zero, part, -(v / w)[:, None] * part]),
-            ]
-        )
+        columns_part = np.hstack([part, zero, -(u / w)[:, None] * part])
+        slope = np.vstack([columns_part, np.hstack([zero, part, -(v / w)[:, None] * part])])
         step = np.linalg.lstsq(slope, miss, rcond=1e-12)[0]
         entries = entries + step
         if np.abs(step).max() < 1e-13:

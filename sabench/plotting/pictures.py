@@ -310,11 +310,8 @@ def _grey(values: F64, top: float, gamma: float) -> U8:
 def _mosaic(images: U8, across: int) -> U8:
     count, rows, columns = images.shape
     down = math.ceil(count / across)
-    sheet = np.full(
-        (down * (rows + _GAP_PX) - _GAP_PX, across * (columns + _GAP_PX) - _GAP_PX),
-        _GAP_GREY,
-        dtype=np.uint8,
-    )
+    shape = (down * (rows + _GAP_PX) - _GAP_PX, across * (columns + _GAP_PX) - _GAP_PX)
+    sheet = np.full(shape, _GAP_GREY, dtype=np.uint8)
     for i, image in enumerate(images):
         y, x = (i // across) * (rows + _GAP_PX), (i % across) * (columns + _GAP_PX)
         sheet[y : y + rows, x : x + columns] = image

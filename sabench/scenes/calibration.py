@@ -118,15 +118,8 @@ class Calibration(Table):
     @property
     def errs_in_wall(self) -> bool:
         """Truth of a nominal wall that is not the true one."""
-        return any(
-            (
-                self.wall_mm,
-                self.wall_deg,
-                self.thickness_percent,
-                self.layer_index,
-                self.fluid_index,
-            )
-        )
+        place = self.wall_mm or self.wall_deg
+        return bool(place or self.thickness_percent or self.layer_index or self.fluid_index)
 
     @model_validator(mode="after")
     def _check_known(self) -> Calibration:

@@ -78,7 +78,5 @@ def _other_pulse(timing: Timing, exposure_s: float, skew_s: float) -> float | No
 def skew_faults(timing: Timing | None, cameras: int) -> Iterator[str]:
     """List delays of another number of cameras than there are."""
     if timing is not None and timing.skew_s is not None and len(timing.skew_s) != cameras:
-        yield (
-            f"timing.skew_s: expected one value for each of {cameras} cameras, "
-            f"got {len(timing.skew_s)}"
-        )
+        got = len(timing.skew_s)
+        yield f"timing.skew_s: expected one value for each of {cameras} cameras, got {got}"

@@ -45,19 +45,16 @@ def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
     turn = rotation_matrices(np.deg2rad(spec.wall_deg or 0.0) * np.array([right, down, 0.0]))
     thicker, denser = rng.standard_normal((2, len(wall.layers)))
     percent = spec.thickness_percent or 0.0
-    layers = tuple(
-        replace(
-            layer,
-            thickness_mm=layer.thickness_mm * (1.0 + percent / 100.0 * thick),
-            index=layer.index + (spec.layer_index or 0.0) * dense,
-        )
-        for layer, thick, dense in zip(wall.layers, thicker.tolist(), denser.tolist(), strict=True)
-    )
+    layers = []
+    for layer, thick, dense in zip(wall.layers, thicker.tolist(), denser.tolist(), strict=True):
+        index = layer.index + (spec.layer_index or 0.0) * dense
+        thickness_mm = layer.thickness_mm * (1.0 + percent / 100.0 * thick)
+        layers.append(replace(layer, thickness_mm=thickness_mm, index=index))
     return replace(
         wall,
         point_mm=triple(np.asarray(wall.point_mm) + (spec.wall_mm or 0.0) * along * axes[2]),
         normal=triple(axes.T @ turn[:, 2]),
-        layers=layers,
+        layers=tuple(layers),
         fluid_index=wall.fluid_index + (spec.fluid_index or 0.0) * float(fluid),
     )
 
@@ -65,15 +62,13 @@ def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
 def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
     """Move the principal point, and set unknown coefficients of distortion to zero."""
     angle = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
+    right, down = spec.shift_px * float(np.cos(angle)), spec.shift_px * float(np.sin(angle))
     column, row = camera.principal_point_px
     unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
     return replace(
         camera,
         distortion=replace(camera.distortion, **unmeasured),
-        principal_point_px=(
-            column + spec.shift_px * float(np.cos(angle)),
-            row + spec.shift_px * float(np.sin(angle)),
-        ),
+        principal_point_px=(column + right, row + down),
     )
 
 

@@ -115,10 +115,8 @@ class Sensor(Table):
         for name in ("camera_exposure", "camera_gain", "camera_black_dn"):
             values = getattr(self, name)
             if values is not None and len(values) != cameras:
-                yield (
-                    f"sensor.{name}: expected one value for each of {cameras} cameras, "
-                    f"got {len(values)}"
-                )
+                expected = f"expected one value for each of {cameras} cameras"
+                yield f"sensor.{name}: {expected}, got {len(values)}"
 
     @model_validator(mode="after")
     def _check_flaws(self) -> Sensor:

@@ -56,12 +56,8 @@ def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
 
 
 def _progress(*, refresh: bool) -> Progress:
-    columns = (
-        TextColumn("{task.description:<38}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
+    text = TextColumn("{task.description:<38}")
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     return Progress(*columns, console=console, auto_refresh=refresh)
 
 

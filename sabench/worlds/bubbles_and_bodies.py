@@ -185,7 +185,5 @@ def code_of(scene: Scene, seed: int, frame: int) -> Code:
             parts.append(Code(points, code.dark))
     if not parts:
         raise InputError(f"{scene.title}: expected a body with a code, got none")
-    return Code(
-        np.concatenate([part.points_mm for part in parts]),
-        np.concatenate([part.dark for part in parts]),
-    )
+    points_mm = np.concatenate([part.points_mm for part in parts])
+    return Code(points_mm, np.concatenate([part.dark for part in parts]))

@@ -191,12 +191,9 @@ class Motion:
         # `take` is four times as fast as rows chosen by a mask
         position = np.concatenate([carried.take(stay, 0), fresh.position_mm.take(enter, 0)])
         diameter = np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]])
-        return Particles(
-            np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]]),
-            position,
-            diameter,
-            velocity_of(flow, self.scene.inertia, position, diameter, end),
-        )
+        ids = np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]])
+        velocity = velocity_of(flow, self.scene.inertia, position, diameter, end)
+        return Particles(ids, position, diameter, velocity)
 
 
 def _inside(domain: Domain, points_mm: F64) -> Bool:

@@ -22,29 +22,13 @@ from sabench.utils.tables import Array as Array, read_table
 
 FILE_NUMBER = "file_number"  # array of the number in the name of each value's file
 _CONTENTS = "contents.json"
-_LENGTHS = {
-    "km": 1e6,
-    "m": 1e3,
-    "dm": 1e2,
-    "cm": 10.0,
-    "mm": 1.0,
-    "um": 1e-3,
-    "µm": 1e-3,
-    "μm": 1e-3,
-    "micron": 1e-3,
-    "nm": 1e-6,
-}
+_LENGTHS = {"km": 1e6, "m": 1e3, "dm": 1e2, "cm": 10.0, "mm": 1.0}
+_LENGTHS |= {"um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "nm": 1e-6}
 _TIMES = {"min": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _WORDS = {
-    "meter": "m",
-    "metre": "m",
-    "meters": "m",
-    "metres": "m",
-    "millimeter": "mm",
-    "millimetre": "mm",
-    "second": "s",
-    "seconds": "s",
-    "sec": "s",
+    **dict.fromkeys(("meter", "metre", "meters", "metres"), "m"),
+    **dict.fromkeys(("millimeter", "millimetre"), "mm"),
+    **dict.fromkeys(("second", "seconds", "sec"), "s"),
 }
 
 Unit = str | float | None
@@ -185,11 +169,8 @@ def _choose(path: Path, names: Names, there: dict[str, Any]) -> Sequence[str]:
     """Check the names; without names, choose the arrays of numbers at the root."""
     if names is not None:
         return _check_names(path, names, there)
-    return [
-        name
-        for name, item in there.items()
-        if "/" not in name and item.shape and item.dtype.kind in "fiu"
-    ]
+    arrays = {name: item for name, item in there.items() if "/" not in name and item.shape}
+    return [name for name, item in arrays.items() if item.dtype.kind in "fiu"]
 
 
 def _from_netcdf(path: Path, names: Names) -> dict[str, Array]:
