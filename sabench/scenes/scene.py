@@ -193,17 +193,12 @@ class Scene(Table):
         """World that the tables describe, with the fields that its kind needs."""
         if self.targets is not None:
             return TargetWorld(self.targets, self.lighting, self.detection)
-        tracers = self.tracers
-        if tracers is not None and self.bubbles is None and not self.solids:
-            return tracers
+        tracers = None
+        if self.particles is not None and self.illumination is not None:
+            tracers = ParticleWorld(self.particles, self.illumination, self.tracer, self.flow)
+            if self.bubbles is None and not self.solids:
+                return tracers
         return BubbleWorld(self.bubbles, self.solids or (), self.backlight, self.lighting, tracers)
-
-    @property
-    def tracers(self) -> ParticleWorld | None:
-        """Tracer particles, alone or between bubbles; None where there are none."""
-        if self.particles is None or self.illumination is None:
-            return None
-        return ParticleWorld(self.particles, self.illumination, self.tracer, self.flow)
 
     @property
     def particle_world(self) -> ParticleWorld:
@@ -214,7 +209,7 @@ class Scene(Table):
         InputError
             A scene without particles.
         """
-        if (tracers := self.tracers) is None:
+        if (tracers := self.world.tracers) is None:
             raise InputError(f"{self.title}: particles: expected a scene with particles, got none")
         return tracers
 

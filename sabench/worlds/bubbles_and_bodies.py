@@ -20,10 +20,9 @@ from sabench.api.make import generator_of
 from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import Pose, rotation_matrices
-from sabench.scenes import BubbleWorld, Scene
+from sabench.scenes import Scene
 from sabench.scenes.build import domain_of
 from sabench.scenes.tank import build_wall, check_one_plane
-from sabench.scenes.world import GeneratorTable
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.worlds.library.overlaps import overlapping, touching
@@ -39,9 +38,8 @@ class Phases:
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene, self.seed = scene, seed
         world = scene.world
-        given = world.bubbles if isinstance(world, BubbleWorld) else None
-        self._bubbles: BubbleGenerator | None = generator_of(given) if given else None
-        self._solids: list[SolidGenerator] = [generator_of(one) for one in bodies_of(scene)]
+        self._bubbles: BubbleGenerator | None = world.bubbles and generator_of(world.bubbles)
+        self._solids: list[SolidGenerator] = [generator_of(given) for given in world.solids]
         self._bodies = [
             _check_closed(generator.body(seed), f"{scene.title}: solids.{n}", scene)
             for n, generator in enumerate(self._solids)
@@ -111,12 +109,6 @@ class Phases:
         return out
 
 
-def bodies_of(scene: Scene) -> tuple[GeneratorTable, ...]:
-    """Give the generators of a scene's bodies; none in a scene of another world."""
-    world = scene.world
-    return world.solids if isinstance(world, BubbleWorld) else ()
-
-
 def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
     """Compute position and rotation of a body at a time."""
     first = rotation_matrices(np.deg2rad(parameters.turn_deg))
@@ -171,14 +163,14 @@ def has_code(scene: Scene) -> bool:
     """Return whether one of a scene's bodies has a code."""
     return any(
         issubclass(plugins.load("generators", given["generator"]), CodeGenerator)
-        for given in bodies_of(scene)
+        for given in scene.world.solids
     )
 
 
 def code_of(scene: Scene, seed: int, frame: int) -> Code:
     """Make all cells of a frame's codes, world frame: truth, not for solvers."""
     parts = []
-    for generator in (generator_of(given) for given in bodies_of(scene)):
+    for generator in (generator_of(given) for given in scene.world.solids):
         if isinstance(generator, CodeGenerator):
             code, pose = generator.code(seed), pose_of(generator.parameters, scene.time_s(frame))
             points = pose(code.points_mm.reshape(-1, 3)).reshape(code.points_mm.shape)

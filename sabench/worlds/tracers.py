@@ -20,7 +20,7 @@ from sabench.utils.arrays import F64, Bool, in_box, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds.advection import check_inertia, move_particles, velocity_of
-from sabench.worlds.bubbles_and_bodies import Phases, bodies_of
+from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 
 TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path
@@ -38,16 +38,16 @@ def flow_of(scene: Scene, seed: int = 0) -> Flow | None:
     InputError
         A flow around bodies in a scene without bodies, or with bodies that move.
     """
-    tracers = scene.tracers
+    tracers = scene.world.tracers
     if tracers is None or tracers.flow is None:
         return None
     flow: Flow = generator_of(tracers.flow)
     if not isinstance(flow, BodyFlow):
         return flow
     where = f"{scene.title}: flow {flow.name}"
-    if not scene.solids:
+    if not scene.world.solids:
         raise InputError(f"{where}: expected solids that it goes around, got none")
-    for number, body in enumerate(bodies_of(scene)):
+    for number, body in enumerate(scene.world.solids):
         given = generator_of(body).parameters
         if any(given.velocity_mm_s) or any(given.spin_deg_s):
             raise InputError(f"{where}: expected bodies at rest, but solids.{number} moves")
