@@ -78,10 +78,8 @@ class Boards(TargetGenerator):
     def pose(self, domain: Domain, seed: int, frame: int, frames: int) -> Pose:
         """Draw a rotation, then a position with all points in the volume, if possible."""
         chosen: BoardsParameters = self.parameters
-        rng, limits = (
-            stream(seed, "targets", frame),
-            np.deg2rad([chosen.tilt_deg, chosen.tilt_deg, chosen.roll_deg]),
-        )
+        rng = stream(seed, "targets", frame)
+        limits = np.deg2rad([chosen.tilt_deg, chosen.tilt_deg, chosen.roll_deg])
         rotation = rotation_matrices(rng.uniform(-limits, limits))
         margin = np.maximum(
             np.asarray(domain.size_mm) / 2.0

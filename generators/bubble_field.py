@@ -76,9 +76,9 @@ class BubbleField(BubbleGenerator):
         chosen: BubbleFieldParameters = self.parameters
         domain, rng = chosen.box(domain), stream(seed, "bubbles")
         velocity, size = np.asarray(chosen.velocity_mm_s), np.asarray(domain.size_mm)
-        beyond = np.where(
-            velocity != 0.0, 2.0 * chosen.radius_range_mm[1] / chosen.aspect_range[0], 0.0
-        )  # margin to enter and leave
+        # margin to enter and leave
+        margin = 2.0 * chosen.radius_range_mm[1] / chosen.aspect_range[0]
+        beyond = np.where(velocity != 0.0, margin, 0.0)
         period = size + beyond
         semi_axes, rotation = self._shapes(rng, float(period.prod()))
         extent = np.linalg.norm(semi_axes[:, None, :] * rotation.transpose(0, 2, 1), axis=2)
@@ -111,8 +111,7 @@ class BubbleField(BubbleGenerator):
             volume = np.cumsum(4.0 / 3.0 * np.pi * semi_axes.prod(axis=1))
             if volume[-1] >= wanted:
                 enough = int(np.searchsorted(volume, wanted))
-                enough += int(
-                    volume[enough] - wanted < wanted - (volume[enough - 1] if enough else 0.0)
-                )
+                below = volume[enough - 1] if enough else 0.0
+                enough += int(volume[enough] - wanted < wanted - below)
                 return semi_axes[:enough], rotation[:enough]
             count = int(count * max(1.2, 1.1 * wanted / volume[-1])) + 1

@@ -56,13 +56,8 @@ class CodePlate(CodeGenerator):
     def body(self, seed: int) -> Solid:
         """Make a flat box for every dark cell."""
         chosen: CodePlateParameters = self.parameters
-        half = np.array(
-            [
-                0.5 * _PRINTED * chosen.cell_mm,
-                0.5 * _PRINTED * chosen.cell_mm,
-                0.5 * chosen.thickness_mm,
-            ]
-        )
+        side = 0.5 * _PRINTED * chosen.cell_mm
+        half = np.array([side, side, 0.5 * chosen.thickness_mm])
         corners = (
             np.array(
                 [

@@ -153,11 +153,8 @@ class _Spline:
         for number, (line, axis) in enumerate(zip(self._lines, _names(self._lines), strict=True)):
             length = line[-1] - line[0]
             around = line[0] + np.mod(positions[:, number] - line[0], length)
-            held[:, number] = (
-                around
-                if axis in self._periodic
-                else np.clip(positions[:, number], line[0], line[-1])
-            )
+            inside = np.clip(positions[:, number], line[0], line[-1])
+            held[:, number] = around if axis in self._periodic else inside
         along = len(self._lines) - 1 - slope if slope is not None else None
         values = self._spline(held, nu=[int(number == along) for number in range(len(self._lines))])
         if along is not None and "xyz"[slope or 0] not in self._periodic:
@@ -242,23 +239,14 @@ def _velocities(
     ]
     steady = len(counts) == 3
     numbers = ["zyx".index(axis) for axis in chosen.order]  # of the file's axes, among ours
-    expected = [
-        *counts[:-3],
-        *(counts[len(counts) - 3 + number] for number in numbers),
-        *([3] if len(parts) == 1 else []),
-    ]
+    lattice = [counts[len(counts) - 3 + number] for number in numbers]
+    expected = [*counts[:-3], *lattice, *[3] * (len(parts) == 1)]
     for name, part in zip(chosen.velocity, parts, strict=True):
         if list(part.shape) != expected:
-            axes = ", ".join(
-                [
-                    *([] if steady else ["t"]),
-                    *chosen.order,
-                    *(["components"] if len(parts) == 1 else []),
-                ]
-            )
+            axes = ["t"] * (not steady) + [*chosen.order] + ["components"] * (len(parts) == 1)
             got = f"{part.shape}{_hint(part, counts)}"
             raise InputError(
-                f"{path}: {name}: expected the shape {tuple(expected)} ({axes}) as the "
+                f"{path}: {name}: expected the shape {tuple(expected)} ({', '.join(axes)}) as the "
                 f"coordinates have it, got {got}"
             )
     whole = np.stack(parts, axis=-1) if len(parts) == 3 else parts[0]

@@ -126,12 +126,9 @@ class FromTracks(Generator):
                 f"{now:.6g} s, got none of {len(position)}: "
                 f"they run over {spans} mm along x, y, z and {times} s"
             )
-        return Particles(
-            tracks.id[points[inside]],
-            position[inside],
-            tracks.diameter_mm[points[inside]],
-            velocity[inside],
-        )
+        points = points[inside]
+        diameter_mm = tracks.diameter_mm[points]
+        return Particles(tracks.id[points], position[inside], diameter_mm, velocity[inside])
 
 
 @dataclass(frozen=True)
@@ -170,12 +167,8 @@ class _Tracks:
 
     def _between(self, before: I64, after: I64, t: F64, step: F64) -> tuple[F64, F64]:
         """Evaluate Hermite's cubic and its slope."""
-        p, q, u, v = (
-            self.place_mm[before],
-            self.place_mm[after],
-            self.velocity[before] * step,
-            self.velocity[after] * step,
-        )
+        p, q = self.place_mm[before], self.place_mm[after]
+        u, v = self.velocity[before] * step, self.velocity[after] * step
         position = (
             (2 * t**3 - 3 * t**2 + 1) * p
             + (t**3 - 2 * t**2 + t) * u
@@ -215,13 +208,8 @@ def _where(chosen: FromTracksParameters, name: str) -> str:
 
 def _read_columns(chosen: FromTracksParameters) -> dict[str, Array]:
     """Read the named arrays, and check that each has one value for each point."""
-    names = [
-        chosen.id,
-        chosen.time,
-        *chosen.axes,
-        *(chosen.velocity or ()),
-        *([chosen.diameter] if chosen.diameter else []),
-    ]
+    names = [chosen.id, chosen.time, *chosen.axes, *(chosen.velocity or ())]
+    names += [chosen.diameter] if chosen.diameter else []
     arrays = read_arrays(Path(chosen.file), names, chosen.skip_lines)
     count = arrays[chosen.id].values.size
     for name in names:
@@ -255,9 +243,8 @@ def _positions(chosen: FromTracksParameters, arrays: dict[str, Array]) -> F64:
     lengths = [_lengths(chosen, arrays, name) for name in chosen.axes]
     position = chosen.scale * np.stack(lengths, axis=1)
     if chosen.center_mm is not None:
-        position += (
-            np.asarray(chosen.center_mm) - (position.min(axis=0) + position.max(axis=0)) / 2.0
-        )
+        middle = (position.min(axis=0) + position.max(axis=0)) / 2.0
+        position += np.asarray(chosen.center_mm) - middle
     return position
 
 
@@ -303,21 +290,18 @@ def _slopes(identity: I64, time: F64, position: F64) -> F64:
     two points at ends. Lone points have zero velocity.
     """
     out = np.zeros_like(position)
-    same = np.append(
-        identity[1:] == identity[:-1], False
-    )  # whether the next point is of the same track
+    # whether the next point is of the same trajectory
+    same = np.append(identity[1:] == identity[:-1], False)
     step = np.append(np.diff(time), 1.0)[:, None]
-    pace = np.append(np.diff(position, axis=0), np.zeros((1, 3)), axis=0) / np.where(
-        same[:, None], step, 1.0
-    )
+    moves = np.append(np.diff(position, axis=0), np.zeros((1, 3)), axis=0)
+    pace = moves / np.where(same[:, None], step, 1.0)
     middle = np.flatnonzero(same & np.roll(same, 1))
     before, after = step[middle - 1], step[middle]
     out[middle] = (pace[middle - 1] * after + pace[middle] * before) / (before + after)
     begin, end = np.flatnonzero(same & ~np.roll(same, 1)), np.flatnonzero(~same & np.roll(same, 1))
     out[begin], out[end] = pace[begin], pace[end - 1]
     begin, end = begin[same[begin + 1]], end[np.isin(end - 1, middle)]
-    out[begin], out[end] = (
-        2.0 * pace[begin] - out[begin + 1],
-        2.0 * pace[end - 1] - out[end - 1],
-    )  # a parabola's slope changes evenly
+    # a parabola's slope changes evenly
+    first, last = 2.0 * pace[begin] - out[begin + 1], 2.0 * pace[end - 1] - out[end - 1]
+    out[begin], out[end] = first, last
     return out

@@ -76,14 +76,8 @@ class JetInCrossflow(BubbleGenerator):
         rounds, age = np.divmod(age + time_s, spray.ages[0][-1])
         there = spray.positions(age, line)
         identity = np.arange(chosen.count) + chosen.count * rounds.astype(np.int64)
-        made = Bubbles(
-            identity,
-            there + np.asarray(chosen.nozzle_mm),
-            semi_axes,
-            rotation,
-            spray.velocities(age, there),
-            chosen.index,
-        )
+        center, velocity = there + np.asarray(chosen.nozzle_mm), spray.velocities(age, there)
+        made = Bubbles(identity, center, semi_axes, rotation, velocity, chosen.index)
         made = made[within(domain, made) & self._off(there, extent, cones)]
         if not chosen.overlap and time_s:
             made = made[np.setdiff1d(np.arange(len(made)), overlapping(made)[:, 1])]

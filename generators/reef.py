@@ -13,12 +13,8 @@ from sabench.worlds.library.implicit_surfaces import (
     surface_of,
 )
 
-_THICK, _THIN = (
-    0.25,
-    0.07,
-    # radii of the first branches and of the thinnest ones, in the least of the half widths and the
-    # height
-)
+# radii of the first and of the thinnest branches, in the least of the half widths and the height
+_THICK, _THIN = 0.25, 0.07
 _LENGTH = 0.35  # of the longest branches, in the same
 _BLEND = 0.03  # how round joints are, in the same
 _JOINTS = 3.0  # blends by which twenty branches in one place grow: log(20)
@@ -67,19 +63,16 @@ class Reef(SolidGenerator):
         """Make the reef around the middle of its base."""
         half = np.asarray(self.parameters.size_mm) / [2.0, 1.0, 2.0]
         blend, step = _BLEND * half.min(), self.parameters.step_mm
-        branches, tunnels = (
-            self._branches(half, stream(seed, "reef", 0)),
-            self._tunnels(half, stream(seed, "reef", 1)),
-        )
+        branches = self._branches(half, stream(seed, "reef", 0))
+        tunnels = self._tunnels(half, stream(seed, "reef", 1))
 
         def body(points_mm: F64) -> F64:
             grown, bored = (capsules(points_mm, *cones, blend) for cones in (branches, tunnels))
             return np.maximum(-smooth_minimum([-grown, bored], blend), points_mm[:, 1])
 
         low = -(half + 2.0 * step)
-        low[1] = (
-            -(np.ceil(half[1] / step) + 1.5) * step
-        )  # so that the base lies between two planes of the lattice
+        # the base lies between two planes of the lattice
+        low[1] = -(np.ceil(half[1] / step) + 1.5) * step
         return largest_part(surface_of(body, low, [-low[0], 1.5 * step, -low[2]], step))
 
     def _branches(self, half: F64, rng: np.random.Generator) -> Cones:
@@ -89,11 +82,8 @@ class Reef(SolidGenerator):
         """
         least, count = half.min(), self.parameters.branches
         room = half - _JOINTS * _BLEND * least
-        ends, radii, parents = (
-            np.zeros((count + 1, 3)),
-            np.full(count + 1, _THICK * least),
-            np.zeros(count, dtype=np.int64),
-        )
+        ends, radii = np.zeros((count + 1, 3)), np.full(count + 1, _THICK * least)
+        parents = np.zeros(count, dtype=np.int64)
         for n in range(count):
             direction = rng.normal(size=3)
             target = (

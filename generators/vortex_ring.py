@@ -78,10 +78,8 @@ class VortexRing(Flow):
 
         Distance from the axis, height along it, and unit vectors (n, 3) away from it.
         """
-        offset, axis = (
-            points_mm - np.asarray(self.parameters.center_mm),
-            frame_along(self.parameters.axis)[2],
-        )
+        offset = points_mm - np.asarray(self.parameters.center_mm)
+        axis = frame_along(self.parameters.axis)[2]
         z = offset @ axis
         lateral = offset - z[:, None] * axis
         r = np.linalg.norm(lateral, axis=1)

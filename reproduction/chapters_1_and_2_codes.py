@@ -21,7 +21,7 @@ from sabench.simulation.frames import Frames
 from sabench.simulation.rendering.sensor import expose
 from sabench.tasks.see_through import code_plane
 from sabench.utils.arrays import F32, F64
-from sabench.worlds.bubbles_and_bodies import bodies_of, code_of
+from sabench.worlds.bubbles_and_bodies import code_of
 
 from .chapter_5 import render_first_frame
 from .common import claim, coarsen, image_panel, make_row, run
@@ -162,14 +162,14 @@ def _depths(code: Code) -> F64:
 
 def _flat_code(scene: Scene, seed: int) -> Code:
     """Make the same code before it is bent, in (arc length, Y, 0) of its frame."""
-    plate = {key: value for key, value in bodies_of(scene)[0].items() if key != "bend_radius_mm"}
+    plate = {key: value for key, value in scene.world.solids[0].items() if key != "bend_radius_mm"}
     plate["place_mm"] = [0.0, 0.0, scene.volume.center_mm[2]]
     flat = code_of(override(scene, {"solids": [plate]}, scene.title), seed, 0)
     return Code(flat.points_mm - np.asarray(plate["place_mm"]), flat.dark)
 
 
 def _cylinder(scene: Scene, flat: Code) -> Cylinder:
-    plate = bodies_of(scene)[0]
+    plate = scene.world.solids[0]
     reach = 2.0 * np.abs(flat.points_mm).max(axis=(0, 1)) + _MARGIN_MM
     return Cylinder(
         center_mm=tuple(plate["place_mm"]),

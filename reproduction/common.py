@@ -98,7 +98,8 @@ def coarsen(scene: Scene, pixels: int | None) -> Scene:
         "cameras.pixel_mm": scene.cameras.pixel_mm * factor,
         "grid.voxel_mm": [edge * factor for edge in scene.grid.voxel_mm],
     }
-    given = scene.tracers.particles if scene.tracers is not None else {}
+    tracers = scene.world.tracers
+    given = tracers.particles if tracers is not None else {}
     if "per_mm3" in given:
         values["particles.per_mm3"] = density(scene) / factor**2
     if "count" in given:

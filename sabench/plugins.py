@@ -1,6 +1,4 @@
-"""Plug-in discovery: generators and solvers, one file each.
-
-They lie in folders outside the package.
+"""Discovery of plug-ins: generators and solvers, one file each, outside the package.
 
 Importing this module mounts `sabench.plugins.generators` and `sabench.plugins.solvers`. They are
 searched for in this order: the folders next to the package (a checkout) or inside it
@@ -24,7 +22,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from sabench.utils.class_source import Source, constant, find_class, import_fault, parse
+from sabench.utils.class_source import constant, find_class, import_fault, parse
 from sabench.utils.errors import InputError
 from sabench.utils.installed import lacking
 
@@ -103,12 +101,9 @@ def _hint(kind: str, name: str, known: list[str]) -> str:
     near = difflib.get_close_matches(name, known, 1)
     what = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
     own = f"for one of your own, SABENCH_PLUGINS is the folder that holds {kind}/{name}.py"
-    missing = [
-        entry
-        for entry in os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep)
-        if entry and not (Path(entry) / kind).is_dir()
-    ]
-    return f"{what}; {own}" + "".join(f"; there is no folder {one}/{kind}" for one in missing)
+    entries = filter(None, os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep))
+    missing = [entry for entry in entries if not (Path(entry) / kind).is_dir()]
+    return f"{what}; {own}" + "".join(f"; there is no folder {entry}/{kind}" for entry in missing)
 
 
 def is_bundled(kind: str, name: str) -> bool:
@@ -139,7 +134,6 @@ def load(kind: str, name: str) -> type[Any]:
 
 @functools.cache
 def _load(kind: str, name: str, searched: tuple[Path, ...]) -> type[Any]:
-    """Import a plug-in from folders, once."""
     file = file_of(kind, name)
     sys.modules[f"{__name__}.{kind}"].__path__ = [str(folder) for folder in searched]
     try:
@@ -147,12 +141,12 @@ def _load(kind: str, name: str, searched: tuple[Path, ...]) -> type[Any]:
     except Exception as error:
         fault = lacking(error) or f"{type(error).__name__}: {error}"
         raise InputError(f"{kind[:-1]} {name}: cannot import {file}: {fault}") from error
-    own = [
+    classes = [
         value
         for value in vars(module).values()
         if isinstance(value, type) and value.__module__ == module.__name__
+        if getattr(value, "name", None) == name
     ]
-    classes = [value for value in own if getattr(value, "name", None) == name]
     if len(classes) != 1:
         raise InputError(f"{file}: expected one class with name = {name!r}, got {len(classes)}")
     return classes[0]
@@ -178,25 +172,13 @@ def describe(kind: str, name: str) -> Entry:
     fault = import_fault(source)
     if fault:
         raise InputError(f"{kind[:-1]} {name}: {file}: {fault}")
-    return _from_source(kind, name, source) or _from_class(kind, name, file)
-
-
-def _from_source(kind: str, name: str, source: Source) -> Entry | None:
-    found = find_class(source, name)
-    group = constant(source, found, _GROUP[kind]) if found else None
-    if found is None or group is None:
-        return None
-    return Entry(_singular(kind), name, group, found.summary, source.file)
-
-
-def _from_class(kind: str, name: str, file: Path) -> Entry:
+    singular: Kind = "solver" if kind == "solvers" else "generator"
+    definition = find_class(source, name)
+    group = constant(source, definition, _GROUP[kind]) if definition else None
+    if definition and group is not None:
+        return Entry(singular, name, group, definition.summary, file)
     plugin = load(kind, name)
-    group = getattr(plugin, _GROUP[kind], "")
-    return Entry(_singular(kind), name, group, summary(plugin), file)
-
-
-def _singular(kind: str) -> Kind:
-    return "solver" if kind == "solvers" else "generator"
+    return Entry(singular, name, getattr(plugin, _GROUP[kind], ""), summary(plugin), file)
 
 
 def list_solvers(task: str | None = None) -> list[str]:
@@ -254,11 +236,10 @@ def tables(kind: Literal["scene", "suite"]) -> list[Entry]:
     """Describe the bundled scenes or suites by their titles."""
     import tomllib
 
-    found = []
-    for file in _tables(kind):
-        title = tomllib.loads(file.read_text(encoding="utf-8"))["title"]
-        found.append(Entry(kind, file.stem, "", title, file))
-    return found
+    titles = {
+        file: tomllib.loads(file.read_text(encoding="utf-8"))["title"] for file in _tables(kind)
+    }
+    return [Entry(kind, file.stem, "", title, file) for file, title in titles.items()]
 
 
 def _tables(kind: Literal["scene", "suite"]) -> list[Path]:

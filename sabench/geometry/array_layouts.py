@@ -14,9 +14,7 @@ def grid(x_mm: npt.ArrayLike, y_mm: npt.ArrayLike) -> F64:
 
     Offsets that are not uniform give a grid that is not uniform.
     """
-    across, down = np.meshgrid(
-        np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64)
-    )
+    across, down = np.meshgrid(np.asarray(x_mm, np.float64), np.asarray(y_mm, np.float64))
     return np.column_stack([across.ravel(), down.ravel()])
 
 
@@ -36,18 +34,13 @@ def ring(count: int, radius_mm: float, start_rad: float = 0.0) -> F64:
 
 def line(count: int, spacing_mm: float, angle_rad: float = 0.0) -> F64:
     """Make `count` offsets along a straight line at `angle_rad` to +X."""
-    return np.asarray(
-        uniform_offsets(count, spacing_mm)[:, None]
-        * np.array([np.cos(angle_rad), np.sin(angle_rad)])
-    )
+    direction = np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    return np.asarray(uniform_offsets(count, spacing_mm)[:, None] * direction)
 
 
 def cross(arm: int, spacing_mm: float) -> F64:
     """Make a centre and four arms of `arm` offsets each: 4 arm + 1 in all."""
     steps = np.arange(1, arm + 1) * spacing_mm
     zero = np.zeros_like(steps)
-    arms = [
-        np.column_stack(pair)
-        for pair in ((steps, zero), (-steps, zero), (zero, steps), (zero, -steps))
-    ]
-    return np.vstack([np.zeros((1, 2)), *arms])
+    arms = ((steps, zero), (-steps, zero), (zero, steps), (zero, -steps))
+    return np.vstack([np.zeros((1, 2)), *(np.column_stack(pair) for pair in arms)])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.camera_model import SensorCamera
 from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.lens import (
     UPRIGHT,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Camera:
+class Camera(SensorCamera):
     """One camera of an array.
 
     Attributes
@@ -144,7 +144,16 @@ class Camera:
         if not (outside and isinstance(self.wall, Wall)):
             paths = trace_to_points(self.wall, np.asarray(self.center_mm), points)
             return self.pixels_of(paths.leaving, paths.valid)
-        pixels = self._ideal_pixels(self.wall, points)
+        from sabench.geometry import projection_kernels  # numba is loaded at the first use
+
+        x, y, z = np.ascontiguousarray(points.T)
+        pixels = np.empty((2, len(points)))  # without distortion; NaN without a path
+        try:
+            frame, media, lens = _constants(self, self.wall)
+        except TypeError:  # made by hand, of lists or arrays, which have no hash
+            frame, media, lens = _constants.__wrapped__(self, self.wall)
+        projection_kernels.project(x, y, z, self.center_mm, frame, media, lens, *pixels)
+        pixels = np.ascontiguousarray(pixels.T)
         valid = np.asarray(np.isfinite(pixels[:, 0]) & np.isfinite(pixels[:, 1]))
         if self.distortion != Distortion() or self.tilt_deg != UPRIGHT:
             middle = np.asarray(self.principal_point_px)
@@ -152,19 +161,6 @@ class Camera:
             return self._on_sensor(ideal, valid)
         pixels[~valid] = np.nan
         return pixels, valid
-
-    def _ideal_pixels(self, wall: Wall, points: F64) -> F64:
-        """Project to pixels without distortion (n, 2), NaN for points without a path."""
-        from sabench.geometry import projection_kernels  # numba is loaded at the first use
-
-        x, y, z = np.ascontiguousarray(points.T)
-        column, row = np.empty(len(points)), np.empty(len(points))
-        try:
-            frame, media, lens = _constants(self, wall)
-        except TypeError:  # made by hand, of lists or arrays, which have no hash
-            frame, media, lens = _constants.__wrapped__(self, wall)
-        projection_kernels.project(x, y, z, self.center_mm, frame, media, lens, column, row)
-        return np.column_stack([column, row])
 
     def pixels_of(self, leaving: F64, valid: Bool) -> tuple[F64, Bool]:
         """Project world directions (n, 3) that leave the pinhole to pixels (n, 2).
@@ -227,10 +223,6 @@ class Camera:
             points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
         )
 
-    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
-        return on_sensor(self.rows, self.columns, pixels, margin_px)
-
     def etendue(self) -> F64:
         """Compute the etendue that each pixel collects, mm^2 sr.
 
@@ -242,7 +234,6 @@ class Camera:
 
 @functools.lru_cache(maxsize=256)
 def _constants(camera: Camera, wall: Wall) -> tuple[tuple[float, ...], Media, tuple[float, ...]]:
-    """Collect what the projection kernel needs: wall's frame, media, lens."""
     from sabench.geometry import projection_kernels
 
     axes = frame_of_normal(np.asarray(wall.normal, dtype=np.float64))
@@ -257,21 +248,21 @@ def _constants(camera: Camera, wall: Wall) -> tuple[tuple[float, ...], Media, tu
 def _etendue(camera: Camera) -> F64:
     """Compute the etendue once for all frames of a camera."""
     column, row = np.arange(camera.columns), np.arange(camera.rows)
-    middle, seen = _ideal_lattice(camera, column, row)
-    sides, sides_seen = _ideal_lattice(camera, np.arange(camera.columns + 1) - 0.5, row)
-    ends, ends_seen = _ideal_lattice(camera, column, np.arange(camera.rows + 1) - 0.5)
-    seen &= sides_seen[:, 1:] & sides_seen[:, :-1] & ends_seen[1:] & ends_seen[:-1]
+    middle, valid = _ideal_lattice(camera, column, row)
+    sides, sides_valid = _ideal_lattice(camera, np.arange(camera.columns + 1) - 0.5, row)
+    ends, ends_valid = _ideal_lattice(camera, column, np.arange(camera.rows + 1) - 0.5)
+    valid &= sides_valid[:, 1:] & sides_valid[:, :-1] & ends_valid[1:] & ends_valid[:-1]
     across, along = sides[:, :, 1:] - sides[:, :, :-1], ends[:, 1:] - ends[:, :-1]
     area = np.abs(across[0] * along[1] - across[1] * along[0])
     square = 1.0 + (middle[0] ** 2 + middle[1] ** 2)
     out = np.asarray(np.pi * camera.aperture_radius_mm**2 * area / square**2)
-    out[~seen] = 0.0
+    out[~valid] = 0.0
     out.flags.writeable = False
     return out
 
 
 def _ideal_lattice(camera: Camera, column: npt.ArrayLike, row: npt.ArrayLike) -> tuple[F64, Bool]:
-    """Return ideal coordinates (2, row, column), and where the lens has any."""
+    """Return ideal coordinates (2, row, column), and whether the lens has any."""
     pixels = np.stack(np.meshgrid(column, row), axis=-1)
     ideal, valid = camera.ideal(pixels.reshape(-1, 2))
     shape = pixels.shape[:2]
@@ -287,9 +278,7 @@ def aimed_rotation(
     """
     z = forward / np.linalg.norm(forward)
     x = cross(np.asarray(down, dtype=np.float64), z)
-    if (
-        np.linalg.norm(x) < 1e-9
-    ):  # looking along `down`: any right-hand side will do, so the world's X
+    if np.linalg.norm(x) < 1e-9:  # along `down`: any right-hand side will do, so the world's X
         x = cross(cross(z, np.array([1.0, 0.0, 0.0])), z)
     x = x / np.linalg.norm(x)
     return triple(x), triple(cross(z, x)), triple(z)

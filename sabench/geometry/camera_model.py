@@ -11,20 +11,6 @@ from sabench.geometry.refraction import Rays
 from sabench.utils.arrays import F64, Bool
 
 
-def on_sensor(rows: int, columns: int, pixels: F64, margin_px: float) -> Bool:
-    """Mark pixels (n, 2) on a sensor of that size, or at most `margin_px` outside.
-
-    The border belongs to it above and to the left only.
-    """
-    low = -0.5 - margin_px
-    column, row = pixels[:, 0], pixels[:, 1]
-    with np.errstate(invalid="ignore"):
-        inside = (column >= low) & (row >= low)
-        return np.asarray(
-            inside & (column < columns + margin_px - 0.5) & (row < rows + margin_px - 0.5)
-        )
-
-
 class CameraModel(Protocol):
     """Map of points to pixels and of pixels to lines of sight.
 
@@ -64,3 +50,18 @@ class CameraModel(Protocol):
 
     def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
         """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
+
+
+class SensorCamera:
+    """Part that all camera models share: their sensor."""
+
+    def contains(self: CameraModel, pixels: F64, margin_px: float = 0.0) -> Bool:
+        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside.
+
+        The border belongs to it above and to the left only.
+        """
+        low = -0.5 - margin_px
+        column, row = pixels[:, 0], pixels[:, 1]
+        with np.errstate(invalid="ignore"):
+            inside = (column >= low) & (row >= low) & (row < self.rows + margin_px - 0.5)
+            return np.asarray(inside & (column < self.columns + margin_px - 0.5))

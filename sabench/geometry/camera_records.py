@@ -27,7 +27,7 @@ from sabench.geometry.projective_camera import Projective
 from sabench.utils.arrays import U8
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
-from sabench.utils.validation import MODEL_TAG
+from sabench.utils.validation import UNION_TAG
 
 MODELS: dict[str, type[Any]] = {
     "pinhole": Camera,
@@ -39,29 +39,25 @@ MODELS: dict[str, type[Any]] = {
 
 
 _LARGEST = 1e12  # no length or coefficient of a camera is beyond it
-_DEFAULT = "pinhole"  # of records without `model`
 
 
 def _model_of(value: Any) -> str:
-    """Name the model of a record, or of a camera."""
     if isinstance(value, dict):
-        return f"{MODEL_TAG}{value.get('model', _DEFAULT)}"
+        return f"{UNION_TAG}{value.get('model', 'pinhole')}"
     named = (name for name, model in MODELS.items() if type(value) is model)
-    return f"{MODEL_TAG}{next(named, '')}"
+    return f"{UNION_TAG}{next(named, '')}"
 
 
 def _without_model(value: Any) -> Any:
-    return (
-        {key: one for key, one in value.items() if key != "model"}
-        if isinstance(value, dict)
-        else value
-    )
+    if not isinstance(value, dict):
+        return value
+    return {key: field for key, field in value.items() if key != "model"}
 
 
 def _any_model() -> Any:
     """Make the union of all models, told apart by the key `model`."""
     members = [
-        Annotated[model, BeforeValidator(_without_model), Tag(f"{MODEL_TAG}{name}")]
+        Annotated[model, BeforeValidator(_without_model), Tag(f"{UNION_TAG}{name}")]
         for name, model in MODELS.items()
     ]
     known = ", ".join(MODELS)
@@ -103,18 +99,17 @@ def read_camera(record: Any, where: str) -> CameraModel:
     if not isinstance(model, str) or model not in MODELS:
         known = ", ".join(sorted(MODELS))
         raise InputError(f"{where}: model: expected one of {known}, got {model!r}")
-    fields = {key: value for key, value in record.items() if key != "model"}
-    bad = _extreme(fields)
-    if bad:
+    fields = _without_model(record)
+    if bad := _extreme(fields):
         raise InputError(
             f"{where}: {bad[0]}: expected finite numbers of at most {_LARGEST:g}, got {bad[1]!r}"
         )
     try:
-        made: CameraModel = _validator(model).validate_python(fields)
+        return cast(CameraModel, _validator(model).validate_python(fields))
     except ValidationError as error:
         first = error.errors()[0]
-        raise InputError(f"{where}: {first['loc']}: {first['msg']}") from error
-    return made
+        parts = (str(p).removeprefix(UNION_TAG) if isinstance(p, str) else p for p in first["loc"])
+        raise InputError(f"{where}: {tuple(parts)}: {first['msg']}") from error
 
 
 @functools.cache
@@ -127,10 +122,10 @@ def _extreme(value: Any, key: str = "") -> tuple[str, float] | None:
     if isinstance(value, int | float):
         return None if -_LARGEST <= value <= _LARGEST else (key, value)
     if isinstance(value, dict):
-        items = [(f"{key}.{name}" if key else str(name), one) for name, one in value.items()]
+        items = [(f"{key}.{name}" if key else str(name), inner) for name, inner in value.items()]
     else:
-        items = [(key, one) for one in value] if isinstance(value, list | tuple) else []
-    return next((bad for name, one in items if (bad := _extreme(one, name))), None)
+        items = [(key, inner) for inner in value] if isinstance(value, list | tuple) else []
+    return next((bad for name, inner in items if (bad := _extreme(inner, name))), None)
 
 
 def encode_cameras(cameras: Sequence[CameraModel]) -> U8:

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.camera_model import SensorCamera
 from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.plane_polynomials import slopes, terms
 from sabench.geometry.refraction import Rays, trace_into_fluid, trace_to_points
-from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of
+from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
 
 Lens = Callable[[F64], F64]  # pixels (n, 2) at ideal image coordinates (n, 2)
@@ -30,7 +30,7 @@ _STEPS, _NEAR_PX = 30, 1e-10
 
 
 @dataclass(frozen=True)
-class CentralCamera:
+class CentralCamera(SensorCamera):
     """Pinhole with a polynomial in place of focal length and distortion.
 
     Attributes
@@ -118,10 +118,6 @@ class CentralCamera:
             points_mm[:, :2] + arriving[:, :2] / arriving[:, 2:] * (z_mm - points_mm[:, 2:])
         )
 
-    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
-        return on_sensor(self.rows, self.columns, pixels, margin_px)
-
     def _lens(self, unit: F64) -> F64:
         return np.asarray(terms(unit, self.degree) @ np.asarray(self.coefficients).T)
 
@@ -169,10 +165,8 @@ def invert_lens(lens: Lens, pixels: F64, guess: F64) -> F64:
             miss = pixels - lens(ideal)
             if np.nanmax(np.abs(miss), initial=0.0) < _NEAR_PX:
                 break
-            across, along = (
-                (lens(ideal + step) - lens(ideal - step)) / (2.0 * delta)
-                for step in delta * np.eye(2)
-            )
+            steps = delta * np.eye(2)
+            across, along = ((lens(ideal + s) - lens(ideal - s)) / (2.0 * delta) for s in steps)
             ideal = ideal + solve_pairs(across, along, miss)
         ideal[~(np.abs(pixels - lens(ideal)).max(axis=1) < 1e-6)] = np.nan
     return ideal
@@ -210,18 +204,10 @@ def fit_central_camera(
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     degree, coefficients = _fit((ideal - middle) / half, pixels, name)
     center, rotation = (np.asarray(part, dtype=np.float64) for part in pose)
-    x, y, z = (tuple(row) for row in rotation.tolist())
-    return CentralCamera(
-        name,
-        *size,
-        tuple(center.tolist()),
-        (x, y, z),
-        tuple(middle.tolist()),
-        tuple(half.tolist()),
-        degree,
-        nested(coefficients.T),
-        wall,
-    )
+    x, y, z = map(triple, rotation)
+    box = (tuple(middle.tolist()), tuple(half.tolist()))
+    table = nested(coefficients.T)
+    return CentralCamera(name, *size, triple(center), (x, y, z), *box, degree, table, wall)
 
 
 def _fit(unit: F64, pixels: F64, name: str) -> tuple[int, F64]:

@@ -1,11 +1,4 @@
-"""Box that several cameras see, and the grid of voxels in it.
-
-common_view: Box that several cameras see, and the grid of voxels in it.
-
-frusta: Frusta of cameras: light paths of an image's border, through the wall.
-
-visibility: Visibility of points in cameras.
-"""
+"""Visibility of points in cameras: common box and grid, and frusta through the wall."""
 
 from __future__ import annotations
 
@@ -64,14 +57,14 @@ def propose_box(cameras: Sequence[CameraModel]) -> tuple[F64, F64]:
     InputError
         Lines of sight that do not meet, or no point that all cameras see.
     """
-    middles = np.array([[[0.5 * (one.columns - 1), 0.5 * (one.rows - 1)]] for one in cameras])
+    middles = np.array([[[0.5 * (c.columns - 1), 0.5 * (c.rows - 1)]] for c in cameras])
     middle = intersect(cameras, middles)[0]
     if not np.isfinite(middle).all():
         raise InputError(
             "volume: expected cameras whose lines of sight meet, got parallel ones or a single "
             "camera; give the volume"
         )
-    reach = pixel_size_mm(cameras, middle) * max(max(one.rows, one.columns) for one in cameras)
+    reach = pixel_size_mm(cameras, middle) * max(max(c.rows, c.columns) for c in cameras)
     steps = reach * np.linspace(-1.0, 1.0, _NODES)
     points = np.stack(np.meshgrid(*(steps + at for at in middle), indexing="ij"), axis=-1)
     seen = seen_by_all(cameras, points.reshape(-1, 3)).reshape((_NODES,) * 3)
@@ -103,7 +96,6 @@ def seen_by(camera: CameraModel, points_mm: F64) -> Bool:
 
 
 def _grow(seen: Bool) -> tuple[list[int], list[int]]:
-    """Find the first and last nodes of a box around the middle that is seen."""
     first, last = [_NODES // 2] * 3, [_NODES // 2] * 3
     growing = list(itertools.product(range(3), (False, True)))
     while growing:

@@ -1,15 +1,11 @@
-"""Rays through coaxial cylinders, and light paths to given points.
+"""Wall of coaxial cylinders around the fluid, with the cameras outside.
 
-cylinder_kernels: Rays through coaxial cylinders, and light paths to given points.
-
-Everything is in a pinhole's own frame: x points from the pinhole to the axis, at right angles to
+Kernels work in a pinhole's own frame: x points from the pinhole to the axis, at right angles to
 it; z along the axis; the origin is the point of the outer face nearest to the pinhole. A face of
 radius r at the depth t is there the curve c (X^2 + y^2) = 2 X with X = x - t and c = 1 / r. This
 form stays exact for any radius, and at c = 0 it is a plane.
 
-cylinder_wall: Wall of coaxial cylinders around the fluid, with the cameras outside.
-
-wall_records: Walls of any shape as JSON keeps them: one, or one for each camera.
+At the end are the types of walls of any shape as JSON keeps them.
 """
 
 from __future__ import annotations
@@ -24,6 +20,7 @@ from pydantic import Discriminator, Tag
 from sabench.geometry.refraction import Layer, Paths, Rays, Wall
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.compiled import numba
+from sabench.utils.validation import UNION_TAG
 
 _STEPS = 80
 _SMALLEST = 1e-4  # share of a step below which shorter ones are no longer tried
@@ -85,7 +82,6 @@ def _cross(
 
 @numba.njit(cache=True, inline="always", error_model="numpy")
 def _reflected(before: float, behind: float, cosine: float, cosine_behind: float) -> float:
-    """Compute the reflected share of unpolarised light by Fresnel's equations."""
     s = (before * cosine - behind * cosine_behind) / (before * cosine + behind * cosine_behind)
     p = (behind * cosine - before * cosine_behind) / (behind * cosine + before * cosine_behind)
     return 0.5 * (s * s + p * p)
@@ -317,10 +313,10 @@ class CylinderWall:
         if valid.any():
             frame = self._frame(pinhole_mm)
             local = (points_mm[valid] - pinhole_mm) @ frame.T - np.array([gap, 0.0, 0.0])
-            there, here = np.zeros_like(local), np.zeros_like(local)
-            found = find(gap, self._faces(), self.indices, local, there, here)
-            leaving[valid], arriving[valid] = there @ frame, here @ frame
-            valid[valid] = found
+            first, last = np.zeros_like(local), np.zeros_like(local)
+            reached = find(gap, self._faces(), self.indices, local, first, last)
+            leaving[valid], arriving[valid] = first @ frame, last @ frame
+            valid[valid] = reached
             leaving[~valid] = arriving[~valid] = np.nan
         return Paths(leaving, arriving, valid)
 
@@ -351,7 +347,7 @@ class CylinderWall:
         return np.asarray(world), np.asarray(along @ frame), lengths, passed, np.asarray(valid)
 
     def _frame(self, pinhole_mm: F64) -> F64:
-        """Make the pinhole's own frame, see `cylinder_kernels`: rows x, y and z."""
+        """Make the pinhole's own frame (3, 3): rows x, y and z."""
         towards, axis = self.normal_at(pinhole_mm), np.asarray(self.axis)
         return np.stack([towards, np.cross(axis, towards), axis])
 
@@ -369,18 +365,19 @@ class CylinderWall:
 def _shape(value: Any) -> str:
     """Tell a list, a cylinder (it has an axis) and a plane wall apart."""
     if isinstance(value, list | tuple):
-        return "faces"
+        return f"{UNION_TAG}faces"
     axis = "axis" in value if isinstance(value, dict) else isinstance(value, CylinderWall)
-    return "cylinder" if axis else "plane"
+    return f"{UNION_TAG}{'cylinder' if axis else 'plane'}"
 
 
 WallRecord = Annotated[
-    Annotated[Wall, Tag("plane")] | Annotated[CylinderWall, Tag("cylinder")],
+    Annotated[Wall, Tag(f"{UNION_TAG}plane")]
+    | Annotated[CylinderWall, Tag(f"{UNION_TAG}cylinder")],
     Discriminator(_shape),
 ]
 WallsRecord = Annotated[
-    Annotated[Wall, Tag("plane")]
-    | Annotated[CylinderWall, Tag("cylinder")]
-    | Annotated[tuple[WallRecord | None, ...], Tag("faces")],
+    Annotated[Wall, Tag(f"{UNION_TAG}plane")]
+    | Annotated[CylinderWall, Tag(f"{UNION_TAG}cylinder")]
+    | Annotated[tuple[WallRecord | None, ...], Tag(f"{UNION_TAG}faces")],
     Discriminator(_shape),
 ]

@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-_ROOM_C = 20.0
-
 
 @dataclass(frozen=True)
 class Medium:
@@ -30,7 +28,7 @@ class Medium:
     source: str
 
 
-def refractive_index(name: str, wavelength_nm: float, celsius: float = _ROOM_C) -> float:
+def refractive_index(name: str, wavelength_nm: float, celsius: float = 20.0) -> float:
     """Compute the refractive index of a named material.
 
     The temperature counts for water only.
@@ -42,10 +40,11 @@ def refractive_index(name: str, wavelength_nm: float, celsius: float = _ROOM_C) 
     """
     medium = MEDIA.get(_ALIASES.get(name, name))
     if medium is None:
-        known = [*MEDIA, *_ALIASES]
-        lower = {one.lower(): one for one in known}
-        near = [lower[one] for one in difflib.get_close_matches(name.lower(), lower, 3, 0.4)]
-        raise ValueError(f"expected a known material, such as {_joined(near or known)}; got {name}")
+        lower = {known.lower(): known for known in (*MEDIA, *_ALIASES)}
+        near = [lower[word] for word in difflib.get_close_matches(name.lower(), lower, 3, 0.4)]
+        *first, last = near or lower.values()
+        such = f"{', '.join(first)} or {last}" if first else last
+        raise ValueError(f"expected a known material, such as {such}; got {name}")
     low, high = medium.range_nm
     if not low <= wavelength_nm <= high:
         raise ValueError(
@@ -55,10 +54,6 @@ def refractive_index(name: str, wavelength_nm: float, celsius: float = _ROOM_C) 
     if name == "water" and not 0.0 <= celsius <= 100.0:
         raise ValueError(f"expected water of 0 to 100 degrees Celsius, got {celsius:g}")
     return medium.index(wavelength_nm * 1e-3, celsius)
-
-
-def _joined(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def _sellmeier(*terms: tuple[float, float]) -> Callable[[float, float], float]:

@@ -1,11 +1,4 @@
-"""Voxel grids, and the intensity field that a perfect reconstruction would show.
-
-grid: Voxel grids, and the intensity field that a perfect reconstruction would show.
-
-plane_sections: Plane sections of boxes.
-
-vector_calculus: Derivatives of vector fields: gradients on lattices, curl and divergence.
-"""
+"""Voxel grids, the intensity field of a perfect reconstruction, and vector calculus on lattices."""
 
 from __future__ import annotations
 
@@ -85,12 +78,12 @@ class Grid:
 
 def check_volume(grid: Grid) -> None:
     """Raise an InputError if a volume of the grid does not fit into memory."""
-    there, need = memory.available_mb(), math.prod(grid.shape) * 4 / 1e6
-    if there is not None and need > there:
-        planes, rows, columns = grid.shape
+    free, need = memory.available_mb(), math.prod(grid.shape) * 4 / 1e6
+    if free is not None and need > free:
+        voxels = " x ".join(map(str, grid.shape))
         raise InputError(
-            f"grid: expected it to fit into memory, but its {planes} x {rows} x {columns} voxels "
-            f"(z, y, x) need {need:.0f} MB where {there:.0f} MB are there"
+            f"grid: expected it to fit into memory, but its {voxels} voxels "
+            f"(z, y, x) need {need:.0f} MB where {free:.0f} MB are there"
         )
 
 
@@ -133,14 +126,12 @@ def _add_particles(field: F32, first: I64, along_z: F32, along_y: F32, along_x: 
 
     They begin at the voxels `first` (x, y, z); parts outside the field are dropped.
     """
-    places = []
-    for profile, begin, size in zip(
-        (along_z, along_y, along_x), first.T[::-1], field.shape, strict=True
-    ):
-        place = begin[:, None] + np.arange(profile.shape[1])
-        profile *= (place >= 0) & (place < size)
-        places.append(np.clip(place, 0, size - 1))
-    z, y, x = places
+    indices, profiles = [], (along_z, along_y, along_x)
+    for profile, begin, size in zip(profiles, first.T[::-1], field.shape, strict=True):
+        index = begin[:, None] + np.arange(profile.shape[1])
+        profile *= (index >= 0) & (index < size)
+        indices.append(np.clip(index, 0, size - 1))
+    z, y, x = indices
     rows = z[:, :, None] * field.shape[1] + y[:, None]
     voxels = rows[..., None] * field.shape[2] + x[:, None, None]
     light = (along_z[:, :, None] * along_y[:, None])[..., None] * along_x[:, None, None]

@@ -1,12 +1,8 @@
-"""Lens distortion and tilted sensors.
+"""Lens distortion by Brown and Conrady's model, and sensors tilted after Scheimpflug.
 
-lens_distortion: Radial and tangential distortion of lenses, by Brown and Conrady's model.
-
-sensor_tilt: Tilt of a sensor against its lens, after Scheimpflug.
-
-The sensor is turned about the point where the optical axis meets it: about the lens's X axis by the
-first angle, then about its own Y axis by the second. Light is distorted by the lens first and meets
-the sensor then, so that the order is that of OpenCV's tilted model (its tau_x and tau_y).
+A tilted sensor is turned about the point where the optical axis meets it: about the lens's X axis
+by the first angle, then about its own Y axis by the second. Light is distorted by the lens first
+and meets the sensor then, so that the order is that of OpenCV's tilted model (tau_x and tau_y).
 
 Lengths are in units of the principal distance. Image coordinates are those on the upright plane
 through the turning point; sensor coordinates have the same origin and lie along the tilted rows and
@@ -22,7 +18,7 @@ import numpy as np
 
 from sabench.utils.arrays import F64, Bool
 
-_UNDISTORT_STEPS = 20
+_STEPS = 20  # of the inversion
 
 
 @dataclass(frozen=True)
@@ -76,16 +72,14 @@ def undistort(lens: Distortion, distorted: F64) -> tuple[F64, Bool]:
         return distorted, np.asarray(np.isfinite(distorted).all(axis=1))
     ideal, residual = distorted.copy(), np.zeros_like(distorted)
     with np.errstate(all="ignore"):
-        for _ in range(_UNDISTORT_STEPS):
+        for _ in range(_STEPS):
             image, _, (ux, uy, vy) = distort(lens, ideal)
             residual = distorted - image
             if np.all(np.abs(residual) < 1e-15):
                 break
             a, b = residual.T
-            ideal = (
-                ideal
-                + np.column_stack([vy * a - uy * b, ux * b - uy * a]) / (ux * vy - uy * uy)[:, None]
-            )
+            step = np.column_stack([vy * a - uy * b, ux * b - uy * a])
+            ideal = ideal + step / (ux * vy - uy * uy)[:, None]
         valid = (np.abs(residual).max(axis=1) < 1e-12) & distort(lens, ideal)[1]
     return ideal, np.asarray(valid)
 
@@ -132,9 +126,9 @@ def onto_sensor(tilt_deg: Tilt, image: F64, lens: F64 | None = None) -> tuple[F6
 
 def from_sensor(tilt_deg: Tilt, sensor: F64) -> tuple[F64, Bool]:
     """Invert `onto_sensor` for light through the middle of the lens."""
-    places = sensor @ sensor_axes(tilt_deg)[:2] + [0.0, 0.0, 1.0]
-    valid = np.asarray(places[:, 2] > 1e-9)
-    return places[:, :2] / np.where(valid, places[:, 2], 1.0)[:, None], valid
+    points = sensor @ sensor_axes(tilt_deg)[:2] + [0.0, 0.0, 1.0]
+    valid = np.asarray(points[:, 2] > 1e-9)
+    return points[:, :2] / np.where(valid, points[:, 2], 1.0)[:, None], valid
 
 
 def focus_slope(tilt_deg: Tilt) -> F64:

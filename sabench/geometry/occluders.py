@@ -45,9 +45,7 @@ class Disc:
         radius, angle = np.meshgrid(
             np.linspace(0.0, self.radius_mm, _RINGS), np.arange(_AROUND) * 2.0 * np.pi / _AROUND
         )
-        right, up = (
-            part.reshape(-1, 1) for part in (radius * np.cos(angle), radius * np.sin(angle))
-        )
+        right, up = (radius * np.cos(angle)).reshape(-1, 1), (radius * np.sin(angle)).reshape(-1, 1)
         return np.asarray(self.center_mm + right * first + up * np.cross(normal, first))
 
     def stops(self, pinhole_mm: F64, directions: F64) -> Bool:

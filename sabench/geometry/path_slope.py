@@ -41,13 +41,10 @@ def solve_slope(indices: F64, depths_mm: list[F64 | float], radius_mm: F64) -> t
     if quick is not None:
         return quick
     rare = np.asarray(sum(depth for depth, r in zip(depths_mm, relative, strict=True) if r == 1.0))
-    upper = radius_mm / np.maximum(
-        rare, 1e-300
-    )  # an upper bound: the rarest medium alone cannot bridge more than R
-    low = radius_mm / np.asarray(
-        sum(depth / r for depth, r in zip(depths_mm, relative, strict=True))
-    )  # paraxial root
-    slope = low
+    # an upper bound: the rarest medium alone cannot bridge more than R
+    upper = radius_mm / np.maximum(rare, 1e-300)
+    slowness = sum(depth / r for depth, r in zip(depths_mm, relative, strict=True))
+    slope = low = radius_mm / np.asarray(slowness)  # paraxial root
     value, gradient = _lateral(relative, depths_mm, slope)
     for _ in range(_MAX_STEPS):
         low = np.where(value <= radius_mm, np.maximum(low, slope), low)
@@ -96,14 +93,10 @@ def _start(relative: F64, depths_mm: list[F64 | float], radius_mm: F64) -> F64:
         else:
             curvature += depth * (0.5 * (r * r - 1.0) / r**3)
     slope = radius_mm / paraxial
-    square = slope * slope
-    square *= curvature
+    square = slope * slope * curvature
+    excess = paraxial - rare
     return np.asarray(
-        slope
-        * (
-            1.0
-            + square * (paraxial - rare) / (paraxial * (paraxial - rare) + rare * square + 1e-300)
-        )
+        slope * (1.0 + square * excess / (paraxial * excess + rare * square + 1e-300))
     )
 
 

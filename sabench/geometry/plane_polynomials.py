@@ -20,9 +20,7 @@ from sabench.utils.arrays import F64
 TOLERANCE_PX = 1e-3
 _DEGREES = range(2, 13)
 
-Smooth = Callable[
-    [F64], F64
-]  # values (n, m) at points (n, 2), whose coordinates u, v run from -1 to 1
+Smooth = Callable[[F64], F64]  # values (n, m) at points (n, 2): u, v run from -1 to 1
 
 
 @dataclass(frozen=True)
@@ -52,8 +50,7 @@ def plane_map(camera: CameraModel, grid: Grid, z_mm: float, degree: int) -> Plan
     ValueError
         Some of the plane has no light path to the camera.
     """
-    (made,) = _maps_of_degree(camera, grid, np.array([z_mm]), degree)
-    return made
+    return _maps_of_degree(camera, grid, np.array([z_mm]), degree)[0]
 
 
 def plane_maps(cameras: Sequence[CameraModel], grid: Grid) -> list[list[PlaneMap]]:
@@ -144,17 +141,13 @@ def _maps_of_degree(camera: CameraModel, grid: Grid, depths: F64, degree: int) -
 def _plane_function(camera: CameraModel, grid: Grid, depths: F64) -> Smooth:
     """Make the function of exact pixels of points on several planes: (n, 2 planes)."""
 
-    def pixels(unit: F64) -> F64:
-        return np.column_stack([_project_plane(camera, grid, float(z), unit) for z in depths])
+    def pixels_of_plane(z_mm: float, unit: F64) -> F64:
+        pixels, valid = camera.project(plane_points(grid, z_mm, unit))
+        if not valid.all():
+            raise ValueError(
+                f"{camera.name}: expected a light path to every voxel, but the plane z = "
+                f"{z_mm:g} mm has points without one"
+            )
+        return pixels
 
-    return pixels
-
-
-def _project_plane(camera: CameraModel, grid: Grid, z_mm: float, unit: F64) -> F64:
-    pixels, valid = camera.project(plane_points(grid, z_mm, unit))
-    if not valid.all():
-        raise ValueError(
-            f"{camera.name}: expected a light path to every voxel, but the plane z = {z_mm:g} mm "
-            "has points without one"
-        )
-    return pixels
+    return lambda unit: np.column_stack([pixels_of_plane(float(z), unit) for z in depths])

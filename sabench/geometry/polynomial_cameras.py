@@ -5,13 +5,13 @@ They are models without optics, fitted to points of known positions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.camera_model import SensorCamera
+from sabench.geometry.central_camera import solve_pairs
 from sabench.geometry.refraction import Rays
 from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
@@ -20,11 +20,9 @@ _STEPS = 30
 _SOLOFF = tuple((i, j, k) for k in range(3) for j in range(4) for i in range(4) if i + j + k <= 3)
 _QUADRATIC = ((0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (0, 2))
 
-Smooth = Callable[[F64], F64]
-
 
 @dataclass(frozen=True)
-class _Fitted:
+class _Fitted(SensorCamera):
     """Common part of the polynomial cameras.
 
     It holds the box of the fit, and the lines of sight, which follow from pixels alone.
@@ -48,44 +46,58 @@ class _Fitted:
         raise NotImplementedError(f"{type(self).__name__} must implement project()")
 
     @property
-    def _ends_mm(self) -> tuple[float, float]:
-        """Z of the planes that define lines of sight: the box's front and back."""
-        return self.middle_mm[2] - self.half_mm[2], self.middle_mm[2] + self.half_mm[2]
-
-    @property
     def center_mm(self) -> tuple[float, float, float]:
         """Point nearest to lines of sight of the image's corners and middle."""
-        return _meeting(self)
+        column, row = np.meshgrid(
+            np.linspace(0.0, self.columns - 1.0, 3), np.linspace(0.0, self.rows - 1.0, 3)
+        )
+        rays = self.back_project(np.column_stack([column.ravel(), row.ravel()]))
+        direction, origin = rays.directions[rays.valid], rays.origins_mm[rays.valid]
+        across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+        right = np.einsum("nij,nj->i", across, origin)
+        return triple(np.linalg.lstsq(across.sum(axis=0), right, rcond=None)[0])
 
     def carry(self, points_mm: F64, z_mm: float) -> F64:
         """Find points of the plane at `z_mm` with the same pixels as points (n, 3).
 
         Returns (n, 2).
         """
-        return _on_plane(
-            lambda points: self.project(points)[0],
-            self.project(points_mm)[0],
-            z_mm,
-            points_mm[:, :2],
-            self.half_mm,
-        )[:, :2]
+        return self._on_plane(self.project(points_mm)[0], z_mm, points_mm[:, :2])[:, :2]
 
     def back_project(self, pixels: npt.ArrayLike) -> Rays:
         """Return lines of sight of pixels, straight through the box's front and back.
 
         They join the points of the two planes that a pixel sees.
         """
-        return _through(
-            lambda points: self.project(points)[0],
-            rows_of(pixels, 2, "pixels"),
-            self._ends_mm,
-            self.middle_mm,
-            self.half_mm,
-        )
+        image = rows_of(pixels, 2, "pixels")
+        start = np.tile(np.asarray(self.middle_mm[:2]), (len(image), 1))
+        middle, half = self.middle_mm[2], self.half_mm[2]
+        near, far = (self._on_plane(image, z, start) for z in (middle - half, middle + half))
+        direction = far - near
+        length = np.linalg.norm(direction, axis=1, keepdims=True)
+        valid = np.isfinite(length[:, 0]) & (length[:, 0] > 0.0)
+        return Rays(near, direction / np.where(valid[:, None], length, 1.0), valid)
 
-    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
-        return on_sensor(self.rows, self.columns, pixels, margin_px)
+    def _on_plane(self, pixels: F64, z_mm: float, start: F64) -> F64:
+        """Find points (n, 3) of a plane by Newton's iteration from their pixels.
+
+        The iteration starts from x, y (n, 2). Returns NaN where it does not converge.
+        """
+        points = np.column_stack([start, np.full(len(pixels), z_mm)])
+        delta = 1e-4 * min(self.half_mm[:2])
+        with np.errstate(all="ignore"):
+            for _ in range(_STEPS):
+                miss = pixels - self.project(points)[0]
+                if np.nanmax(np.abs(miss), initial=0.0) < 1e-10:
+                    break
+                a, b = (
+                    (self.project(points + step)[0] - self.project(points - step)[0])
+                    / (2.0 * delta)
+                    for step in delta * np.eye(3)[:2]
+                )
+                points[:, :2] += solve_pairs(a, b, miss)
+            points[~(np.abs(pixels - self.project(points)[0]).max(axis=1) < 1e-6)] = np.nan
+        return points
 
 
 @dataclass(frozen=True)
@@ -142,16 +154,12 @@ class PlanePolynomials(_Fitted):
         Beyond the outer planes, the last two are extrapolated.
         """
         points = rows_of(points_mm, 3, "points_mm")
-        planes, table = (
-            np.asarray(self.planes_mm),
-            np.asarray(self.coefficients).reshape(len(self.planes_mm), 2, len(_QUADRATIC)),
-        )
+        planes = np.asarray(self.planes_mm)
+        table = np.asarray(self.coefficients).reshape(len(planes), 2, len(_QUADRATIC))
         left = np.clip(np.searchsorted(planes, points[:, 2]) - 1, 0, len(planes) - 2)
         share = (points[:, 2] - planes[left]) / (planes[left + 1] - planes[left])
         terms = _quadratic(((points - self.middle_mm) / self.half_mm)[:, :2])
-        before, behind = (
-            np.einsum("nt,nct->nc", terms, table[plane]) for plane in (left, left + 1)
-        )
+        before, behind = (np.einsum("nt,nct->nc", terms, table[p]) for p in (left, left + 1))
         pixels = before + share[:, None] * (behind - before)
         return pixels, np.isfinite(pixels).all(axis=1)
 
@@ -192,20 +200,10 @@ def fit_planes(
     table = []
     for plane in order.tolist():
         terms = _quadratic(((points_mm[plane] - middle) / half)[:, :2])
-        table.append(
-            _fit_terms(
-                terms, pixels[plane], f"{name}: frame {plane}: a polynomial of 6 terms"
-            ).T.ravel()
-        )
-    return PlanePolynomials(
-        name,
-        rows,
-        columns,
-        triple(middle),
-        triple(half),
-        tuple(depths[order].tolist()),
-        nested(np.stack(table)),
-    )
+        what = f"{name}: frame {plane}: a polynomial of 6 terms"
+        table.append(_fit_terms(terms, pixels[plane], what).T.ravel())
+    box, planes = (triple(middle), triple(half)), tuple(depths[order].tolist())
+    return PlanePolynomials(name, rows, columns, *box, planes, nested(np.stack(table)))
 
 
 def _cubic(unit: F64) -> F64:
@@ -231,71 +229,6 @@ def _fit_terms(terms: F64, pixels: F64, what: str) -> F64:
 def _box(points_mm: F64) -> tuple[F64, F64]:
     low, high = points_mm.min(axis=0), points_mm.max(axis=0)
     return (low + high) / 2.0, np.maximum((high - low) / 2.0, 1e-9)
-
-
-def _through(
-    project: Smooth,
-    pixels: F64,
-    ends: tuple[float, float],
-    middle: tuple[float, float, float],
-    half: tuple[float, float, float],
-) -> Rays:
-    """Find lines through the points of two planes that pixels (n, 2) see.
-
-    Newton's iteration starts from the box's middle.
-    """
-    start = np.tile(np.asarray(middle[:2]), (len(pixels), 1))
-    near, far = (_on_plane(project, pixels, z, start, half) for z in ends)
-    direction = far - near
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    valid = np.isfinite(length[:, 0]) & (length[:, 0] > 0.0)
-    return Rays(near, direction / np.where(valid[:, None], length, 1.0), valid)
-
-
-def _on_plane(
-    project: Smooth, pixels: F64, z_mm: float, start: F64, half: tuple[float, float, float]
-) -> F64:
-    """Find points (n, 3) of a plane by Newton's iteration from their pixels.
-
-    The iteration starts from x, y (n, 2). Returns NaN where it does not converge.
-    """
-    points = np.column_stack([start, np.full(len(pixels), z_mm)])
-    delta = 1e-4 * min(half[:2])
-    across = delta * np.eye(3)[:2]
-    with np.errstate(all="ignore"):
-        for _ in range(_STEPS):
-            miss = pixels - project(points)
-            if np.nanmax(np.abs(miss), initial=0.0) < 1e-10:
-                break
-            slope = np.stack(
-                [
-                    (project(points + step) - project(points - step)) / (2.0 * delta)
-                    for step in across
-                ],
-                axis=-1,
-            )
-            determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
-            points[:, 0] += (
-                slope[:, 1, 1] * miss[:, 0] - slope[:, 0, 1] * miss[:, 1]
-            ) / determinant
-            points[:, 1] += (
-                slope[:, 0, 0] * miss[:, 1] - slope[:, 1, 0] * miss[:, 0]
-            ) / determinant
-        points[~(np.abs(pixels - project(points)).max(axis=1) < 1e-6)] = np.nan
-    return points
-
-
-def _meeting(camera: _Fitted) -> tuple[float, float, float]:
-    """Find the point nearest to a few lines of sight."""
-    column, row = np.meshgrid(
-        np.linspace(0.0, camera.columns - 1.0, 3), np.linspace(0.0, camera.rows - 1.0, 3)
-    )
-    rays = camera.back_project(np.column_stack([column.ravel(), row.ravel()]))
-    direction, origin = rays.directions[rays.valid], rays.origins_mm[rays.valid]
-    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-    return triple(
-        np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, origin), rcond=None)[0]
-    )
 
 
 def fitted_box(camera: object) -> tuple[F64, F64] | None:

@@ -37,24 +37,13 @@ def media_of(wall: Wall, center_mm: F64) -> Media:
     """Collect what `project` needs of a wall in front of a pinhole (3,)."""
     ratios = (wall.indices / wall.indices.min()) ** 2
     before = -float(wall.depth_of(center_mm))
-    constant = [
-        (float(ratios[0]), before),
-        *(
-            (float(r), float(layer.thickness_mm))
-            for r, layer in zip(ratios[1:-1], wall.layers, strict=True)
-        ),
-    ]
+    depths = (before, *(float(layer.thickness_mm) for layer in wall.layers))
+    constant = [(float(r), depth) for r, depth in zip(ratios[:-1], depths, strict=True)]
     rare = float(sum(depth for ratio, depth in constant if ratio == 1.0))  # 0 would be another type
-    others = tuple(pair for pair in constant if pair[0] != 1.0) or (
-        (1.0, 0.0),
-    )  # numba cannot go through an empty one
-    return (
-        rare,
-        others,
-        float(ratios[-1]),
-        float(ratios[0]) if ratios[0] > 1.0 else None,
-        before + wall.thickness_mm,
-    )
+    # numba cannot go through an empty tuple
+    others = tuple(pair for pair in constant if pair[0] != 1.0) or ((1.0, 0.0),)
+    first = float(ratios[0]) if ratios[0] > 1.0 else None
+    return rare, others, float(ratios[-1]), first, before + wall.thickness_mm
 
 
 @numba.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy")
@@ -89,7 +78,6 @@ def _step(
 def _climb(
     slope: Any, square: Any, deep: Any, size: int, rare: float, others: Any, fluid: float
 ) -> None:
-    """Apply Newton's steps to a block from where it is."""
     for _ in range(_NEWTON):
         moving = 0
         for i in range(size):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera_model import on_sensor
+from sabench.geometry.camera_model import SensorCamera
 from sabench.geometry.refraction import Rays
 from sabench.utils.arrays import F64, Bool, Rows, nested, rows_of, triple
 from sabench.utils.errors import InputError
@@ -16,7 +16,7 @@ _STEPS = 30
 
 
 @dataclass(frozen=True)
-class Projective:
+class Projective(SensorCamera):
     """Linear map of homogeneous coordinates, with 11 free parameters.
 
     It is a pinhole with any pixels, in a single medium.
@@ -65,15 +65,8 @@ class Projective:
         inverse = np.linalg.inv(matrix[:, :3])
         directions = np.column_stack([image, np.ones(len(image))]) @ inverse.T
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        return Rays(
-            np.tile(-inverse @ matrix[:, 3], (len(image), 1)),
-            directions,
-            np.isfinite(directions).all(axis=1),
-        )
-
-    def contains(self, pixels: F64, margin_px: float = 0.0) -> Bool:
-        """Mark pixels (n, 2) on the sensor, or at most `margin_px` outside."""
-        return on_sensor(self.rows, self.columns, pixels, margin_px)
+        origins = np.tile(-inverse @ matrix[:, 3], (len(image), 1))
+        return Rays(origins, directions, np.isfinite(directions).all(axis=1))
 
 
 def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F64) -> Projective:
@@ -89,12 +82,8 @@ def fit_projective(name: str, rows: int, columns: int, points_mm: F64, pixels: F
     (positions, world), (images, image) = _normalise(points_mm), _normalise(pixels)
     full = np.column_stack([positions, np.ones(len(positions))])
     zero = np.zeros_like(full)
-    system = np.vstack(
-        [
-            np.hstack([full, zero, -images[:, :1] * full]),
-            np.hstack([zero, full, -images[:, 1:] * full]),
-        ]
-    )
+    columns_part = np.hstack([full, zero, -images[:, :1] * full])
+    system = np.vstack([columns_part, np.hstack([zero, full, -images[:, 1:] * full])])
     _, values, right = np.linalg.svd(system, full_matrices=False)
     if len(points_mm) < 6 or values[-2] < 1e-8 * values[0]:
         raise InputError(
@@ -127,12 +116,8 @@ def _least_squares(start: F64, full: F64, images: F64) -> F64:
         u, v, w = (full @ entries.reshape(3, 4).T).T
         miss = (images - np.column_stack([u, v]) / w[:, None]).T.ravel()
         part, zero = full / w[:, None], np.zeros_like(full)
-        slope = np.vstack(
-            [
-                np.hstack([part, zero, -(u / w)[:, None] * part]),
-                np.hstack([zero, part, -(v / w)[:, None] * part]),
-            ]
-        )
+        columns_part = np.hstack([part, zero, -(u / w)[:, None] * part])
+        slope = np.vstack([columns_part, np.hstack([zero, part, -(v / w)[:, None] * part])])
         step = np.linalg.lstsq(slope, miss, rcond=1e-12)[0]
         entries = entries + step
         if np.abs(step).max() < 1e-13:

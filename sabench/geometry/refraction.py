@@ -4,15 +4,13 @@ The functions take a wall of any shape (`AnyWall`), or None for plain air. `Wall
 parallel plane layers, `cylinder_wall.CylinderWall` one of coaxial cylinders.
 
 This module is the reference of the light path; for its copies see
-docs/developing/copies-of-the-projection.md.
-
-The slope of a path through plane layers, its one unknown, comes from `path_slope`.
+docs/developing/copies-of-the-projection.md. The slope of a path through plane layers, its one
+unknown, comes from `path_slope`.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -149,7 +147,8 @@ class Wall:
         normal = np.asarray(self.normal)
         leaving, arriving = np.empty_like(points_mm), np.empty_like(points_mm)
         valid = np.empty(len(points_mm), dtype=np.bool_)
-        for part in _chunks(len(points_mm)):
+        for start in range(0, len(points_mm), _CHUNK):
+            part = slice(start, start + _CHUNK)
             towards, radius, depths, good = _cylindrical(self, pinhole_mm, points_mm[part])
             slope, _ = solve_slope(self.indices, depths, radius)
             _direct(normal, towards, *angle_in(self.indices, 0, slope), leaving[part])
@@ -183,9 +182,8 @@ class Wall:
         sine = np.sqrt(np.maximum(0.0, 1.0 - cosine**2))
         total = -self.depth_of(pinhole_mm) / cosine
         for layer in self.layers:
-            total = total + layer.thickness_mm / np.sqrt(
-                1.0 - (sine * self.air_index / layer.index) ** 2
-            )
+            cosines = np.sqrt(1.0 - (sine * self.air_index / layer.index) ** 2)
+            total = total + layer.thickness_mm / cosines
         return np.asarray(total)
 
     def transmittances(self, pinhole_mm: F64, leaving: F64) -> F64:
@@ -195,13 +193,9 @@ class Wall:
         for before, after in itertools.pairwise(indices):
             sine = (before / after) * np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
             after_cosine = np.sqrt(np.maximum(0.0, 1.0 - sine * sine))
-            reflect_s = (before * cosine - after * after_cosine) / (
-                before * cosine + after * after_cosine
-            )
-            reflect_p = (after * cosine - before * after_cosine) / (
-                after * cosine + before * after_cosine
-            )
-            result *= 1.0 - 0.5 * (reflect_s**2 + reflect_p**2)
+            a, b = before * cosine, after * after_cosine
+            c, d = after * cosine, before * after_cosine
+            result *= 1.0 - 0.5 * (((a - b) / (a + b)) ** 2 + ((c - d) / (c + d)) ** 2)
             cosine = after_cosine
         return result
 
@@ -216,28 +210,21 @@ def _cylindrical(
     """
     normal = np.asarray(wall.normal)
     before = -float(wall.depth_of(pinhole_mm))
-    lateral = np.array(
-        points_mm.T, order="C"
-    )  # separate coordinates: numpy is slow on rows of three
+    lateral = np.array(points_mm.T, order="C")  # numpy is slow on rows of three
     lateral -= pinhole_mm[:, None]
     with np.errstate(invalid="ignore"):  # infinite coordinates
         along = normal @ lateral
         behind = along - (before + wall.thickness_mm)
         for axis in range(3):
             lateral[axis] -= normal[axis] * along
-    valid: Bool = (
-        np.isfinite(behind) & (behind > 0.0) & (before > 0.0)
-    )  # a coordinate that is not finite makes the depth so, too
+    # a coordinate that is not finite makes the depth so, too
+    valid: Bool = np.isfinite(behind) & (behind > 0.0) & (before > 0.0)
     if not valid.all():
         lateral[:, ~valid], behind[~valid] = 0.0, 1.0
     radius = np.sqrt(lateral[0] ** 2 + lateral[1] ** 2 + lateral[2] ** 2)
     lateral *= 1.0 / np.where(radius > 0.0, radius, 1.0)
-    return (
-        lateral,
-        radius,
-        [max(before, 1e-300), *(layer.thickness_mm for layer in wall.layers), behind],
-        valid,
-    )
+    depths = [max(before, 1e-300), *(layer.thickness_mm for layer in wall.layers), behind]
+    return lateral, radius, depths, valid
 
 
 def _direct(normal: F64, towards: F64, sine: F64, cosine: F64, out: F64) -> None:
@@ -247,11 +234,6 @@ def _direct(normal: F64, towards: F64, sine: F64, cosine: F64, out: F64) -> None
     """
     for axis in range(3):
         out[:, axis] = sine * towards[axis] + cosine * normal[axis]
-
-
-def _chunks(count: int) -> Iterator[slice]:
-    for start in range(0, count, _CHUNK):
-        yield slice(start, min(start + _CHUNK, count))
 
 
 def trace_to_points(wall: AnyWall | None, pinhole_mm: F64, points_mm: F64) -> Paths:

@@ -1,13 +1,4 @@
-"""Rotations, rigid motions and frames of reference.
-
-rotations: Rotation matrices of rotation vectors, and frames along an axis.
-
-rigid_motion: Rigid motions and their least-squares fits to points.
-
-frames: Frames of reference.
-
-They are the box of a volume, and poses of bodies in the world frame.
-"""
+"""Rotations, rigid motions, the box of a volume and poses of bodies in the world frame."""
 
 from __future__ import annotations
 
@@ -35,11 +26,11 @@ def rotation_matrices(vectors: F64) -> F64:
 
 def skew(vectors: F64) -> F64:
     """Compute the matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
-    made = np.zeros((*vectors.shape, 3))
+    out = np.zeros((*vectors.shape, 3))
     for row, column, axis in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
-        made[..., row, column] = vectors[..., axis]
-        made[..., column, row] = -vectors[..., axis]
-    return made
+        out[..., row, column] = vectors[..., axis]
+        out[..., column, row] = -vectors[..., axis]
+    return out
 
 
 def frame_along(axis: tuple[float, float, float]) -> F64:

@@ -72,13 +72,11 @@ class Surface(Table):
     @property
     def pose(self) -> Pose:
         """Map from the surface's own frame to the world's."""
-        rotation = rotation_matrices(np.deg2rad(self.turn_deg))
-        return Pose(rotation, np.asarray(self.center_mm))
+        return Pose(rotation_matrices(np.deg2rad(self.turn_deg)), np.asarray(self.center_mm))
 
     def points_mm(self) -> F64:
         """Compute the world points (row, column, 3) of all pixels."""
-        u, v = self.axes_mm
-        return self.pose(self.own_points(*np.meshgrid(u, v)))
+        return self.pose(self.own_points(*np.meshgrid(*self.axes_mm)))
 
 
 class Plane(Surface):
@@ -107,7 +105,7 @@ class Cylinder(Plane):
 
     def own_points(self, u_mm: F64, v_mm: F64) -> F64:
         """Bend a plane: (r sin u/r, v, r (1 - cos u/r))."""
-        return bend(np.stack([u_mm, v_mm, np.zeros_like(u_mm)], axis=-1), self.radius_mm)
+        return bend(super().own_points(u_mm, v_mm), self.radius_mm)
 
 
 class HeightMap(Surface):
@@ -194,29 +192,14 @@ def _read_points(path: Path) -> tuple[F64, F64, Heights]:
             f"{path}: expected three or more points that span an area in their first two "
             f"columns, got {len(points)} that do not"
         ) from error
-    return (
-        points[:, :2].min(axis=0),
-        points[:, :2].max(axis=0),
-        lambda u, v: np.asarray(inner(u, v), dtype=np.float64),
-    )
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    return low, high, lambda u, v: np.asarray(inner(u, v), dtype=np.float64)
 
 
 def _read_heights(path: Path, spacing_mm: float) -> tuple[F64, F64, Heights]:
     """Read heights at pixels, rows along v and columns along u; linear between."""
-    from scipy.ndimage import map_coordinates
-
-    heights = _decode(path)
-    half = spacing_mm * (np.array(heights.shape[::-1]) - 1.0) / 2.0
-
-    def interpolate(u: F64, v: F64) -> F64:
-        at = [(v + half[1]) / spacing_mm, (u + half[0]) / spacing_mm]
-        return np.asarray(map_coordinates(heights, at, order=1, mode="nearest"))
-
-    return -half, half, interpolate
-
-
-def _decode(path: Path) -> F64:
     import tifffile
+    from scipy.ndimage import map_coordinates
 
     if not path.is_file():
         raise InputError(f"{path}: expected a file of heights, found none")
@@ -231,4 +214,11 @@ def _decode(path: Path) -> F64:
             f"{path}: expected one image of numbers, 2 x 2 or larger, got {heights.dtype} of shape "
             f"{heights.shape}"
         )
-    return np.asarray(heights, dtype=np.float64)
+    heights = np.asarray(heights, dtype=np.float64)
+    half = spacing_mm * (np.array(heights.shape[::-1]) - 1.0) / 2.0
+
+    def interpolate(u: F64, v: F64) -> F64:
+        at = [(v + half[1]) / spacing_mm, (u + half[0]) / spacing_mm]
+        return np.asarray(map_coordinates(heights, at, order=1, mode="nearest"))
+
+    return -half, half, interpolate

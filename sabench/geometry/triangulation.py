@@ -57,14 +57,9 @@ def _step(cameras: Sequence[CameraModel], pixels: F64, points: F64) -> F64:
     matrix, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
     for camera, own in zip(cameras, pixels, strict=True):
         here, valid = camera.project(points)
-        slope = np.stack(
-            [
-                (camera.project(points + axis)[0] - camera.project(points - axis)[0])
-                / (2.0 * _DELTA_MM)
-                for axis in _DELTA_MM * np.eye(3)
-            ],
-            -1,
-        )
+        ends = ((points + axis, points - axis) for axis in _DELTA_MM * np.eye(3))
+        moves = [camera.project(end)[0] - camera.project(start)[0] for end, start in ends]
+        slope = np.stack([move / (2.0 * _DELTA_MM) for move in moves], -1)
         good = valid & np.isfinite(own).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
         matrix[good] += np.einsum("nki,nkj->nij", slope[good], slope[good])
         right[good] += np.einsum("nki,nk->ni", slope[good], own[good] - here[good])

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.cylinder_wall import WallRecord
 from sabench.geometry.grid import Grid
 from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F64, triple
@@ -34,25 +33,14 @@ def viewing_axes(cameras: Sequence[Camera]) -> F64:
 def turn_camera(camera: Camera, axes: F64) -> Camera:
     """Rewrite a camera and its wall for coordinates along axes (3, 3), one a row."""
     x, y, z = np.asarray(camera.rotation) @ axes.T
+    wall = camera.wall
+    keys = ("point_mm", "normal") if isinstance(wall, Wall) else ("axis_point_mm", "axis")
+    turned = {key: triple(axes @ np.asarray(getattr(wall, key))) for key in keys if wall}
     return replace(
         camera,
         center_mm=triple(axes @ np.asarray(camera.center_mm)),
         rotation=(triple(x), triple(y), triple(z)),
-        wall=None if camera.wall is None else _turn_wall(camera.wall, axes),
-    )
-
-
-def _turn_wall(wall: WallRecord, axes: F64) -> WallRecord:
-    if isinstance(wall, Wall):
-        return replace(
-            wall,
-            point_mm=triple(axes @ np.asarray(wall.point_mm)),
-            normal=triple(axes @ np.asarray(wall.normal)),
-        )
-    return replace(
-        wall,
-        axis_point_mm=triple(axes @ np.asarray(wall.axis_point_mm)),
-        axis=triple(axes @ np.asarray(wall.axis)),
+        wall=None if wall is None else replace(wall, **turned),
     )
 
 

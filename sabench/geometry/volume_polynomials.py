@@ -6,6 +6,7 @@ by less than `TOLERANCE_PX`; tests/unit/test_self_calibration.py measures the di
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -18,7 +19,6 @@ from sabench.utils.threads import share_rows
 
 TOLERANCE_PX = 1e-3
 _HIGHEST = 9
-_DEGREES = range(3, _HIGHEST + 1)
 _NODES = 11  # of the fit along each axis
 _FEW = 10_000  # points: fewer are projected before threads have begun
 
@@ -59,7 +59,7 @@ def fit_volume_polynomials(
     axis = np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
     unit = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     pixels = _project_exactly(cameras, middle + half * unit)
-    for degree in _DEGREES:
+    for degree in range(3, _HIGHEST + 1):
         powers = _powers(degree)
         terms = np.prod(unit[:, None] ** powers, axis=2)
         solution = np.linalg.lstsq(terms, pixels, rcond=None)[0]
@@ -93,14 +93,8 @@ def _project_exactly(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
 
 def _powers(degree: int) -> I64:
     """List exponents (terms, 3) of x, y and z whose sum is at most a degree."""
-    return np.array(
-        [
-            (i, j, k)
-            for k in range(degree + 1)
-            for j in range(degree + 1 - k)
-            for i in range(degree + 1 - k - j)
-        ]
-    )
+    every = itertools.product(range(degree + 1), repeat=3)
+    return np.array([(i, j, k) for k, j, i in every if i + j + k <= degree])
 
 
 @numba.njit(cache=True)

@@ -84,7 +84,7 @@ def _export_truth(root: Path, data: Dataset) -> None:
                 grid.voxel_mm,
                 {"intensity": volume},
             )
-        if scene.tracers is not None and scene.tracers.flow is not None:
+        if world.tracers is not None and world.tracers.flow is not None:
             field, slopes = lattice(scene, frame, step, data.manifest.seed)
             write_lattice(
                 root / f"flow_{frame:04d}.vtkhdf",

@@ -9,18 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sabench.plotting.charts import (
-    Circles,
-    Cloud,
-    Curve,
-    Discs,
-    Figure,
-    Histogram,
-    Panel,
-    Picture,
-    Slice,
-    Space,
-)
+from sabench.plotting import charts
+from sabench.plotting.charts import Figure, Panel
 
 _DPI = 110
 _BINS = 40
@@ -40,16 +30,13 @@ def draw(figure: Figure) -> bytes:
     # no gap in the last row where four fit
     across = figure.across or min(3 if len(figure.panels) % 4 else 4, len(figure.panels))
     down = -(-len(figure.panels) // across)
-    sheet = Sheet(
-        figsize=(across * figure.inch[0], down * figure.inch[1] + 0.4),
-        dpi=_DPI,
-        layout="constrained",
-    )
+    inches = (across * figure.inch[0], down * figure.inch[1] + 0.4)
+    sheet = Sheet(figsize=inches, dpi=_DPI, layout="constrained")
     canvas: Any = FigureCanvasAgg(sheet)
     sheet.suptitle(figure.title, fontsize=11)
     places = []
     for number, panel in enumerate(figure.panels, 1):
-        solid = isinstance(panel.content[0], Space)
+        solid = isinstance(panel.content[0], charts.Space)
         places.append(sheet.add_subplot(down, across, number, projection="3d" if solid else None))
         _fill(places[-1], panel)
     _add_legends(sheet, places, figure.panels)
@@ -64,25 +51,29 @@ def _fill(axes: Any, panel: Panel) -> None:
     axes.set_ylabel(panel.y, fontsize=8)
     axes.tick_params(which="both", labelsize=7)
     axes.grid(alpha=0.3)
-    edges = _edges([one.values for one in panel.content if isinstance(one, Histogram)])
-    for number, one in enumerate(panel.content):
+    edges = _edges([item.values for item in panel.content if isinstance(item, charts.Histogram)])
+    for number, item in enumerate(panel.content):
         colour, marker = _COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)]
-        if isinstance(one, Histogram):
-            _histogram(axes, one, edges, colour)
-        elif isinstance(one, Cloud):
-            _cloud(axes, one, colour)
-        elif isinstance(one, Slice):
-            _colour(axes, one)
-        elif isinstance(one, Discs):
-            _discs(axes, one)
-        elif isinstance(one, Circles):
-            _circles(axes, one, colour)
-        elif isinstance(one, Picture):
-            _picture(axes, one)
-        elif isinstance(one, Space):
-            _space(axes, one)
+        if isinstance(item, charts.Histogram):
+            style = {"histtype": "step", "linewidth": 1.5, "color": colour, "label": item.label}
+            axes.hist(item.values, bins=edges, density=True, **style)
+        elif isinstance(item, charts.Cloud):
+            style = {"linestyle": "", "marker": ".", "markersize": 2, "rasterized": True}
+            axes.plot(item.x, item.y, color=colour, label=item.label, **style)
+        elif isinstance(item, charts.Slice):
+            _slice(axes, item)
+        elif isinstance(item, charts.Discs):
+            _discs(axes, item)
+        elif isinstance(item, charts.Circles):
+            _circles(axes, item, colour)
+        elif isinstance(item, charts.Picture):
+            _picture(axes, item)
+        elif isinstance(item, charts.Space):
+            _space(axes, item)
         else:
-            _curve(axes, one, colour, marker)
+            style = {"color": colour, "marker": marker, "markersize": 4, "linewidth": 1}
+            bars = {"yerr": item.spread, "capsize": 2}
+            axes.errorbar(item.x, item.y, label=item.label, **bars, **style)
     if "x" in panel.log:
         axes.set_xscale("log")
     if "y" in panel.log:
@@ -95,103 +86,52 @@ def _add_legends(sheet: Any, places: Sequence[Any], panels: Sequence[Panel]) -> 
     others = [axes.get_legend_handles_labels()[1] for axes in places[1:]]
     if others and len(labels) > 1 and all(own == labels for own in others):
         columns = int(sheet.get_figwidth() / (_HANDLE_INCH + _LETTER_INCH * max(map(len, labels))))
-        sheet.legend(
-            handles, labels, loc="outside lower center", ncols=max(columns, 1), fontsize=_SMALL
-        )
+        place = {"loc": "outside lower center", "ncols": max(columns, 1)}
+        sheet.legend(handles, labels, fontsize=_SMALL, **place)
         return
     for axes, panel in zip(places, panels, strict=True):
         if len(panel.content) > 1:
             axes.legend(fontsize=6)
 
 
-def _curve(axes: Any, one: Curve, colour: str, marker: str) -> None:
-    axes.errorbar(
-        one.x,
-        one.y,
-        yerr=one.spread,
-        color=colour,
-        marker=marker,
-        markersize=4,
-        linewidth=1,
-        capsize=2,
-        label=one.label,
-    )
+def _add_ellipses(
+    axes: Any, centers: npt.NDArray[np.float64], widths: npt.NDArray[np.float64], **style: Any
+) -> Any:
+    """Add circles (n,) at centres (n, 2), in the unit of the axes."""
+    from matplotlib.collections import EllipseCollection
+
+    place = {"units": "xy", "offsets": centers, "offset_transform": axes.transData}
+    shown = EllipseCollection(widths, widths, np.zeros(len(widths)), **place, **style)
+    axes.add_collection(shown)
+    return shown
 
 
-def _histogram(axes: Any, one: Histogram, edges: npt.NDArray[np.float64], colour: str) -> None:
-    axes.hist(
-        one.values,
-        bins=edges,
-        density=True,
-        histtype="step",
-        linewidth=1.5,
-        color=colour,
-        label=one.label,
-    )
-
-
-def _cloud(axes: Any, one: Cloud, colour: str) -> None:
-    axes.plot(
-        one.x,
-        one.y,
-        linestyle="",
-        marker=".",
-        markersize=2,
-        color=colour,
-        label=one.label,
-        rasterized=True,
-    )
-
-
-def _colour(axes: Any, one: Slice) -> None:
+def _slice(axes: Any, one: charts.Slice) -> None:
     top = float(np.nanmax(np.abs(one.values))) or 1.0
     colours, low = ("RdBu_r", -top) if one.signed else ("viridis", float(np.nanmin(one.values)))
-    shown = axes.pcolormesh(
-        one.x,
-        one.y,
-        one.values,
-        cmap=colours,
-        vmin=low,
-        vmax=top if one.signed else None,
-        shading="nearest",
-        rasterized=True,
-    )
+    scale = {"cmap": colours, "vmin": low, "vmax": top if one.signed else None}
+    shown = axes.pcolormesh(one.x, one.y, one.values, shading="nearest", rasterized=True, **scale)
     flat = abs(one.x[-1] - one.x[0]) > _FLAT * abs(one.y[-1] - one.y[0])
-    axes.figure.colorbar(
-        shown, ax=axes, orientation="horizontal" if flat else "vertical"
-    ).set_label(one.label, fontsize=8)
+    bar = axes.figure.colorbar(shown, ax=axes, orientation="horizontal" if flat else "vertical")
+    bar.set_label(one.label, fontsize=8)
     if one.arrows is not None:
         every = max(1, -(-max(one.values.shape) // _ARROWS))
         u, v = np.moveaxis(one.arrows[::every, ::every], -1, 0)
         x, y = np.meshgrid(one.x[::every], one.y[::every])
         known = np.isfinite(u) & np.isfinite(v)
         if known.any():
-            axes.quiver(
-                x[known], y[known], u[known], v[known], angles="xy", width=0.003, color="#000000"
-            )
+            vectors = (values[known] for values in (x, y, u, v))
+            axes.quiver(*vectors, angles="xy", width=0.003, color="#000000")
     axes.set_aspect("equal")
     axes.set_ylim(one.y[-1], one.y[0])
     axes.grid(visible=False)
 
 
-def _discs(axes: Any, one: Discs) -> None:
-    from matplotlib.collections import EllipseCollection
-
+def _discs(axes: Any, one: charts.Discs) -> None:
     order = np.argsort(-one.radius)  # small ones on top
-    widths = 2.0 * one.radius[order]
-    shown = EllipseCollection(
-        widths,
-        widths,
-        np.zeros(len(widths)),
-        units="xy",
-        offsets=np.column_stack([one.x, one.y])[order],
-        offset_transform=axes.transData,
-        cmap="viridis",
-        edgecolors="#00000066",
-        linewidths=0.3,
-    )
-    shown.set_array(one.radius[order])
-    axes.add_collection(shown)
+    widths, centers = 2.0 * one.radius[order], np.column_stack([one.x, one.y])[order]
+    style = {"cmap": "viridis", "edgecolors": "#00000066", "linewidths": 0.3}
+    shown = _add_ellipses(axes, centers, widths, array=one.radius[order], **style)
     axes.figure.colorbar(shown, ax=axes).set_label(one.label, fontsize=8)
     axes.set_aspect("equal")
     if len(widths):
@@ -201,85 +141,40 @@ def _discs(axes: Any, one: Discs) -> None:
     axes.grid(visible=False)
 
 
-def _circles(axes: Any, one: Circles, colour: str) -> None:
-    from matplotlib.collections import EllipseCollection
-
+def _circles(axes: Any, one: charts.Circles, colour: str) -> None:
     widths, positions = 2.0 * one.radius, np.column_stack([one.x, one.y])
-    axes.add_collection(
-        EllipseCollection(
-            widths,
-            widths,
-            np.zeros(len(widths)),
-            units="xy",
-            offsets=positions,
-            offset_transform=axes.transData,
-            facecolors=f"{colour}55",
-            edgecolors=colour,
-            linewidths=0.8,
-        )
-    )
-    # what the legend shows
-    axes.plot(
-        [],
-        [],
-        linestyle="",
-        marker="o",
-        markersize=5,
-        color=colour,
-        label=f"{one.label}: {len(widths)}",
-    )
+    style = {"facecolors": f"{colour}55", "edgecolors": colour, "linewidths": 0.8}
+    _add_ellipses(axes, positions, widths, **style)
+    # the legend's entry
+    handle = {"linestyle": "", "marker": "o", "markersize": 5, "color": colour}
+    axes.plot([], [], label=f"{one.label}: {len(widths)}", **handle)
     if len(widths):
-        axes.update_datalim(
-            np.concatenate([positions - one.radius[:, None], positions + one.radius[:, None]])
-        )
+        reach = one.radius[:, None]
+        axes.update_datalim(np.concatenate([positions - reach, positions + reach]))
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.yaxis.set_inverted(True)
 
 
-def _picture(axes: Any, one: Picture) -> None:
-    from matplotlib.collections import EllipseCollection
-
+def _picture(axes: Any, one: charts.Picture) -> None:
     rows, columns = one.values.shape
-    half = [
-        (end - start) / max(count - 1, 1) / 2.0
-        for start, end, count in zip(one.low, one.high, (columns, rows), strict=True)
-    ]
-    extent = (
-        one.low[0] - half[0],
-        one.high[0] + half[0],
-        one.high[1] + half[1],
-        one.low[1] - half[1],
+    (left, top), (right, bottom) = one.low, one.high
+    half_x, half_y = (
+        (right - left) / max(columns - 1, 1) / 2.0,
+        (bottom - top) / max(rows - 1, 1) / 2.0,
     )
+    extent = (left - half_x, right + half_x, bottom + half_y, top - half_y)
     dark, bright = np.percentile(one.values, [0.0, 99.9])
-    axes.imshow(
-        one.values,
-        cmap="gray",
-        vmin=dark,
-        vmax=max(bright, dark + 1e-12),
-        extent=extent,
-        interpolation="nearest",
-    )
+    scale = {"cmap": "gray", "vmin": dark, "vmax": max(bright, dark + 1e-12)}
+    axes.imshow(one.values, extent=extent, interpolation="nearest", **scale)
     if one.rings is not None:
-        widths = 2.0 * one.rings[:, 2]
-        axes.add_collection(
-            EllipseCollection(
-                widths,
-                widths,
-                np.zeros(len(widths)),
-                units="xy",
-                offsets=one.rings[:, :2],
-                offset_transform=axes.transData,
-                facecolors="none",
-                edgecolors=_COLOURS[1],
-                linewidths=0.7,
-            )
-        )
+        style = {"facecolors": "none", "edgecolors": _COLOURS[1], "linewidths": 0.7}
+        _add_ellipses(axes, one.rings[:, :2], 2.0 * one.rings[:, 2], **style)
         axes.set(xlim=extent[:2], ylim=extent[2:])
     axes.grid(visible=False)
 
 
-def _space(axes: Any, one: Space) -> None:
+def _space(axes: Any, one: charts.Space) -> None:
     """Draw balls as discs, whose areas are in points squared.
 
     The longest edge of the box is about half as long as the panel is high.
@@ -289,17 +184,8 @@ def _space(axes: Any, one: Space) -> None:
     x, y, z = one.center.T
     spans = np.maximum(np.ptp(one.center, axis=0), 1e-9) if len(one.center) else np.ones(3)
     points = 2.0 * one.radius / spans.max() * 0.5 * 72.0 * axes.figure.get_figheight()
-    shown = axes.scatter(
-        x,
-        z,
-        y,
-        s=points**2,
-        c=one.radius,
-        cmap="viridis",
-        depthshade=False,
-        edgecolors="#00000066",
-        linewidths=0.3,
-    )
+    style = {"cmap": "viridis", "edgecolors": "#00000066", "linewidths": 0.3}
+    shown = axes.scatter(x, z, y, s=points**2, c=one.radius, depthshade=False, **style)
     axes.figure.colorbar(shown, ax=axes, shrink=0.5).set_label(one.label, fontsize=8)
     axes.set_box_aspect(spans[[0, 2, 1]], zoom=1.3)
     axes.invert_zaxis()

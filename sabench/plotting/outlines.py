@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from sabench.utils.arrays import F64
+from sabench.utils.number_text import round_down
 
 Kind = Literal["camera", "ray", "wall", "sheet", "volume"]
 KINDS: tuple[Kind, ...] = ("sheet", "volume", "wall", "ray", "camera")  # as they are painted
@@ -53,9 +54,13 @@ def draw_outlines(
     size = high_mm - low_mm
     scale = float((np.array(_LARGEST_PX) / size).min())
     width, height = size * scale
-    ordered = sorted(outlines, key=lambda one: KINDS.index(one.kind))
-    shapes = [_shape(one, (one.points_mm - low_mm) * scale) for one in ordered]
-    bar = _round_down(_BAR * float(size[0]))
+    shapes = []
+    for outline in sorted(outlines, key=lambda outline: KINDS.index(outline.kind)):
+        points = (outline.points_mm - low_mm) * scale
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points if np.isfinite([x, y]).all())
+        element = "polygon" if outline.closed else "polyline"
+        shapes.append(f'<{element} class="{outline.kind}" points="{path}"/>')
+    bar = round_down(_BAR * float(size[0]))
     below = height + _BELOW_PX - 8.0
     words = f"{bar:g} mm; {axes[0]} to the right, {axes[1]} down"
     parts = [
@@ -71,15 +76,3 @@ def draw_outlines(
         "</svg>",
     ]
     return "\n".join(parts)
-
-
-def _shape(outline: Outline, points_px: F64) -> str:
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points_px if np.isfinite([x, y]).all())
-    element = "polygon" if outline.closed else "polyline"
-    return f'<{element} class="{outline.kind}" points="{path}"/>'
-
-
-def _round_down(length: float) -> float:
-    """Find the largest of 1, 2 and 5 times a power of ten that is not longer."""
-    power = 10.0 ** np.floor(np.log10(length))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= length))

@@ -9,9 +9,9 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sabench.utils.arrays import F32, F64, U16, Bool
+from sabench.utils.arrays import F32, F64, U8, U16, Bool
+from sabench.utils.number_text import round_down
 
-U8 = npt.NDArray[np.uint8]
 Colour = tuple[float, float, float]
 AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
@@ -49,14 +49,7 @@ def montage(images: U16, black_dn: float, white_dn: float) -> bytes:
     Pixels are joined by their maximum and not their mean, so that particles of two or three pixels
     do not fade.
     """
-    if images.ndim != 3 or not images.size:
-        raise ValueError(
-            f"montage: expected images (camera, row, column), got shape {images.shape}"
-        )
-    across = _across(*images.shape)
-    small = join_blocks(
-        images, math.ceil(across * images.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1)))
-    )
+    small, across = _shrink("montage", images)
     least = black_dn + _LEAST_RANGE * (white_dn - black_dn)
     top = min(white_dn, max(least, float(np.percentile(small, _BRIGHTEST))))
     return _png(_mosaic(_grey(small.astype(np.float64) - black_dn, top - black_dn, _GAMMA), across))
@@ -68,18 +61,18 @@ def backlit(images: U16, black_dn: float, white_dn: float) -> bytes:
     Pixels are joined by their minimum; grey values are linear. Arguments as for `montage`.
     """
     dark = np.clip(white_dn - images.astype(np.float64), 0.0, white_dn - black_dn).astype(np.uint16)
-    if dark.ndim != 3 or not dark.size:
-        raise ValueError(f"backlit: expected images (camera, row, column), got shape {dark.shape}")
-    across = _across(*dark.shape)
-    small = join_blocks(
-        dark, math.ceil(across * dark.shape[2] / (_MONTAGE_PX - _GAP_PX * (across - 1)))
-    )
-    return _png(
-        _mosaic(
-            _grey((white_dn - black_dn) - small.astype(np.float64), white_dn - black_dn, 1.0),
-            across,
-        )
-    )
+    small, across = _shrink("backlit", dark)
+    light = (white_dn - black_dn) - small.astype(np.float64)
+    return _png(_mosaic(_grey(light, white_dn - black_dn, 1.0), across))
+
+
+def _shrink(what: str, images: U16) -> tuple[U16, int]:
+    """Join blocks until a mosaic fits; also gives the number of images in its rows."""
+    if images.ndim != 3 or not images.size:
+        raise ValueError(f"{what}: expected images (camera, row, column), got shape {images.shape}")
+    across, width = _across(*images.shape), images.shape[2]
+    block = math.ceil(across * width / (_MONTAGE_PX - _GAP_PX * (across - 1)))
+    return join_blocks(images, block), across
 
 
 def slice_picture(volume: F32, scored: tuple[slice, slice, slice]) -> bytes:
@@ -150,8 +143,7 @@ def with_scale_bar(picture: bytes, width_mm: float) -> bytes:
     pixels = cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR)
     assert pixels is not None  # this module encoded it
     rows, columns = pixels.shape[:2]
-    most, step = width_mm / 3.0, 10.0 ** math.floor(math.log10(width_mm / 3.0))
-    length = max(factor * step for factor in (1.0, 2.0, 5.0) if factor * step <= most)
+    length = round_down(width_mm / 3.0)
     start, end = (10, rows - 10), (10 + round(length / width_mm * columns), rows - 10)
     text, place = f"{length:g} mm", (10, rows - 18)
     ink = 0.0 if pixels.mean() > 127.0 else 255.0
@@ -162,13 +154,13 @@ def with_scale_bar(picture: bytes, width_mm: float) -> bytes:
 
 
 def _window(part: F32) -> F64:
-    """Cut the central window of the middle plane."""
     if part.ndim != 3 or not part.size:
         raise ValueError(
             f"slice_picture: expected a scored part (z, y, x) with voxels, got shape {part.shape}"
         )
-    plane = part[part.shape[0] // 2]
-    return np.asarray(plane[_central(plane.shape[0]), _central(plane.shape[1])], dtype=np.float64)
+    starts = [max(count - _WINDOW, 0) // 2 for count in part.shape[1:]]
+    rows, columns = (slice(start, start + _WINDOW) for start in starts)
+    return np.asarray(part[part.shape[0] // 2][rows, columns], dtype=np.float64)
 
 
 def _top(window: F64) -> float:
@@ -176,9 +168,8 @@ def _top(window: F64) -> float:
     return float(np.percentile(window, _BRIGHTEST)) or float(window.max())
 
 
-def _enlarge(pixels: U8) -> U8:
-    """Enlarge each voxel to a block of whole pixels."""
-    block = max(1, _ENLARGED_PX // max(pixels.shape[:2]))
+def _enlarge(pixels: U8, size_px: int = _ENLARGED_PX) -> U8:
+    block = max(1, size_px // max(pixels.shape[:2]))
     return pixels.repeat(block, axis=0).repeat(block, axis=1)
 
 
@@ -198,8 +189,7 @@ def grey_picture(values: F64, size_px: int) -> bytes:
     Grey values extend from its 1st to its 99th percentile; each value is a block of whole pixels.
     """
     low, high = np.percentile(values, [1.0, 99.0])
-    block = max(1, size_px // max(values.shape))
-    return _png(_grey(values - low, high - low, 1.0).repeat(block, axis=0).repeat(block, axis=1))
+    return _png(_enlarge(_grey(values - low, high - low, 1.0), size_px))
 
 
 def dots(pixels: F64, rows: int, columns: int) -> bytes:
@@ -211,14 +201,11 @@ def dots(pixels: F64, rows: int, columns: int) -> bytes:
     ----------
     pixels : (camera, frame, point, 2) columns and rows; NaN for none.
     """
-    across, scale = _layout(len(pixels), rows, columns)
-    sheets = np.zeros(
-        (len(pixels), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8
-    )
+    sheets, across, scale = _blank_sheets(len(pixels), rows, columns)
     for sheet, frames in zip(sheets, pixels, strict=True):
         for number, frame in enumerate(frames):
-            places = frame[np.isfinite(frame).all(axis=1)] * scale
-            _lines(sheet, places, places, 255 - 130 * number // max(len(frames) - 1, 1), 2)
+            points = frame[np.isfinite(frame).all(axis=1)] * scale
+            _lines(sheet, points, points, 255 - 130 * number // max(len(frames) - 1, 1), 2)
     return _png(_mosaic(sheets, across))
 
 
@@ -233,29 +220,23 @@ def arrows(positions: F64, errors: F64, rows: int, columns: int) -> bytes:
     ----------
     positions, errors : (camera, frame, point, 2) in px; NaN for none.
     """
-    across, scale = _layout(len(positions), rows, columns)
+    import cv2
+
+    sheets, across, scale = _blank_sheets(len(positions), rows, columns)
     lengths = np.linalg.norm(errors, axis=-1)
     median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
-    longer = _round_down(columns / 30.0 / median) if median > 1e-12 else 1.0
-    sheets = np.zeros(
-        (len(positions), math.ceil(rows * scale), math.ceil(columns * scale)), dtype=np.uint8
-    )
+    longer = round_down(columns / 30.0 / median) if median > 1e-12 else 1.0
     for sheet, at, off in zip(sheets, positions, errors, strict=True):
-        there = np.isfinite(at).all(axis=-1)
-        good = there & np.isfinite(off).all(axis=-1)
-        alone = at[there & ~good] * scale
+        known = np.isfinite(at).all(axis=-1)
+        good = known & np.isfinite(off).all(axis=-1)
+        alone = at[known & ~good] * scale
         _lines(sheet, alone, alone, 90, 2)
-        places = at[good] * scale
-        _lines(sheet, places, places + off[good] * scale * longer, 170, 1)
-        _lines(sheet, places, places, 255, 2)
-    _write(sheets[0], f"x {longer:g}")
+        points = at[good] * scale
+        _lines(sheet, points, points + off[good] * scale * longer, 170, 1)
+        _lines(sheet, points, points, 255, 2)
+    font, place = cv2.FONT_HERSHEY_SIMPLEX, (6, 18)
+    cv2.putText(sheets[0], f"x {longer:g}", place, font, 0.5, 255, 1, cv2.LINE_AA)
     return _png(_mosaic(sheets, across))
-
-
-def _round_down(factor: float) -> float:
-    """Round down to 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** math.floor(math.log10(factor))
-    return power * max(step for step in (1.0, 2.0, 5.0) if step <= factor / power or step == 1.0)
 
 
 def with_cell_means(positions: F64, errors: F64, rows: int, columns: int) -> tuple[F64, F64]:
@@ -284,25 +265,20 @@ def with_cell_means(positions: F64, errors: F64, rows: int, columns: int) -> tup
     return both[0], both[1]
 
 
-def _layout(cameras: int, rows: int, columns: int) -> tuple[int, float]:
-    """Compute the number of images per row of a mosaic, and their scale."""
+def _blank_sheets(cameras: int, rows: int, columns: int) -> tuple[U8, int, float]:
+    """Make black images for a mosaic; also gives the images in its rows and their scale."""
     across = _across(cameras, rows, columns)
-    return across, min(1.0, (_MONTAGE_PX - _GAP_PX * (across - 1)) / across / columns)
+    scale = min(1.0, (_MONTAGE_PX - _GAP_PX * (across - 1)) / across / columns)
+    shape = (cameras, math.ceil(rows * scale), math.ceil(columns * scale))
+    return np.zeros(shape, dtype=np.uint8), across, scale
 
 
 def _lines(sheet: U8, starts: F64, ends: F64, grey: int, width: int) -> None:
-    """Draw lines between points (n, 2) in px."""
     import cv2
 
     finer = 16.0  # four fractional bits
     pairs = np.clip(np.stack([starts, ends], axis=1) * finer, -1e6, 1e6).astype(np.int32)
     cv2.polylines(sheet, list(pairs), False, grey, width, cv2.LINE_AA, 4)
-
-
-def _write(sheet: U8, text: str) -> None:
-    import cv2
-
-    cv2.putText(sheet, text, (6, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1, cv2.LINE_AA)
 
 
 def _across(cameras: int, rows: int, columns: int) -> int:
@@ -327,7 +303,6 @@ def join_blocks(images: npt.NDArray[AnyNumber], block: int) -> npt.NDArray[AnyNu
 
 
 def _grey(values: F64, top: float, gamma: float) -> U8:
-    """Scale 0 to `top` to 0 to 255."""
     scaled = np.clip(values / top, 0.0, 1.0) if top > 0.0 else np.zeros_like(values)
     return np.rint(255.0 * scaled**gamma).astype(np.uint8)
 
@@ -335,20 +310,12 @@ def _grey(values: F64, top: float, gamma: float) -> U8:
 def _mosaic(images: U8, across: int) -> U8:
     count, rows, columns = images.shape
     down = math.ceil(count / across)
-    sheet = np.full(
-        (down * (rows + _GAP_PX) - _GAP_PX, across * (columns + _GAP_PX) - _GAP_PX),
-        _GAP_GREY,
-        dtype=np.uint8,
-    )
+    shape = (down * (rows + _GAP_PX) - _GAP_PX, across * (columns + _GAP_PX) - _GAP_PX)
+    sheet = np.full(shape, _GAP_GREY, dtype=np.uint8)
     for i, image in enumerate(images):
         y, x = (i // across) * (rows + _GAP_PX), (i % across) * (columns + _GAP_PX)
         sheet[y : y + rows, x : x + columns] = image
     return sheet
-
-
-def _central(count: int) -> slice:
-    shown = min(count, _WINDOW)
-    return slice((count - shown) // 2, (count - shown) // 2 + shown)
 
 
 def _png(grey: U8) -> bytes:

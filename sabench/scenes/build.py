@@ -1,13 +1,6 @@
-"""Checks of a rig's geometry.
+"""Construction of a scene's rig: walls, aimed and focused cameras, voxel grid, occluders.
 
-checks: Checks of a rig's geometry.
-
-Wall, tank, occluders, backlight and the cameras' views. Each raises an InputError of one sentence
-that begins with the scene's key.
-
-build: Construction of a scene's rig.
-
-The wall, the aimed and focused cameras, the voxel grid, occluders.
+Checks raise an InputError of one sentence that begins with the scene's key.
 """
 
 from __future__ import annotations
@@ -19,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.geometry import array_layouts
+from sabench.geometry import array_layouts as arrays
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.common_view import any_in_view
 from sabench.geometry.cylinder_wall import CylinderWall
@@ -28,15 +21,7 @@ from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import Domain
-from sabench.scenes.cameras import (
-    Cameras,
-    CrossLayout,
-    GridLayout,
-    LineLayout,
-    ListLayout,
-    Place,
-    RingLayout,
-)
+from sabench.scenes.cameras import Cameras, CrossLayout, LineLayout, ListLayout, Place, RingLayout
 from sabench.scenes.exposures import skew_faults
 from sabench.scenes.focusing import focus, tilt_sensor
 from sabench.scenes.illumination import Backlight
@@ -49,7 +34,6 @@ from sabench.scenes.tank import (
     is_outside,
     wall_towards,
 )
-from sabench.scenes.wall import OccluderSpec
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.validation import Collector
@@ -58,56 +42,25 @@ from sabench.utils.validation import Collector
 def check_tank(walls: Sequence[Wall | CylinderWall], corners: F64) -> None:
     """Check that a volume's corners (8, 3) are in the fluid."""
     for wall in walls:
+        depth = wall.depth_of(corners) - wall.thickness_mm
         if isinstance(wall, CylinderWall):
-            _check_in_cylinder(wall, corners)
-        else:
-            _check_behind(wall, corners)
-
-
-def _check_in_cylinder(wall: CylinderWall, corners: F64) -> None:
-    outside = float((wall.thickness_mm - wall.depth_of(corners)).max())
-    if outside >= 0.0:
-        inner = wall.outer_radius_mm - wall.thickness_mm
-        raise InputError(
-            f"volume: expected it inside the cylinder's inner face, of radius {inner:g} mm, but it "
-            f"reaches {inner + outside:.4g} mm from the axis"
-        )
-
-
-def _check_behind(wall: Wall, corners: F64) -> None:
-    """Check that a volume's corners (8, 3) are between a wall and the back wall."""
-    depth = wall.depth_of(corners) - wall.thickness_mm
-    if depth.min() <= 0.0:
-        raise InputError(
-            "volume: expected it to lie behind the wall's inner face, "
-            f"but it reaches {-depth.min():.4g} mm in front of it"
-        )
-    if wall.depth_mm is not None and depth.max() > wall.depth_mm:
-        raise InputError(
-            "volume: expected it to lie in front of the back wall "
-            f"(wall.depth_mm = {wall.depth_mm:g}), but it reaches {depth.max():.4g} mm deep"
-        )
-
-
-def check_rotation(matrix: F64, where: str) -> None:
-    """Check that a matrix (3, 3) is a rotation."""
-    if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-9:
-        raise InputError(f"{where}: expected an orthonormal matrix")
-    if np.linalg.det(matrix) < 0.0:
-        raise InputError(f"{where}: expected a right-handed matrix, got a mirrored one")
-
-
-def check_views(cameras: tuple[Camera, ...], corners: F64) -> None:
-    """Check that at least one camera sees one of 9 x 9 x 9 points of the volume."""
-    steps = np.linspace(0.0, 1.0, 9)
-    lattice = corners[0] + np.array(list(itertools.product(steps, repeat=3))) * (
-        corners[-1] - corners[0]
-    )
-    if not any_in_view(cameras, lattice):
-        raise InputError(
-            "volume: expected it in view of at least one camera, "
-            f"but no camera of {len(cameras)} sees any of it"
-        )
+            outside = -float(depth.min())
+            if outside >= 0.0:
+                inner = wall.outer_radius_mm - wall.thickness_mm
+                raise InputError(
+                    f"volume: expected it inside the cylinder's inner face, of radius {inner:g} "
+                    f"mm, but it reaches {inner + outside:.4g} mm from the axis"
+                )
+        elif depth.min() <= 0.0:
+            raise InputError(
+                "volume: expected it to lie behind the wall's inner face, "
+                f"but it reaches {-depth.min():.4g} mm in front of it"
+            )
+        elif wall.depth_mm is not None and depth.max() > wall.depth_mm:
+            raise InputError(
+                "volume: expected it to lie in front of the back wall "
+                f"(wall.depth_mm = {wall.depth_mm:g}), but it reaches {depth.max():.4g} mm deep"
+            )
 
 
 def check_occluder(
@@ -174,8 +127,20 @@ def check_backlight(
     """
     center, where = np.asarray(spec.center_mm), "backlight.center_mm"
     for wall in walls:
-        if isinstance(wall, Wall):  # any other is refused
-            _check_behind_tank(wall, rear_mm, center, where)
+        if not isinstance(wall, Wall):
+            continue  # it is refused
+        if wall.depth_mm is None:
+            raise InputError(
+                f"{where}: expected wall.depth_mm, the back wall's position, "
+                "for light from behind the tank"
+            )
+        outer = wall.thickness_mm + wall.depth_mm + rear_mm
+        depth = float(wall.depth_of(center))
+        if depth <= outer:
+            raise InputError(
+                f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, "
+                f"got {depth:.4g} mm"
+            )
     for camera in cameras:
         forward = np.asarray(camera.rotation[2])
         depth = float((center - camera.center_mm) @ forward)
@@ -185,21 +150,6 @@ def check_backlight(
                 f"{where}: expected it behind the volume, {far:.4g} mm before {camera.name}, "
                 f"got {depth:.4g} mm"
             )
-
-
-def _check_behind_tank(wall: Wall, rear_mm: float, center: F64, where: str) -> None:
-    if wall.depth_mm is None:
-        raise InputError(
-            f"{where}: expected wall.depth_mm, the back wall's position, "
-            "for light from behind the tank"
-        )
-    outer = wall.thickness_mm + wall.depth_mm + rear_mm
-    depth = float(wall.depth_of(center))
-    if depth <= outer:
-        raise InputError(
-            f"{where}: expected it behind the back wall, {outer:g} mm behind the outer face, "
-            f"got {depth:.4g} mm"
-        )
 
 
 _MOST_CAMERAS = 1000
@@ -240,12 +190,15 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         expected = f"expected at most {_MOST_CAMERAS} cameras"
         raise InputError(f"{source}: cameras.layout: {expected}, got {count}")
     names = [_name_camera(number) for number in range(count)]
-    faults = list(scene.cameras.faults_by_camera(names))
-    faults += skew_faults(scene.timing, count)
-    for fault in (*scene.sensor.faults_by_camera(count), *faults):
+    for fault in (
+        *scene.sensor.faults_by_camera(count),
+        *scene.cameras.faults_by_camera(names),
+        *skew_faults(scene.timing, count),
+    ):
         with check.collect():
             raise InputError(fault)
-    corners = _corners(scene)
+    signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    corners = np.asarray(scene.volume.center_mm + signs * np.asarray(scene.volume.size_mm))
     with check.collect():
         grid = _build_grid(scene)
     with check.collect():
@@ -254,31 +207,26 @@ def build_rig(scene: Scene, source: str = "scene") -> Rig:
         walls = build_walls(scene.wall)
         check_tank(walls, corners)  # cameras are aimed at the volume: not built if it fails
         cameras = _build_cameras(scene, walls, corners)
-        discs = tuple(_build_occluder(spec) for spec in scene.occluders or ())
-        _check_light(scene, walls, cameras, corners, discs, check)
-        if not check.faults:
-            check_views(cameras, corners)
+        discs = tuple(
+            Disc(spec.center_mm, triple(_unit(spec.normal)), spec.radius_mm)
+            for spec in scene.occluders or ()
+        )
+        for number, disc in enumerate(discs):
+            with check.collect():
+                check_occluder(disc, walls, cameras, corners, f"occluders.{number}")
+        if scene.backlight:
+            with check.collect():
+                thickness = sum(layer.thickness_mm for layer in scene.rear)
+                check_backlight(scene.backlight, walls, thickness, cameras, corners)
+        steps = np.array(list(itertools.product(np.linspace(0.0, 1.0, 9), repeat=3)))
+        lattice = corners[0] + steps * (corners[-1] - corners[0])
+        if not check.faults and not any_in_view(cameras, lattice):
+            raise InputError(
+                "volume: expected it in view of at least one camera, "
+                f"but no camera of {len(cameras)} sees any of it"
+            )
     check.finish()
     return Rig(cameras, grid, discs)
-
-
-def _check_light(
-    scene: Scene,
-    walls: tuple[TankWall, ...],
-    cameras: tuple[Camera, ...],
-    corners: F64,
-    discs: tuple[Disc, ...],
-    check: Collector,
-) -> None:
-    """Collect the faults of occluders and of the backlight."""
-    for number, disc in enumerate(discs):
-        with check.collect():
-            check_occluder(disc, walls, cameras, corners, f"occluders.{number}")
-    if scene.backlight:
-        rear = scene.rear
-        with check.collect():
-            thickness = sum(layer.thickness_mm for layer in rear)
-            check_backlight(scene.backlight, walls, thickness, cameras, corners)
 
 
 def _build_grid(scene: Scene) -> Grid:
@@ -292,10 +240,8 @@ def _build_grid(scene: Scene) -> Grid:
         expected = f"expected less than half of volume.size_mm, got {list(scene.grid.crop_mm)}"
         raise InputError(f"grid.crop_mm: {expected}")
     low = np.asarray(scene.volume.center_mm) - (counts - 1) / 2.0 * voxel
-    x, y, z = (int(n) for n in counts)
-    return Grid(
-        triple(low), scene.grid.voxel_mm, (z, y, x), (int(cut[0]), int(cut[1]), int(cut[2]))
-    )
+    (x, y, z), (a, b, c) = counts.tolist(), cut.tolist()
+    return Grid(triple(low), scene.grid.voxel_mm, (z, y, x), (a, b, c))
 
 
 def domain_of(scene: Scene) -> Domain:
@@ -309,45 +255,27 @@ def _unit(vector: tuple[float, float, float]) -> F64:
     return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
 
 
-def _build_occluder(spec: OccluderSpec) -> Disc:
-    return Disc(spec.center_mm, triple(_unit(spec.normal)), spec.radius_mm)
-
-
-def _corners(scene: Scene) -> F64:
-    signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-    return np.asarray(scene.volume.center_mm + signs * np.asarray(scene.volume.size_mm))
-
-
 def _places(spec: Cameras) -> list[Place]:
-    if isinstance(spec.layout, ListLayout):
-        return list(spec.layout.places)
-    axes = [_unit(spec.x_axis), _unit(spec.y_axis)]
-    centers = np.asarray(spec.center_mm) + _offsets(spec.layout) @ np.stack(axes)
-    return [Place(center_mm=triple(c)) for c in centers]
-
-
-def _offsets(spec: GridLayout | RingLayout | LineLayout | CrossLayout) -> F64:
-    if isinstance(spec, RingLayout):
-        return array_layouts.ring(spec.count, spec.radius_mm, np.deg2rad(spec.start_deg))
-    if isinstance(spec, LineLayout):
-        return array_layouts.line(spec.count, spec.spacing_mm, np.deg2rad(spec.angle_deg))
-    if isinstance(spec, CrossLayout):
-        return array_layouts.cross(spec.arm, spec.spacing_mm)
-    if spec.x_mm is not None and spec.y_mm is not None:
-        return array_layouts.grid(spec.x_mm, spec.y_mm)
-    columns, rows, spacing = (
-        spec.columns or 1,
-        spec.rows or 1,
-        spec.spacing_mm or (1.0, 1.0),
-    )  # all given: the scene checks it
-    return array_layouts.grid(
-        array_layouts.uniform_offsets(columns, spacing[0]),
-        array_layouts.uniform_offsets(rows, spacing[1]),
-    )
+    layout = spec.layout
+    if isinstance(layout, ListLayout):
+        return list(layout.places)
+    if isinstance(layout, RingLayout):
+        offsets = arrays.ring(layout.count, layout.radius_mm, np.deg2rad(layout.start_deg))
+    elif isinstance(layout, LineLayout):
+        offsets = arrays.line(layout.count, layout.spacing_mm, np.deg2rad(layout.angle_deg))
+    elif isinstance(layout, CrossLayout):
+        offsets = arrays.cross(layout.arm, layout.spacing_mm)
+    elif layout.x_mm is not None and layout.y_mm is not None:
+        offsets = arrays.grid(layout.x_mm, layout.y_mm)
+    else:  # all others are given: the scene checks it
+        across, down = layout.spacing_mm or (1.0, 1.0)
+        x_mm = arrays.uniform_offsets(layout.columns or 1, across)
+        offsets = arrays.grid(x_mm, arrays.uniform_offsets(layout.rows or 1, down))
+    axes = np.stack([_unit(spec.x_axis), _unit(spec.y_axis)])
+    return [Place(center_mm=triple(c)) for c in np.asarray(spec.center_mm) + offsets @ axes]
 
 
 def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> tuple[Camera, ...]:
-    """Build all cameras, collecting the faults of all."""
     cameras, check = [], Collector("")
     for number, place in enumerate(_places(scene.cameras)):
         with check.collect():
@@ -355,20 +283,16 @@ def _build_cameras(scene: Scene, walls: tuple[TankWall, ...], corners: F64) -> t
             if len(walls) > 1:
                 check_one_face(camera, walls, corners)
             cameras.append(camera)
-    if check.faults:
-        raise InputError.from_faults("", _alike(check.faults))
-    return tuple(cameras)
-
-
-def _alike(faults: list[str]) -> list[str]:
-    """Keep one of the faults that differ by numbers only, and count the others."""
-    kinds: dict[str, list[str]] = {}
-    for fault in faults:
+    kinds: dict[str, list[str]] = {}  # faults that differ by numbers only
+    for fault in check.faults:
         kinds.setdefault(re.sub(r"[-+.\de]+", "", fault), []).append(fault)
-    return [
-        same[0] if len(same) == 1 else f"{same[0]} (and {len(same) - 1} more cameras)"
-        for same in kinds.values()
-    ]
+    if kinds:
+        faults = [
+            same[0] if len(same) == 1 else f"{same[0]} (and {len(same) - 1} more cameras)"
+            for same in kinds.values()
+        ]
+        raise InputError.from_faults("", faults)
+    return tuple(cameras)
 
 
 def _name_camera(number: int) -> str:
@@ -405,7 +329,11 @@ def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: P
         except ValueError as error:
             raise InputError(f"cameras.aim_mm: {error}") from error
     else:
-        check_rotation(np.asarray(place.rotation), f"cameras: {name}: rotation")
+        matrix, where = np.asarray(place.rotation), f"cameras: {name}: rotation"
+        if np.abs(matrix @ matrix.T - np.eye(3)).max() > 1e-9:
+            raise InputError(f"{where}: expected an orthonormal matrix")
+        if np.linalg.det(matrix) < 0.0:
+            raise InputError(f"{where}: expected a right-handed matrix, got a mirrored one")
     camera = focus(camera, target, spec.focus_mm)
     if own.tilt_deg is None and spec.focus_normal is not None:
         return tilt_sensor(camera, target, _unit(spec.focus_normal))

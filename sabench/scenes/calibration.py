@@ -118,19 +118,11 @@ class Calibration(Table):
     @property
     def errs_in_wall(self) -> bool:
         """Truth of a nominal wall that is not the true one."""
-        return any(
-            (
-                self.wall_mm,
-                self.wall_deg,
-                self.thickness_percent,
-                self.layer_index,
-                self.fluid_index,
-            )
-        )
+        place = self.wall_mm or self.wall_deg
+        return bool(place or self.thickness_percent or self.layer_index or self.fluid_index)
 
     @model_validator(mode="after")
     def _check_known(self) -> Calibration:
-        """Check that known cameras have no errors and no unknowns."""
         if not self.known_cameras:
             return self
         errors = ("shift_px", "center_mm", "turn_deg", "focal_percent", "tilt_deg")

@@ -189,30 +189,25 @@ class Cameras(Table):
         if isinstance(chosen, CrossLayout):
             return 4 * chosen.arm + 1
         if isinstance(chosen, GridLayout):
-            across, down = (
-                len(values) if values is not None else count or 1
-                for values, count in ((chosen.x_mm, chosen.columns), (chosen.y_mm, chosen.rows))
-            )
-            return across * down
+            across = chosen.columns or 1 if chosen.x_mm is None else len(chosen.x_mm)
+            return across * (chosen.rows or 1 if chosen.y_mm is None else len(chosen.y_mm))
         return chosen.count
 
     def of_camera(self, name: str) -> tuple[Cameras, CameraSpec]:
         """Give the array's table with one camera's numbers, and the camera's own table."""
-        own = next((one for one in self.each or () if one.camera == name), CameraSpec(camera=name))
+        own = next((spec for spec in self.each or () if spec.camera == name), None)
+        own = own or CameraSpec(camera=name)
         shared = type(self).model_fields
         given = {key: value for key, value in own if key in shared and value is not None}
         return self.model_copy(update={**given, "each": None}), own
 
     def faults_by_camera(self, names: Sequence[str]) -> Iterator[str]:
         """List the entries of `each` that name no camera, or one camera again."""
-        found: set[str] = set()
-        for number, one in enumerate(self.each or ()):
-            if one.camera not in names:
+        given = [spec.camera for spec in self.each or ()]
+        for number, camera in enumerate(given):
+            key = f"cameras.each.{number}.camera"
+            if camera not in names:
                 span = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
-                yield f"cameras.each.{number}.camera: expected {span}, got {one.camera!r}"
-            elif one.camera in found:
-                yield (
-                    f"cameras.each.{number}.camera: expected every camera once, got "
-                    f"{one.camera!r} again"
-                )
-            found.add(one.camera)
+                yield f"{key}: expected {span}, got {camera!r}"
+            elif camera in given[:number]:
+                yield f"{key}: expected every camera once, got {camera!r} again"

@@ -24,10 +24,8 @@ def recorded_part(
     pulse, half = frame % len(timing.pulses_s), timing.duration_s / 2.0
     exposure = sensor.of_camera(camera).exposure_s
     opens = _opening(timing, exposure, pulse) + (timing.skew_s or (0.0,) * (camera + 1))[camera]
-    start, end = (
-        max(opens - timing.pulses_s[pulse], -half),
-        min(opens + exposure - timing.pulses_s[pulse], half),
-    )
+    start = max(opens - timing.pulses_s[pulse], -half)
+    end = min(opens + exposure - timing.pulses_s[pulse], half)
     return (start, end) if start < end or (half == 0.0 and start <= end) else None
 
 
@@ -51,8 +49,8 @@ def exposure_faults(
         return
     if not isinstance(world, ParticleWorld):
         yield "timing.skew_s", "expected a scene of particles alone: only their light is timed"
-    counts = {len(timing.skew_s)} | {len(own) for own in [sensor.camera_exposure] if own}
-    for camera, skew in enumerate(timing.skew_s if len(counts) == 1 else ()):
+    same = len(sensor.camera_exposure or timing.skew_s) == len(timing.skew_s)
+    for camera, skew in enumerate(timing.skew_s if same else ()):
         exposure = sensor.of_camera(camera).exposure_s
         other = _other_pulse(timing, exposure, skew)
         if other is not None:
@@ -80,7 +78,5 @@ def _other_pulse(timing: Timing, exposure_s: float, skew_s: float) -> float | No
 def skew_faults(timing: Timing | None, cameras: int) -> Iterator[str]:
     """List delays of another number of cameras than there are."""
     if timing is not None and timing.skew_s is not None and len(timing.skew_s) != cameras:
-        yield (
-            f"timing.skew_s: expected one value for each of {cameras} cameras, "
-            f"got {len(timing.skew_s)}"
-        )
+        got = len(timing.skew_s)
+        yield f"timing.skew_s: expected one value for each of {cameras} cameras, got {got}"

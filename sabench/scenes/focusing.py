@@ -43,10 +43,10 @@ def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
         there, valid = plain.shifted(right, down).project(target_mm[None])
         back, valid_back = plain.shifted(-right, -down).project(target_mm[None])
         if not (valid[0] and valid_back[0]):
-            return float("nan")
+            return math.nan
         moves.append(abs(there[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
     mean = float(np.mean(moves))
-    return 1.0 / mean if mean else float("inf")
+    return 1.0 / mean if mean else math.inf
 
 
 def tilt_sensor(camera: Camera, target_mm: F64, normal: F64) -> Camera:

@@ -1,11 +1,4 @@
-"""Tables of a scene for its light.
-
-illumination: Tables of a scene for its light.
-
-Laser, pulses, lamps and backlight, and what the light meets.
-
-background: Table of a scene for static light that does not come from the volume.
-"""
+"""Tables of a scene for its light: laser, pulses, lamps, static light, and particles' materials."""
 
 from __future__ import annotations
 
@@ -78,19 +71,17 @@ class Illumination(Table):
 
     @model_validator(mode="after")
     def _check_directions(self) -> Illumination:
-        lengths = math.hypot(*self.direction) * math.hypot(*self.sheet_normal)
-        dot = sum(a * b for a, b in zip(self.direction, self.sheet_normal, strict=True))
-        if lengths < 1e-9 or abs(dot) > 1e-6 * lengths:
-            raise ValueError(
-                "expected direction and sheet_normal of non-zero length and at right angles"
-            )
-        if self.polarisation is not None:
-            lengths = math.hypot(*self.direction) * math.hypot(*self.polarisation)
-            dot = sum(a * b for a, b in zip(self.direction, self.polarisation, strict=True))
+        for vector, what in (
+            (self.sheet_normal, "direction and sheet_normal of non-zero length and"),
+            (self.polarisation, "polarisation of non-zero length,"),
+        ):
+            if vector is None:
+                continue
+            lengths = math.hypot(*self.direction) * math.hypot(*vector)
+            dot = sum(a * b for a, b in zip(self.direction, vector, strict=True))
             if lengths < 1e-9 or abs(dot) > 1e-6 * lengths:
-                raise ValueError(
-                    "expected polarisation of non-zero length, at right angles to direction"
-                )
+                other = "" if vector is self.sheet_normal else " to direction"
+                raise ValueError(f"expected {what} at right angles{other}")
         return self
 
 

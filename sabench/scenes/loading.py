@@ -1,11 +1,4 @@
-"""Scenes and suites that come with this installation, found by name.
-
-bundled: Scenes and suites that come with this installation, found by name.
-
-loading: Loading of scene files with the parameters of their generators.
-
-json_schema: The JSON schema of scene files, for editors.
-"""
+"""Scene files: found by name, loaded with their generators' parameters, and their JSON schema."""
 
 from __future__ import annotations
 
@@ -19,7 +12,7 @@ from sabench.scenes.build import build_rig
 from sabench.scenes.scene import WORLDS, Scene, plain
 from sabench.scenes.variation import check_keys
 from sabench.utils.errors import InputError
-from sabench.utils.files import file_series, series_hash
+from sabench.utils.files import LONGEST_PART, file_series, series_hash
 from sabench.utils.validation import Collector, validate
 
 
@@ -34,17 +27,16 @@ def find(name: str | Path, folder: str) -> Path:
         No such file, with the nearest name.
     """
     direct = Path(name)
-    if any(len(part.encode("utf-8", "replace")) > 255 for part in direct.parts) or "\0" in str(
-        name
-    ):
+    longest = max((len(part.encode("utf-8", "replace")) for part in direct.parts), default=0)
+    if longest > LONGEST_PART or "\0" in str(name):
         raise InputError(f"{name}: expected a file's name")
     if direct.is_file():
         return direct
-    inside = [plugins.bundled_folder("scenes").parent / folder]
+    folders = [plugins.bundled_folder("scenes").parent / folder]
     if folder == "scenes/suites":
-        inside = plugins.suite_folders()
+        folders = plugins.suite_folders()
     stem = direct.name.removesuffix(".toml")
-    files = {file.stem: file for one in inside for file in one.glob("*.toml")}
+    files = {file.stem: file for inside in folders for file in inside.glob("*.toml")}
     if stem in files and direct.parent in (Path(), Path(folder), Path("suites")):
         return files[stem]
     known = sorted(files)
@@ -117,7 +109,6 @@ def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None)
 
 
 def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]:
-    """Fill in all parameters of a generator's table."""
     if not isinstance(given, dict):
         return {}  # the scene's own check names it
     rest = dict(given)
@@ -135,12 +126,6 @@ def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]
     made = {"generator": name, **plain(parameters.model_dump(mode="json", exclude_none=True))}
     if "file" not in plugin.Parameters.model_fields:
         return made
-    found = _find_file(made, table, folder)
-    return {**{key: value for key, value in made.items() if key not in found}, **found}
-
-
-def _find_file(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]:
-    """Find a generator's file or series: its absolute path and its hash."""
     path = (folder / made["file"]).resolve()
     if not file_series(path):
         raise InputError(f"{table}.file: expected a file, but there is none at {path}")
@@ -148,7 +133,8 @@ def _find_file(made: dict[str, Any], table: str, folder: Path) -> dict[str, str]
     if made.get("sha256", content) != content:
         changed = f"{made['sha256'][:12]}... of {path}, got {content[:12]}..."
         raise InputError(f"{table}.sha256: expected {changed}: the file has changed")
-    return {"file": str(path), "sha256": content}
+    rest = {key: value for key, value in made.items() if key not in ("file", "sha256")}
+    return {**rest, "file": str(path), "sha256": content}
 
 
 def scene_schema() -> dict[str, Any]:
@@ -169,11 +155,8 @@ def scene_schema() -> dict[str, Any]:
         table["properties"] = {"generator": generator, **table.get("properties", {})}
         table["required"] = ["generator", *table.get("required", [])]
         choices[plugin.makes].append(table)
-    types: dict[str, Any] = {table: {"oneOf": choices[table]} for table in WORLDS}
-    types["solids"] = {
-        "oneOf": [{"type": "null"}, {"type": "array", "items": {"oneOf": choices["solids"]}}]
-    }
-    for table, one in types.items():
-        shared = whole["properties"][table]
-        whole["properties"][table] = {"description": shared["description"], "default": None, **one}
+    solids = {"type": "array", "items": {"oneOf": choices["solids"]}}
+    for table, options in (choices | {"solids": [{"type": "null"}, solids]}).items():
+        text = whole["properties"][table]["description"]
+        whole["properties"][table] = {"description": text, "default": None, "oneOf": options}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **whole}

@@ -1,9 +1,4 @@
-"""Materials of tracers and walls, and the inertia of tracers.
-
-materials: Named materials of a scene: their refractive indices for the scene's light.
-
-inertia: Table of a scene for particles that do not follow the fluid exactly.
-"""
+"""Refractive indices of a scene's named materials, and the inertia of particles."""
 
 from __future__ import annotations
 
@@ -42,11 +37,11 @@ def fill_indices(values: dict[str, Any]) -> tuple[dict[str, Any], Faults]:
 
 def _wavelength_nm(values: dict[str, Any]) -> float | None:
     """Give the laser's wavelength, or that of the lamps; None where it is no number."""
-    for key, default in (("illumination", _LASER_NM), ("backlight", _LAMP_NM)):
+    for key in ("illumination", "backlight", "lighting"):
         if isinstance(table := values.get(key), dict):
+            default = _LASER_NM if key == "illumination" else _LAMP_NM
             return _number(table.get("wavelength_nm", default))
-    table = values.get("lighting")
-    return _number(table.get("wavelength_nm", _LAMP_NM) if isinstance(table, dict) else _LAMP_NM)
+    return _LAMP_NM
 
 
 def _number(value: Any) -> float | None:
@@ -56,22 +51,17 @@ def _number(value: Any) -> float | None:
 def _wall(wall: Any, path: str, nm: float | None, faults: Faults) -> Any:
     if not isinstance(wall, dict):
         return wall
-    filled = _fluid(wall, path, nm, faults)
+    celsius, filled = wall.get("temperature_c"), dict(wall)
+    if celsius is not None and wall.get("fluid") != "water":
+        expected = 'expected fluid = "water" with it'
+        faults.append((f"{path}.temperature_c", f"{expected}, got {wall.get('fluid')}"))
+    else:
+        celsius = 20.0 if celsius is None else celsius
+        filled = dict(_filled(wall, "fluid", "fluid_index", path, nm, faults, celsius))
     for key in ("layers", "rear"):
         if key in filled:
             filled[key] = _layers(filled[key], f"{path}.{key}", nm, faults)
     return filled
-
-
-def _fluid(wall: dict[str, Any], path: str, nm: float | None, faults: Faults) -> dict[str, Any]:
-    celsius = wall.get("temperature_c")
-    if celsius is None:
-        return dict(_filled(wall, "fluid", "fluid_index", path, nm, faults))
-    if wall.get("fluid") != "water":
-        expected = 'expected fluid = "water" with it'
-        faults.append((f"{path}.temperature_c", f"{expected}, got {wall.get('fluid')}"))
-        return dict(wall)
-    return dict(_filled(wall, "fluid", "fluid_index", path, nm, faults, celsius))
 
 
 def _layers(layers: Any, path: str, nm: float | None, faults: Faults) -> Any:

@@ -29,7 +29,7 @@ def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tup
         nominal = draw_nominal_wall(wall, spec, seed)
         cameras = tuple(replace(camera, wall=nominal) for camera in cameras)
     return tuple(
-        _perturb(_shift(_drop_unmeasured(camera, spec), spec, seed, number), spec, seed, number)
+        _perturb(_shift(camera, spec, seed, number), spec, seed, number)
         for number, camera in enumerate(cameras)
     )
 
@@ -45,44 +45,34 @@ def draw_nominal_wall(wall: Wall, spec: Calibration, seed: int) -> Wall:
     turn = rotation_matrices(np.deg2rad(spec.wall_deg or 0.0) * np.array([right, down, 0.0]))
     thicker, denser = rng.standard_normal((2, len(wall.layers)))
     percent = spec.thickness_percent or 0.0
-    layers = tuple(
-        replace(
-            layer,
-            thickness_mm=layer.thickness_mm * (1.0 + percent / 100.0 * thick),
-            index=layer.index + (spec.layer_index or 0.0) * dense,
-        )
-        for layer, thick, dense in zip(wall.layers, thicker.tolist(), denser.tolist(), strict=True)
-    )
+    layers = []
+    for layer, thick, dense in zip(wall.layers, thicker.tolist(), denser.tolist(), strict=True):
+        index = layer.index + (spec.layer_index or 0.0) * dense
+        thickness_mm = layer.thickness_mm * (1.0 + percent / 100.0 * thick)
+        layers.append(replace(layer, thickness_mm=thickness_mm, index=index))
     return replace(
         wall,
         point_mm=triple(np.asarray(wall.point_mm) + (spec.wall_mm or 0.0) * along * axes[2]),
         normal=triple(axes.T @ turn[:, 2]),
-        layers=layers,
+        layers=tuple(layers),
         fluid_index=wall.fluid_index + (spec.fluid_index or 0.0) * float(fluid),
     )
 
 
-def _drop_unmeasured(camera: Camera, spec: Calibration) -> Camera:
-    """Set coefficients of distortion that are unknown to zero."""
-    unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
-    return replace(camera, distortion=replace(camera.distortion, **unmeasured))
-
-
 def _shift(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    """Move the principal point in a random direction."""
+    """Move the principal point, and set unknown coefficients of distortion to zero."""
     angle = stream(seed, "calibration", number).uniform(0.0, 2.0 * np.pi)
+    right, down = spec.shift_px * float(np.cos(angle)), spec.shift_px * float(np.sin(angle))
     column, row = camera.principal_point_px
+    unmeasured = {name: 0.0 for name in spec.unknown or () if name in vars(camera.distortion)}
     return replace(
         camera,
-        principal_point_px=(
-            column + spec.shift_px * float(np.cos(angle)),
-            row + spec.shift_px * float(np.sin(angle)),
-        ),
+        distortion=replace(camera.distortion, **unmeasured),
+        principal_point_px=(column + right, row + down),
     )
 
 
 def _perturb(camera: Camera, spec: Calibration, seed: int, number: int) -> Camera:
-    """Perturb position, rotation, principal distance and the tilt of the sensor."""
     rng = stream(seed, "rough cameras", number)
     center = np.asarray(camera.center_mm) + spec.center_mm * rng.standard_normal(3)
     rotation = rotation_matrices(np.deg2rad(spec.turn_deg) * rng.standard_normal(3)) @ np.asarray(

@@ -1,11 +1,4 @@
-"""Tables of a scene: the volume and the voxels that solvers reconstruct.
-
-volume: Tables of a scene: the volume and the voxels that solvers reconstruct.
-
-idle_keys: Keys of a scene that would change nothing, or that contradict others.
-
-scene: The whole scene: the world, its light, the cameras and the wall between them.
-"""
+"""The whole scene: the world, its light, the cameras and the wall between them."""
 
 from __future__ import annotations
 
@@ -78,20 +71,15 @@ def idle_keys(
     cameras: Cameras,
     light: Illumination | None,
 ) -> Iterator[tuple[str, str]]:
-    """Find keys that a world does not heed; yields pairs of a key and a sentence."""
+    """Find keys without effect, or that contradict others: pairs of a key and a sentence."""
     alone = isinstance(world, ParticleWorld)
     for number, wall in enumerate(walls):
         if isinstance(wall, WallSpec) and wall.mirrors and not alone:
-            place = "wall" if len(walls) == 1 else f"wall.{number}"
-            yield (
-                f"{place}.mirrors",
-                "expected a scene of particles alone: only theirs are mirrored",
-            )
+            key = "wall.mirrors" if len(walls) == 1 else f"wall.{number}.mirrors"
+            yield key, "expected a scene of particles alone: only theirs are mirrored"
     if cameras.airy_rings and not alone:
-        yield (
-            "cameras.airy_rings",
-            "expected a scene of particles alone: only their images have rings",
-        )
+        expected = "expected a scene of particles alone: only their images have rings"
+        yield "cameras.airy_rings", expected
     if cameras.airy_rings and cameras.particle_sigma_px is not None:
         yield "cameras.airy_rings", "expected none beside particle_sigma_px, which sets the image"
     if light and light.scattering == "isotropic" and light.polarisation is not None:
@@ -205,17 +193,12 @@ class Scene(Table):
         """World that the tables describe, with the fields that its kind needs."""
         if self.targets is not None:
             return TargetWorld(self.targets, self.lighting, self.detection)
-        tracers = self.tracers
-        if tracers is not None and self.bubbles is None and not self.solids:
-            return tracers
+        tracers = None
+        if self.particles is not None and self.illumination is not None:
+            tracers = ParticleWorld(self.particles, self.illumination, self.tracer, self.flow)
+            if self.bubbles is None and not self.solids:
+                return tracers
         return BubbleWorld(self.bubbles, self.solids or (), self.backlight, self.lighting, tracers)
-
-    @property
-    def tracers(self) -> ParticleWorld | None:
-        """Tracer particles, alone or between bubbles; None where there are none."""
-        if self.particles is None or self.illumination is None:
-            return None
-        return ParticleWorld(self.particles, self.illumination, self.tracer, self.flow)
 
     @property
     def particle_world(self) -> ParticleWorld:
@@ -226,7 +209,7 @@ class Scene(Table):
         InputError
             A scene without particles.
         """
-        if (tracers := self.tracers) is None:
+        if (tracers := self.world.tracers) is None:
             raise InputError(f"{self.title}: particles: expected a scene with particles, got none")
         return tracers
 
@@ -274,8 +257,7 @@ class Scene(Table):
 
     def to_dict(self) -> dict[str, Any]:
         """Give all keys with their values, defaults included, as TOML holds them."""
-        values: dict[str, Any] = plain(self.model_dump(mode="json", exclude_none=True))
-        return values
+        return dict(plain(self.model_dump(mode="json", exclude_none=True)))
 
     def to_toml(self) -> str:
         """Write the resolved scene as TOML; loading it gives an equal scene."""

@@ -84,10 +84,7 @@ class Sensor(Table):
         return any((self.prnu, self.dsnu_e, self.hot_pixels, self.dead_pixels))
 
     def of_camera(self, number: int) -> Sensor:
-        """Give the sensor of one camera, by its number in the rig.
-
-        It has no keys by camera.
-        """
+        """Give the sensor of one camera, by its number in the rig. It has no keys by camera."""
         exposure, gain, black = (
             None if values is None else values[number]
             for values in (self.camera_exposure, self.camera_gain, self.camera_black_dn)
@@ -118,10 +115,8 @@ class Sensor(Table):
         for name in ("camera_exposure", "camera_gain", "camera_black_dn"):
             values = getattr(self, name)
             if values is not None and len(values) != cameras:
-                yield (
-                    f"sensor.{name}: expected one value for each of {cameras} cameras, "
-                    f"got {len(values)}"
-                )
+                expected = f"expected one value for each of {cameras} cameras"
+                yield f"sensor.{name}: {expected}, got {len(values)}"
 
     @model_validator(mode="after")
     def _check_flaws(self) -> Sensor:
@@ -129,7 +124,6 @@ class Sensor(Table):
         return self
 
     def _faults(self) -> Iterator[tuple[str, str]]:
-        """List flaws that exceed the sensor's range."""
         well, white = self.full_well_e, (1 << self.bit_depth) - 1
         if self.dsnu_e is not None and 3.0 * self.dsnu_e > well:
             expected = f"expected at most a third of full_well_e = {well:g} electrons"

@@ -13,7 +13,7 @@ from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
 from sabench.scenes.scene import Scene
 from sabench.scenes.wall import CylinderSpec, WallSpec, WallTable, wall_tables
-from sabench.utils.arrays import F64, Bool, triple
+from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 
 TankWall = Wall | CylinderWall
@@ -97,21 +97,16 @@ def check_one_face(camera: Camera, walls: Sequence[TankWall], corners: F64) -> N
         if number == own:
             continue
         beyond = (_beyond(camera, walls[own], other, corners) > 0.0).any()
-        if beyond or _seen_through(camera, other, walls, corners).any():
+        pixels, valid = replace(camera, wall=other).project(corners)
+        visible = valid & camera.contains(pixels)
+        for third in walls:
+            if third is not other:
+                visible &= ~(_beyond(camera, other, third, corners) > 0.0)
+        if beyond or visible.any():
             raise InputError(
                 f"cameras: {camera.name} at {list(camera.center_mm)} mm: expected it to see the "
                 f"volume through one wall, but it faces two, wall.{own} and wall.{number}"
             )
-
-
-def _seen_through(camera: Camera, wall: TankWall, walls: Sequence[TankWall], corners: F64) -> Bool:
-    """Mark corners (8, 3) that a camera sees through a wall that is not its own."""
-    pixels, valid = replace(camera, wall=wall).project(corners)
-    seen = valid & camera.contains(pixels)
-    for other in walls:
-        if other is not wall:
-            seen &= ~(_beyond(camera, wall, other, corners) > 0.0)
-    return seen
 
 
 def _beyond(camera: Camera, wall: TankWall, other: TankWall, corners: F64) -> F64:

@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from sabench.utils.validation import Direction, Index, Positive, Table, Vector, refuse
+from sabench.utils.validation import UNION_TAG, Direction, Index, Positive, Table, Vector, refuse
 
 MOST_LAYERS = 20  # of a wall
 MOST_FACES = 12  # of a tank
@@ -150,16 +150,20 @@ class CylinderSpec(_BeforeFluid):
 def _shape(value: Any) -> str:
     """Name the kind of wall that a table, or a list of tables, describes."""
     if isinstance(value, list | tuple):
-        return "faces"
-    if not isinstance(value, dict):
-        return "cylinder" if isinstance(value, CylinderSpec) else "plane"
-    return "cylinder" if value.get("shape") == "cylinder" or "outer_radius_mm" in value else "plane"
+        return f"{UNION_TAG}faces"
+    if isinstance(value, dict):
+        round_ = value.get("shape") == "cylinder" or "outer_radius_mm" in value
+    else:
+        round_ = isinstance(value, CylinderSpec)
+    return f"{UNION_TAG}{'cylinder' if round_ else 'plane'}"
 
 
 WallTable = Annotated[
-    Annotated[WallSpec, Tag("plane")]
-    | Annotated[CylinderSpec, Tag("cylinder")]
-    | Annotated[tuple[WallSpec, ...], Field(min_length=1, max_length=MOST_FACES), Tag("faces")],
+    Annotated[WallSpec, Tag(f"{UNION_TAG}plane")]
+    | Annotated[CylinderSpec, Tag(f"{UNION_TAG}cylinder")]
+    | Annotated[
+        tuple[WallSpec, ...], Field(min_length=1, max_length=MOST_FACES), Tag(f"{UNION_TAG}faces")
+    ],
     Discriminator(_shape),
 ]
 

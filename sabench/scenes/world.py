@@ -1,13 +1,13 @@
-"""Worlds of a scene.
+"""Worlds of a scene: tracer particles, bubbles and bodies, or a calibration target.
 
-Tracer particles, bubbles and bodies, or a calibration target.
+Each answers `tracers`, `bubbles` and `solids`, which are None or empty where it has none.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Set
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from sabench.scenes.calibration import Detection
 from sabench.scenes.illumination import Backlight, Illumination, Lighting, Tracer
@@ -31,6 +31,13 @@ class ParticleWorld:
     illumination: Illumination
     tracer: Tracer
     flow: GeneratorTable | None = None
+    bubbles: ClassVar[None] = None
+    solids: ClassVar[tuple[GeneratorTable, ...]] = ()
+
+    @property
+    def tracers(self) -> ParticleWorld:
+        """The particles: this world has nothing else."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -66,6 +73,9 @@ class TargetWorld:
     target: GeneratorTable
     lighting: Lighting | None = None
     detection: Detection | None = None
+    tracers: ClassVar[None] = None
+    bubbles: ClassVar[None] = None
+    solids: ClassVar[tuple[GeneratorTable, ...]] = ()
 
 
 World = ParticleWorld | BubbleWorld | TargetWorld

@@ -156,7 +156,7 @@ class Frames:
                 f"solids, got {timing.duration_s:g}"
             )
         self._phases = Phases(scene, seed) if isinstance(world, BubbleWorld) else None
-        self.motion = Motion(scene, seed) if scene.tracers else None
+        self.motion = Motion(scene, seed) if world.tracers else None
         is_target = isinstance(world, TargetWorld)
         self.placed = calibration_targets.place(scene, seed) if is_target else None
 
@@ -263,7 +263,7 @@ def light_in_fluid(scene: Scene) -> Scene:
 
     Raises as `enter_fluid`.
     """
-    if scene.tracers is None or scene.light.entry is None:
+    if scene.world.tracers is None or scene.light.entry is None:
         return scene
     light = enter_fluid(scene.light, np.asarray(scene.volume.center_mm), scene.fluid_index)
     return scene.model_copy(update={"illumination": light})

@@ -21,7 +21,7 @@ from sabench.api.truth import Particles, View
 from sabench.dataset.sample_set import Batch, make_batch
 from sabench.dataset.shards import check_shares, split_names, split_of
 from sabench.images.preprocessing import takes_all_frames
-from sabench.scenes import Rig, Scene, build_rig, load_scene, parse_scene
+from sabench.scenes import ParticleWorld, Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.variation import draw_values, extremes, with_values
 from sabench.simulation.camera_view import record_image, render
 from sabench.simulation.frames import Frames
@@ -154,7 +154,7 @@ class SampleMaker:
     """Maker of the samples of one scene, which keeps what they share."""
 
     def __init__(self, scene: Scene, seed: int, renderer: str) -> None:
-        if scene.tracers is None or scene.bubbles is not None or scene.solids:
+        if not isinstance(scene.world, ParticleWorld):
             raise InputError(f"{scene.title}: expected a scene with particles alone")
         memory.keep_freed()
         self.scene, self.seed, self.renderer = scene, seed, renderer

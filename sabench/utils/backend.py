@@ -85,20 +85,17 @@ def _choose_llvm() -> Backend:
         version = llvm_version(path)
         if version >= OLDEST_LLVM:
             return Backend("llvm", path, f"LLVM {version} from {origin}: {path}")
-        refused.append(f"{path} ({_describe_refused(path, version)})")
+        reason = f"LLVM {version}" if version else "LLVM 15 or older"
+        if version < 0:
+            reason = "cannot be loaded"
+            try:
+                ctypes.CDLL(path)
+            except OSError as error:
+                package = ", which the package libatomic1 has" if _LIBATOMIC in str(error) else ""
+                reason = f"cannot be loaded: {error}{package}"
+        refused.append(f"{path} ({reason})")
     found = f"refused {', '.join(refused)}" if refused else "found none"
     raise InputError(f"no LLVM library that Dr.Jit can run on: {found}; {REMEDY}")
-
-
-def _describe_refused(path: str, version: int) -> str:
-    if version >= 0:
-        return f"LLVM {version}" if version else "LLVM 15 or older"
-    try:
-        ctypes.CDLL(path)
-    except OSError as error:
-        package = ", which the package libatomic1 has" if _LIBATOMIC in str(error) else ""
-        return f"cannot be loaded: {error}{package}"
-    return "cannot be loaded"
 
 
 def _llvm_candidates() -> Iterator[tuple[str, str]]:
@@ -130,10 +127,7 @@ def _wheel_libraries() -> list[str]:
 
 
 def llvm_version(path: str) -> int:
-    """Read the major version of a libLLVM.
-
-    0 for 15 and older, -1 if it cannot be loaded.
-    """
+    """Read the major version of a libLLVM. 0 for 15 and older, -1 if it cannot be loaded."""
     try:
         library = ctypes.CDLL(path)
     except OSError:

@@ -60,15 +60,22 @@ def parse(file: Path) -> Source:
         raise InputError(f"{file}: line {error.lineno}: {error.msg}") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: {error}") from error
-    classes = {one.name: _class(one) for one in statements if isinstance(one, ast.ClassDef)}
-    return Source(file, classes, dict(_imports(statements)))
-
-
-def _class(statement: ast.ClassDef) -> Class:
-    lines = (ast.get_docstring(statement) or "").strip().splitlines()
-    constants = dict(_constants(statement.body))
-    bases = tuple(base.id for base in statement.bases if isinstance(base, ast.Name))
-    return Class(lines[0] if lines else "", constants, bases)
+    classes: dict[str, Class] = {}
+    imported: dict[str, tuple[int, str, str]] = {}
+    for statement in statements:
+        if isinstance(statement, ast.ClassDef):
+            lines = (ast.get_docstring(statement) or "").strip().splitlines()
+            constants = dict(_constants(statement.body))
+            bases = tuple(base.id for base in statement.bases if isinstance(base, ast.Name))
+            classes[statement.name] = Class(lines[0] if lines else "", constants, bases)
+        elif isinstance(statement, ast.Import):
+            for alias in statement.names:
+                imported[alias.asname or alias.name] = (statement.lineno, alias.name, "")
+        elif isinstance(statement, ast.ImportFrom) and statement.module and not statement.level:
+            for alias in statement.names:
+                origin = (statement.lineno, statement.module, alias.name)
+                imported[alias.asname or alias.name] = origin
+    return Source(file, classes, imported)
 
 
 def _constants(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
@@ -78,16 +85,6 @@ def _constants(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
         value = getattr(one, "value", None)
         if isinstance(value, ast.Constant) and isinstance(value.value, str):
             yield from ((item.id, value.value) for item in targets if isinstance(item, ast.Name))
-
-
-def _imports(body: list[ast.stmt]) -> Iterator[tuple[str, tuple[int, str, str]]]:
-    for one in body:
-        if isinstance(one, ast.Import):
-            for alias in one.names:
-                yield alias.asname or alias.name, (one.lineno, alias.name, "")
-        elif isinstance(one, ast.ImportFrom) and one.module and not one.level:
-            for alias in one.names:
-                yield alias.asname or alias.name, (one.lineno, one.module, alias.name)
 
 
 def find_class(source: Source, name: str) -> Class | None:
@@ -150,28 +147,20 @@ def import_fault(source: Source) -> str:
     """
     for line, module, name in source.imported.values():
         top = module.split(".")[0]
-        if top == _PACKAGE.name:
-            fault = _own_fault(module, name)
-        else:
-            fault = "" if _installed(top) else f"no module named {top!r} is installed"
-        if fault:
-            return f"line {line}: {fault}"
+        if module.startswith(f"{_PACKAGE.name}.plugins."):
+            continue
+        if top != _PACKAGE.name:
+            if not _is_installed(top):
+                return f"line {line}: no module named {top!r} is installed"
+        elif (file := _file_of(module)) is None:
+            return f"line {line}: there is no module {module}"
+        elif not (
+            name in ("", "*")
+            or re.search(rf"\b{re.escape(name)}\b", _text(file))
+            or _file_of(f"{module}.{name}")
+        ):
+            return f"line {line}: {module} has no {name}"
     return ""
-
-
-def _own_fault(module: str, name: str) -> str:
-    if module.startswith(f"{_PACKAGE.name}.plugins."):
-        return ""
-    file = _file_of(module)
-    if file is None:
-        return f"there is no module {module}"
-    if name and not _mentions(file, name) and not _file_of(f"{module}.{name}"):
-        return f"{module} has no {name}"
-    return ""
-
-
-def _mentions(file: Path, name: str) -> bool:
-    return name == "*" or re.search(rf"\b{re.escape(name)}\b", _text(file)) is not None
 
 
 @functools.cache
@@ -180,6 +169,6 @@ def _text(file: Path) -> str:
 
 
 @functools.cache
-def _installed(top: str) -> bool:
-    known = top in sys.stdlib_module_names or top in sys.modules
-    return known or importlib.util.find_spec(top) is not None
+def _is_installed(top: str) -> bool:
+    loaded = top in sys.stdlib_module_names or top in sys.modules
+    return loaded or importlib.util.find_spec(top) is not None

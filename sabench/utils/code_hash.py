@@ -25,8 +25,6 @@ def _own_hash() -> str:
     whole = hashlib.sha256()
     for file in sorted(_PACKAGE.rglob("*.py")):
         if "_plugins" not in file.parts:
-            whole.update(
-                f"{file.relative_to(_PACKAGE).as_posix()}\0".encode()
-                + hashlib.sha256(file.read_bytes()).digest()
-            )
+            name = f"{file.relative_to(_PACKAGE).as_posix()}\0"
+            whole.update(name.encode() + hashlib.sha256(file.read_bytes()).digest())
     return whole.hexdigest()

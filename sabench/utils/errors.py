@@ -1,7 +1,4 @@
-"""Exception for faulty input.
-
-Its message says what is wrong with the input.
-"""
+"""Exceptions for faulty input."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Atomic writing of files and folders, and safe reading of JSON and of paths.
-
-files: Atomic writing of files and folders, and safe reading of JSON and of paths.
-
-zip_archives: Zip archives of folders.
-"""
+"""Atomic writing of files and folders, safe reading of JSON and of paths, and zip archives."""
 
 from __future__ import annotations
 
@@ -98,7 +93,7 @@ def refuse_existing(target: Path, *, overwrite: bool) -> None:
 
 
 def clear_abandoned(target: Path) -> None:
-    """Remove what killed processes left of writing `target`.
+    """Remove the files that killed processes left while writing `target`.
 
     A folder that they had set aside returns if nothing took its place.
     """
@@ -130,12 +125,10 @@ def _remove(path: Path) -> None:
 
 
 def _flush(path: Path) -> None:
-    """Write every byte to the disk before the rename."""
-    for file in (
-        [path] if path.is_file() else [entry for entry in path.rglob("*") if entry.is_file()]
-    ):
-        with file.open("rb") as handle:
-            os.fsync(handle.fileno())
+    for file in (path, *path.rglob("*")):
+        if file.is_file():
+            with file.open("rb") as handle:
+                os.fsync(handle.fileno())
 
 
 def file_series(path: Path) -> list[Path]:
@@ -162,10 +155,7 @@ def series_hash(path: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a file of this name.
-
-    False for a name that no disk can hold.
-    """
+    """Return whether there is a file of this name. False for a name that no disk can hold."""
     try:
         return path.is_file()
     except OSError:
@@ -187,21 +177,14 @@ def sha256(path: Path) -> str:
 
 
 def canonical_json(value: Any) -> str:
-    """Format as JSON with sorted keys and shortest numbers.
-
-    Equal values give equal text.
-    """
+    """Format as JSON with sorted keys and shortest numbers. Equal values give equal text."""
     text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    return text.encode("utf-8", "replace").decode(
-        "utf-8"
-    )  # JSON can hold half a surrogate pair, UTF-8 can not
+    # JSON can hold half a surrogate pair, UTF-8 can not
+    return text.encode("utf-8", "replace").decode("utf-8")
 
 
 def digest(value: Any) -> str:
-    """Compute the SHA-256 of a value's canonical JSON.
-
-    Equal values have equal digests.
-    """
+    """Compute the SHA-256 of a value's canonical JSON. Equal values have equal digests."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 

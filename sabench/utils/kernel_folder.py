@@ -51,7 +51,10 @@ def kernel_folder() -> Path:
                 continue  # another user made it, who could have put kernels there
             if not folder.exists():
                 folder.mkdir(exist_ok=True)
-                _remove_old(parent)
+                others = sorted(parent.glob("kernels-*"), key=lambda other: other.stat().st_mtime)
+                for other in others[: -1 - _KEPT]:
+                    if time.time() - other.stat().st_mtime > _KEPT_S:
+                        shutil.rmtree(other, ignore_errors=True)
             os.utime(folder)  # the time of its last use
         except OSError:
             continue
@@ -60,34 +63,26 @@ def kernel_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="sabench-kernels-"))
 
 
-def _remove_old(parent: Path) -> None:
-    others = sorted(parent.glob("kernels-*"), key=lambda one: one.stat().st_mtime, reverse=True)
-    for other in others[1 + _KEPT :]:
-        if time.time() - other.stat().st_mtime > _KEPT_S:
-            shutil.rmtree(other, ignore_errors=True)
-
-
 def hash_sources(package: Path) -> str:
     """Compute the SHA-256 of a package's files with kernels and of their imports."""
-    files = [one for one in package.rglob("*.py") if "_plugins" not in one.parts]
-    contents = {one: one.read_bytes() for one in files}
-    kernels = [one for one, content in contents.items() if b"numba" in content]
-    found, left = set(kernels), kernels
+    files = [file for file in package.rglob("*.py") if "_plugins" not in file.parts]
+    contents = {file: file.read_bytes() for file in files}
+    left = [file for file, content in contents.items() if b"numba" in content]
+    hashed = set(left)
     while left:
-        new = _imported(package, contents[left.pop()].decode()) & contents.keys() - found
-        found |= new
+        new = _imported(package, contents[left.pop()].decode()) & contents.keys() - hashed
+        hashed |= new
         left += new
     whole = hashlib.sha256()
-    for one in sorted(found):
-        name = one.relative_to(package).as_posix()
-        whole.update(f"{name}\0{len(contents[one])}\0".encode() + contents[one])
+    for file in sorted(hashed):
+        name = file.relative_to(package).as_posix()
+        whole.update(f"{name}\0{len(contents[file])}\0".encode() + contents[file])
     return whole.hexdigest()
 
 
 def _imported(package: Path, text: str) -> set[Path]:
-    """List the files that a text may import of the package, directly."""
-    places = set()
+    modules = set()
     for module, names in _IMPORT.findall(text):
         folder = package.joinpath(*module.split(".")[1:])
-        places |= {folder, *(folder / name for name in re.findall(r"\w+", names))}
-    return {place.with_suffix(".py") for place in places}
+        modules |= {folder, *(folder / name for name in re.findall(r"\w+", names))}
+    return {path.with_suffix(".py") for path in modules}

@@ -1,10 +1,8 @@
-"""Memory of this process.
-
-Its peak, what is still available, and returning freed blocks or keeping them.
-"""
+"""Memory of this process: its peak, the available rest, and freed blocks."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import os
@@ -27,13 +25,10 @@ def forget_peak() -> None:
     """Reset the process's memory high-water mark, where the system can (Linux)."""
     _children[0] = 0.0
     marks = Path("/proc/self/clear_refs")
-    if marks.exists():
-        try:
+    # not permitted in some containers: the peak of the whole process is then an upper bound
+    with contextlib.suppress(OSError):
+        if marks.exists():
             marks.write_text("5")
-        except OSError:
-            # not permitted in some containers: the peak then covers the whole process, which is an
-            # upper bound
-            return
 
 
 def peak_mb() -> float | None:
@@ -43,15 +38,18 @@ def peak_mb() -> float | None:
     """
     status = Path("/proc/self/status")
     if status.exists():
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
-        return int(line.split()[1]) * 1024 / 1e6 + _children[0]
+        return _read_kb(status, "VmHWM:") * 1024 / 1e6 + _children[0]
     try:
         import resource
     except ImportError:  # Windows
         return None
-    return (
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6 + _children[0]
-    )  # macOS counts bytes
+    # macOS counts bytes
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6 + _children[0]
+
+
+def _read_kb(table: Path, key: str) -> int:
+    line = next(line for line in table.read_text().splitlines() if line.startswith(key))
+    return int(line.split()[1])
 
 
 def available_mb() -> float | None:
@@ -62,10 +60,7 @@ def available_mb() -> float | None:
     """
     info = Path("/proc/meminfo")
     if info.exists():
-        line = next(
-            line for line in info.read_text().splitlines() if line.startswith("MemAvailable:")
-        )
-        return int(line.split()[1]) * 1024 / 1e6
+        return _read_kb(info, "MemAvailable:") * 1024 / 1e6
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e6
     except (AttributeError, ValueError):  # Windows has no sysconf, other systems may lack the names
@@ -96,9 +91,5 @@ def keep_freed() -> None:
 def _trimmer() -> Callable[[int], object]:
     try:
         return ctypes.CDLL(None).malloc_trim
-    except (
-        AttributeError,
-        OSError,
-        TypeError,
-    ):  # another C library, which returns large blocks by itself
+    except (AttributeError, OSError, TypeError):  # another C library, which returns large blocks
         return lambda _: None

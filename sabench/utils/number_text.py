@@ -1,6 +1,8 @@
-"""Numbers as text, for tables on the terminal and on pages."""
+"""Numbers as text, for tables on the terminal and on pages, and round ones for scales."""
 
 from __future__ import annotations
+
+import math
 
 
 def significant(value: float | str | None, digits: int = 4) -> str:
@@ -8,3 +10,9 @@ def significant(value: float | str | None, digits: int = 4) -> str:
     if value is None or isinstance(value, str):
         return value or "-"
     return f"{value:,.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.{digits}g}"
+
+
+def round_down(value: float) -> float:
+    """Round down to 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * max(step for step in (1.0, 2.0, 5.0) if step <= value / power or step == 1.0)

@@ -32,8 +32,13 @@ def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
     ended = threading.Event()
     with _progress(refresh=False) as progress:
         task = progress.add_task(doing, total=total)
+
+        def keep_alive() -> None:
+            while not ended.wait(_REFRESH_S):
+                progress.refresh()
+
         if console.is_terminal:
-            threading.Thread(target=_keep_alive, args=(progress, ended), daemon=True).start()
+            threading.Thread(target=keep_alive, daemon=True).start()
         try:
             for item in items:
                 yield item
@@ -42,52 +47,27 @@ def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
             ended.set()
 
 
-def _keep_alive(progress: Progress, ended: threading.Event) -> None:
-    while not ended.wait(_REFRESH_S):
-        progress.refresh()
-
-
 @contextlib.contextmanager
 def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar for work that finishes in any order.
-
-    Call the yielded function once per item.
-    """
+    """Show a bar for work that finishes in any order. Call the yielded function once per item."""
     with _progress(refresh=True) as progress:
         task = progress.add_task(doing, total=total)
         yield lambda: progress.advance(task)
 
 
 def _progress(*, refresh: bool) -> Progress:
-    columns = (
-        TextColumn("{task.description:<38}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
+    text = TextColumn("{task.description:<38}")
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     return Progress(*columns, console=console, auto_refresh=refresh)
 
 
 @functools.cache
 def announce_compiling() -> None:
-    """Have this process print a notice if compiling kernels takes over a second.
-
-    It is printed once.
-    """
+    """Have this process print a notice, once, if compiling kernels takes over a second."""
     from numba.core import event
 
-    event.register("numba:compile", _compile_listener())
-
-
-def _compile_listener() -> Any:
-    """Make a listener of numba's compile events.
-
-    Kernels that come from the cache send none.
-    """
-    from numba.core.event import Listener
-
-    class CompileListener(Listener):  # type: ignore[misc]
-        """Timer that runs while kernels compile."""
+    class CompileListener(event.Listener):  # type: ignore[misc]
+        """Timer that runs while kernels compile; those from the cache send no events."""
 
         def __init__(self) -> None:
             self.depth = 0  # a kernel that calls others compiles them within its own compilation
@@ -107,7 +87,7 @@ def _compile_listener() -> Any:
             if self.depth == 0 and self.timer:
                 self.timer.cancel()
 
-    return CompileListener()
+    event.register("numba:compile", CompileListener())
 
 
 @functools.cache

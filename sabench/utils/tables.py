@@ -62,9 +62,8 @@ def read_text(path: Path) -> str:
         No file, a binary one, or one of more than 2 GB.
     """
     if not path.is_file():
-        raise InputError(
-            f"{path}: expected a file, found {'a folder' if path.is_dir() else 'none'}"
-        )
+        kind = "a folder" if path.is_dir() else "none"
+        raise InputError(f"{path}: expected a file, found {kind}")
     if path.stat().st_size > _LARGEST:
         raise InputError(f"{path}: expected at most {_LARGEST / 1e9:g} GB, got more")
     raw = path.read_bytes()
@@ -153,7 +152,7 @@ def read_records(
     needed, possible : names of columns that the header must have, and that it may have.
     aliases : other spellings of names.
     """
-    numbered = [*enumerate(read_text(path).splitlines(), 1)]
+    numbered = list(enumerate(read_text(path).splitlines(), 1))
     mark = _separator(numbered[:1]) or ","
     rows = [(number, words) for number, line in numbered if any(words := _words(line, mark))]
     cells = rows[0][1] if rows else []
@@ -182,20 +181,16 @@ def _split_head(
     """
     heads, comment, body = list[list[str]](), list[list[str]](), list[tuple[int, str]]()
     for number, line in lines:
+        words = [] if body else _split(line.lstrip("#%").strip(), mark)
         if line[0] in "#%":
-            comment = comment if body else [_split(line.lstrip("#%").strip(), mark)]
-        elif body or not _is_header(words := _split(line, mark)):
+            comment = comment if body else [words]
+        elif body or any(_NUMBER.match(word) for word in words if word):
             body.append((number, line))
         else:
             heads.append(words)
-    return [*heads, *comment] if heads or not body else _comments(comment, body, mark), body
-
-
-def _comments(
-    comment: list[list[str]], body: Sequence[tuple[int, str]], mark: str | None
-) -> list[list[str]]:
-    """Keep a comment as header if it has as many words as there are columns."""
-    return [words for words in comment if len(words) == len(_split(body[0][1], mark))]
+    if not heads and body:  # a comment is the header if it has as many words as there are columns
+        comment = [words for words in comment if len(words) == len(_split(body[0][1], mark))]
+    return [*heads, *comment], body
 
 
 def _names(heads: Sequence[Sequence[str]], columns: int) -> list[tuple[str, str]]:
@@ -204,7 +199,11 @@ def _names(heads: Sequence[Sequence[str]], columns: int) -> list[tuple[str, str]
         return []
     header = next((words for words in heads if len(words) == columns), heads[-1])
     rest = [f"column_{number}" for number in range(len(header) + 1, columns + 1)]
-    return [_unit_of(word) for word in [*header, *rest][:columns]]
+    words = [(word, _UNIT.match(word)) for word in [*header, *rest][:columns]]
+    return [
+        (match["name"].strip(), match["unit"].strip()) if match else (word, "")
+        for word, match in words
+    ]
 
 
 def _separator(lines: Sequence[tuple[int, str]]) -> str | None:
@@ -220,7 +219,6 @@ def _split(line: str, mark: str | None) -> list[str]:
 
 
 def _words(line: str, mark: str | None) -> list[str]:
-    """Split a line; separators in quotation marks are kept."""
     words = line.split(mark)
     if mark and '"' in line:
         with contextlib.suppress(csv.Error):
@@ -229,14 +227,8 @@ def _words(line: str, mark: str | None) -> list[str]:
 
 
 def _is_text(rows: Sequence[Sequence[str]], column: int) -> bool:
-    """Tell a column of text, by its words in some rows."""
     words = [row[column] for row in rows if column < len(row)]
     return bool(words) and all(word and not _NUMBER.match(word) for word in words)
-
-
-def _is_header(words: Sequence[str]) -> bool:
-    """Tell a line of names, in which no word is a number."""
-    return not any(_NUMBER.match(word) for word in words if word)
 
 
 def _read_fast(
@@ -284,11 +276,6 @@ def _value(where: str, word: str, mark: str | None, *, missing: bool) -> float:
     if not np.isfinite(value) and not (missing and np.isnan(value)):
         raise InputError(f"{where}: expected a finite number, got {word[:40]!r}")
     return value
-
-
-def _unit_of(word: str) -> tuple[str, str]:
-    match = _UNIT.match(word)
-    return (match["name"].strip(), match["unit"].strip()) if match else (word, "")
 
 
 def numbered_files(folder: Path, pattern: str) -> Iterator[tuple[int, Path]]:

@@ -1,10 +1,6 @@
-"""Validation of users' input against pydantic models.
+"""Validation of users' input against pydantic models, with every fault named by its key.
 
-validation: Validation of users' input against pydantic models.
-
-Every fault is named by its key.
-
-fields: Types of numbers, vectors and tables in scenes and in parameters of plug-ins.
+At the end are the types of numbers, vectors and tables in scenes and in parameters of plug-ins.
 """
 
 from __future__ import annotations
@@ -19,11 +15,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import InitErrorDetails
 
 from sabench.utils.errors import InputError
 
-MODEL_TAG = "model:"  # opens the tags of unions of camera models
+UNION_TAG = "union:"  # opens the tags of unions whose members a function tells apart
 _SHOWN = 80  # characters of a value that a sentence quotes
 _WORDS = (  # pydantic's words and ours, tried one after the other
     (r"^input should be a valid (\w+), .*", r"expected a valid \1"),
@@ -59,18 +54,14 @@ def refuse(faults: Iterable[tuple[str, str]]) -> None:
 
 def join_faults(error: ValidationError, faults: Sequence[tuple[str, str]]) -> ValidationError:
     """Join the faults of fields and those of the whole table in one error."""
-    details: list[InitErrorDetails] = [_detail(fault) for fault in error.errors(include_url=False)]
+    details: list[Any] = [
+        {key: value for key, value in fault.items() if key in ("type", "loc", "input", "ctx")}
+        for fault in error.errors(include_url=False)
+    ]
     if faults:
-        whole = InitErrorDetails(type="value_error", input=None, ctx={"error": FaultsError(faults)})
-        details.append(whole)
+        whole = {"error": FaultsError(faults)}
+        details.append({"type": "value_error", "input": None, "ctx": whole})
     return ValidationError.from_exception_data(error.title, details)
-
-
-def _detail(fault: Any) -> InitErrorDetails:
-    detail = InitErrorDetails(type=fault["type"], loc=fault["loc"], input=fault["input"])
-    if "ctx" in fault:
-        detail["ctx"] = fault["ctx"]
-    return detail
 
 
 def printable(text: str, longest: int = _SHOWN) -> str:
@@ -84,17 +75,17 @@ def sentences(model: type[BaseModel], error: ValidationError, prefix: str = "") 
 
     A key that is missing because it was misspelt is one fault, not two.
     """
-    found, misspelt = [], set()
+    faults, misspelt = [], set()
     for fault in error.errors(include_url=False):
-        path = [str(part) for part in _key_path(fault["loc"])]
+        path = _key_path(model, fault["loc"])
         unknown = fault["type"] == "extra_forbidden"
         near = nearest(path[-1], _keys_at(model, path)) if unknown else None
         if near:
             misspelt.add((*path[:-1], near))
-        found += [(path + key, kind, text) for key, kind, text in _texts(model, fault, path, near)]
+        faults += [(path + key, kind, text) for key, kind, text in _texts(model, fault, path, near)]
     return [
         f"{prefix}{'.'.join(path)}: {text}" if prefix or path else text
-        for path, kind, text in found
+        for path, kind, text in faults
         if kind != "missing" or tuple(path) not in misspelt
     ]
 
@@ -102,7 +93,6 @@ def sentences(model: type[BaseModel], error: ValidationError, prefix: str = "") 
 def _texts(
     model: type[BaseModel], fault: Any, path: list[str], near: str | None
 ) -> Iterator[tuple[list[str], str, str]]:
-    """Give the key inside the faulty value, the kind and the sentence of each fault."""
     kind, inner = fault["type"], fault.get("ctx", {}).get("error")
     if isinstance(inner, FaultsError):
         for key, text in inner.faults:
@@ -115,26 +105,19 @@ def _texts(
         yield [], kind, "this key is missing"
     elif kind in ("union_tag_not_found", "union_tag_invalid"):
         key, tag = fault["ctx"]["discriminator"].strip("'"), fault["ctx"].get("tag")
-        expected = f"expected one of {fault['ctx'].get('expected_tags')}, got {_format(tag)}"
+        tags, got = fault["ctx"].get("expected_tags"), printable(repr(tag))
+        expected = f"expected one of {tags}, got {got}"
         yield [key], kind, expected if tag else "this key is missing"
     elif kind == "value_error":
         yield [], kind, str(fault["msg"]).removeprefix("Value error, ")
     else:
-        yield [], kind, f"{_in_words(str(fault['msg']))}, got {_format(fault['input'])}"
-
-
-def _in_words(message: str) -> str:
-    """Turn a message of pydantic into a phrase of what was expected."""
-    text = f"{message[0].lower()}{message[1:]}"
-    for pattern, words in _WORDS:
-        text, changed = re.subn(pattern, words, text)
-        if changed:
-            break
-    return text
-
-
-def _format(value: Any) -> str:
-    return printable(repr(value))
+        text = str(fault["msg"])
+        text = f"{text[0].lower()}{text[1:]}"
+        for pattern, words in _WORDS:
+            text, changed = re.subn(pattern, words, text)
+            if changed:
+                break
+        yield [], kind, f"{text}, got {printable(repr(fault['input']))}"
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -143,39 +126,31 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return near[0] if near else None
 
 
-def _key_path(loc: tuple[Any, ...]) -> list[Any]:
+def _key_path(model: type[BaseModel], loc: tuple[Any, ...]) -> list[str]:
     """Give the path of TOML keys, without the tags that pydantic adds for unions."""
-    layouts, walls = {"grid", "ring", "line", "cross", "list"}, {"plane", "cylinder", "faces"}
-    return [
-        part
-        for i, part in enumerate(loc)
-        if not (i and loc[i - 1] == "layout" and part in layouts)
-        and not ("wall" in loc[:i] and part in walls)
-        and not (isinstance(part, str) and part.startswith(MODEL_TAG))
-    ]
+    models, path, tagged = [model], list[str](), False
+    for part in map(str, loc):
+        if not tagged and not part.startswith(UNION_TAG):
+            path.append(part)
+        fields = [table.model_fields[part] for table in models if part in table.model_fields]
+        tagged = any(isinstance(field.discriminator, str) for field in fields)
+        models = [inner for field in fields for inner in _models_in(field.annotation)] or models
+    return path
 
 
 def _keys_at(model: type[BaseModel], path: list[str]) -> list[str]:
     """List the keys that are valid in place of the last of `path`."""
     models: list[type[BaseModel]] = [model]
     for part in path[:-1]:
-        if part.isdigit():
-            continue
-        models = [
-            inner
-            for outer in models
-            if part in outer.model_fields
-            for inner in _models_in(outer.model_fields[part].annotation)
-        ]
+        if not part.isdigit():
+            fields = [table.model_fields[part] for table in models if part in table.model_fields]
+            models = [inner for field in fields for inner in _models_in(field.annotation)]
     return sorted({name for table in models for name in table.model_fields} - {path[-1]})
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if (
-        isinstance(annotation, type)
-        and issubclass(annotation, BaseModel)
-        and not isinstance(annotation, types.GenericAlias)
-    ):
+    generic = isinstance(annotation, types.GenericAlias)
+    if isinstance(annotation, type) and not generic and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for inner in typing.get_args(annotation) for model in _models_in(inner)]
 

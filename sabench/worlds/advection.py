@@ -1,9 +1,4 @@
-"""Advection of particles by velocity fields.
-
-advection: Advection of particles by velocity fields.
-
-inertial: Particles with inertia and weight, which do not follow the fluid exactly.
-"""
+"""Advection of particles by velocity fields, exactly or with inertia and weight."""
 
 from __future__ import annotations
 

@@ -1,10 +1,6 @@
-"""Bubbles and bodies of a scene's frames, checked for impossible ones.
-
-bubbles_and_bodies: Bubbles and bodies of a scene's frames, checked for impossible ones.
+"""Bubbles and bodies of a scene's frames, and readable codes on bodies.
 
 Refused are bubbles that a wall cuts, two objects in one place, and bodies that are not closed.
-
-readable_codes: Readable codes on bodies: dark cells and their world positions.
 """
 
 from __future__ import annotations
@@ -24,18 +20,15 @@ from sabench.api.make import generator_of
 from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import Pose, rotation_matrices
-from sabench.scenes import BubbleWorld, Scene
+from sabench.scenes import Scene
 from sabench.scenes.build import domain_of
 from sabench.scenes.tank import build_wall, check_one_plane
-from sabench.scenes.world import GeneratorTable
 from sabench.utils.arrays import I64
 from sabench.utils.errors import InputError
 from sabench.worlds.library.overlaps import overlapping, touching
 
-_SMALL, _LARGE = (
-    0.01,
-    20.0,
-)  # of the volume's largest edge: a body beyond these is taken to be in another unit
+# of the volume's largest edge: a body beyond these is taken to be in another unit
+_SMALL, _LARGE = 0.01, 20.0
 _NAMED = 3  # bubbles that an error names
 
 
@@ -45,9 +38,8 @@ class Phases:
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene, self.seed = scene, seed
         world = scene.world
-        given = world.bubbles if isinstance(world, BubbleWorld) else None
-        self._bubbles: BubbleGenerator | None = generator_of(given) if given else None
-        self._solids: list[SolidGenerator] = [generator_of(one) for one in bodies_of(scene)]
+        self._bubbles: BubbleGenerator | None = world.bubbles and generator_of(world.bubbles)
+        self._solids: list[SolidGenerator] = [generator_of(given) for given in world.solids]
         self._bodies = [
             _check_closed(generator.body(seed), f"{scene.title}: solids.{n}", scene)
             for n, generator in enumerate(self._solids)
@@ -63,22 +55,33 @@ class Phases:
             does not ask for that.
         """
         if self._bubbles is None:
-            return Bubbles(
-                np.zeros(0, dtype=np.int64),
-                np.zeros((0, 3)),
-                np.zeros((0, 3)),
-                np.zeros((0, 3, 3)),
-                np.zeros((0, 3)),
-            )
+            none = np.zeros((0, 3))
+            return Bubbles(np.zeros(0, dtype=np.int64), none, none, np.zeros((0, 3, 3)), none)
         made = self._bubbles.bubbles(
             domain_of(self.scene), self.seed, frame, self.scene.time_s(frame)
         )
-        where = f"{self.scene.title}: bubbles of frame {frame}"
-        _check_walls(made, self.scene, where)
-        if not self._bubbles.parameters.overlap:
-            _check_apart(made, where)
+        where = f"{self.scene.title}: bubbles of frame {frame}: expected"
+        if (wall := _wall_of(self.scene)) is not None:
+            depth, extent = wall.depth_of(made.center_mm), made.reach_mm(wall.normal)
+            near, far = _depths(wall)
+            cut = np.flatnonzero((depth - extent < near) | (depth + extent > far))
+            if len(cut):
+                raise InputError(
+                    f"{where} all of them in the fluid, but a wall cuts {len(cut)}: "
+                    f"{_describe(made, cut)}"
+                )
+        if not self._bubbles.parameters.overlap and len(pairs := overlapping(made)):
+            first, second = (_describe(made, pairs[:1, side]) for side in (0, 1))
+            raise InputError(
+                f"{where} none to reach into another (overlap = true allows it), but "
+                f"{len(pairs)} pairs do: {first} and {second}"
+            )
         for number, (solid, _) in enumerate(self.bodies(frame)):
-            _check_beside(made, solid, where, f"solids.{number}")
+            if len(bad := np.flatnonzero(touching(made, solid))):
+                raise InputError(
+                    f"{where} none to reach into a body, but {len(bad)} reach into "
+                    f"solids.{number}: {_describe(made, bad)}"
+                )
         return made
 
     def bodies(self, frame: int) -> list[tuple[Solid, Material]]:
@@ -93,25 +96,25 @@ class Phases:
         for number, (generator, body) in enumerate(zip(self._solids, self._bodies, strict=True)):
             pose = pose_of(generator.parameters, self.scene.time_s(frame))
             solid = Solid(pose(body.vertices_mm), body.faces)
-            _check_tank(solid, self.scene, f"{self.scene.title}: solids.{number} in frame {frame}")
             out.append((solid, generator.parameters.material))
+            if (wall := _wall_of(self.scene)) is None:
+                continue
+            depth, (near, far) = wall.depth_of(solid.vertices_mm), _depths(wall)
+            if depth.min() < near or depth.max() > far:
+                raise InputError(
+                    f"{self.scene.title}: solids.{number} in frame {frame}: expected it in the "
+                    f"tank, {near:g} to {far:g} mm behind the wall's outer face, but it reaches "
+                    f"from {depth.min():.4g} to {depth.max():.4g} mm"
+                )
         return out
-
-
-def bodies_of(scene: Scene) -> tuple[GeneratorTable, ...]:
-    """Give the generators of a scene's bodies; none in a scene of another world."""
-    world = scene.world
-    return world.solids if isinstance(world, BubbleWorld) else ()
 
 
 def pose_of(parameters: SolidParameters, time_s: float) -> Pose:
     """Compute position and rotation of a body at a time."""
-    rotation = rotation_matrices(np.deg2rad(parameters.turn_deg)) @ rotation_matrices(
-        np.deg2rad(parameters.spin_deg_s) * time_s
-    )
-    return Pose(
-        rotation, np.asarray(parameters.place_mm) + np.asarray(parameters.velocity_mm_s) * time_s
-    )
+    first = rotation_matrices(np.deg2rad(parameters.turn_deg))
+    spin = rotation_matrices(np.deg2rad(parameters.spin_deg_s) * time_s)
+    shift = np.asarray(parameters.velocity_mm_s) * time_s
+    return Pose(first @ spin, np.asarray(parameters.place_mm) + shift)
 
 
 def _check_closed(body: Solid, where: str, scene: Scene) -> Solid:
@@ -119,9 +122,8 @@ def _check_closed(body: Solid, where: str, scene: Scene) -> Solid:
     import trimesh
 
     mesh = trimesh.Trimesh(body.vertices_mm, body.faces, process=False)
-    merged = trimesh.Trimesh(
-        body.vertices_mm, body.faces, process=True
-    )  # joins vertices that files list once for every face
+    # join vertices that files list once for every face
+    merged = trimesh.Trimesh(body.vertices_mm, body.faces, process=True)
     if not merged.is_watertight or not merged.is_winding_consistent:
         open_edges = int((np.bincount(merged.edges_unique_inverse) != 2).sum())
         raise InputError(
@@ -139,71 +141,16 @@ def _check_closed(body: Solid, where: str, scene: Scene) -> Solid:
 
 
 def _wall_of(scene: Scene) -> Wall | None:
-    """Build the one plane wall that bubbles and bodies may be behind."""
     check_one_plane(scene)
     return build_wall(scene.plane) if scene.plane else None
 
 
 def _depths(wall: Wall) -> tuple[float, float]:
-    """Return the depths of the inner faces of both walls."""
     inner = wall.thickness_mm
     return inner, inner + wall.depth_mm if wall.depth_mm is not None else np.inf
 
 
-def _check_walls(bubbles: Bubbles, scene: Scene, where: str) -> None:
-    wall = _wall_of(scene)
-    if wall is None or not len(bubbles):
-        return
-    depth, extent, (near, far) = (
-        wall.depth_of(bubbles.center_mm),
-        bubbles.reach_mm(wall.normal),
-        _depths(wall),
-    )
-    cut = np.flatnonzero((depth - extent < near) | (depth + extent > far))
-    if len(cut):
-        raise InputError(
-            f"{where}: expected all of them in the fluid, but a wall cuts {len(cut)}: "
-            f"{_describe(bubbles, cut)}"
-        )
-
-
-def _check_apart(bubbles: Bubbles, where: str) -> None:
-    pairs = overlapping(bubbles)
-    if len(pairs):
-        first, second = (_describe(bubbles, pairs[:1, side]) for side in (0, 1))
-        raise InputError(
-            f"{where}: expected none to reach into another (overlap = true allows it), but "
-            f"{len(pairs)} pairs do: {first} and {second}"
-        )
-
-
-def _check_beside(bubbles: Bubbles, solid: Solid, where: str, name: str) -> None:
-    """Check that no bubble crosses a body's surface."""
-    if not len(bubbles):
-        return
-    bad = np.flatnonzero(touching(bubbles, solid))
-    if len(bad):
-        raise InputError(
-            f"{where}: expected none to reach into a body, but {len(bad)} reach into {name}: "
-            f"{_describe(bubbles, bad)}"
-        )
-
-
-def _check_tank(solid: Solid, scene: Scene, where: str) -> None:
-    wall = _wall_of(scene)
-    if wall is None:
-        return
-    depth, (near, far) = wall.depth_of(solid.vertices_mm), _depths(wall)
-    if depth.min() < near or depth.max() > far:
-        got = f"{depth.min():.4g} to {depth.max():.4g}"
-        raise InputError(
-            f"{where}: expected it in the tank, {near:g} to {far:g} mm behind the wall's outer "
-            f"face, but it reaches from {got} mm"
-        )
-
-
 def _describe(bubbles: Bubbles, which: I64) -> str:
-    """Describe a few bubbles by number, position and size."""
     shown = [
         f"{bubbles.id[n]} at {np.round(bubbles.center_mm[n], 3).tolist()} mm with semi-axes "
         f"{np.round(bubbles.semi_axes_mm[n], 3).tolist()} mm"
@@ -216,22 +163,19 @@ def has_code(scene: Scene) -> bool:
     """Return whether one of a scene's bodies has a code."""
     return any(
         issubclass(plugins.load("generators", given["generator"]), CodeGenerator)
-        for given in bodies_of(scene)
+        for given in scene.world.solids
     )
 
 
 def code_of(scene: Scene, seed: int, frame: int) -> Code:
     """Make all cells of a frame's codes, world frame: truth, not for solvers."""
     parts = []
-    for generator in (generator_of(given) for given in bodies_of(scene)):
+    for generator in (generator_of(given) for given in scene.world.solids):
         if isinstance(generator, CodeGenerator):
-            own, pose = generator.code(seed), pose_of(generator.parameters, scene.time_s(frame))
-            parts.append(
-                Code(pose(own.points_mm.reshape(-1, 3)).reshape(own.points_mm.shape), own.dark)
-            )
+            code, pose = generator.code(seed), pose_of(generator.parameters, scene.time_s(frame))
+            points = pose(code.points_mm.reshape(-1, 3)).reshape(code.points_mm.shape)
+            parts.append(Code(points, code.dark))
     if not parts:
         raise InputError(f"{scene.title}: expected a body with a code, got none")
-    return Code(
-        np.concatenate([part.points_mm for part in parts]),
-        np.concatenate([part.dark for part in parts]),
-    )
+    points_mm = np.concatenate([part.points_mm for part in parts])
+    return Code(points_mm, np.concatenate([part.dark for part in parts]))

@@ -28,11 +28,9 @@ def place(scene: Scene, seed: int) -> Placed:
     if not isinstance(world, TargetWorld):
         raise InputError(f"{scene.title}: targets: expected a scene with a target, got none")
     maker: TargetGenerator = generator_of(world.target)
-    domain = domain_of(scene)
-    return Placed(
-        maker.target(),
-        tuple(maker.pose(domain, seed, frame, scene.frames) for frame in range(scene.frames)),
-    )
+    domain, frames = domain_of(scene), scene.frames
+    poses = tuple(maker.pose(domain, seed, frame, frames) for frame in range(frames))
+    return Placed(maker.target(), poses)
 
 
 def exact_pixels(camera: Camera, points_mm: F64) -> F64:
@@ -58,11 +56,8 @@ def found_pixels(
     noise, elsewhere = rng.standard_normal(exact.shape), rng.standard_normal(exact.shape)
     chance, half = rng.random((3, *exact.shape[:2])), rng.random((len(exact), 3))
     outliers = np.asarray(chance[0] < detection.outliers)
-    pixels = (
-        exact
-        + detection.noise_px * noise
-        + np.where(outliers[..., None], detection.outlier_px * elsewhere, 0.0)
-    )
+    far = np.where(outliers[..., None], detection.outlier_px * elsewhere, 0.0)
+    pixels = exact + detection.noise_px * noise + far
     pixels[(chance[1] < detection.missing) | _hide_points(detection, exact, half)] = np.nan
     return pixels, outliers & np.isfinite(pixels).all(axis=-1)
 
@@ -94,11 +89,8 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
     initial, known, sigma = exact.copy(), np.full_like(exact, np.nan), np.full_like(exact, np.nan)
     if spec is None:
         return Prior(initial, known, sigma)
-    initial += (
-        spec.points
-        * max(scene.volume.size_mm)
-        * stream(seed, "rough points").standard_normal(exact.shape)
-    )
+    error_mm = spec.points * max(scene.volume.size_mm)
+    initial += error_mm * stream(seed, "rough points").standard_normal(exact.shape)
     if spec.blank:
         initial[:] = placed.target.points_mm + np.asarray(scene.volume.center_mm)
     rng = stream(seed, "known points")
@@ -111,8 +103,6 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
             )
         axes = ["xyz".index(axis) for axis in point.axes]
         drawn = exact[point.frame, point.point] + point.sigma_mm * rng.standard_normal(3)
-        known[point.frame, point.point, axes], sigma[point.frame, point.point, axes] = (
-            drawn[axes],
-            point.sigma_mm,
-        )
+        known[point.frame, point.point, axes] = drawn[axes]
+        sigma[point.frame, point.point, axes] = point.sigma_mm
     return Prior(initial, known, sigma)

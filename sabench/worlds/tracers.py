@@ -20,7 +20,7 @@ from sabench.utils.arrays import F64, Bool, in_box, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds.advection import check_inertia, move_particles, velocity_of
-from sabench.worlds.bubbles_and_bodies import Phases, bodies_of
+from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 
 TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path
@@ -38,11 +38,20 @@ def flow_of(scene: Scene, seed: int = 0) -> Flow | None:
     InputError
         A flow around bodies in a scene without bodies, or with bodies that move.
     """
-    tracers = scene.tracers
+    tracers = scene.world.tracers
     if tracers is None or tracers.flow is None:
         return None
-    made: Flow = generator_of(tracers.flow)
-    return _surrounded(scene, seed, made) if isinstance(made, BodyFlow) else made
+    flow: Flow = generator_of(tracers.flow)
+    if not isinstance(flow, BodyFlow):
+        return flow
+    where = f"{scene.title}: flow {flow.name}"
+    if not scene.world.solids:
+        raise InputError(f"{where}: expected solids that it goes around, got none")
+    for number, body in enumerate(scene.world.solids):
+        given = generator_of(body).parameters
+        if any(given.velocity_mm_s) or any(given.spin_deg_s):
+            raise InputError(f"{where}: expected bodies at rest, but solids.{number} moves")
+    return _bodies_flow(scene.to_toml(), seed)
 
 
 @functools.lru_cache(maxsize=2)
@@ -52,17 +61,6 @@ def _bodies_flow(text: str, seed: int) -> BodyFlow:
     made: BodyFlow = generator_of(scene.particle_world.flow or {})
     made.surround([body for body, _ in Phases(scene, seed).bodies(0)], domain_of(scene))
     return made
-
-
-def _surrounded(scene: Scene, seed: int, flow: BodyFlow) -> Flow:
-    where = f"{scene.title}: flow {flow.name}"
-    if not scene.solids:
-        raise InputError(f"{where}: expected solids that it goes around, got none")
-    for number, body in enumerate(bodies_of(scene)):
-        given = generator_of(body).parameters
-        if any(given.velocity_mm_s) or any(given.spin_deg_s):
-            raise InputError(f"{where}: expected bodies at rest, but solids.{number} moves")
-    return _bodies_flow(scene.to_toml(), seed)
 
 
 def require_flow(scene: Scene, seed: int = 0) -> Flow:
@@ -117,9 +115,10 @@ class Motion:
         domain, time, flow = domain_of(self.scene), self.scene.time_s(frame), self._flow
         if flow is None:
             return self._made(domain, self.seed, frame, time)
-        number, particles = (
-            self._last if self._last and self._last[0] <= frame else (0, self._first(flow, domain))
-        )
+        if self._last and self._last[0] <= frame:
+            number, particles = self._last
+        else:
+            number, particles = 0, self._first(flow, domain)
         while number < frame:
             number += 1
             particles = self._next(flow, domain, particles, number)
@@ -134,15 +133,10 @@ class Motion:
         return self._carry(self._flow, particles, time, time + delay_s)
 
     def _carry(self, flow: Flow, particles: Particles, start_s: float, end_s: float) -> F64:
-        return move_particles(
-            flow,
-            self.scene.inertia,
-            particles.position_mm,
-            particles.diameter_mm,
-            start_s,
-            end_s,
-            self._tolerance,
-        )
+        size, position = particles.diameter_mm, particles.position_mm
+        tolerance = TOLERANCE * max(self.scene.volume.size_mm)
+        inertia = self.scene.inertia
+        return move_particles(flow, inertia, position, size, start_s, end_s, tolerance)
 
     def _made(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
         """Let the generator make particles.
@@ -169,10 +163,6 @@ class Motion:
         rounded = lattice_diameters_mm(size_numbers(made.diameter_mm))
         return replace(made, diameter_mm=rounded)
 
-    @property
-    def _tolerance(self) -> float:
-        return TOLERANCE * max(self.scene.volume.size_mm)
-
     def _first(self, flow: Flow, domain: Domain) -> Particles:
         made = self._made(domain, self.seed, 0, 0.0)
         if np.any(made.velocity_mm_s):
@@ -180,35 +170,30 @@ class Motion:
                 f"{self.scene.title}: particles: expected some that rest, for the flow to carry "
                 "them, got some that move by themselves"
             )
+        position, size, time = made.position_mm, made.diameter_mm, self.scene.time_s(0)
         if (inertia := self.scene.inertia) is not None:
-            title, size = self.scene.title, made.diameter_mm
-            check_inertia(flow, inertia, made.position_mm, size, self.scene.time_s(0), title)
-        position, size = made.position_mm, made.diameter_mm
-        own = velocity_of(flow, self.scene.inertia, position, size, self.scene.time_s(0))
-        return replace(made, velocity_mm_s=own)
+            check_inertia(flow, inertia, position, size, time, self.scene.title)
+        return replace(made, velocity_mm_s=velocity_of(flow, inertia, position, size, time))
 
     def _next(self, flow: Flow, domain: Domain, before: Particles, frame: int) -> Particles:
         """Advect particles by one frame, dropping and replacing those that leave.
 
-        Who enters is found backwards: a volume full of other particles is traced back, and those of
-        it that come from outside are the new ones. For a flow without divergence this keeps the
-        density exactly, whatever the flow does at the faces.
+        New ones: a second cloud that fills the volume at the end of the step is traced backwards,
+        and those of its particles that come from outside are added. For a flow without divergence
+        this keeps the density exactly, whatever the flow does at the faces.
         """
         start, end = self.scene.time_s(frame - 1), self.scene.time_s(frame)
-        there = self._carry(flow, before, start, end)
-        stay = np.flatnonzero(_inside(domain, there))
+        carried = self._carry(flow, before, start, end)
+        stay = np.flatnonzero(_inside(domain, carried))
         seed = int(stream(self.seed, "entering", frame).integers(1 << 62))
         fresh = self._made(domain, seed, 0, 0.0)
         enter = np.flatnonzero(~_inside(domain, self._carry(flow, fresh, end, start)))
         # `take` is four times as fast as rows chosen by a mask
-        position = np.concatenate([there.take(stay, 0), fresh.position_mm.take(enter, 0)])
+        position = np.concatenate([carried.take(stay, 0), fresh.position_mm.take(enter, 0)])
         diameter = np.concatenate([before.diameter_mm[stay], fresh.diameter_mm[enter]])
-        return Particles(
-            np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]]),
-            position,
-            diameter,
-            velocity_of(flow, self.scene.inertia, position, diameter, end),
-        )
+        ids = np.concatenate([before.id[stay], frame * _NEWER + fresh.id[enter]])
+        velocity = velocity_of(flow, self.scene.inertia, position, diameter, end)
+        return Particles(ids, position, diameter, velocity)
 
 
 def _inside(domain: Domain, points_mm: F64) -> Bool:
@@ -244,11 +229,8 @@ def pulse(scene: Scene, seed: int, frame: int) -> Illumination:
     number = frame % len(timing.pulses_s)
     energy = timing.energy[number] if timing.energy else 1.0
     if timing.energy_spread:
-        energy *= max(
-            0.0,
-            1.0
-            + timing.energy_spread * float(stream(seed, "pulse energy", frame).standard_normal()),
-        )
+        draw = float(stream(seed, "pulse energy", frame).standard_normal())
+        energy *= max(0.0, 1.0 + timing.energy_spread * draw)
     shift = (light.shift_mm or 0.0) + (timing.shift_mm[number] if timing.shift_mm else 0.0)
     return light.model_copy(
         update={"pulse_energy_mj": light.pulse_energy_mj * energy, "shift_mm": shift}

@@ -227,7 +227,7 @@ def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
     sections = [plan_view(loaded, viewing), plan_depth(loaded, viewing)]
     sections += [plan_sharpness(loaded, viewing), plan_calibration(loaded, viewing)]
     sample, lit = None, loaded
-    if loaded.tracers is not None:
+    if loaded.world.tracers is not None:
         frame = Frames(loaded, rig, 0, "splat").at(0)
         lit = frame.scene
         sample = sample_images(frame, frame.tracers) if frame.tracers else None

@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -76,7 +75,15 @@ def call_isolated(
         child.start()
     sender.close()
     try:
-        answer = _receive(receiver, child, doing, time_s)
+        if not receiver.poll(time_s):
+            assert time_s is not None
+            raise InputError(f"{doing}: {overdue(time_s)}")
+        try:
+            answer: dict[str, Any] = json.loads(receiver.recv_bytes())
+        except EOFError:  # it died before it could answer
+            child.join()
+            end = describe_end(child.exitcode)
+            raise InputError(f"{doing}: its process ended with {end}") from None
     except BaseException:
         kill_tree(child.pid)
         raise
@@ -101,7 +108,6 @@ def _without_script() -> Iterator[None]:
 
 
 def _choose_environment(view: View) -> dict[str, str]:
-    """Choose the variables of a confined process."""
     names, beginnings = _KEPT
     kept = {
         name: value
@@ -110,22 +116,6 @@ def _choose_environment(view: View) -> dict[str, str]:
     }
     kernels = str(kernel_folder().parent)  # which is not found from another HOME
     return kept | {"HOME": view.home, "TMPDIR": "/tmp", "NUMBA_CACHE_DIR": kernels}
-
-
-def _receive(
-    receiver: Connection, child: BaseProcess, doing: str, time_s: float | None
-) -> dict[str, Any]:
-    if not receiver.poll(time_s):
-        assert time_s is not None
-        raise InputError(f"{doing}: {overdue(time_s)}")
-    try:
-        answer: dict[str, Any] = json.loads(receiver.recv_bytes())
-    except EOFError:  # it died before it could answer
-        child.join()
-        raise InputError(
-            f"{doing}: its process ended with {describe_end(child.exitcode)}"
-        ) from None
-    return answer
 
 
 def preload(*modules: str) -> None:
@@ -159,7 +149,12 @@ def _call(
 ) -> None:
     os.environ.clear()  # they are those of the server when it started
     os.environ.update(environment)
-    _forget_parent(sender)
+    sys.argv = sys.argv[:1]
+    # Close what leads to other processes. One file tells the server that its clients live: held
+    # here, it would outlive a killed parent.
+    os.closerange(3, sender.fileno())
+    os.closerange(sender.fileno() + 1, _MOST_FILES)
+    resource_tracker._resource_tracker._fd = None  # type: ignore[attr-defined] # one of its own
     if sys.platform == "linux":
         die_with_parent()
     answer: dict[str, Any] = {}
@@ -172,17 +167,6 @@ def _call(
     except (OSError, MemoryError) as error:
         answer["fault"] = [f"{error}" or type(error).__name__]
     sender.send_bytes(json.dumps(answer).encode())
-
-
-def _forget_parent(sender: Connection) -> None:
-    """Close what leads to other processes, and forget the parent's command line.
-
-    One file tells the server that its clients live: held here, it would outlive a killed parent.
-    """
-    sys.argv = sys.argv[:1]
-    os.closerange(3, sender.fileno())
-    os.closerange(sender.fileno() + 1, _MOST_FILES)
-    resource_tracker._resource_tracker._fd = None  # type: ignore[attr-defined] # one of its own
 
 
 def read_isolated(
@@ -235,7 +219,10 @@ def _read(
     arguments: tuple[Any, ...],
 ) -> None:
     _limit_self(*limits)
-    _silence()
+    nowhere = os.open(os.devnull, os.O_WRONLY)  # for what libraries print about damaged files
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
     try:
         read(path, *arguments)
     except InputError:
@@ -249,14 +236,6 @@ def _read(
         raise InputError(f"{path}: expected an intact file, got {name}: {error}") from error
 
 
-def _silence() -> None:
-    """Send what libraries print about damaged files nowhere."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        os.dup2(nowhere, stream)
-    os.close(nowhere)
-
-
 def _limit_self(memory_mb: float, cpu_s: float) -> None:
     """Limit the memory and the CPU time that this process may still take.
 
@@ -268,25 +247,13 @@ def _limit_self(memory_mb: float, cpu_s: float) -> None:
         import resource
     except ImportError:
         return
-    _lower_limit(resource.RLIMIT_CORE, 0)
-    _lower_limit(resource.RLIMIT_CPU, math.ceil(time.process_time() + cpu_s))
-    held = _address_space_bytes()
-    if held is not None:
-        _lower_limit(resource.RLIMIT_AS, int(held + 1e6 * memory_mb))
-
-
-def _lower_limit(kind: int, value: int) -> None:
-    import resource
-
-    soft, hard = resource.getrlimit(kind)
-    bounds = [one for one in (value, soft, hard) if one != resource.RLIM_INFINITY]
-    resource.setrlimit(kind, (min(bounds), hard))
-
-
-def _address_space_bytes() -> int | None:
+    limits = {resource.RLIMIT_CORE: 0}
+    limits[resource.RLIMIT_CPU] = math.ceil(time.process_time() + cpu_s)
     sizes = Path("/proc/self/statm")
-    if not sizes.exists():
-        return None
-    import resource
-
-    return int(sizes.read_text().split()[0]) * resource.getpagesize()
+    if sizes.exists():
+        used = int(sizes.read_text().split()[0]) * resource.getpagesize()
+        limits[resource.RLIMIT_AS] = int(used + 1e6 * memory_mb)
+    for kind, value in limits.items():
+        soft, hard = resource.getrlimit(kind)
+        bounds = [bound for bound in (value, soft, hard) if bound != resource.RLIM_INFINITY]
+        resource.setrlimit(kind, (min(bounds), hard))

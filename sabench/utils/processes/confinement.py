@@ -140,7 +140,6 @@ def _libc() -> ctypes.CDLL:
 
 
 def _unshare() -> None:
-    """Enter new namespaces, as the user that one is."""
     user, group = os.getuid(), os.getgid()
     _call("unshare", _NAMESPACES)
     own = Path("/proc/self")
@@ -172,7 +171,6 @@ def _end_like_confined(first: int, receiver: int) -> None:
 
 
 def _enter(view: View) -> None:
-    """Build a root of its own in memory, and enter it."""
     links = {path: path.readlink() for path in _SYSTEM if path.is_symlink()}
     mounts = _mounts(view, links)
     sources = {path: os.open(path, os.O_PATH) for path in mounts if path.exists()}

@@ -25,15 +25,8 @@ from sabench.utils.errors import InputError
 from sabench.utils.processes.confinement import View, start_input, start_words
 from sabench.utils.validation import printable
 
-_KEPT = (
-    "PATH",
-    "LD_LIBRARY_PATH",
-    "LANG",
-    "LC_ALL",
-    "TZ",
-    "OMP_NUM_THREADS",
-    "CUDA_VISIBLE_DEVICES",
-)
+_KEPT = ("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "TZ")
+_KEPT += ("OMP_NUM_THREADS", "CUDA_VISIBLE_DEVICES")
 _TOKEN = "SABENCH_PROGRAM"  # variable that marks every process below a program, wherever it hides
 _TAIL = 1 << 14  # bytes of output that are kept
 _WAITS = (0.01, 0.25)  # shortest and longest time between two looks (s)
@@ -117,16 +110,13 @@ def run_limited(
         finally:
             _end(process, token)
         last = next((text for tail in tails if (text := tail.last_line())), "")
-    _check_end(f"program {name}", process.returncode, breach, last, limits.output_mb)
-    return Cost(seconds, peak_mb)
-
-
-def _check_end(name: str, code: int, breach: str, last: str, limit_mb: float) -> None:
-    if code == -signal.SIGXFSZ and not breach:
-        breach = f"expected no file larger than {limit_mb:.0f} MB, but it went on writing one"
+    if process.returncode == -signal.SIGXFSZ and not breach:
+        expected = f"expected no file larger than {limits.output_mb:.0f} MB"
+        breach = f"{expected}, but it went on writing one"
     if breach:
-        raise InputError(f"{name}: {breach}{last_words(last)}")
-    check_end(name, code, last)
+        raise InputError(f"program {name}: {breach}{last_words(last)}")
+    check_end(f"program {name}", process.returncode, last)
+    return Cost(seconds, peak_mb)
 
 
 class _Tail(threading.Thread):
@@ -186,7 +176,9 @@ def _watch(
     process: subprocess.Popen[bytes], folder: Path, limits: Limits, start: float
 ) -> tuple[float, str]:
     """Return peak memory (MB) at a program's end or first breach, and the breach."""
-    allowed_mb, peak_mb, looked = limits.memory_mb or _free_mb(), 0.0, start
+    free_mb = memory.available_mb()
+    free_mb = float("inf") if free_mb is None else _MEMORY_SHARE * free_mb
+    allowed_mb, peak_mb, looked = limits.memory_mb or free_mb, 0.0, start
     while True:
         now, held = time.monotonic(), _held_mb(process)
         peak_mb = max(peak_mb, held)
@@ -202,28 +194,12 @@ def _watch(
             if written > limits.output_mb:
                 found = f"it wrote {written:.0f} MB"
                 return peak_mb, f"expected at most {limits.output_mb:.0f} MB of files, but {found}"
-        _wait(process, _pause_s(now - start, limits.time_s))
-
-
-def _free_mb() -> float:
-    free = memory.available_mb()
-    return float("inf") if free is None else _MEMORY_SHARE * free
-
-
-def _pause_s(elapsed_s: float, limit_s: float) -> float:
-    """Return the time until the next look.
-
-    A twentieth of the time elapsed, not beyond the limit.
-    """
-    shortest, longest = _WAITS
-    return min(max(elapsed_s / 20.0, shortest), longest, max(limit_s - elapsed_s, 0.001))
-
-
-def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
-    """Wait until the time is over or the program has ended."""
-    end = time.monotonic() + seconds
-    while process.poll() is None and (left := end - time.monotonic()) > 0.0:
-        time.sleep(min(left, 0.01))
+        # the next look: after a twentieth of the time elapsed, not beyond the limit
+        shortest, longest = _WAITS
+        rest = max(limits.time_s - (now - start), 0.001)
+        end = time.monotonic() + min(max((now - start) / 20.0, shortest), longest, rest)
+        while process.poll() is None and (left := end - time.monotonic()) > 0.0:
+            time.sleep(min(left, 0.01))
 
 
 def _end(process: subprocess.Popen[bytes], token: str) -> None:
@@ -240,10 +216,7 @@ def _end(process: subprocess.Popen[bytes], token: str) -> None:
 
 
 def _held_mb(process: subprocess.Popen[bytes]) -> float:
-    """Return the resident memory of a program's processes together, in MB.
-
-    1 MB is 10^6 bytes.
-    """
+    """Return the resident memory of a program's processes together, in MB. 1 MB is 10^6 bytes."""
     held = 0
     for member in _family(process):
         with contextlib.suppress(psutil.Error):
@@ -268,7 +241,6 @@ def _family(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
 
 
 def _find_marked(variable: str, token: str) -> list[psutil.Process]:
-    """Return the processes with a token in their environment, wherever they are."""
     found = []
     for one in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
@@ -278,10 +250,7 @@ def _find_marked(variable: str, token: str) -> list[psutil.Process]:
 
 
 def _size_mb(folder: Path) -> float:
-    """Return the disk space of all files below a folder, in MB.
-
-    Links are not followed.
-    """
+    """Return the disk space of all files below a folder, in MB. Links are not followed."""
     blocks = 0
     for path, _, files in os.walk(folder):
         for name in files:
@@ -326,10 +295,7 @@ def overdue(time_s: float) -> str:
 
 @contextlib.contextmanager
 def kill_if_left(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Kill a process and all below it if the block ends first.
-
-    Its pipes are closed, too.
-    """
+    """Kill a process and all below it if the block ends first. Its pipes are closed, too."""
     try:
         yield
     finally:

@@ -89,10 +89,7 @@ def ignored_interrupts() -> Iterator[None]:
 
 
 def missing(module: str, package: str) -> str | None:
-    """Say how to install a package of the extra `competitors`.
-
-    Returns None if it is there.
-    """
+    """Say how to install a package of the extra `competitors`. Returns None if it is there."""
     if importlib.util.find_spec(module):
         return None
     return f"the package {package} is not installed: pip install sabench[competitors]"
@@ -119,28 +116,19 @@ def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> N
     with log.open("wb") as errors:
         process = start_python(["-m", module, str(folder)], folder=folder, stderr=errors)
     with kill_if_left(process):
-        _follow(process, log, name, mark, steps)
-        code = _wait_counting_memory(process)
-    check_end(name, code, last_line(log.read_bytes()))
-
-
-def _follow(process: subprocess.Popen[bytes], log: Path, name: str, mark: str, steps: int) -> None:
-    assert process.stdout is not None
-    bar = iter(progress_bar(range(steps), name))
-    with log.open("ab") as kept:
-        for line in process.stdout:
-            kept.write(line)
-            if mark.encode() in line:
-                next(bar, None)
-    for _ in bar:  # steps that the program did not announce
-        pass
-
-
-def _wait_counting_memory(process: subprocess.Popen[bytes]) -> int:
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    memory.add_child(used.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e6)
-    return process.returncode
+        assert process.stdout is not None
+        bar = iter(progress_bar(range(steps), name))
+        with log.open("ab") as output:
+            for line in process.stdout:
+                output.write(line)
+                if mark.encode() in line:
+                    next(bar, None)
+        for _ in bar:  # steps that the program did not announce
+            pass
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        memory.add_child(used.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e6)
+    check_end(name, process.returncode, last_line(log.read_bytes()))
 
 
 def run_code(code: str, name: str, time_s: float) -> str:
@@ -159,9 +147,6 @@ def run_code(code: str, name: str, time_s: float) -> str:
             raise InputError(f"{name}: {overdue(time_s)}") from None
     check_end(name, process.returncode, last_line(errors))
     return output.decode("utf-8", "replace").strip()
-
-
-_Lines = queue.SimpleQueue[tuple[int, bytes]]
 
 
 @dataclass(frozen=True)
@@ -187,7 +172,7 @@ class Servers:
     def __init__(self, arguments: Sequence[str], count: int, threads: int) -> None:
         self._arguments, self._count, self._threads = arguments, count, threads
         self._processes: dict[int, subprocess.Popen[bytes]] = {}
-        self._lines: _Lines = queue.SimpleQueue()
+        self._lines: queue.SimpleQueue[tuple[int, bytes]] = queue.SimpleQueue()
         self._started = 0
 
     @property
@@ -227,14 +212,12 @@ class Servers:
         number, self._started = self._started, self._started + 1
         process = start_python(self._arguments, threads=self._threads, stdin=subprocess.PIPE)
         self._processes[number] = process
-        listener = (process.stdout, number, self._lines)
-        threading.Thread(target=_listen, args=listener, daemon=True).start()
 
+        def listen() -> None:
+            with contextlib.suppress(OSError, ValueError):
+                for line in process.stdout or ():
+                    if line.endswith(b"\n"):  # a killed server may leave half a line
+                        self._lines.put((number, line))
+            self._lines.put((number, b""))  # it has ended
 
-def _listen(pipe: IO[bytes], number: int, lines: _Lines) -> None:
-    """Queue each line of a server, and an empty one when it has ended."""
-    with contextlib.suppress(OSError, ValueError):
-        for line in pipe:
-            if line.endswith(b"\n"):  # a killed server may leave half a line
-                lines.put((number, line))
-    lines.put((number, b""))
+        threading.Thread(target=listen, daemon=True).start()

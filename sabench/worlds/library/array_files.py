@@ -22,29 +22,13 @@ from sabench.utils.tables import Array as Array, read_table
 
 FILE_NUMBER = "file_number"  # array of the number in the name of each value's file
 _CONTENTS = "contents.json"
-_LENGTHS = {
-    "km": 1e6,
-    "m": 1e3,
-    "dm": 1e2,
-    "cm": 10.0,
-    "mm": 1.0,
-    "um": 1e-3,
-    "µm": 1e-3,
-    "μm": 1e-3,
-    "micron": 1e-3,
-    "nm": 1e-6,
-}
+_LENGTHS = {"km": 1e6, "m": 1e3, "dm": 1e2, "cm": 10.0, "mm": 1.0}
+_LENGTHS |= {"um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "nm": 1e-6}
 _TIMES = {"min": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
 _WORDS = {
-    "meter": "m",
-    "metre": "m",
-    "meters": "m",
-    "metres": "m",
-    "millimeter": "mm",
-    "millimetre": "mm",
-    "second": "s",
-    "seconds": "s",
-    "sec": "s",
+    **dict.fromkeys(("meter", "metre", "meters", "metres"), "m"),
+    **dict.fromkeys(("millimeter", "millimetre"), "mm"),
+    **dict.fromkeys(("second", "seconds", "sec"), "s"),
 }
 
 Unit = str | float | None
@@ -117,7 +101,6 @@ def _read_apart(
 def _store(
     path: Path, names: Names, folder: Path, files: Sequence[Path], suffix: str, skip_lines: int
 ) -> None:
-    """Read arrays of a file or a series and store them in a folder."""
     parts = [_read_one(file, names, suffix, skip_lines) for file in files]
     contents = []
     for number, name in enumerate(parts[0] if names is None else names):
@@ -170,13 +153,10 @@ def _from_hdf5(path: Path, names: Names) -> dict[str, Array]:
     try:
         with h5py.File(path) as file:
             sets: dict[str, Any] = {}
-            file.visititems(
-                lambda name, item: (
-                    sets.update({name: item})
-                    if isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external)
-                    else None
-                )
-            )
+            file.visititems(sets.__setitem__)
+            for name, item in list(sets.items()):
+                if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
+                    del sets[name]
             return {
                 name: Array(_numbers(path, name, sets[name][()]), _text(sets[name].attrs))
                 for name in _choose(path, names, sets)
@@ -189,11 +169,8 @@ def _choose(path: Path, names: Names, there: dict[str, Any]) -> Sequence[str]:
     """Check the names; without names, choose the arrays of numbers at the root."""
     if names is not None:
         return _check_names(path, names, there)
-    return [
-        name
-        for name, item in there.items()
-        if "/" not in name and item.shape and item.dtype.kind in "fiu"
-    ]
+    arrays = {name: item for name, item in there.items() if "/" not in name and item.shape}
+    return [name for name, item in arrays.items() if item.dtype.kind in "fiu"]
 
 
 def _from_netcdf(path: Path, names: Names) -> dict[str, Array]:
@@ -239,7 +216,6 @@ def _numbers(path: Path, name: str, values: Any) -> F64:
 
 
 def _text(attributes: Any) -> str | None:
-    """Return the attribute `units`, if there is one."""
     value = attributes.get("units")
     if isinstance(value, np.ndarray):
         value = value.ravel()[0] if value.size == 1 else None
@@ -249,7 +225,6 @@ def _text(attributes: Any) -> str | None:
 
 
 def _from_vtk(path: Path, names: Names) -> dict[str, Array]:
-    """Read the point data of a lattice along the axes."""
     try:
         from vtkmodules.util.numpy_support import vtk_to_numpy
     except ImportError as error:
@@ -258,27 +233,23 @@ def _from_vtk(path: Path, names: Names) -> dict[str, Array]:
         ) from error
     data = _vtk_lattice(path)
     counts = data.GetDimensions()
-    axes = {
-        axis: np.array([_vtk_coordinate(data, number, index) for index in range(counts[number])])
-        for number, axis in enumerate("xyz")
-    }
-    points = data.GetPointData()
-    there = [points.GetArrayName(number) for number in range(points.GetNumberOfArrays())]
-    found = {}
-    for name in _check_names(path, names or (), [*axes, *there]):
+    axes = {}
+    for number, axis in enumerate("xyz"):
+        nodes = np.zeros((counts[number], 3), dtype=int)
+        nodes[:, number] = np.arange(counts[number])
+        points = [data.GetPoint(data.ComputePointId(node)) for node in nodes.tolist()]
+        axes[axis] = np.array([float(point[number]) for point in points])
+    content = data.GetPointData()
+    inside = [content.GetArrayName(number) for number in range(content.GetNumberOfArrays())]
+    arrays = {}
+    for name in _check_names(path, names or (), [*axes, *inside]):
         if name in axes:
-            found[name] = Array(axes[name])
+            arrays[name] = Array(axes[name])
         else:
-            values = vtk_to_numpy(points.GetArray(name))
+            values = vtk_to_numpy(content.GetArray(name))
             shaped = values.reshape(*counts[::-1], *values.shape[1:])
-            found[name] = Array(_numbers(path, name, shaped))
-    return found
-
-
-def _vtk_coordinate(data: Any, axis: int, index: int) -> float:
-    where = [0, 0, 0]
-    where[axis] = index
-    return float(data.GetPoint(data.ComputePointId(where))[axis])
+            arrays[name] = Array(_numbers(path, name, shaped))
+    return arrays
 
 
 def _vtk_lattice(path: Path) -> Any:

@@ -54,29 +54,18 @@ def surface_of(
             f"step_mm: expected a lattice of at most {_NODES} nodes, got "
             f"{' x '.join(map(str, counts))} with {step_mm:g} mm"
         )
-    values = _sample(
-        function,
-        [start + step_mm * np.arange(count) for start, count in zip(low, counts, strict=True)],
-    )
+    axes = [start + step_mm * np.arange(count) for start, count in zip(low, counts, strict=True)]
+    y, z = (axis.ravel() for axis in np.meshgrid(axes[1], axes[2], indexing="ij"))
+    values = np.empty(counts, dtype=np.float32)
+    for plane, x in zip(values, axes[0], strict=True):
+        plane[:] = function(np.column_stack([np.full(len(y), x), y, z])).reshape(plane.shape)
     _check_inside(values, low, step_mm)
     values[np.abs(values) < _OFF * step_mm] = _OFF * step_mm
     vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent")
     return Solid(low + step_mm * vertices.astype(np.float64), faces.astype(np.int64))
 
 
-def _sample(function: Callable[[F64], F64], axes: list[F64]) -> F32:
-    """Sample a function at all nodes (x, y, z)."""
-    y, z = (one.ravel() for one in np.meshgrid(axes[1], axes[2], indexing="ij"))
-    values = np.empty([len(axis) for axis in axes], dtype=np.float32)
-    for row, x in enumerate(axes[0]):
-        values[row] = function(np.column_stack([np.full(len(y), x), y, z])).reshape(
-            values.shape[1:]
-        )
-    return values
-
-
 def _check_inside(values: F32, low_mm: F64, step_mm: float) -> None:
-    """Check that something is inside, and nothing of it at the lattice's edge."""
     high = low_mm + step_mm * (np.array(values.shape) - 1)
     where = f"{np.round(low_mm, 3).tolist()} to {np.round(high, 3).tolist()} mm"
     if not values.min() < 0.0:

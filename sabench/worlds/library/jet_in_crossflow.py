@@ -24,15 +24,10 @@ _PATH, _BREAK = 1.37, 3.44
 _UPPER, _WIDTH, _POWER = (4.3, 0.33), (7.86, 0.17), 0.33
 _PIECES = 48  # of the column
 _NODES = 4001  # of a table over time
-_WAVE, _GROWN = (
-    1.6,
-    0.25,
-)  # wavelength of the column's waves in nozzle diameters, and their amplitude at its end in radii
-_THICK, _THIN, _BULB = (
-    0.28,
-    0.07,
-    0.11,
-)  # radii of ligaments where they begin and end, and of the balls there, in nozzle diameters
+# wavelength of the column's waves in nozzle diameters, and their amplitude at its end in radii
+_WAVE, _GROWN = 1.6, 0.25
+# radii of ligaments where they begin and end, and of the balls there, in nozzle diameters
+_THICK, _THIN, _BULB = 0.28, 0.07, 0.11
 _LONG = (1.0, 3.5)  # ligaments' lengths, in the same
 _BEND = np.array([0.35, 0.0, 0.0])  # into the gas, for each of their three pieces
 
@@ -55,30 +50,20 @@ class Crossflow(BaseModel):
     def break_mm(self) -> tuple[float, float]:
         """Point at which the column breaks, along the gas and along the nozzle."""
         rise = _BREAK * np.sqrt(self.momentum_ratio)
-        return float((rise / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm), float(
-            rise * self.diameter_mm
-        )
+        along = (rise / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm
+        return float(along), float(rise * self.diameter_mm)
 
     def upper_mm(self, x: F64) -> F64:
-        """Compute the spray's upper edge above the nozzle.
-
-        At distances x > 0 along the gas.
-        """
-        return np.asarray(
-            _UPPER[0]
-            * self.momentum_ratio ** _UPPER[1]
-            * (x / self.diameter_mm) ** _POWER
-            * self.diameter_mm
-        )
+        """Compute the spray's upper edge above the nozzle. At distances x > 0 along the gas."""
+        return self._edge(x, *_UPPER)
 
     def width_mm(self, x: F64) -> F64:
         """Compute the width of the spray at distances along the gas."""
-        return np.asarray(
-            _WIDTH[0]
-            * self.momentum_ratio ** _WIDTH[1]
-            * (x / self.diameter_mm) ** _POWER
-            * self.diameter_mm
-        )
+        return self._edge(x, *_WIDTH)
+
+    def _edge(self, x: F64, scale: float, power: float) -> F64:
+        along = (x / self.diameter_mm) ** _POWER
+        return np.asarray(scale * self.momentum_ratio**power * along * self.diameter_mm)
 
     def cones(self, seed: int) -> Cones:
         """Make column and ligaments as rounded cones.
@@ -92,17 +77,13 @@ class Crossflow(BaseModel):
         return starts, ends, first, last
 
     def _column(self, rng: np.random.Generator) -> Cones:
-        """Make the column along its path, with waves that grow."""
         along = np.linspace(0.0, 1.0, _PIECES + 1)
         y = along * self.break_mm[1]
         x = (y / self.diameter_mm / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm
         path = np.column_stack([x, -y, np.zeros_like(y)])
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-        waves = (
-            _GROWN
-            * along
-            * np.sin(2.0 * np.pi * (length / (_WAVE * self.diameter_mm) + rng.random()))
-        )
+        phase = 2.0 * np.pi * (length / (_WAVE * self.diameter_mm) + rng.random())
+        waves = _GROWN * along * np.sin(phase)
         radii = self.diameter_mm / 2.0 * (1.0 - 0.35 * along) * (1.0 + waves)
         return path[:-1], path[1:], radii[:-1], radii[1:]
 
@@ -114,20 +95,14 @@ class Crossflow(BaseModel):
         starts, _, radii, _ = column
         where = int(rng.integers(_PIECES // 3, _PIECES))
         root, least = starts[where], radii[where]
-        direction = np.array(
-            [
-                rng.uniform(0.2, 1.0),
-                rng.uniform(-0.7, 0.7),
-                rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0),
-            ]
-        )
+        x, y = rng.uniform(0.2, 1.0), rng.uniform(-0.7, 0.7)
+        direction = np.array([x, y, rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0)])
         length = rng.uniform(*_LONG) * self.diameter_mm
         positions = [root]
         for _ in range(3):
             direction = direction + _BEND
-            positions.append(
-                positions[-1] + direction / np.linalg.norm(direction) * (length + least) / 3.0
-            )
+            step = direction / np.linalg.norm(direction) * (length + least) / 3.0
+            positions.append(positions[-1] + step)
         ends = np.array(positions)
         thickness = np.linspace(min(_THICK * self.diameter_mm, least), _THIN * self.diameter_mm, 4)
         bulb = np.array([_BULB * self.diameter_mm])
@@ -177,9 +152,8 @@ class Spray:
         return time, self.start_mm + self._way(time)
 
     def _way(self, time: F64) -> F64:
-        return np.asarray(
-            self.gas_mm_s * (time + self.response_s * np.expm1(-time / self.response_s))
-        )
+        lag = self.response_s * np.expm1(-time / self.response_s)
+        return np.asarray(self.gas_mm_s * (time + lag))
 
     def positions(self, age: F64, line: F64) -> F64:
         """Compute positions (n, 3) from the nozzle at ages (n,), of lines (n, 2).
@@ -191,10 +165,7 @@ class Spray:
         return np.column_stack([x, y, self.jet.width_mm(x) * (line[:, 1] - 0.5)])
 
     def velocities(self, age: F64, positions: F64) -> F64:
-        """Compute velocities (n, 3) at positions.
-
-        Height and width grow as a power of x.
-        """
+        """Compute velocities (n, 3) at positions. Height and width grow as a power of x."""
         speed = -self.gas_mm_s * np.expm1(-age / self.response_s)
         slope = positions * _POWER / positions[:, :1]
         slope[:, 0] = 1.0
@@ -205,6 +176,5 @@ class Spray:
         x = positions[:, 0]
         height = (-positions[:, 1] / self.jet.upper_mm(x) - self.lower) / (1.0 - self.lower)
         time, ways = self.ages
-        return np.interp(x, ways, time), np.column_stack(
-            [height, positions[:, 2] / self.jet.width_mm(x) + 0.5]
-        )
+        side = positions[:, 2] / self.jet.width_mm(x) + 0.5
+        return np.interp(x, ways, time), np.column_stack([height, side])

@@ -20,11 +20,8 @@ def half_thickness(x: npt.ArrayLike, ratio: float) -> F64:
     `ratio` is the largest thickness over the chord.
     """
     at = np.asarray(x, dtype=np.float64)
-    return np.asarray(
-        5.0
-        * ratio
-        * (0.2969 * np.sqrt(at) + at * (-0.1260 + at * (-0.3516 + at * (0.2843 + _LAST * at))))
-    )
+    polynomial = at * (-0.1260 + at * (-0.3516 + at * (0.2843 + _LAST * at)))
+    return np.asarray(5.0 * ratio * (0.2969 * np.sqrt(at) + polynomial))
 
 
 def camber(x: npt.ArrayLike, height: float, position: float) -> tuple[F64, F64]:

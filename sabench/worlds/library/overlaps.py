@@ -1,8 +1,4 @@
-"""Points in closed bodies.
-
-containment: Points in closed bodies.
-
-overlaps: Overlap of ellipsoids with each other and with a body.
+"""Points in closed bodies, and overlap of ellipsoids with each other and with a body.
 
 Two ellipsoids are tested exactly, by the contact function of Perram and Wertheim (J. Comput. Phys.
 58, 409, 1985).
@@ -35,7 +31,6 @@ def contains(body: Solid, points_mm: F64) -> Bool:
 
 @numba.njit(cache=True, parallel=True, error_model="numpy")
 def _solid_angles(points: Any, vertices: Any, faces: Any, out: Any) -> None:
-    """Sum the signed solid angles of all faces as seen from each point."""
     for n in numba.prange(len(points)):
         total = 0.0
         for f in range(len(faces)):
@@ -66,10 +61,7 @@ _STEPS = 40  # of the golden section: to 4e-9
 
 
 def shapes_of(semi_axes_mm: F64, rotation: F64) -> F64:
-    """Compute matrices whose inverses are the ellipsoids' quadratic forms.
-
-    (n, 3, 3).
-    """
+    """Compute matrices whose inverses are the ellipsoids' quadratic forms. (n, 3, 3)."""
     return np.asarray(np.einsum("nki,nk,nkj->nij", rotation, semi_axes_mm**2, rotation))
 
 
@@ -82,22 +74,14 @@ def overlapping(bubbles: Bubbles) -> I64:
     largest = bubbles.semi_axes_mm.max(axis=1)
     tree = cKDTree(bubbles.center_mm)
     pairs = tree.query_pairs(2.0 * float(np.median(largest)), output_type="ndarray").tolist()
-    for i in np.flatnonzero(
-        largest > np.median(largest)
-    ):  # large ones reach further than the median's pairs
-        pairs.extend(
-            (i, j)
-            for j in tree.query_ball_point(bubbles.center_mm[i], largest[i] + largest.max())
-            if j != i
-        )
+    # large ones reach further than the median's pairs
+    for i in np.flatnonzero(largest > np.median(largest)):
+        near = tree.query_ball_point(bubbles.center_mm[i], largest[i] + largest.max())
+        pairs.extend((i, j) for j in near if j != i)
     both = np.unique(np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1), axis=0)
     shapes = shapes_of(bubbles.semi_axes_mm, bubbles.turn)
-    apart = contact(
-        bubbles.center_mm[both[:, 0]],
-        shapes[both[:, 0]],
-        bubbles.center_mm[both[:, 1]],
-        shapes[both[:, 1]],
-    )
+    (first, second), centers = both.T, bubbles.center_mm
+    apart = contact(centers[first], shapes[first], centers[second], shapes[second])
     close = both[apart < 1.0 - 1e-9]
     return np.where((largest[close[:, 0]] >= largest[close[:, 1]])[:, None], close, close[:, ::-1])
 
@@ -108,14 +92,8 @@ def touching(bubbles: Bubbles, solid: Solid) -> Bool:
     A bubble that lies wholly inside is not among them.
     """
     out = np.zeros(len(bubbles), dtype=np.bool_)
-    _touch(
-        bubbles.center_mm,
-        bubbles.to_ball,
-        bubbles.semi_axes_mm.max(axis=1),
-        solid.vertices_mm,
-        solid.faces,
-        out,
-    )
+    radius = bubbles.semi_axes_mm.max(axis=1)
+    _touch(bubbles.center_mm, bubbles.to_ball, radius, solid.vertices_mm, solid.faces, out)
     return out
 
 

@@ -58,10 +58,8 @@ class JetLaw:
 
     def total_over_peak(self, y: F64) -> F64:
         """Compute C_Y over its maximum, equation 5.18."""
-        return np.asarray(
-            self.weight * np.exp(-(self.scaled_depth(y) ** 2) / (2.0 * self.width**2))
-            + (1.0 - self.weight)
-        )
+        peak = np.exp(-(self.scaled_depth(y) ** 2) / (2.0 * self.width**2))
+        return np.asarray(self.weight * peak + (1.0 - self.weight))
 
     def axis_over_peak(self, y: F64) -> F64:
         """Compute C_max over its maximum.
@@ -71,21 +69,16 @@ class JetLaw:
         """
         scaled = self.scaled_depth(y)
         line = np.clip(np.where(scaled < 0.0, 1.0 + RISE * scaled, 1.0 + FALL * scaled), 0.0, 1.0)
-        least = (
-            float(self.total_over_peak(np.array(self.penetration_mm)))
-            * self.peak_mm
-            / self.penetration_mm
-        )
+        end = float(self.total_over_peak(np.array(self.penetration_mm)))
+        least = end * self.peak_mm / self.penetration_mm
         return np.asarray(least + (1.0 - least) * line)
 
     def half_radius_mm(self, y: F64) -> F64:
         """Compute R_.5, equation 5.22."""
-        there = self.equivalent_mm / 2.0 / np.sqrt(np.log(1.0 / EDGE) / LN2)  # at Y_p
+        end = np.array(self.penetration_mm)
+        radius = self.equivalent_mm / 2.0 / np.sqrt(np.log(1.0 / EDGE) / LN2)  # at the end
         shape = self.total_over_peak(y) / self.axis_over_peak(y)
-        at_end = self.total_over_peak(np.array(self.penetration_mm)) / self.axis_over_peak(
-            np.array(self.penetration_mm)
-        )
-        return np.asarray(there * shape / at_end)
+        return np.asarray(radius * shape / (self.total_over_peak(end) / self.axis_over_peak(end)))
 
     @cached_property
     def largest(self) -> float:
@@ -94,30 +87,21 @@ class JetLaw:
 
         def inside(y: float) -> float:
             half, edge = float(self.half_radius_mm(np.array(y))), slope * y
-            return (
-                float(self.axis_over_peak(np.array(y)))
-                * np.pi
-                * half**2
-                / LN2
-                * -float(np.expm1(-LN2 * edge**2 / half**2))
-            )
+            share = -float(np.expm1(-LN2 * edge**2 / half**2))
+            return float(self.axis_over_peak(np.array(y))) * np.pi * half**2 / LN2 * share
 
         air, _ = quad(inside, 0.0, self.penetration_mm, limit=200, points=[self.peak_mm])
         return float(self.total * np.pi * slope**2 * self.penetration_mm**3 / 3.0 / air)
 
     def concentration(self, y: F64, r: F64) -> F64:
         """Compute the void fraction C(Y, R), equation 5.19."""
-        return np.asarray(
-            self.largest
-            * self.axis_over_peak(y)
-            * np.exp(-LN2 * np.asarray(r) ** 2 / self.half_radius_mm(y) ** 2)
-        )
+        profile = np.exp(-LN2 * np.asarray(r) ** 2 / self.half_radius_mm(y) ** 2)
+        return np.asarray(self.largest * self.axis_over_peak(y) * profile)
 
     def air_mm2(self, y: F64) -> F64:
         """Compute the volume of air per depth: the integral of 2 pi R C over R."""
-        return np.asarray(
-            self.largest * self.axis_over_peak(y) * np.pi * self.half_radius_mm(y) ** 2 / LN2
-        )
+        peak = self.largest * self.axis_over_peak(y)
+        return np.asarray(peak * np.pi * self.half_radius_mm(y) ** 2 / LN2)
 
 
 def rotation_from_y(tilt_deg: tuple[float, float]) -> F64:

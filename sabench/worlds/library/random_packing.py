@@ -36,29 +36,17 @@ def place(semi_axes_mm: F64, rotation: F64, propose: Callable[[I64, int], F64], 
     """
     count = len(semi_axes_mm)
     order = np.argsort(-semi_axes_mm.max(axis=1), kind="stable")
-    shapes, largest, smallest = (
-        shapes_of(semi_axes_mm, rotation),
-        semi_axes_mm.max(axis=1),
-        semi_axes_mm.min(axis=1),
-    )
+    shapes = shapes_of(semi_axes_mm, rotation)
+    largest, smallest = semi_axes_mm.max(axis=1), semi_axes_mm.min(axis=1)
+    width = float(largest.max(initial=1e-9)) * 2.0
     centers = np.full((count, 3), np.nan)
     left = order
     for _ in range(_ROUNDS):
         if not len(left):
             return centers
         tried = propose(left, _TRIES)
-        cells, low = _grid(centers, tried, float(largest.max(initial=1e-9)) * 2.0)
-        placed = _place(
-            left,
-            tried,
-            centers,
-            shapes,
-            largest,
-            smallest,
-            cells,
-            low,
-            float(largest.max(initial=1e-9)) * 2.0,
-        )
+        cells, low = _grid(centers, tried, width)
+        placed = _place(left, tried, centers, shapes, largest, smallest, cells, low, width)
         left = left[~placed]
     raise InputError(
         f"{what}: expected room for {count} bubbles, but for {len(left)} of them none was found: "
@@ -153,10 +141,7 @@ def _fits(
 
 
 def _grid(centers: F64, tried: F64, width: float) -> tuple[I64, F64]:
-    """Make a grid of cells for all candidates.
-
-    Counts along x, y, z, and origin.
-    """
+    """Make a grid of cells for all candidates. Counts along x, y, z, and origin."""
     known = np.concatenate([centers[np.isfinite(centers[:, 0])], tried.reshape(-1, 3)])
     low = known.min(axis=0)
     cells = np.maximum(1, np.ceil((known.max(axis=0) - low) / width + 1e-9)).astype(np.int64)

@@ -47,17 +47,15 @@ class Liquid:
     @property
     def slowest_mm(self) -> float:
         """Diameter at the minimum of the wave-like velocity."""
-        return 1e3 * float(
-            np.sqrt(_CAPILLARY * self.tension / (_GRAVITY * self.density * self.gravity))
-        )
+        weight = _GRAVITY * self.density * self.gravity
+        return 1e3 * float(np.sqrt(_CAPILLARY * self.tension / weight))
 
 
 def wave_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
     """Compute the velocity (n,) of large bubbles in m/s; viscosity is negligible."""
     d = 1e-3 * np.asarray(diameter_mm)
-    return np.asarray(
-        np.sqrt(_CAPILLARY * liquid.tension / (liquid.density * d) + _GRAVITY * liquid.gravity * d)
-    )
+    capillary = _CAPILLARY * liquid.tension / (liquid.density * d)
+    return np.asarray(np.sqrt(capillary + _GRAVITY * liquid.gravity * d))
 
 
 def spheroid_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
@@ -98,21 +96,16 @@ def weber(ratio: F64) -> F64:
     chi = np.asarray(ratio)
     root, angle = np.sqrt(chi**2 - 1.0), np.arccos(1.0 / chi)
     bracket = chi**2 * angle - root
-    return np.asarray(
-        4.0 * chi ** (-4.0 / 3.0) * (chi**3 + chi - 2.0) * bracket**2 / (chi**2 - 1.0) ** 3
-    )
+    form = 4.0 * chi ** (-4.0 / 3.0) * (chi**3 + chi - 2.0)
+    return np.asarray(form * bracket**2 / (chi**2 - 1.0) ** 3)
 
 
 def drag_factors(ratio: F64) -> tuple[F64, F64]:
     """Compute Moore's G and H: the drag coefficient is 48 G / Re (1 + H / sqrt(Re))."""
     chi = np.asarray(ratio)
     root, angle = np.sqrt(chi**2 - 1.0), np.arccos(1.0 / chi)
-    dissipated = (
-        chi ** (4.0 / 3.0)
-        * root**3
-        * (root - (2.0 - chi**2) * angle)
-        / (3.0 * (chi**2 * angle - root) ** 2)
-    )
+    dissipated = chi ** (4.0 / 3.0) * root**3 * (root - (2.0 - chi**2) * angle)
+    dissipated /= 3.0 * (chi**2 * angle - root) ** 2
     wake = np.polyval([0.0195, -0.2134, 1.7026, -2.1461, -1.5732], chi)
     return np.asarray(dissipated), np.asarray(wake)
 

@@ -1,12 +1,8 @@
-"""Distributions of sizes, and the lattice on which sizes are drawn.
+"""Distributions of sizes, shapes and directions of bubbles, and a lattice of diameters.
 
-size_distributions: Size distributions: sizes, shapes and directions of bubbles and drops.
-
-size_lattice: Lattice of diameters on which particles scatter.
-
-What a sphere scatters in one direction changes with its last hundredth of a percent of diameter.
-Diameters are rounded to this lattice, far finer than anybody can measure, so that particles share
-what has been computed, exactly.
+The light that a sphere scatters in one direction changes with the last hundredth of a percent of
+its diameter. Particles' diameters are rounded to the lattice, far finer than can be measured, so
+that particles share scattering computed exactly.
 """
 
 from __future__ import annotations
@@ -69,9 +65,8 @@ def radii(
     out = np.full(count, spectrum.radius_mm)
     left = np.ones(count, dtype=np.bool_)
     while spectrum.radius_spread > 0.0 and left.any():
-        out[left] = spectrum.radius_mm * np.exp(
-            spectrum.radius_spread * rng.standard_normal(int(left.sum()))
-        )
+        draws = rng.standard_normal(int(left.sum()))
+        out[left] = spectrum.radius_mm * np.exp(spectrum.radius_spread * draws)
         left = (out < low) | (out > min(high, largest_mm))
     return out
 
@@ -86,9 +81,8 @@ def spheroids(
     radius = radii(spectrum, rng, count, largest_mm)
     aspect = rng.uniform(*spectrum.aspect_range, count)
     long = radius * aspect ** (-1.0 / 3.0)
-    return np.column_stack([long, long * aspect, long]), upright(
-        rng, count, np.deg2rad(spectrum.tilt_deg)
-    )
+    rotation = upright(rng, count, np.deg2rad(spectrum.tilt_deg))
+    return np.column_stack([long, long * aspect, long]), rotation
 
 
 def upright(rng: np.random.Generator, count: int, tilt: float) -> F64:
@@ -107,10 +101,9 @@ def upright(rng: np.random.Generator, count: int, tilt: float) -> F64:
 def within(domain: Domain, bubbles: Bubbles) -> Bool:
     """Find which bubbles lie wholly in the box."""
     extent = np.stack([bubbles.reach_mm(axis) for axis in np.eye(3)], axis=1)
-    low = domain.low_mm
-    inside = (bubbles.center_mm - extent >= low - 1e-9) & (
-        bubbles.center_mm + extent <= low + np.asarray(domain.size_mm) + 1e-9
-    )
+    low, high = domain.low_mm, domain.low_mm + np.asarray(domain.size_mm)
+    inside = bubbles.center_mm - extent >= low - 1e-9
+    inside &= bubbles.center_mm + extent <= high + 1e-9
     return np.asarray(inside.all(axis=1))
 
 

@@ -109,9 +109,8 @@ def solve(
     count = 3 * int(solid.sum())
 
     def answer(force: F64) -> F64:
-        return (
-            green.velocity(_spread(force.reshape(-1, 3), solid, box)).reshape(-1, 3)[solid].ravel()
-        )
+        velocity = green.velocity(_spread(force.reshape(-1, 3), solid, box))
+        return velocity.reshape(-1, 3)[solid].ravel()
 
     wanted = -np.tile(velocity_mm_s, count // 3)
     operator = LinearOperator((count, count), matvec=answer, dtype=np.float64)

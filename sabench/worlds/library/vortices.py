@@ -31,7 +31,5 @@ def turning_gradient(offset: F64, along: F64, rate: F64, slope: F64) -> F64:
 
     `slope` (n,) is the rate's derivative by the distance, over the distance.
     """
-    return np.asarray(
-        rate[:, None, None] * skew(along)
-        + np.einsum("n,ni,nj->nij", slope, np.cross(along, offset), offset)
-    )
+    shear = np.einsum("n,ni,nj->nij", slope, np.cross(along, offset), offset)
+    return np.asarray(rate[:, None, None] * skew(along) + shear)

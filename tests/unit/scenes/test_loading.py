@@ -170,8 +170,8 @@ def test_a_scene_has_one_world(name: str) -> None:
     """
     scene = load_scene(name)
     assert isinstance(scene.world, WORLDS[name])
-    assert (scene.tracers is None) == (scene.particles is None)
-    if scene.tracers is None:
+    assert (scene.world.tracers is None) == (scene.particles is None)
+    if scene.world.tracers is None:
         with pytest.raises(InputError, match="particles: expected a scene with particles"):
             _ = scene.particle_world
     else:
