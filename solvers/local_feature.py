@@ -11,9 +11,9 @@ from sabench.algorithms.bubbles import (
     WINDOW,
     FeaturePeaks,
     attenuate,
+    compute_potential,
     darkness,
     drop_duplicates,
-    feature_potential,
     find_blots,
     find_depth,
     find_edges,
@@ -81,9 +81,9 @@ class LocalFeature(BubbleSolver):
         """Detect bubbles by steps 1 to 4 of the section."""
         volume = darkness(case)
         for _ in range(2):
-            attenuate(volume, feature_potential(volume, STEP, _FLAT), STEP)
+            attenuate(volume, compute_potential(volume, STEP, _FLAT), STEP)
         peaks = FeaturePeaks.find(
-            np.log1p(feature_potential(volume, STEP, _FLAT)), self.parameters.least_peak
+            np.log1p(compute_potential(volume, STEP, _FLAT)), self.parameters.least_peak
         )
         bubbles = self._bubbles(volume, peaks, case.grid)
         return _detections(

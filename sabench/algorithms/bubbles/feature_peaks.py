@@ -1,10 +1,9 @@
-"""Peaks of the feature potential over depth, and groups of them.
+"""Peaks of the feature potential over depth, groups of them, and depths of outlines.
 
-The module also finds the depth of an outline. Source: J. Belden's thesis, section 5.4.3. There a
-group is whatever is connected, each peak within half a window and ten planes of another one. Among
-many bubbles such chains run from one to the next, and their mean depth is that of none; here a
-group is what is connected to its strongest peak within ten planes of that one, and as far sideways
-as the largest bubble.
+Source: J. Belden's thesis, section 5.4.3. There a group is a chain of peaks, each within half a
+window and ten planes of another one. Among many bubbles such chains run from one to the next, and
+their mean depth is that of none; here a group reaches at most ten planes from its strongest peak,
+and as far sideways as the largest bubble.
 """
 
 from __future__ import annotations
