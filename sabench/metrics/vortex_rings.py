@@ -44,10 +44,7 @@ def sample(field: Velocity, values: F64) -> Sampled:
 
 
 def spin_of(field: Velocity) -> Sampled:
-    """Interpolate a field's vorticity linearly between its nodes.
-
-    Of a planar field, it is the part about the plane's normal.
-    """
+    """Interpolate a field's vorticity linearly, or its part about a plane's normal."""
     own = field.in_own_axes()
     spin = vorticity(gradient(own.velocity_mm_s, own.step_mm))
     if field.plane_axes is not None:
@@ -72,10 +69,7 @@ class HalfPlane:
     normal: F64
 
     def points(self, r: F64, z: F64) -> F64:
-        """Compute world points at distances (n,) from the axis and heights (n,).
-
-        Points are (n, 3); heights are along the axis.
-        """
+        """Compute world points (n, 3) at distances (n,) from the axis and heights (n,) along it."""
         return np.asarray(self.center_mm + r[:, None] * self.outward + z[:, None] * self.axis)
 
 

@@ -73,10 +73,7 @@ def _diffuser_share(angle: F64, half_angle: float) -> F64:
 
 @dataclass(frozen=True)
 class Profile:
-    """Blurred transmission (radius, distance).
-
-    Radii are spaced geometrically, distances uniformly from the centre to `reach` radii.
-    """
+    """Blurred transmission at geometric radii (rows) and uniform distances (columns)."""
 
     table: F32
     blur_px: float
@@ -84,10 +81,7 @@ class Profile:
     @classmethod
     @functools.lru_cache(maxsize=64)  # the same for every frame
     def tabulate(cls, index: float, half_angle: float, blur_px: float) -> Profile:
-        """Tabulate balls of a relative index in front of a diffuser of a half angle.
-
-        A Gaussian blurs the profiles.
-        """
+        """Tabulate blurred balls of a relative index in front of a diffuser's half angle."""
         parts = (np.arange(_FINE) + 0.5) / _FINE
         dark = _blur_weights(blur_px) @ (1.0 - sharp(parts, index, half_angle))
         table = (1.0 - dark).astype(np.float32)

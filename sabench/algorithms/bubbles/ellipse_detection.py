@@ -109,10 +109,7 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
 
 
 def _fit_ellipse(points: F64, first: F64) -> F64:
-    """Fit an ellipse to edges by least squares.
-
-    Returns `first` if there are too few edges or no similar ellipse fits them.
-    """
+    """Fit an ellipse to edges by least squares; `first` without a similar one."""
     if len(points) < _FEWEST:
         return first
     (x, y), (width, height), degrees = cv2.fitEllipseDirect(points[:, :2].astype(np.float32))
@@ -124,10 +121,7 @@ def _fit_ellipse(points: F64, first: F64) -> F64:
 
 @numba.njit(cache=True, error_model="numpy")
 def _relation(points: Any, ellipse: Any) -> Any:
-    """Compute distances of edges from an ellipse to first order.
-
-    Also the cosines between their directions and its inward normals, and eccentric angles.
-    """
+    """Compute distances of edges from an ellipse, cosines with its normals, and angles."""
     x, y, a, b, angle = ellipse
     cosine, sine = np.cos(angle), np.sin(angle)
     out = np.empty((3, len(points)))
@@ -167,10 +161,7 @@ def _edge_coverage(points: Any, ellipse: Any) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _vote_for_ellipse(points: Any, largest: float, least_aspect: float) -> Any:
-    """Find the ellipse (5,) that most edges vote for, and the part of it with edges.
-
-    Of ellipses with equal parts, the larger one is returned.
-    """
+    """Find the ellipse (5,) with most votes, the larger of equal ones, and its coverage."""
     best, best_part, most = np.zeros(5), 0.0, 0.0
     for i in range(len(points)):
         for j in range(i):
@@ -204,10 +195,7 @@ def _vote_for_ellipse(points: Any, largest: float, least_aspect: float) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def _minor(points: Any, axis: Any, least_aspect: float) -> float:
-    """Find the minor semi-axis with the most votes; 0 without votes.
-
-    Also returns the mean of the votes over it and its neighbours in the accumulator.
-    """
+    """Find the minor semi-axis with the most votes of three bins; 0 without votes."""
     x, y, a, _, angle = axis
     cosine, sine = np.cos(angle), np.sin(angle)
     votes = np.zeros(int(a / _BIN) + 4)
@@ -244,10 +232,7 @@ _SMOOTH = 0.6  # px
 
 @dataclass(frozen=True)
 class Votes:
-    """Votes (radius, row, column) from 0 to 1 of one image, and the radii in px.
-
-    They are stretched downwards until ellipses of an aspect are circles.
-    """
+    """Votes (radius, row, column) from 0 to 1, stretched down by the aspect, and radii in px."""
 
     radii_px: F64
     maps: F32
@@ -265,10 +250,7 @@ def radii_between(smallest_px: float, largest_px: float) -> F64:
 
 
 def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
-    """Vote for circles in one image of transmission.
-
-    With an aspect (short over long axis), vote for ellipses that lie flat.
-    """
+    """Vote for circles, or for ellipses of an aspect that lie flat, in a transmission."""
     if aspect != 1.0:
         image = cv2.resize(
             image, (image.shape[1], round(image.shape[0] / aspect)), interpolation=cv2.INTER_CUBIC
@@ -300,10 +282,7 @@ def _ring(radius: float) -> tuple[F32, F32]:
 
 
 def peaks(votes: Votes, least: float, margin: int = 1) -> F64:
-    """Find local maxima over position and radius.
-
-    Returns (n, 4): column, row, radius in px, vote.
-    """
+    """Find local maxima (n, 4) over position and radius: column, row, radius in px, vote."""
     maps, window = votes.maps, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8)
     spatial = np.stack([cv2.dilate(votes_of_radius, window) for votes_of_radius in maps])
     around = spatial.copy()

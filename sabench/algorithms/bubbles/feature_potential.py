@@ -91,10 +91,7 @@ def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
 
 
 def attenuate(volume: F32, potential: F32, step: int) -> None:
-    """Multiply windows' planes by the cumulative distribution of E over depth.
-
-    Works in place. Between the windows' middles it is interpolated.
-    """
+    """Multiply planes, in place, by the interpolated cumulative distribution of E over depth."""
     order = np.argsort(np.argsort(potential, axis=0, kind="stable"), axis=0, kind="stable")
     share = ((order + 1) / len(potential)).astype(np.float32)
     share[:, potential.max(axis=0) == 0.0] = 0.0
@@ -110,10 +107,7 @@ def attenuate(volume: F32, potential: F32, step: int) -> None:
 
 @dataclass(frozen=True)
 class Outlines:
-    """Circles or ellipses in a plane.
-
-    Column, row, semi-axes across and down (n, 4) in voxels, and the depth index (n,).
-    """
+    """Column, row, semi-axes across and down (n, 4) in voxels, and the depth index (n,)."""
 
     shapes: F64
     depth: F64
@@ -160,10 +154,7 @@ def _grow_box(left: int, top: int, width: int, height: int) -> tuple[slice, slic
 
 
 def _threshold(dark: F32) -> list[tuple[float, float, float, float]]:
-    """List regions darker than their mean as circles.
-
-    Each circle has the region's centroid and equivalent radius. A uniform region gives none.
-    """
+    """List regions darker than their mean as circles; none for a uniform region."""
     inside = dark > dark.mean()
     if not inside.any():
         return []
@@ -173,10 +164,7 @@ def _threshold(dark: F32) -> list[tuple[float, float, float, float]]:
 
 
 def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float, float]]:
-    """Find column, row and radius of small features of a region.
-
-    They end within it and have an equivalent diameter below `small` voxels.
-    """
+    """Find column, row and radius of features below `small` voxels that end in a region."""
     *_, stats = _label_edges(dark, least)
     out = []
     for left, top, width, height, area in stats[1:]:
@@ -234,10 +222,7 @@ def find_circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, fl
 
 @numba.njit(cache=True, error_model="numpy")
 def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
-    """Vote by each edge pixel for the centres of circles whose outline it is.
-
-    Darkness grows inwards.
-    """
+    """Vote by each edge pixel for the centres of circles that are dark inside."""
     for n in range(len(rows)):
         for r in range(1, votes.shape[0] + 1):
             x, y = int(np.rint(columns[n] + r * gx[n])), int(np.rint(rows[n] + r * gy[n]))
@@ -246,10 +231,7 @@ def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
 
 
 def _depth_of(shape: F64, dark: F32, depth: F32) -> float:
-    """Average the depths on an outline's rim, weighted with the darkness.
-
-    The rim is what lies within a voxel of the outline and inside it.
-    """
+    """Average the depths on an outline's rim, a voxel wide, weighted with the darkness."""
     x, y, a, b = shape
     margin = 2
     top, bottom = max(int(y - b) - margin, 0), min(int(y + b) + margin + 1, dark.shape[0])

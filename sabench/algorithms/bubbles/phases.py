@@ -60,10 +60,7 @@ def separate_phases(case: Observation, largest_px: float) -> SeparatedPhases:
 
 
 def image_diameter_px(case: Observation, radius_mm: float) -> float:
-    """Compute the diameter in pixels of a ball in the middle of the volume.
-
-    It is the largest of all cameras.
-    """
+    """Compute the largest image's diameter of a ball in the middle of the volume."""
     grid = case.grid
     middle = np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * grid.shape[::-1] / 2.0
     ends = np.stack([middle, *(middle + radius_mm * np.eye(3))])
@@ -89,10 +86,7 @@ def _separate(light: F32, largest_px: float, white: float) -> tuple[F32, F32, Bo
 
 
 def _diffuser(light: F32) -> tuple[float, float]:
-    """Estimate the diffuser's brightness, and the noise of its pixels.
-
-    The diffuser is the most frequent brightness; noise is symmetric about it.
-    """
+    """Estimate the diffuser's brightness, the most frequent one, and the noise around it."""
     values = np.sort(cv2.medianBlur(light, 3).ravel())
     width = len(values) // 5  # the shortest interval that holds a fifth of the pixels: its mode
     first = int(np.argmin(values[width:] - values[:-width]))

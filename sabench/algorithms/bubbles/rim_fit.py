@@ -61,11 +61,7 @@ def shade_at(ellipse: Any, column: int, row: int, middle: float, table: Any, blu
 def slopes_at(
     ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float, out: Any
 ) -> Any:
-    """Compute the transmission at a pixel, and its derivatives by the ellipse.
-
-    The transmission is at least `DIM`. Derivatives of the table are those of its bilinear
-    interpolation.
-    """
+    """Compute the transmission at a pixel, at least `DIM`, and its derivatives."""
     out[:] = 0.0
     here = shade_at(ellipse, column, row, middle, table, blur)
     x, y = column - ellipse[0], row - ellipse[1]
@@ -196,10 +192,7 @@ def darken(model: Model, parameters: F64, sign: float) -> None:
 
 
 def gain(model: Model, parameters: F64) -> F64:
-    """Compute how much of a bubble's shadow is dark and not yet explained.
-
-    Returns (camera,) from below 0 to 1; NaN out of view.
-    """
+    """Compute the share (camera,) of a shadow that is dark and unexplained; NaN out of view."""
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
     _gains(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)
@@ -339,10 +332,7 @@ def _normal(
     normal: Any,
     slope: Any,
 ) -> Any:
-    """Sum over views and pixels of Geman and McClure's function of the residuals.
-
-    The weights of the normal equations are those of this function.
-    """
+    """Sum Geman and McClure's function of the residuals, and its normal equations."""
     count = len(steps)
     change, own, moves = np.empty(count), np.empty(5), np.empty((count, 5))
     value = 0.0

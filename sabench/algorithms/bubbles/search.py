@@ -41,10 +41,7 @@ _BEYOND = 0.02  # of the volume's depth: how far outside it lines are followed
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Possible bubbles.
-
-    Centres (n, 3), long semi-axes (n,), mean votes (n,), short over long axis (n,), the best first.
-    """
+    """Possible bubbles, the best first: centres, long semi-axes, votes, short over long axis."""
 
     center_mm: F64
     radius_mm: F64
@@ -127,10 +124,7 @@ def _along_lines(
 
 
 def px_per_mm(camera: Camera, points_mm: F64) -> F64:
-    """Compute pixels per mm across the line of sight at points (n, 3).
-
-    The length of the light path gives it, accurately enough to choose a radius.
-    """
+    """Compute pixels per mm across the line of sight at points (n, 3)."""
     step = 0.5
     across = step * np.array([1.0, 0.0, 0.0])
     ends = [camera.project(points_mm + sign * across)[0] for sign in (-1.0, 1.0)]
@@ -152,10 +146,7 @@ def _average_agreeing(total: F32) -> F32:
 def _sample(
     maps: Any, pixels: Any, good: Any, size: Any, first: float, step: float, out: Any
 ) -> None:
-    """Sample votes at pixels and radii.
-
-    Sampling is bilinear over the radius and takes the nearest pixel in the image.
-    """
+    """Sample votes at pixels and radii, bilinear over the radius, at the nearest pixel."""
     count, rows, columns = maps.shape
     for n in numba.prange(len(out)):
         if not good[n]:
@@ -284,10 +275,7 @@ def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
 
 
 def _unite(model: Model, kept: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
-    """Replace small bubbles along one rim by one bubble.
-
-    A replacement must explain the images as well as they do.
-    """
+    """Replace small bubbles along one rim by a bubble that explains the images as well."""
     order = np.argsort(-start.radius_mm * start.aspect, kind="stable")
     for n in progress_bar(order[start.vote[order] >= _VOTED].tolist(), "unite bubbles"):
         first = _start(start, n)
@@ -311,10 +299,7 @@ def _unite(model: Model, kept: list[F64], start: Hypotheses, limits: Limits) -> 
 
 
 def _parts(kept: list[F64], whole: F64) -> list[int]:
-    """List the bubbles that are smaller than another one and within its outline.
-
-    The list is empty if a similar bubble exists already.
-    """
+    """List the smaller bubbles within an outline; none if a similar bubble exists."""
     if not kept:
         return []
     every = np.stack(kept)
