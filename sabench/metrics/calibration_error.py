@@ -200,20 +200,18 @@ def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
     The position is that of the estimated wall's point along the true normal. None if one of the
     walls is missing or they have different numbers of layers.
     """
+    names = ("index_error", "thickness_error_mm", "wall_place_error_mm", "wall_tilt_error_deg")
     if truth is None or estimate is None or len(estimate.layers) != len(truth.layers):
-        names = ("index_error", "thickness_error_mm", "wall_place_error_mm", "wall_tilt_error_deg")
         return dict.fromkeys(names)
-    thickness = [
-        abs(one.thickness_mm - true.thickness_mm)
-        for one, true in zip(estimate.layers, truth.layers, strict=True)
-    ]
+    layers = zip(estimate.layers, truth.layers, strict=True)
     turn = np.clip(np.linalg.norm(np.cross(estimate.normal, truth.normal)), 0.0, 1.0)
-    return {
-        "index_error": float(np.abs(estimate.indices - truth.indices).max()),
-        "thickness_error_mm": max(thickness, default=0.0),
-        "wall_place_error_mm": abs(float(truth.depth_of(np.asarray(estimate.point_mm)))),
-        "wall_tilt_error_deg": float(np.rad2deg(np.arcsin(turn))),
-    }
+    figures = (
+        float(np.abs(estimate.indices - truth.indices).max()),
+        max((abs(one.thickness_mm - true.thickness_mm) for one, true in layers), default=0.0),
+        abs(float(truth.depth_of(np.asarray(estimate.point_mm)))),
+        float(np.rad2deg(np.arcsin(turn))),
+    )
+    return dict(zip(names, figures, strict=True))
 
 
 def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> Scores:

@@ -15,16 +15,7 @@ from scipy.spatial import cKDTree
 from sabench.api import Reconstruction
 from sabench.api.truth import Particles, View
 from sabench.geometry.grid import Grid
-from sabench.metrics.particle_detection import (
-    CHALLENGE_RADIUS,
-    MATCHING_DISTANCES,
-    challenge_pairs,
-    count_challenge,
-    count_thesis,
-    detect,
-    detect_peaks,
-    f1_over_distance,
-)
+from sabench.metrics import particle_detection as detection
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import brightness, true_field
 from sabench.utils import memory
@@ -54,7 +45,7 @@ def blob_intensities(volume: F32, peaks: F64) -> F64:
     light = _climb(volume, step, summits)
     places = np.stack(np.unravel_index(summits, volume.shape)[::-1], axis=1).astype(np.float64)
     distance, nearest = cKDTree(peaks).query(places, p=np.inf)
-    near = distance < CHALLENGE_RADIUS
+    near = distance < detection.CHALLENGE_RADIUS
     np.add.at(sums, nearest[near], light[near])
     return sums
 
@@ -78,7 +69,7 @@ def intensity_error(
     kept = scored_truth & _alone(truth, brightness > 0.0, volume.shape)
     if not kept.any():
         return None
-    a, b = challenge_pairs(estimate, truth)
+    a, b = detection.challenge_pairs(estimate, truth)
     light = np.zeros(len(truth))
     light[b] = blob_intensities(volume, estimate)[a]
     found, true = light[kept], brightness[kept]
@@ -167,11 +158,12 @@ def score_frame(
     truth, peaks = grid.to_voxels(particles.position_mm), _peaks(grid, estimate)
     scored = grid.in_scored(truth)
     # an estimate that lists particles replaces both ways of detection
-    detected = detect(estimate.volume) if estimate.particles_mm is None else peaks
+    detected = detection.detect(estimate.volume) if estimate.particles_mm is None else peaks
     counts: dict[str, float | None] = {}
     for prefix, found in (("", detected), ("peak_", peaks)):
         arguments = found, truth, grid.in_scored(found), scored
-        thesis, challenge = count_thesis(*arguments), count_challenge(*arguments)
+        thesis = detection.count_thesis(*arguments)
+        challenge = detection.count_challenge(*arguments)
         figures = thesis.true_percent, thesis.ghost_percent, challenge.precision
         for key, value in zip(_DETECTION, (*figures, challenge.recall, challenge.rms), strict=True):
             counts[prefix + key] = value
@@ -185,10 +177,10 @@ def peak_f1_over_distance(grid: Grid, particles: Particles, estimate: Reconstruc
     """Compute peak F1 as a curve over the matching distances of `MATCHING_DISTANCES`."""
     truth, peaks = grid.to_voxels(particles.position_mm), _peaks(grid, estimate)
     scored = grid.in_scored(peaks), grid.in_scored(truth)
-    return f1_over_distance(peaks, truth, *scored, MATCHING_DISTANCES)
+    return detection.f1_over_distance(peaks, truth, *scored, detection.MATCHING_DISTANCES)
 
 
 def _peaks(grid: Grid, estimate: Reconstruction) -> F64:
     if estimate.particles_mm is None:
-        return detect_peaks(estimate.volume)
+        return detection.detect_peaks(estimate.volume)
     return grid.to_voxels(estimate.particles_mm)

@@ -80,10 +80,8 @@ def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool)
     image = np.where(counts, y[:, :, None] * x[:, None], 0.0)
     slope = np.stack([y[:, :, None] * by_x[:, None], by_y[:, :, None] * x[:, None]], axis=-1)
     slope *= counts[..., None]
-    flat = len(rows), x.shape[1] * y.shape[1]
-    return Patches(
-        rows, np.where(counts, at, -1).reshape(flat), image.reshape(flat), slope.reshape(*flat, 2)
-    )
+    flat, at = (len(rows), x.shape[1] * y.shape[1]), np.where(counts, at, -1)
+    return Patches(rows, at.reshape(flat), image.reshape(flat), slope.reshape(*flat, 2))
 
 
 def fit_light(image: F64, patches: Patches, count: int) -> LightFit:

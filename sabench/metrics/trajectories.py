@@ -164,15 +164,9 @@ def trajectory_scores(
         match(one.center_mm, true.center_mm, true.radius_mm)
         for one, true in zip(estimate, truth, strict=True)
     ]
-    return link_scores(
-        [one.center_mm for one in estimate],
-        trajectory,
-        [one.center_mm for one in truth],
-        [one.id for one in truth],
-        matched,
-        times_s,
-        sequences,
-    )
+    centers, true_centers = ([one.center_mm for one in part] for part in (estimate, truth))
+    identity = [one.id for one in truth]
+    return link_scores(centers, trajectory, true_centers, identity, matched, times_s, sequences)
 
 
 def link_scores(

@@ -89,9 +89,7 @@ def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -
 def core(
     spin: Sampled, half: HalfPlane, radius_mm: float, search_mm: float
 ) -> tuple[float, float, float]:
-    """Locate a core in a half plane.
-
-    Returns its distance from the axis, its height, and the peak vorticity.
+    """Locate a core in a half plane: distance from the axis, height, and peak vorticity.
 
     The position is the centroid of the vorticity that exceeds half of the peak, because a maximum
     lies on a node of a coarse field. NaN where the vorticity is unknown.
@@ -115,20 +113,17 @@ def core(
 def circulation(
     velocity: Sampled, half: HalfPlane, r_mm: float, z_mm: float, width_mm: float, height_mm: float
 ) -> float:
-    """Integrate the velocity along a rectangle in a half plane.
+    """Integrate the velocity along a rectangle, right-handed about a half plane's normal.
 
-    The direction is right-handed about the plane's normal.
-
-    NaN where the velocity is not known all around. Source: thesis, section 2.3.3.
+    NaN if the velocity is not known all around. Source: thesis, section 2.3.3.
 
     Parameters
     ----------
     r_mm, z_mm : centre of the rectangle: distance from the axis, and height.
     width_mm, height_mm : its sides, across the axis and along it.
     """
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * 0.5 * np.array(
-        [width_mm, height_mm]
-    ) + np.array([r_mm, z_mm])
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
+    corners = signs * 0.5 * [width_mm, height_mm] + [r_mm, z_mm]
     total = 0.0
     for start, end in itertools.pairwise(corners):
         parts = (np.arange(_SIDE) + 0.5)[:, None] / _SIDE

@@ -14,17 +14,10 @@ from typing import Any, Literal
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from sabench.algorithms.calibration import any_wall
+from sabench.algorithms.calibration import any_wall, parameters
 from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.normal_equations import equations, misses
-from sabench.algorithms.calibration.parameters import (
-    WALL,
-    Frame,
-    FreeParameters,
-    State,
-    bend_lifts,
-    steps_of,
-)
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.geometry.rigid_motion import RigidMotion, skew
 from sabench.utils.arrays import F64
 
@@ -42,7 +35,7 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
     rows = np.zeros((len(state.rotations), len(own), len(shared)))
     if free.wall:
         first = int(np.flatnonzero(shared == 2 * len(state.indices) - 2)[0])
-        part, back = slice(first, first + WALL), state.wall.rotation.T
+        part, back = slice(first, first + parameters.WALL), state.wall.rotation.T
         arms = skew(state.centers @ back)
         rows[:, 0:3, part][..., :2] = (state.rotations @ back)[..., :2]
         rows[:, 3:6, part] = back @ np.concatenate(
@@ -196,7 +189,7 @@ def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreePar
             -skew(turned)[:, :, :2],
             np.broadcast_to(np.eye(3)[:, 2:], (len(arms), 3, 1)),
             (state.wall.rotation @ state.board_rotations[board])[:, :, 2:]
-            * bend_lifts(seen.board)[point][:, None],
+            * parameters.bend_lifts(seen.board)[point][:, None],
         ]
         chosen = np.repeat([free.wall, free.wall, free.bend], [2, 1, BEND])
         by_shared = (rotations @ np.concatenate(levers, axis=2))[:, :, chosen]
@@ -235,12 +228,11 @@ def refine(
             cameras, boards, promise = _step(here, damping, moving)
             if promise <= _GAIN * here.cost:
                 return Fit(state, here.cost, step, True)
-            tried = state.apply_steps(
-                *steps_of(cameras, len(state.rotations), free, len(state.indices)), boards, free
-            )
-            there = normal_equations(tried, seen, free, scale)
-            if there.cost < here.cost:
-                state, here, damping = tried, there, max(damping * 0.1, 1e-12)
+            steps = parameters.steps_of(cameras, len(state.rotations), free, len(state.indices))
+            tried = state.apply_steps(*steps, boards, free)
+            normal = normal_equations(tried, seen, free, scale)
+            if normal.cost < here.cost:
+                state, here, damping = tried, normal, max(damping * 0.1, 1e-12)
                 break
             damping *= 10.0
         else:

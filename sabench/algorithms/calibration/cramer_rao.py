@@ -8,12 +8,8 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import ellipe
 
-from sabench.algorithms.calibration import any_wall
-from sabench.algorithms.calibration.bundle_adjustment import (
-    BoardImages,
-    follow_wall,
-    normal_equations,
-)
+from sabench.algorithms.calibration import any_wall, bundle_adjustment as bundle
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.kernels import BOARD
 from sabench.algorithms.calibration.normal_equations import spreads
 from sabench.algorithms.calibration.parameters import FreeParameters, State
@@ -65,18 +61,10 @@ def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float
     shared = np.arange(size - len(free.columns(len(state.indices))[1]), size)
     variances = np.where(shown, np.diagonal(covariance), np.inf)[shared]
     pairs = _spreads(state, seen, free, covariance)
-    known = np.isfinite(pairs[..., 0])
-    uu, vv, uv = pairs[known].T
-    std, mean = _points(state, seen, covariance)
-    return Limit(
-        float(_mean_length(uu, vv, uv).mean()),
-        float(np.sqrt((uu + vv).mean())),
-        std,
-        mean,
-        np.sqrt(variances),
-        rank,
-        2 * int(known.sum()),
-    )
+    uu, vv, uv = pairs[np.isfinite(pairs[..., 0])].T
+    lengths = float(_mean_length(uu, vv, uv).mean()), float(np.sqrt((uu + vv).mean()))
+    points = _points(state, seen, covariance)
+    return Limit(*lengths, *points, np.sqrt(variances), rank, 2 * len(uu))
 
 
 def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: F64) -> F64:
@@ -84,7 +72,7 @@ def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: 
     pair = seen.pixels, seen.weights
     if not free.cameras:
         boards = BOARD * len(state.board_positions)
-        slopes = block_diag(follow_wall(state, free), np.eye(boards))
+        slopes = block_diag(bundle.follow_wall(state, free), np.eye(boards))
         covariance = slopes @ covariance @ slopes.T
     if seen.frame is not None:
         return any_wall.spreads(seen.frame, state, seen.board, pair, free, covariance)
@@ -94,7 +82,7 @@ def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: 
 
 def _whole(state: State, seen: BoardImages, free: FreeParameters) -> F64:
     """Compute the information of cameras, shared unknowns and boards at a noise of 1 px."""
-    normal = normal_equations(state, seen, free)
+    normal = bundle.normal_equations(state, seen, free)
     size, boards = len(normal.aa), len(normal.bb)
     whole = np.zeros((size + BOARD * boards, size + BOARD * boards))
     whole[:size, :size] = normal.aa

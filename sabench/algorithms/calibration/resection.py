@@ -88,22 +88,22 @@ def known_places(case: CalibrationCase) -> F64:
     board = case.target.points_mm
     known = np.asarray(np.isfinite(case.known_mm).all(axis=-1))
     places = np.full(case.known_mm.shape, np.nan)
-    for number, there in enumerate(known):
-        motion = _motion(board[there], case.known_mm[number, there], len(board))
-        if motion is not None:
-            places[number] = motion(board)
-            places[number, there] = case.known_mm[number, there]
+    for number, rows in enumerate(known):
+        own, goal = board[rows], case.known_mm[number, rows]
+        if len(board) == 1 and len(own):
+            motion = RigidMotion(np.eye(3), goal[0] - own[0])
+        elif len(own) >= 3 and not _on_line(own):
+            motion = fit_rigid_motion(own, goal)
+        else:
+            continue
+        places[number] = motion(board)
+        places[number, rows] = goal
     return places
 
 
-def _motion(board: F64, known: F64, count: int) -> RigidMotion | None:
-    """Fit the motion of a board's points (n, 3) to known ones, if they determine it."""
-    if count == 1 and len(board):
-        return RigidMotion(np.eye(3), known[0] - board[0])
-    if len(board) < 3:
-        return None
-    spread = np.linalg.svd(board - board.mean(axis=0), compute_uv=False)
-    return fit_rigid_motion(board, known) if spread[1] > _LINE * spread[0] else None
+def _on_line(points: F64) -> bool:
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] <= _LINE * spread[0])
 
 
 def _refit_boards(best: State, start: State, seen: BoardImages) -> State:

@@ -10,13 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import (
-    BoardImages,
-    normal_equations,
-    promised_gain,
-    refine,
-    residuals,
-)
+from sabench.algorithms.calibration import bundle_adjustment as bundle
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine
 from sabench.algorithms.calibration.fit_checks import list_faults
 from sabench.algorithms.calibration.joint_fit import fit_jointly, fixes_world, make_prior
 from sabench.algorithms.calibration.parameters import FreeParameters, State
@@ -169,8 +164,8 @@ class _HeldOut:
         ready = [one for one in left if _FIRST.get(one[0], one[0]) in (one[0], *chosen)]
         seen, scale, gains = self.seen, _BEND * self.noise_px, []
         for group in ready:
-            normal = normal_equations(state, seen, self.free((*chosen, *group)), scale)
-            gains.append(promised_gain(normal))
+            normal = bundle.normal_equations(state, seen, self.free((*chosen, *group)), scale)
+            gains.append(bundle.promised_gain(normal))
         return ready[int(np.argmax(gains))] if ready else None
 
     def losses(self, state: State, names: tuple[Unknown, ...]) -> F64 | None:
@@ -189,7 +184,7 @@ class _HeldOut:
         if list_faults(fit.state, replace(seen, weights=weights), self.problem.frame):
             return None
         placed = refine(fit.state, seen, free, scale, moving="boards").state
-        squares = np.sum(residuals(placed, seen) ** 2, axis=-1)[:, fold]
+        squares = np.sum(bundle.residuals(placed, seen) ** 2, axis=-1)[:, fold]
         used = seen.weights[:, fold] > 0.0
         loss = np.where(used, scale**2 * np.log1p(squares / scale**2), 0.0).sum(axis=(0, 2))
         unknowns = 6 if seen.weights.shape[2] > 1 else 0
