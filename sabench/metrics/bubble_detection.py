@@ -1,4 +1,4 @@
-"""Detected bubbles against true ones: matching, counts, errors, distributions of sizes."""
+"""Detected bubbles against true ones: matching, counts, errors, sizes."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def nearest(bubbles: AnyBubbles, points_mm: F64) -> I64:
 
 
 def crowding(bubbles: AnyBubbles) -> F64:
-    """Compute the void fraction (n,) of other bubbles within `AROUND_MM` of each centre."""
+    """Compute the void fraction (n,) of others within `AROUND_MM`."""
     volume = np.asarray(4.0 / 3.0 * np.pi * bubbles.semi_axes_mm.prod(axis=1))
     if not len(volume):
         return volume

@@ -123,7 +123,7 @@ def mean_distance(
 
 
 def scatter(errors: F64) -> float | None:
-    """Compute the rms distance of finite errors (n, 3) from their mean; None without any."""
+    """Compute the rms distance of finite errors (n, 3) from their mean, or None."""
     finite = errors[np.isfinite(errors).all(axis=-1)]
     if not len(finite):
         return None
@@ -131,13 +131,13 @@ def scatter(errors: F64) -> float | None:
 
 
 def detection_noise(pixels: F64, truth: F64, good: Bool) -> float:
-    """Compute the root mean square error of good pixel coordinates (..., 2); 0 without any."""
+    """Compute the rms error of good pixels (..., 2); 0 without any."""
     errors = (pixels - truth)[good]
     return root_mean_square(errors) if len(errors) else 0.0
 
 
 def detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
-    """Compute mean error, along columns and rows, and scatter of good pixels (..., 2)."""
+    """Compute mean error and scatter of good pixels (..., 2)."""
     keys = ("found_bias_column_px", "found_bias_row_px", "found_std_px")
     errors = (pixels - truth)[good]
     if not len(errors):
@@ -149,7 +149,7 @@ def detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
 def lower_bound(
     case: CalibrationCase, frame: Frame, truth_mm: F64, good: Bool, noise_px: float
 ) -> Limit | None:
-    """Compute the Cramer-Rao bound of a case; None without noise, or if the case is singular.
+    """Compute the Cramer-Rao bound of a case; None without noise or if singular.
 
     Unknowns are the rotation, centre and focal length of every camera, the unknowns that the case
     names, and all boards.
@@ -195,7 +195,7 @@ def _reprojection_scores(
 
 
 def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
-    """Compute errors of a wall's position and tilt, and the largest of indices and thicknesses.
+    """Compute errors of a wall: largest of index, thickness; position, tilt.
 
     The position is that of the estimated wall's point along the true normal. None if one of the
     walls is missing or they have different numbers of layers.

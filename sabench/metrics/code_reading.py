@@ -68,7 +68,7 @@ def compare_with_single_views(cells: F64, single_cells: F64, dark: Bool) -> dict
 
 
 def read_volume(grid: Grid, volume: F32, points_mm: F64) -> F64:
-    """Average a volume (z, y, x) over each cell's points (cell, point, 3); NaN outside."""
+    """Average a volume (z, y, x) over cells' points (cell, point, 3), or NaN."""
     x, y, z = grid.to_voxels(points_mm.reshape(-1, 3)).T
     return _mean_of_cells(volume, [z, y, x], points_mm.shape[:2])
 
@@ -104,7 +104,7 @@ def _mean_of_cells(array: F32 | U16, indices: list[F64], shape: tuple[int, ...])
 
 
 def read_right(cells: F64, dark: Bool) -> Bool:
-    """Mark the cells (cell,) on the right side of the threshold; none if fewer than two show."""
+    """Mark the cells on the right side of the threshold, if two are shown."""
     shown = np.isfinite(cells)
     if shown.sum() < 2:
         return np.zeros(len(cells), dtype=np.bool_)
@@ -112,7 +112,7 @@ def read_right(cells: F64, dark: Bool) -> Bool:
 
 
 def otsu(values: F64) -> float:
-    """Compute Otsu's threshold, which divides values by the largest variance between groups."""
+    """Compute Otsu's threshold: the largest variance between two groups."""
     ordered = np.sort(values)
     count, low = np.arange(1, len(ordered)), np.cumsum(ordered)[:-1]
     rest = len(ordered) - count

@@ -1,4 +1,4 @@
-"""Errors of particle positions against the Cramer-Rao bound and against claimed errors."""
+"""Errors of particle positions against bounds and claimed errors."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def coverage(error: F64, covariance: F64, nominal: float) -> float:
 
 
 def brier_score(probability: F64, true: Bool) -> float:
-    """Compute the mean square of probabilities (n,) less what is true; NaN without any.
+    """Compute the mean square of probabilities (n,) less truth, or NaN.
 
     Source: G. W. Brier, Monthly Weather Review 78 (1950) 1.
     """

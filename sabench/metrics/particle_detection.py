@@ -55,7 +55,7 @@ def fitted_maxima(volume: F32, floor: float) -> F64:
 
 
 def _equals(volume: F32, voxels: I64, step: tuple[int, ...]) -> tuple[I64, I64]:
-    """Find neighbours one step away of equal value: flat indices, and rows of the voxels."""
+    """Find equal neighbours a step away: flat indices, rows of the voxels."""
     places = np.unravel_index(voxels, volume.shape)
     inside = np.ones(len(voxels), dtype=np.bool_)
     for place, shift, size in zip(places, step, volume.shape, strict=True):
@@ -258,7 +258,10 @@ def count_duplicates(estimate: F64, truth: F64, scored_estimate: Bool) -> int:
 
 
 def mark_duplicates(estimate: F64, truth: F64, matched: I64) -> Bool:
-    """Mark detections (n,) of true particles that have a better one among the matched rows."""
+    """Mark detections (n,) of true particles that have a better one.
+
+    `matched` are the rows of the detections in pairs; see `challenge_pairs`.
+    """
     duplicate = np.zeros(len(estimate), dtype=np.bool_)
     alone = np.setdiff1d(np.arange(len(estimate)), matched)
     if len(alone) and len(truth):
@@ -269,7 +272,10 @@ def mark_duplicates(estimate: F64, truth: F64, matched: I64) -> Bool:
 
 
 def challenge_pairs(estimate: F64, truth: F64, radius: float = CHALLENGE_RADIUS) -> tuple[I64, I64]:
-    """Pair detections (n, 3) with true particles (m, 3) by the challenge's rule, in voxels."""
+    """Pair detections (n, 3) with true particles (m, 3), in voxels.
+
+    Returns the rows of both, equally long, by the challenge's rule.
+    """
     if not len(estimate) or not len(truth):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     pairs = cKDTree(estimate).query_ball_tree(cKDTree(truth), radius, p=np.inf)
@@ -302,7 +308,9 @@ def _counts(
 
 
 def ghost_ratio(ppp: float, cameras: int, area_px: float, depth_voxels: float) -> float:
-    """Compute ghosts per particle, N_g / N_p = ppp^(N - 1) A_p^N l_z (thesis, equation 3.14).
+    """Compute ghosts per particle, N_g / N_p = ppp^(N - 1) A_p^N l_z.
+
+    Equation 3.14 of the thesis.
 
     A voxel is lit by chance in N independent images that particles of area A_p cover to the share
     ppp A_p: (ppp A_p)^N of all voxels, of which there are l_z / ppp for each particle. It counts

@@ -128,7 +128,7 @@ def _drop(total: F64) -> int | None:
 
 
 def fit_total(scaled: F64, share: F64) -> tuple[float, float]:
-    """Fit A and s of equation 5.18 to C_Y over its maximum at scaled depths (n,), or NaN."""
+    """Fit A and s of equation 5.18 to relative C_Y at scaled depths (n,)."""
 
     def law(x: F64, weight: float, width: float) -> F64:
         return np.asarray(weight * np.exp(-(x**2) / (2.0 * width**2)) + (1.0 - weight))

@@ -107,7 +107,7 @@ def _find_steps(volume: F32) -> U8:
 
 
 def _brightest_in_plane(plane: F32) -> tuple[F32, U8]:
-    """Find the brightest of each pixel and its 8 neighbours, and the first one's number."""
+    """Find the brightest of 9 pixels, and the number of the first such one."""
     numbers = np.full_like(plane, 4, dtype=np.uint8)
     along_rows = (slice(None), slice(None, -1)), (slice(None), slice(1, None))
     across = _brightest_of_three(plane, numbers, np.uint8(1), *along_rows)

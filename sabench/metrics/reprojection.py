@@ -123,7 +123,7 @@ def _shifts(left: F64, patches: Patches, light: F64) -> F64:
 
 
 def matched_light(image: F64, patches: Patches) -> F64:
-    """Fit the light (m,) of each particle in view as if it were alone; NaN without pixels."""
+    """Fit the light (m,) of each particle in view alone; NaN without pixels."""
     square = (patches.image**2).sum(axis=1)
     light = (patches.image * _read(image, patches)).sum(axis=1) / np.maximum(square, 1e-12)
     return np.where(square > 0.0, light, np.nan)

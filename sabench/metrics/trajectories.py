@@ -242,7 +242,7 @@ def vector_scores(
 def _in_both(
     identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], one: int, other: int
 ) -> tuple[I64, I64, I64, I64]:
-    """Find rows of estimated and true objects in two frames that share the true object."""
+    """Find rows of estimated and true objects in two frames for the same ones."""
     (i, j), (k, m) = matched[one], matched[other]
     _, first, second = np.intersect1d(identity[one][j], identity[other][m], return_indices=True)
     return i[first], j[first], k[second], m[second]

@@ -51,7 +51,7 @@ def _spread(voxels: F64, least: float) -> tuple[F64, I64]:
 
 
 def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
-    """Make the lattice of nodes, all at rest, at which velocities in a light sheet are scored.
+    """Make the lattice at which velocities in a light sheet are scored.
 
     It is centred in the rectangle around the part of the plane in the scored box; the nodes in the
     box are valid. Its `plane_axes` are as near to the grid's axes as the plane allows.
@@ -90,7 +90,7 @@ def lengths_along(axes: F64, voxel_mm: tuple[float, float, float]) -> F64:
 
 
 def sample_velocity(field: Velocity, points_mm: F64) -> tuple[F64, Bool]:
-    """Interpolate velocities (n, 3) at points (n, 3), and mark (n,) the measured ones.
+    """Interpolate velocities at points (n, 3), and mark the measured ones.
 
     Each node stands for the cell around it, half a step in every direction, as a voxel does. A
     point is measured where the node of its cell is. Its velocity is interpolated linearly along
@@ -182,7 +182,7 @@ def velocity_scores(
 def _derivative_figures(
     estimate: F64, truth: F64, valid: Bool, step_mm: tuple[float, float, float]
 ) -> dict[str, float]:
-    """Compute root mean square errors of divergence, and of vorticity over the true one."""
+    """Compute rms errors of divergence, and of vorticity in percent."""
     known = valid & inner(valid.shape)  # with neighbours that were measured
     for axis in np.flatnonzero(np.asarray(valid.shape) > 1):
         for shift in (1, -1):
@@ -199,7 +199,7 @@ def _derivative_figures(
 
 
 def precision_interval(errors: F64) -> F64:
-    """Compute the half widths (3,) of intervals about 0 that hold 90 % of errors (n, 3).
+    """Compute half widths (3,) of intervals that hold 90 % of errors (n, 3).
 
     Source: thesis, section 2.3.3.
     """

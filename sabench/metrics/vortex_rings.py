@@ -69,7 +69,7 @@ class HalfPlane:
     normal: F64
 
     def points(self, r: F64, z: F64) -> F64:
-        """Compute world points (n, 3) at distances (n,) from the axis and heights (n,) along it."""
+        """Compute world points (n, 3) at distances and heights (n,)."""
         return np.asarray(self.center_mm + r[:, None] * self.outward + z[:, None] * self.axis)
 
 
@@ -89,7 +89,7 @@ def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -
 def core(
     spin: Sampled, half: HalfPlane, radius_mm: float, search_mm: float
 ) -> tuple[float, float, float]:
-    """Locate a core in a half plane: distance from the axis, height, and peak vorticity.
+    """Locate a core in a half plane: radius, height, and peak vorticity.
 
     The position is the centroid of the vorticity that exceeds half of the peak, because a maximum
     lies on a node of a coarse field. NaN where the vorticity is unknown.
@@ -113,7 +113,7 @@ def core(
 def circulation(
     velocity: Sampled, half: HalfPlane, r_mm: float, z_mm: float, width_mm: float, height_mm: float
 ) -> float:
-    """Integrate the velocity along a rectangle, right-handed about a half plane's normal.
+    """Integrate the velocity along a rectangle in a half plane.
 
     NaN if the velocity is not known all around. Source: thesis, section 2.3.3.
 

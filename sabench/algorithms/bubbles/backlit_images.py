@@ -65,7 +65,7 @@ def reflectance(incident: F64, refracted: F64, index: float) -> F64:
 
 
 def _diffuser_share(angle: F64, half_angle: float) -> F64:
-    """Compute the share, from 0 to 1, of light turned by an angle that the diffuser sends."""
+    """Compute the share of the light turned by an angle that is diffuser's."""
     away = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
     share = (half_angle * (1.0 + _SOFT) - away) / (2.0 * _SOFT * half_angle)
     return np.asarray(np.clip(share, 0.0, 1.0))

@@ -121,7 +121,7 @@ def _fit_ellipse(points: F64, first: F64) -> F64:
 
 @numba.njit(cache=True, error_model="numpy")
 def _relation(points: Any, ellipse: Any) -> Any:
-    """Compute distances of edges from an ellipse, cosines with its normals, and angles."""
+    """Compute distances of edges from an ellipse, cosines, eccentric angles."""
     x, y, a, b, angle = ellipse
     cosine, sine = np.cos(angle), np.sin(angle)
     out = np.empty((3, len(points)))
@@ -161,7 +161,7 @@ def _edge_coverage(points: Any, ellipse: Any) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _vote_for_ellipse(points: Any, largest: float, least_aspect: float) -> Any:
-    """Find the ellipse (5,) with most votes, the larger of equal ones, and its coverage."""
+    """Find the ellipse (5,) with most votes, and its coverage."""
     best, best_part, most = np.zeros(5), 0.0, 0.0
     for i in range(len(points)):
         for j in range(i):
@@ -232,7 +232,7 @@ _SMOOTH = 0.6  # px
 
 @dataclass(frozen=True)
 class Votes:
-    """Votes (radius, row, column) from 0 to 1, stretched down by the aspect, and radii in px."""
+    """Votes (radius, row, column) from 0 to 1, stretched down by the aspect."""
 
     radii_px: F64
     maps: F32
@@ -250,7 +250,7 @@ def radii_between(smallest_px: float, largest_px: float) -> F64:
 
 
 def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
-    """Vote for circles, or for ellipses of an aspect that lie flat, in a transmission."""
+    """Vote for circles, or flat ellipses of an aspect, in a transmission."""
     if aspect != 1.0:
         image = cv2.resize(
             image, (image.shape[1], round(image.shape[0] / aspect)), interpolation=cv2.INTER_CUBIC
@@ -282,7 +282,7 @@ def _ring(radius: float) -> tuple[F32, F32]:
 
 
 def peaks(votes: Votes, least: float, margin: int = 1) -> F64:
-    """Find local maxima (n, 4) over position and radius: column, row, radius in px, vote."""
+    """Find local maxima (n, 4): column, row, radius in px, vote."""
     maps, window = votes.maps, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8)
     spatial = np.stack([cv2.dilate(votes_of_radius, window) for votes_of_radius in maps])
     around = spatial.copy()

@@ -1,4 +1,4 @@
-"""Peaks of the feature potential over depth, groups of them, and depths of outlines.
+"""Peaks of the feature potential over depth, and depths of outlines.
 
 Source: J. Belden's thesis, section 5.4.3. There a group is a chain of peaks, each within half a
 window and ten planes of another one. Among many bubbles such chains run from one to the next, and
@@ -70,7 +70,7 @@ class FeaturePeaks:
         return round(float(np.average(self.position[group, 0], weights=self.weight[group])))
 
     def within(self, bubble: F64, planes: int) -> Bool:
-        """Mark the peaks within some planes of a bubble (7,) with a window inside its circle."""
+        """Mark the peaks within some planes of a bubble (7,) and in its circle."""
         y, x = (self.position[:, axis] * STEP + (WINDOW - 1) / 2.0 for axis in (1, 2))
         return np.asarray(
             (np.hypot(x - bubble[0], y - bubble[1]) <= bubble[2] + WINDOW / 2.0)
@@ -102,7 +102,7 @@ def find_depth(volume: F32, outline: F64, plane: int) -> float:
 
 
 def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
-    """Cut a box out of a plane and mark its voxels inside an outline grown by one voxel."""
+    """Cut out a box and mark its voxels inside an outline grown by a voxel."""
     x, y, a, b, angle = outline[:5]
     rows = slice(max(int(y - a) - 1, 0), max(min(int(y + a) + 3, shape[0]), 0))
     columns = slice(max(int(x - a) - 1, 0), max(min(int(x + a) + 3, shape[1]), 0))

@@ -1,4 +1,4 @@
-"""Detection of bubbles by refocused stacks, feature potentials, minimum images and outlines.
+"""Detection of bubbles by feature potentials of refocused stacks.
 
 Source: J. Belden's thesis, sections 5.3 and 5.4. All steps work on darkness, one less the images'
 transmission: the thesis's minimum images are images of the largest darkness here.
@@ -91,7 +91,7 @@ def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
 
 
 def attenuate(volume: F32, potential: F32, step: int) -> None:
-    """Multiply planes, in place, by the interpolated cumulative distribution of E over depth."""
+    """Multiply planes, in place, by the cumulative distribution of E over depth."""
     order = np.argsort(np.argsort(potential, axis=0, kind="stable"), axis=0, kind="stable")
     share = ((order + 1) / len(potential)).astype(np.float32)
     share[:, potential.max(axis=0) == 0.0] = 0.0
@@ -107,7 +107,7 @@ def attenuate(volume: F32, potential: F32, step: int) -> None:
 
 @dataclass(frozen=True)
 class Outlines:
-    """Column, row, semi-axes across and down (n, 4) in voxels, and the depth index (n,)."""
+    """Column, row, semi-axes (n, 4) in voxels, and depth index (n,)."""
 
     shapes: F64
     depth: F64
@@ -141,7 +141,7 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
 
 
 def _label_edges(dark: F32, least: float) -> tuple[F32, F32, Any, Any]:
-    """Return an image's gradient, the labels of its edges, and their statistics by OpenCV."""
+    """Return an image's gradient, labels of its edges, and their statistics."""
     right, down = compute_gradient(dark, cv2.BORDER_DEFAULT)
     edges = (cv2.magnitude(right, down) > least).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
@@ -164,7 +164,7 @@ def _threshold(dark: F32) -> list[tuple[float, float, float, float]]:
 
 
 def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float, float]]:
-    """Find column, row and radius of features below `small` voxels that end in a region."""
+    """Find column, row and radius of features below `small` voxels."""
     *_, stats = _label_edges(dark, least)
     out = []
     for left, top, width, height, area in stats[1:]:
@@ -231,7 +231,7 @@ def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
 
 
 def _depth_of(shape: F64, dark: F32, depth: F32) -> float:
-    """Average the depths on an outline's rim, a voxel wide, weighted with the darkness."""
+    """Average the depths on an outline's rim, weighted with the darkness."""
     x, y, a, b = shape
     margin = 2
     top, bottom = max(int(y - b) - margin, 0), min(int(y + b) + margin + 1, dark.shape[0])

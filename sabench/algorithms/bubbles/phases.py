@@ -86,7 +86,7 @@ def _separate(light: F32, largest_px: float, white: float) -> tuple[F32, F32, Bo
 
 
 def _diffuser(light: F32) -> tuple[float, float]:
-    """Estimate the diffuser's brightness, the most frequent one, and the noise around it."""
+    """Estimate the most frequent brightness, the diffuser's, and its noise."""
     values = np.sort(cv2.medianBlur(light, 3).ravel())
     width = len(values) // 5  # the shortest interval that holds a fifth of the pixels: its mode
     first = int(np.argmin(values[width:] - values[:-width]))

@@ -28,7 +28,7 @@ _MARGIN = 2.5  # px around a bubble that are looked at
 
 @numba.njit(cache=True, error_model="numpy")
 def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
-    """Interpolate transmission bilinearly at a distance in px that is a part of the radius."""
+    """Interpolate transmission at a distance in px, a part of the radius."""
     radius = distance / part if part > 1e-9 else 1e9
     radius = min(max(radius, SMALLEST), LARGEST)
     across = distance / (radius + REACH * blur) * (table.shape[1] - 1)
@@ -177,7 +177,7 @@ _ROBUST = 0.12  # transmission by which a pixel may be off before it counts less
 
 @dataclass
 class Model:
-    """Images (camera, row, column), and the logarithm of all bubbles' transmission so far."""
+    """Images (camera, row, column), and the log of all bubbles' transmission."""
 
     images: F32
     logs: F32
@@ -192,7 +192,7 @@ def darken(model: Model, parameters: F64, sign: float) -> None:
 
 
 def gain(model: Model, parameters: F64) -> F64:
-    """Compute the share (camera,) of a shadow that is dark and unexplained; NaN out of view."""
+    """Compute the unexplained dark share (camera,) of a shadow, or NaN."""
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
     _gains(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)

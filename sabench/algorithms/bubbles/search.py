@@ -41,7 +41,10 @@ _BEYOND = 0.02  # of the volume's depth: how far outside it lines are followed
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Possible bubbles, the best first: centres, long semi-axes, votes, short over long axis."""
+    """Possible bubbles, the best first.
+
+    Centres (n, 3), long semi-axes, mean votes, and short over long axes, each (n,).
+    """
 
     center_mm: F64
     radius_mm: F64
@@ -146,7 +149,7 @@ def _average_agreeing(total: F32) -> F32:
 def _sample(
     maps: Any, pixels: Any, good: Any, size: Any, first: float, step: float, out: Any
 ) -> None:
-    """Sample votes at pixels and radii, bilinear over the radius, at the nearest pixel."""
+    """Sample votes at the nearest pixels, linearly over the radius."""
     count, rows, columns = maps.shape
     for n in numba.prange(len(out)):
         if not good[n]:
@@ -245,7 +248,7 @@ def _fit_diffuser(
     profile_of: Callable[[float], Profile],
     start: Hypotheses,
 ) -> float:
-    """Find the diffuser's half angle that fits the largest of the likely bubbles best."""
+    """Find the diffuser's half angle that fits the largest likely bubbles."""
     likely = np.flatnonzero(start.vote >= _LIKELY * start.vote.max(initial=0.0))
     chosen = likely[np.argsort(-start.radius_mm[likely], kind="stable")][:_LARGEST]
     costs = np.zeros((len(_ANGLES), len(chosen)))
@@ -275,7 +278,7 @@ def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
 
 
 def _unite(model: Model, kept: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
-    """Replace small bubbles along one rim by a bubble that explains the images as well."""
+    """Replace small bubbles along a rim by one that explains images as well."""
     order = np.argsort(-start.radius_mm * start.aspect, kind="stable")
     for n in progress_bar(order[start.vote[order] >= _VOTED].tolist(), "unite bubbles"):
         first = _start(start, n)
@@ -323,7 +326,7 @@ def _is_bubble(model: Model, fitted: F64, limits: Limits) -> bool:
 
 
 def _median_gain(model: Model, parameters: F64) -> float:
-    """Compute the median gain over the views that see a bubble; -1 for fewer than two."""
+    """Compute the median gain over two or more views of a bubble, or -1."""
     gains = rim_fit.gain(model, parameters)
     gains = gains[np.isfinite(gains)]
     return float(np.median(gains)) if len(gains) >= 2 else -1.0

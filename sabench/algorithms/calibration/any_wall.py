@@ -90,7 +90,7 @@ def spreads(
 
 
 def _slopes(frame: Frame, state: State, board: F64, free: FreeParameters) -> F64:
-    """Differentiate pixels (M, K, m, 2) by the unknowns (f + BOARD) of cameras and boards."""
+    """Differentiate pixels (M, K, m, 2) by unknowns (f + BOARD)."""
     columns, none = [], np.zeros(0)
     own, _ = free.columns(len(state.indices))
     for number, step in enumerate(np.append(_STEPS[own], _BOARD_STEPS).tolist()):

@@ -1,7 +1,8 @@
-"""Bundle adjustment of cameras, boards and shared unknowns by Levenberg and Marquardt's method.
+"""Bundle adjustment of cameras, boards and shared unknowns.
 
-The boards' blocks are eliminated first (Schur's complement), so that a step costs a Cholesky factor
-of the cameras' unknowns only. Source: Triggs et al. (2000), Bundle adjustment - a modern synthesis.
+The method is Levenberg and Marquardt's. The boards' blocks are eliminated first (Schur's
+complement), so that a step costs a Cholesky factor of the cameras' unknowns only. Source: Triggs et
+al. (2000), Bundle adjustment - a modern synthesis.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations at a state, in the parts that `normal_equations.equations` describes."""
+    """Normal equations at a state; see `normal_equations.equations`."""
 
     cost: float
     aa: F64
@@ -269,7 +270,7 @@ def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, flo
 
 
 def _solve_damped(matrix: F64, right: F64) -> F64:
-    """Solve a symmetric system that damping keeps positive definite, by a unit diagonal."""
+    """Solve a positive definite system, scaled to a unit diagonal."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
     scaled = matrix * scale * scale[:, None]
     try:
@@ -280,7 +281,7 @@ def _solve_damped(matrix: F64, right: F64) -> F64:
 
 
 def residuals(state: State, seen: BoardImages) -> F64:
-    """Subtract computed from observed pixels (M, K, m, 2); NaN without a path of light."""
+    """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
     pair = seen.pixels, seen.weights
     if seen.frame is not None:
         return any_wall.misses(seen.frame, state, seen.board, pair)

@@ -81,7 +81,7 @@ def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: 
 
 
 def _whole(state: State, seen: BoardImages, free: FreeParameters) -> F64:
-    """Compute the information of cameras, shared unknowns and boards at a noise of 1 px."""
+    """Compute the information of cameras, shared unknowns and boards at 1 px."""
     normal = bundle.normal_equations(state, seen, free)
     size, boards = len(normal.aa), len(normal.bb)
     whole = np.zeros((size + BOARD * boards, size + BOARD * boards))
@@ -132,7 +132,7 @@ def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]
 
 
 def _mean_length(uu: F64, vv: F64, uv: F64) -> F64:
-    """Compute mean lengths of pairs of normal numbers with these variances and covariances."""
+    """Compute mean lengths of pairs of normal numbers from their covariances."""
     middle, spread = (uu + vv) / 2.0, np.hypot((uu - vv) / 2.0, uv)
     large, small = middle + spread, np.maximum(middle - spread, 0.0)
     flattening = 1.0 - small / np.maximum(large, 1e-300)

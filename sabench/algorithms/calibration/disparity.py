@@ -37,7 +37,11 @@ _NEAR = 64  # particle images looked at around one position
 
 @dataclass(frozen=True)
 class Sets:
-    """Positions (n, 3) in [-1, 1], images (n, cameras) and errors (n, cameras, 2) in px."""
+    """Sets of particle images.
+
+    Positions (n, 3) from -1 to 1 in the box, numbers (n, cameras) of the images, and errors (n,
+    cameras, 2) in px.
+    """
 
     positions: F64
     hits: I64
@@ -60,7 +64,7 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
 
 
 def correct(maps: VolumePolynomials, sets: Sets, cameras: range) -> tuple[VolumePolynomials, float]:
-    """Move the polynomials of these cameras by their disparity; also return the largest move, px.
+    """Move the cameras' polynomials by their disparity; return the largest, px.
 
     All cameras' errors together are one vector, from which the part that a change of position
     explains is projected out. In the few dimensions that are left, the right sets lie in one spot
@@ -102,7 +106,7 @@ def densest(values: F64) -> F64:
 
 
 def _shift_mean(values: F64, middle: F64) -> tuple[F64, int]:
-    """Shift a point to the mean of the values near it, repeatedly; also return their number."""
+    """Shift a point repeatedly to the mean of the values near it; count these."""
     near = np.zeros(len(values), dtype=np.bool_)
     for _ in range(_SHIFTS):
         near = np.linalg.norm(values - middle, axis=1) <= _SPOT_PX
@@ -113,7 +117,7 @@ def _shift_mean(values: F64, middle: F64) -> tuple[F64, int]:
 
 
 def _unobservable_shifts(maps: VolumePolynomials, cameras: range) -> F64:
-    """Compute an orthonormal basis (2 cameras, d) of pixel changes that no position causes."""
+    """Compute a basis (2 cameras, d) of pixel changes that no position causes."""
     if len(cameras) < 2:
         return np.eye(2)
     nearby = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
@@ -123,7 +127,7 @@ def _unobservable_shifts(maps: VolumePolynomials, cameras: range) -> F64:
 
 
 def _by_parts(positions: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
-    """Compute rows (1, x, y) of the parts' middles, and their spots; or one row for the box."""
+    """Compute rows (1, x, y) of the parts' middles, or (1,), and their spots."""
     near = np.linalg.norm(errors - whole, axis=1) <= 2.0 * _SPOT_PX
     cell = ((positions[:, :2] + 1.0) / 2.0 * _PARTS).astype(int)
     part = np.clip(cell, 0, _PARTS - 1) @ [1, _PARTS]
@@ -137,7 +141,7 @@ def _by_parts(positions: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
 
 @numba.njit(cache=True)
 def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
-    """Fill in a position's displacement (camera, 2, 3) for every pixel of a camera's error."""
+    """Fill in a position's displacement (camera, 2, 3) per pixel of error."""
     m = np.zeros((3, 3))
     for c in range(cameras):
         for a in range(2):
@@ -268,7 +272,7 @@ def _intersect(
     here: Any,
     step: Any,
 ) -> bool:
-    """Move a point nearest to the lines of sight of two cameras; False outside the box."""
+    """Move a point nearest to two lines of sight; False outside the box."""
     for _ in range(2):
         for c in range(2):
             project_point(maps, c, position, here, slopes[c])
@@ -355,7 +359,7 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
 
 @numba.njit(cache=True)
 def pair_up(peaks: Any, pixels: Any, radius: float, out: Any) -> int:
-    """Fill in pairs (pixel, peak) within a radius until the array is full; return how many."""
+    """Fill in pairs (pixel, peak) within a radius while they fit; count them."""
     found, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
     for n in range(len(pixels)):
         for k in range(find_near(peaks, pixels[n], radius, found)):

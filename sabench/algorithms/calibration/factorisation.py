@@ -1,4 +1,4 @@
-"""Projective factorisation: cameras and points from images alone, without refraction.
+"""Cameras and points from images alone, by projective factorisation.
 
 Sources: P. Sturm and B. Triggs, ECCV 1996; R. Hartley and A. Zisserman, Multiple View Geometry,
 section 19.3; T. Svoboda, D. Martinec and T. Pajdla, Presence 14, 2005.
@@ -23,7 +23,7 @@ _SETTLED = 1e-10  # change of the depths in a round, relative, at which they are
 
 @dataclass(frozen=True)
 class Factors:
-    """Matrices (camera, 3, 4) and homogeneous points (n, 4); their products are the images."""
+    """Matrices (camera, 3, 4) and points (n, 4); products are images."""
 
     matrices: F64
     points: F64

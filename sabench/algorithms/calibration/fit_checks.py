@@ -1,4 +1,4 @@
-"""Checks of a calibration's end state, and the part of its residuals that is no noise.
+"""Checks of a calibration's end state, and correlated residuals.
 
 Noise of detection differs from point to point; errors of a model change slowly over an image, so
 that those of neighbours are correlated.

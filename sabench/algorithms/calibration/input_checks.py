@@ -180,7 +180,7 @@ def _check_names(case: CalibrationCase, centers: F64, initial: F64) -> None:
 
 
 def _check_mirror(centers: F64, initial: F64) -> None:
-    """Refuse the mirror image of the nominal array, which mirrored images of a board give."""
+    """Refuse the mirror image of the nominal array, as mirrored images give."""
     if len(centers) < _SEVERAL:
         return
     own, nominal = (one[:, :2] - one[:, :2].mean(axis=0) for one in (centers, initial))
@@ -197,7 +197,7 @@ def _check_mirror(centers: F64, initial: F64) -> None:
 
 
 def _check_distances(case: CalibrationCase, apart: F64) -> None:
-    """Refuse vectors (n, 3) from the target to cameras much longer or shorter than nominal."""
+    """Refuse vectors (n, 3) from the target to cameras of a wrong length."""
     middle = np.nanmean(case.initial_mm.reshape(-1, 3), axis=0)
     given = np.array([camera.center_mm for camera in case.cameras]) - middle
     lengths = np.linalg.norm([apart, given], axis=-1).T.tolist()

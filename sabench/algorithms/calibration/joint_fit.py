@@ -1,4 +1,4 @@
-"""Joint fit of cameras, wall and boards: robust, ending in a possible state, or alternating.
+"""Joint fit of cameras, wall and boards: robust or alternating.
 
 `fit_jointly` fits lenses and boards first. What images hardly show, or not at all, follows: known
 positions fix the world and the depth, and nominal values hold the wall.
@@ -105,13 +105,13 @@ def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters, moving: M
 
 
 def _lengths(state: State, seen: BoardImages) -> F64:
-    """Compute reprojection errors (camera, board, point) in px; infinite where there is none."""
+    """Compute reprojection errors (camera, board, point) in px, or infinity."""
     lengths = np.linalg.norm(residuals(state, seen), axis=-1)
     return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
 def median_noise(lengths: F64) -> float:
-    """Compute the standard deviation of normal coordinates from the median length of pairs."""
+    """Compute the standard deviation of coordinates from pairs' median length."""
     return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
 
 
@@ -179,7 +179,7 @@ def make_prior(nominal: State, noise_px: float) -> Prior:
 
 
 def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParameters) -> Robust:
-    """Fit from the start, and again from other states until the end state is possible."""
+    """Fit from the start, and from other states until the end is possible."""
     found = adjust(problem.start, seen, free)
     if _is_sound(found, seen, problem):
         return found
@@ -198,7 +198,7 @@ def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParam
 def _fit_richly(
     problem: CalibrationProblem, seen: BoardImages, free: FreeParameters, found: Robust
 ) -> State | None:
-    """Fit with the unknowns that may be missing; None if the end state is impossible, too."""
+    """Fit with more unknowns; None if the end state is impossible, too."""
     # a bent board that is taken for flat seems to be at another depth
     if problem.frame.wall is None or not np.isfinite(found.noise_px):
         return None
@@ -232,7 +232,7 @@ def _staged(start: State, seen: BoardImages, free: FreeParameters) -> State:
 def _hold_depth(
     start: State, problem: CalibrationProblem, seen: BoardImages, noise_px: float, part: float
 ) -> BoardImages:
-    """Anchor the boards to their depths in a state, with a part of the mean as deviation.
+    """Anchor boards to their depths in a state, within a part of the mean.
 
     Through a plane wall images hardly show the depth of all boards together: where noise, or a
     flaw of the model, would put boards into the wall, a richer model or the nominal depth is nearer
@@ -258,7 +258,7 @@ _OF_CAMERAS = ("rotations", "centers", "lenses")  # of a state
 
 @dataclass(frozen=True)
 class Rounds:
-    """End of an alternation, and the largest mean error of a camera after each round, px."""
+    """End of an alternation, and the largest error of a camera per round, px."""
 
     state: State
     errors_px: tuple[float, ...]
@@ -267,7 +267,7 @@ class Rounds:
 def alternate(
     state: State, seen: BoardImages, free: FreeParameters, tolerance_px: float, most: int
 ) -> Rounds:
-    """Adjust cameras and boards in turn until the error changes by less than the tolerance."""
+    """Adjust cameras and boards in turn until the error settles."""
     errors = [_largest(state, seen)]
     while len(errors) <= most:
         state = _boards(_cameras(state, seen, free), seen, free)

@@ -155,7 +155,7 @@ def observe(
 
 @numba.njit(cache=True)
 def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
-    """Fill in derivatives by the distortion's coefficients, at (u, v) of an ideal lens."""
+    """Fill in derivatives by coefficients of distortion at (u, v)."""
     s = u * u + v * v
     radial = right * u + down * v
     row[9], row[10], row[13] = radial * s, radial * s * s, radial * s * s * s
@@ -186,7 +186,7 @@ def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
 
 @numba.njit(cache=True)
 def _distort(u: float, v: float, lens: Any) -> tuple[float, float, float, float, float]:
-    """Distort ideal coordinates by Brown and Conrady's model, with symmetric derivative."""
+    """Distort coordinates by Brown and Conrady's model, with derivatives."""
     k1, k2, p1, p2, k3 = lens[3], lens[4], lens[5], lens[6], lens[7]
     s = u * u + v * v
     radial = 1.0 + s * (k1 + s * (k2 + s * k3))

@@ -154,7 +154,7 @@ def _scatter(
 
 @numba.njit(cache=True)
 def misses(array: Any, boards: Any, seen: Any) -> Any:
-    """Subtract computed from observed pixels (M, K, m, 2); NaN without a path of light."""
+    """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
     rotations, centers, lenses, media = array
     board_rotations, positions, points, _ = boards
     pixels, _ = seen
@@ -181,7 +181,7 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
 
 @numba.njit(cache=True)
 def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> Any:
-    """Compute covariances (M, K, m, 3) of pixels: column, row, both; from the unknowns'."""
+    """Compute covariances (M, K, m, 3) of pixels: column, row, both."""
     rotations, centers, lenses, media = array
     board_rotations, positions, points, lifts = boards
     _, weights = seen

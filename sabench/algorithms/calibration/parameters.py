@@ -1,4 +1,4 @@
-"""Unknowns of a calibration as arrays, and their conversion to cameras and points."""
+"""Unknowns of a calibration as arrays, and cameras and points of them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def common_plane(cameras: Sequence[Camera]) -> Wall | None:
 
 
 def fit_similarity(points: F64, targets: F64) -> F64:
-    """Fit the similarity (4, 4) that brings points (n, 3) to targets by least squares."""
+    """Fit the similarity (4, 4) of points (n, 3) to targets by least squares."""
     motion = fit_rigid_motion(points, targets)
     rotated = (points - points.mean(axis=0)) @ motion.rotation.T
     scale = float(np.sum(rotated * (targets - targets.mean(axis=0))) / np.sum(rotated**2))
@@ -266,7 +266,7 @@ class Frame:
         return replace(self, cameras=tuple(self.cameras[number] for number in cameras.tolist()))
 
     def state(self, board: F64, points_mm: F64) -> State:
-        """Make the state of the cameras, with boards (m, 3) fitted to a guess (K, m, 3) or NaN."""
+        """Make the cameras' state, with boards (m, 3) fitted to points (K, m, 3)."""
         rotations = np.stack(
             [np.asarray(camera.rotation) @ self.motion.rotation.T for camera in self.cameras]
         )
@@ -338,13 +338,13 @@ class Frame:
 
 
 def bend_lifts(board: F64) -> F64:
-    """Compute lifts (m, BEND) of a board's points by bends of 1 mm: X^2, X Y, Y^2, scaled."""
+    """Compute lifts (m, BEND) of points by bends of 1 mm: X^2, X Y, Y^2."""
     x, y = board[:, :2].T / max(float(np.abs(board[:, :2]).max()), 1e-300)
     return np.column_stack([x * x, x * y, y * y])
 
 
 def steps_of(vector: F64, cameras: int, free: FreeParameters, media: int) -> tuple[F64, F64]:
-    """Split a vector into cameras' (M, f) and shared unknowns (s,); 0 for known cameras."""
+    """Split a vector into steps of cameras (M, f), or 0, and shared ones (s,)."""
     own, _ = free.columns(media)
     if not free.cameras:
         return np.zeros((cameras, len(own))), vector

@@ -89,7 +89,7 @@ def align(homography: F64, pixels: F64) -> F64:
 
 
 def factorise_parallax(aligned: F64, seen: Bool) -> RankOne:
-    """Factorise aligned images (camera, n, 2), or a guess of unseen ones, into parallax."""
+    """Factorise aligned images (camera, n, 2), some unseen, into parallax."""
     cameras, count = seen.shape
     weight = seen / np.maximum(seen.sum(axis=0), 1)
     mean = np.einsum("cn,cnk->nk", weight, np.where(seen[..., None], aligned, 0.0))
@@ -149,7 +149,7 @@ def make_cameras(
 
 
 def misfit_px(errors_px: F64, target_mm: F64) -> tuple[float, float]:
-    """Split errors (camera, frame, point, 2) into rms of correlated part and noise, px."""
+    """Split errors (camera, frame, point, 2) into correlated part and noise."""
     shared = float(np.sqrt(np.mean(correlated_part(errors_px, neighbours(target_mm)) ** 2)))
     noise = max(float(np.nanmean(errors_px**2)) - shared**2, 0.0) ** 0.5
     return shared, noise

@@ -1,4 +1,4 @@
-"""Calibration case of the refractive algorithms: checks, frame, start, and result."""
+"""Calibration case of the refractive algorithms: checks, start, result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Positions of a target's points for resections, in which each camera is fitted to them.
+"""Positions of a target's points, to which each camera is fitted.
 
 Classical calibrations take the nominal positions as known; `place_boards` fits them to the images.
 No axis of the world is preferred: a board starts upright in the cameras' images.
@@ -84,7 +84,7 @@ def _depth(case: CalibrationCase, points_mm: F64) -> float:
 
 
 def known_places(case: CalibrationCase) -> F64:
-    """Place the target (frame, point, 3) by its known points; NaN if they are too few."""
+    """Place the target (frame, point, 3) by known points; NaN if too few."""
     board = case.target.points_mm
     known = np.asarray(np.isfinite(case.known_mm).all(axis=-1))
     places = np.full(case.known_mm.shape, np.nan)
@@ -145,7 +145,7 @@ def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F6
 
 
 def reason_if_flat(case: CalibrationCase) -> str | None:
-    """Return the reason to refuse nominal positions in one plane; None if they are not."""
+    """Return the reason to refuse nominal positions in one plane, or None."""
     nominal = case.initial_mm[np.isfinite(case.initial_mm).all(axis=-1)]
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     if spread[2] > _PLANE * spread[0]:

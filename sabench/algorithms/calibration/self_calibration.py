@@ -1,4 +1,4 @@
-"""Volume self-calibration: reduce disparities, collect particles, adjust the cameras to them."""
+"""Volume self-calibration: disparities, particles, adjusted cameras."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def _reduce(
     radius: float,
     least_px: float,
 ) -> VolumePolynomials:
-    """Correct cameras by the sets found within a radius that halves from round to round."""
+    """Correct cameras by the sets within a radius that halves every round."""
     for _ in range(_ROUNDS):
         maps, moved = correct(maps, find(maps, radius), cameras)
         if radius <= least_px and moved < _SETTLED_PX:
@@ -177,7 +177,7 @@ def _find_in_camera(
 def _pairs(
     maps: VolumePolynomials, peaks: Peaks, camera: int, positions: F64, radius: float
 ) -> tuple[I64, F64]:
-    """Return pairs (n, 2) of positions and a camera's images, and the images' errors (n, 2)."""
+    """Return pairs (n, 2) of positions and a camera's images, and errors."""
     pixels = project_points(maps, camera, positions)
     pairs = np.empty((_PAIRS, 2), dtype=np.int64)
     pairs = pairs[: pair_up(peaks, pixels, radius, pairs)]

@@ -62,7 +62,7 @@ def _circles(grey: U8, target: Target) -> F64 | None:
 
 
 def _charuco(grey: U8, target: Target) -> F64 | None:
-    """Find corners, which the markers around them identify: part of a board is enough."""
+    """Find corners, each identified by its markers, even of part of a board."""
     dictionary: Any = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     board = cv2.aruco.CharucoBoard(
         (target.columns + 1, target.rows + 1), target.pitch_mm, target.mark_mm, dictionary
@@ -118,7 +118,7 @@ def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0
 
 
 def _choose_order(found: F64, target: Target, expected: F64 | None) -> F64:
-    """Choose, among the orders that the pattern allows, the one nearest to expected directions."""
+    """Choose the possible order of points nearest to the expected directions."""
     plan = target.points_mm[:, :2] if expected is None else expected
     known = np.isfinite(plan).all(axis=1)
     goal = plan[known] - plan[known].mean(axis=0)
