@@ -33,12 +33,11 @@ def reading(cells: F64, dark: Bool) -> dict[str, float]:
     bright, black = cells[shown & ~dark], cells[shown & dark]
     if not len(bright) or not len(black):
         return {"read_percent": 0.0, "contrast": float("nan"), "separation": float("nan")}
-    right = read_right(cells, dark)
     high, low = float(bright.mean()), float(black.mean())
     spread = float(np.sqrt((bright.var() + black.var()) / 2.0))
     total = high + low
     return {
-        "read_percent": 100.0 * float(right.mean()),
+        "read_percent": 100.0 * float(read_right(cells, dark).mean()),
         "contrast": (high - low) / total if total else float("nan"),
         "separation": (high - low) / spread if spread else float("inf"),
     }

@@ -14,6 +14,7 @@ al., "Reliable cell tracking by global data association", ISBI 2011.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -284,9 +285,7 @@ def differences(numbers: Sequence[I64], positions: Sequence[F64], order: int) ->
     found = [np.zeros((0, 3))]
     for first in range(len(numbers) - order):
         window = range(first, first + order + 1)
-        common = numbers[first]
-        for frame in window:
-            common = np.intersect1d(common, numbers[frame])
+        common = functools.reduce(np.intersect1d, numbers[first : first + order + 1])
         total = np.zeros((len(common), 3))
         for factor, frame in zip(factors, window, strict=True):
             sorter = np.argsort(numbers[frame])
