@@ -15,8 +15,8 @@ from sabench.algorithms.bubbles.feature_potential import (
     STACK,
     WINDOW,
     attenuate,
+    compute_potential,
     darkness,
-    feature_potential,
     find_outlines,
     minimum_images,
 )
@@ -68,12 +68,12 @@ class Stack:
         volume, grid = darkness(case), case.grid
         original = volume.copy()
         before = [dark for dark, _ in minimum_images(volume)]
-        potential = feature_potential(volume, WINDOW, _FLAT)
+        potential = compute_potential(volume, WINDOW, _FLAT)
         attenuate(volume, potential, WINDOW)
         after = [dark for dark, _ in minimum_images(volume)]
         place = (bubbles.center_mm - np.asarray(grid.low_mm)) / np.asarray(grid.voxel_mm)
         voxels = np.column_stack([place, bubbles.radius_mm / grid.voxel_mm[0]])
-        cut = feature_potential(original, WINDOW)
+        cut = compute_potential(original, WINDOW)
         return cls(case, original, before, after, potential, cut, voxels)
 
     def kinds(self) -> dict[str, I64]:

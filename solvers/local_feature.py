@@ -11,9 +11,9 @@ from sabench.algorithms.bubbles import (
     WINDOW,
     FeaturePeaks,
     attenuate,
+    compute_potential,
     darkness,
     drop_duplicates,
-    feature_potential,
     find_blots,
     find_depth,
     find_edges,
@@ -33,7 +33,7 @@ from sabench.api import (
 )
 
 _FLAT = 0.01  # spread of a window in which nothing is: half as large as for minimum images
-_NEAR = 5  # planes from a bubble to a peak that speaks for it
+_NEAR = 5  # planes from a bubble to a peak that confirms it
 _MARGIN = 3  # voxels around what is looked at
 
 
@@ -81,9 +81,9 @@ class LocalFeature(BubbleSolver):
         """Detect bubbles by steps 1 to 4 of the section."""
         volume = darkness(case)
         for _ in range(2):
-            attenuate(volume, feature_potential(volume, STEP, _FLAT), STEP)
+            attenuate(volume, compute_potential(volume, STEP, _FLAT), STEP)
         peaks = FeaturePeaks.find(
-            np.log1p(feature_potential(volume, STEP, _FLAT)), self.parameters.least_peak
+            np.log1p(compute_potential(volume, STEP, _FLAT)), self.parameters.least_peak
         )
         bubbles = self._bubbles(volume, peaks, case.grid)
         return _detections(

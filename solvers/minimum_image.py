@@ -8,8 +8,8 @@ from pydantic import Field
 from sabench.algorithms.bubbles import (
     WINDOW,
     attenuate,
+    compute_potential,
     darkness,
-    feature_potential,
     find_outlines,
     merge_overlaps,
     minimum_images,
@@ -48,7 +48,7 @@ class MinimumImage(BubbleSolver):
     def solve(self, case: Observation) -> Detections:
         """Detect bubbles by steps 1 to 5 of the section."""
         volume, grid = darkness(case), case.grid
-        attenuate(volume, feature_potential(volume, WINDOW), WINDOW)
+        attenuate(volume, compute_potential(volume, WINDOW), WINDOW)
         found = []
         for dark, depth in progress_bar(minimum_images(volume), "minimum images"):
             made = find_outlines(dark, depth, self.parameters.least_edge, self.parameters.small_px)

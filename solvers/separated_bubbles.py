@@ -18,7 +18,7 @@ class SeparatedBubblesParameters(Parameters):
 
 
 class SeparatedBubbles(BubbleSolver):
-    """Solver of the bubbles that are left without tracers and without the body."""
+    """Bubbles found after tracers and the body are removed from the images."""
 
     name = "separated_bubbles"
     references = ("radiance is conserved: nothing that is not lit itself exceeds the diffuser",)

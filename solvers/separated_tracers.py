@@ -27,7 +27,7 @@ class SeparatedTracersParameters(Parameters):
 
 
 class SeparatedTracers(ParticleSolver):
-    """Solver of the tracers that are left without bubbles and without the body."""
+    """Tracers found after bubbles and the body are removed from the images."""
 
     name = "separated_tracers"
     references = ("radiance is conserved: nothing that is not lit itself exceeds the diffuser",)

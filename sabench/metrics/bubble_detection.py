@@ -1,9 +1,4 @@
-"""Size distributions of bubbles: scores against the truth, and counts.
-
-size_distributions: Size distributions of bubbles: scores against the truth, and counts.
-
-bubble_detection: Detected bubbles against true ones: matching, counts, errors.
-"""
+"""Detected bubbles against true ones: matching, counts, errors, sizes."""
 
 from __future__ import annotations
 
@@ -100,30 +95,20 @@ def match(estimate_mm: F64, truth_mm: F64, radius_mm: F64) -> tuple[I64, I64]:
     -------
     Rows of the detected and of the true ones, equally long.
     """
-    near = (
-        cKDTree(estimate_mm).query_ball_point(truth_mm, _NEAR * radius_mm)
-        if len(estimate_mm) and len(truth_mm)
-        else []
-    )
-    pairs = np.array(
-        [(i, j) for j, group in enumerate(near) for i in group], dtype=np.int64
-    ).reshape(-1, 2)
+    near: Sequence[Sequence[int]] = []
+    if len(estimate_mm) and len(truth_mm):
+        near = cKDTree(estimate_mm).query_ball_point(truth_mm, _NEAR * radius_mm)
+    pairs = np.array([(i, j) for j, rows in enumerate(near) for i in rows], dtype=np.int64)
     if not len(pairs):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     distance = np.linalg.norm(estimate_mm[pairs[:, 0]] - truth_mm[pairs[:, 1]], axis=1)
+    ends = pairs + np.array([0, len(estimate_mm)])
     size = len(estimate_mm) + len(truth_mm)
-    _, label = connected_components(
-        coo_matrix(
-            (np.ones(len(pairs)), (pairs[:, 0], len(estimate_mm) + pairs[:, 1])), shape=(size, size)
-        )
-    )
-    which = label[pairs[:, 0]]
-    order = np.argsort(which, kind="stable")
-    selected = [
-        _assign(pairs[group], distance[group])
-        for group in np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
-    ]
-    both = np.concatenate(selected)
+    links = coo_matrix((np.ones(len(pairs)), tuple(ends.T)), shape=(size, size))
+    cluster = connected_components(links)[1][pairs[:, 0]]
+    order = np.argsort(cluster, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1)
+    both = np.concatenate([_assign(pairs[group], distance[group]) for group in groups])
     return both[:, 0], both[:, 1]
 
 
@@ -131,10 +116,11 @@ def _assign(pairs: I64, distance: F64) -> I64:
     """Select the best one-to-one pairs of one cluster."""
     if len(pairs) == 1:
         return pairs
-    rows, columns = np.unique(pairs[:, 0]), np.unique(pairs[:, 1])
+    rows, row = np.unique(pairs[:, 0], return_inverse=True)
+    columns, column = np.unique(pairs[:, 1], return_inverse=True)
     far = 1e3 * float(distance.max() + 1.0)
     cost = np.full((len(rows), len(columns)), far)
-    cost[np.searchsorted(rows, pairs[:, 0]), np.searchsorted(columns, pairs[:, 1])] = distance
+    cost[row, column] = distance
     i, j = linear_sum_assignment(cost)
     good = cost[i, j] < far
     return np.column_stack([rows[i[good]], columns[j[good]]])
@@ -149,10 +135,14 @@ def detection_scores(estimate: AnyBubbles, truth: AnyBubbles, visible: F64) -> d
     """
     i, j = match(estimate.center_mm, truth.center_mm, truth.radius_mm)
     large = truth.radius_mm[j] >= LARGE_MM
+    air, true_air = (
+        4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (estimate, truth)
+    )
     return (
         _counts(estimate, truth, visible, i, j)
         | _errors(estimate, truth, i[large], j[large])
-        | _totals(estimate, truth)
+        | size_scores(estimate.radius_mm, truth.radius_mm)
+        | {"void_percent": 100.0 * abs(air - true_air) / true_air if true_air else np.nan}
     )
 
 
@@ -198,21 +188,8 @@ def nearest(bubbles: AnyBubbles, points_mm: F64) -> I64:
     return np.asarray(cKDTree(lifted).query(points)[1], dtype=np.int64)
 
 
-def _totals(estimate: AnyBubbles, truth: AnyBubbles) -> dict[str, float]:
-    """Compute errors of the distribution of sizes and of the total volume."""
-    air, true_air = (
-        4.0 / 3.0 * np.pi * float(one.semi_axes_mm.prod(axis=1).sum()) for one in (estimate, truth)
-    )
-    return size_scores(estimate.radius_mm, truth.radius_mm) | {
-        "void_percent": 100.0 * abs(air - true_air) / true_air if true_air else np.nan,
-    }
-
-
 def crowding(bubbles: AnyBubbles) -> F64:
-    """Compute the void fraction (n,) of the others around each bubble's centre.
-
-    Others are the bubbles whose centres are within `AROUND_MM`.
-    """
+    """Compute the void fraction (n,) of others within `AROUND_MM`."""
     volume = np.asarray(4.0 / 3.0 * np.pi * bubbles.semi_axes_mm.prod(axis=1))
     if not len(volume):
         return volume
@@ -232,32 +209,23 @@ def _f1(hit: Bool, selected: Bool, ghosts: int) -> float:
 
 def _errors(estimate: AnyBubbles, truth: AnyBubbles, i: I64, j: I64) -> dict[str, float]:
     """Compute median errors of matched pairs."""
+    keys = ("radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm")
     if not len(i):
-        return dict.fromkeys(
-            ("radius_percent", "axes_percent", "tilt_deg", "plane_mm", "depth_mm"), float("nan")
-        )
+        return dict.fromkeys(keys, float("nan"))
     off = estimate.center_mm[i] - truth.center_mm[j]
     radius = np.abs(estimate.radius_mm[i] / truth.radius_mm[j] - 1.0)
-    axes = np.abs(
-        np.sort(estimate.semi_axes_mm[i], axis=1) / np.sort(truth.semi_axes_mm[j], axis=1) - 1.0
-    ).mean(axis=1)
-    flat = truth.semi_axes_mm[j].min(axis=1) < FLAT * truth.semi_axes_mm[j].max(axis=1)
-    tilt = np.rad2deg(
-        np.arccos(
-            np.clip(
-                np.abs(np.sum(short_axis(estimate, i) * short_axis(truth, j), axis=1)), 0.0, 1.0
-            )
-        )
-    )[flat]
-    return {
-        "radius_percent": 100.0 * float(np.median(radius)),
-        "axes_percent": 100.0 * float(np.median(axes)),
-        "tilt_deg": float(np.median(tilt)) if len(tilt) else float("nan"),
-        "plane_mm": float(np.median(np.linalg.norm(off[:, :2], axis=1))),
-        "depth_mm": float(np.median(np.abs(off[:, 2]))),
-    }
-
-
-def short_axis(bubbles: AnyBubbles, rows: I64) -> F64:
-    """Return unit vectors (n, 3) along the shortest axes of some bubbles."""
-    return np.asarray(bubbles.turn[rows, bubbles.semi_axes_mm[rows].argmin(axis=1)])
+    axes, true_axes = estimate.semi_axes_mm[i], truth.semi_axes_mm[j]
+    stretch = np.abs(np.sort(axes, axis=1) / np.sort(true_axes, axis=1) - 1.0).mean(axis=1)
+    shortest = estimate.turn[i, axes.argmin(axis=1)]
+    true_shortest = truth.turn[j, true_axes.argmin(axis=1)]
+    cosine = np.clip(np.abs(np.sum(shortest * true_shortest, axis=1)), 0.0, 1.0)
+    flat = true_axes.min(axis=1) < FLAT * true_axes.max(axis=1)
+    tilt = np.rad2deg(np.arccos(cosine))[flat]
+    figures = (
+        100.0 * float(np.median(radius)),
+        100.0 * float(np.median(stretch)),
+        float(np.median(tilt)) if len(tilt) else float("nan"),
+        float(np.median(np.linalg.norm(off[:, :2], axis=1))),
+        float(np.median(np.abs(off[:, 2]))),
+    )
+    return dict(zip(keys, figures, strict=True))

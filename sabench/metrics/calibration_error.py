@@ -1,9 +1,4 @@
-"""Alignment of estimated with true points, before errors are counted.
-
-alignment: Alignment of estimated with true points, before errors are counted.
-
-calibration_error: Errors of a calibration: reprojection, target and held-out points, wall.
-"""
+"""Errors of a calibration: reprojection, target and held-out points, wall."""
 
 from __future__ import annotations
 
@@ -40,7 +35,7 @@ def fit_alignment(how: Alignment, estimate: F64, truth: F64) -> RigidMotion:
         rotation about Z, which is all that a plane wall leaves open. rigid: any rigid motion.
     """
     if how == "raw":
-        return RigidMotion(np.eye(3), np.zeros(3))
+        return RigidMotion.none()
     if how == "shift":
         return RigidMotion(np.eye(3), np.append((truth - estimate).mean(axis=0)[:2], 0.0))
     return (fit_lateral_motion if how == "lateral" else fit_rigid_motion)(estimate, truth)
@@ -66,26 +61,29 @@ def calibration_scores(
     good : (camera, frame, point) which points were detected and are no outliers.
     """
     frame = Frame.from_cameras(true_cameras, truth_mm)
-    bound = lower_bound(
-        case, frame, truth_mm, good, detection_noise(case.pixels, true_pixels, good)
-    )
+    noise_px = detection_noise(case.pixels, true_pixels, good)
+    bound = lower_bound(case, frame, truth_mm, good, noise_px)
     points, seen = target_points(estimate, case), np.asarray(good.any(axis=0))
     pinholes = [camera for camera in estimate.cameras if isinstance(camera, Camera)]
     wall = common_plane(pinholes) if pinholes else None
-    return (
-        _reprojection_scores(estimate, points, case, true_cameras, true_pixels, good, bound)
-        | _point_scores(points, truth_mm, seen, frame.motion, bound)
-        | detection_scores(case.pixels, true_pixels, good)
-        | wall_scores(wall, common_plane(true_cameras))
-    )
+    scores = _reprojection_scores(estimate, points, case, true_cameras, true_pixels, good, bound)
+    scores |= point_scores(points, truth_mm, seen, frame.motion)
+    for number, axis in enumerate("xyz"):
+        std = scores[f"{axis}_std_mm"]
+        ratio = std / float(bound.point_std_mm[number]) if bound and std is not None else None
+        scores[f"{axis}_std_ratio"] = ratio
+    scores["bound_z_mean_mm"] = float(bound.point_mean_mm[2]) if bound else None
+    scores["spacing_mm"] = spacing_error(points, truth_mm, seen, frame.motion)
+    scores |= detection_scores(case.pixels, true_pixels, good)
+    return scores | wall_scores(wall, common_plane(true_cameras))
 
 
 def target_points(estimate: Calibration, case: CalibrationCase) -> F64:
     """Get or triangulate the positions (frame, point, 3) of the target's points.
 
-    Triangulated are the observations that the estimate used, and all of a point of which it used
-    fewer than two, so that no estimate chooses the points that it is scored by; NaN where fewer
-    than two cameras have one.
+    Triangulation takes the observations that the estimate used, and all of a point if it used fewer
+    than two, so that no estimate chooses the points that it is scored by; NaN for a point in fewer
+    than two cameras.
     """
     if estimate.points_mm is not None:
         return estimate.points_mm
@@ -124,21 +122,8 @@ def mean_distance(
     return float(lengths.mean()) if len(lengths) else None
 
 
-def mean_length(errors: F64, selected: Bool) -> float | None:
-    """Average the lengths of the selected finite vectors (..., n).
-
-    None without any.
-    """
-    lengths = np.linalg.norm(errors[selected], axis=-1)
-    lengths = lengths[np.isfinite(lengths)]
-    return float(lengths.mean()) if len(lengths) else None
-
-
 def scatter(errors: F64) -> float | None:
-    """Compute the root mean square distance of errors (n, 3) from their mean.
-
-    Only finite errors count; None without any.
-    """
+    """Compute the rms distance of finite errors (n, 3) from their mean, or None."""
     finite = errors[np.isfinite(errors).all(axis=-1)]
     if not len(finite):
         return None
@@ -146,38 +131,28 @@ def scatter(errors: F64) -> float | None:
 
 
 def detection_noise(pixels: F64, truth: F64, good: Bool) -> float:
-    """Compute the root mean square error of good pixel coordinates (..., 2).
-
-    0 without any.
-    """
+    """Compute the rms error of good pixels (..., 2); 0 without any."""
     errors = (pixels - truth)[good]
     return root_mean_square(errors) if len(errors) else 0.0
 
 
 def detection_scores(pixels: F64, truth: F64, good: Bool) -> Scores:
-    """Compute mean error and scatter of good pixel coordinates (..., 2).
-
-    The mean is along columns and along rows.
-    """
+    """Compute mean error and scatter of good pixels (..., 2)."""
+    keys = ("found_bias_column_px", "found_bias_row_px", "found_std_px")
     errors = (pixels - truth)[good]
-    column, row = errors.mean(axis=0) if len(errors) else (np.nan, np.nan)
-    spread = float(errors.std(axis=0).mean()) if len(errors) else np.nan
-    return {
-        "found_bias_column_px": finite_or_none(column),
-        "found_bias_row_px": finite_or_none(row),
-        "found_std_px": finite_or_none(spread),
-    }
+    if not len(errors):
+        return dict.fromkeys(keys)
+    figures = (*errors.mean(axis=0), errors.std(axis=0).mean())
+    return dict(zip(keys, map(finite_or_none, figures), strict=True))
 
 
 def lower_bound(
     case: CalibrationCase, frame: Frame, truth_mm: F64, good: Bool, noise_px: float
 ) -> Limit | None:
-    """Compute the Cramer-Rao bound of a case.
+    """Compute the Cramer-Rao bound of a case; None without noise or if singular.
 
-    None without noise, or where it cannot be computed.
-
-    Unknown are the rotation, centre and focal length of every camera, what else the case names, and
-    all boards.
+    Unknowns are the rotation, centre and focal length of every camera, the unknowns that the case
+    names, and all boards.
     """
     if noise_px <= 0.0:
         return None
@@ -200,61 +175,43 @@ def _reprojection_scores(
     good: Bool,
     bound: Limit | None,
 ) -> Scores:
-    """Compute distances of reprojected points from detected and true pixels.
-
-    Points that fewer than two cameras found count only where the estimate has their positions.
-    """
+    """Compute distances of reprojected points from detected and true pixels."""
     pixels, used = reproject(estimate.cameras, points_mm), _used(estimate, case)
     known = (case.found.sum(axis=0) >= 2) | np.isfinite(points_mm).all(axis=-1)
-    measured = mean_length(pixels - case.pixels, used)
+    lengths = np.linalg.norm((pixels - case.pixels)[used], axis=-1)
+    lengths = lengths[np.isfinite(lengths)]
+    measured = float(lengths.mean()) if len(lengths) else None
     true = mean_distance(pixels, true_pixels, good & known, true_cameras)
-    ratio = true / bound.reprojection_px if bound and true is not None else None
-    efficiency = true / measured / bound.efficiency if true and measured and bound else None
     return {
         "true_px": true,
         "measured_px": measured,
-        "true_ratio": ratio,
+        "true_ratio": true / bound.reprojection_px if bound and true is not None else None,
         "bound_px": bound.reprojection_px if bound else None,
-        "efficiency_ratio": efficiency,
+        "efficiency_ratio": (
+            true / measured / bound.efficiency if true and measured and bound else None
+        ),
         "used_percent": 100.0 * float(used.sum()) / max(int(case.found.sum()), 1),
     }
 
 
 def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
-    """Compute errors of a wall's indices, thicknesses, place and tilt.
+    """Compute errors of a wall: largest of index, thickness; position, tilt.
 
-    Of indices and thicknesses the largest ones. The place is that of the estimated wall's point
-    along the true normal. None where one of the
+    The position is that of the estimated wall's point along the true normal. None if one of the
     walls is missing or they have different numbers of layers.
     """
+    names = ("index_error", "thickness_error_mm", "wall_place_error_mm", "wall_tilt_error_deg")
     if truth is None or estimate is None or len(estimate.layers) != len(truth.layers):
-        names = ("index_error", "thickness_error_mm", "wall_place_error_mm", "wall_tilt_error_deg")
         return dict.fromkeys(names)
-    thickness = [
-        abs(one.thickness_mm - true.thickness_mm)
-        for one, true in zip(estimate.layers, truth.layers, strict=True)
-    ]
+    layers = zip(estimate.layers, truth.layers, strict=True)
     turn = np.clip(np.linalg.norm(np.cross(estimate.normal, truth.normal)), 0.0, 1.0)
-    return {
-        "index_error": float(np.abs(estimate.indices - truth.indices).max()),
-        "thickness_error_mm": max(thickness, default=0.0),
-        "wall_place_error_mm": abs(float(truth.depth_of(np.asarray(estimate.point_mm)))),
-        "wall_tilt_error_deg": float(np.rad2deg(np.arcsin(turn))),
-    }
-
-
-def _point_scores(
-    estimate: F64, truth: F64, seen: Bool, motion: RigidMotion, bound: Limit | None
-) -> Scores:
-    """Compute the errors of the target's points, and their ratio to the bound."""
-    scores = point_scores(estimate, truth, seen, motion)
-    for number, axis in enumerate("xyz"):
-        std = scores[f"{axis}_std_mm"]
-        scores[f"{axis}_std_ratio"] = (
-            std / float(bound.point_std_mm[number]) if bound and std is not None else None
-        )
-    scores["bound_z_mean_mm"] = float(bound.point_mean_mm[2]) if bound else None
-    return scores | {"spacing_mm": spacing_error(estimate, truth, seen, motion)}
+    figures = (
+        float(np.abs(estimate.indices - truth.indices).max()),
+        max((abs(one.thickness_mm - true.thickness_mm) for one, true in layers), default=0.0),
+        abs(float(truth.depth_of(np.asarray(estimate.point_mm)))),
+        float(np.rad2deg(np.arcsin(turn))),
+    )
+    return dict(zip(names, figures, strict=True))
 
 
 def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> Scores:
@@ -270,9 +227,9 @@ def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> 
     own, true = motion(estimate[there]), motion(truth[there])
     scores: Scores = {}
     for how in ALIGNMENTS:
-        errors = (
-            fit_alignment(how, own, true)(own) - true if len(own) >= 3 else np.full((1, 3), np.nan)
-        )
+        errors = np.full((1, 3), np.nan)
+        if len(own) >= 3:
+            errors = fit_alignment(how, own, true)(own) - true
         prefix = "" if how == "lateral" else f"{how}_"
         for axis, mean, std in zip("xyz", errors.mean(axis=0), errors.std(axis=0), strict=True):
             scores[f"{prefix}{axis}_mean_mm"] = finite_or_none(mean)
@@ -281,9 +238,7 @@ def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> 
 
 
 def spacing_error(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> float | None:
-    """Compute the error of the mean distance along Z from frame to frame.
-
-    It is the root mean square over all pairs of successive frames.
+    """Compute the rms error of the mean distance along Z between successive frames.
 
     Arguments as for `point_scores`. Source: thesis, figure 4-25.
     """

@@ -33,12 +33,11 @@ def reading(cells: F64, dark: Bool) -> dict[str, float]:
     bright, black = cells[shown & ~dark], cells[shown & dark]
     if not len(bright) or not len(black):
         return {"read_percent": 0.0, "contrast": float("nan"), "separation": float("nan")}
-    right = read_right(cells, dark)
     high, low = float(bright.mean()), float(black.mean())
     spread = float(np.sqrt((bright.var() + black.var()) / 2.0))
     total = high + low
     return {
-        "read_percent": 100.0 * float(right.mean()),
+        "read_percent": 100.0 * float(read_right(cells, dark).mean()),
         "contrast": (high - low) / total if total else float("nan"),
         "separation": (high - low) / spread if spread else float("inf"),
     }
@@ -68,10 +67,7 @@ def compare_with_single_views(cells: F64, single_cells: F64, dark: Bool) -> dict
 
 
 def read_volume(grid: Grid, volume: F32, points_mm: F64) -> F64:
-    """Average a volume (z, y, x) over each cell's points (cell, point, 3).
-
-    Returns (cell,). Values are interpolated linearly between voxels; NaN outside of the volume.
-    """
+    """Average a volume (z, y, x) over cells' points (cell, point, 3), or NaN."""
     x, y, z = grid.to_voxels(points_mm.reshape(-1, 3)).T
     return _mean_of_cells(volume, [z, y, x], points_mm.shape[:2])
 
@@ -107,29 +103,18 @@ def _mean_of_cells(array: F32 | U16, indices: list[F64], shape: tuple[int, ...])
 
 
 def read_right(cells: F64, dark: Bool) -> Bool:
-    """Find the cells (cell,) that are on the right side of the threshold.
-
-    None of them is with fewer than two cells shown.
-    """
+    """Mark the cells on the right side of the threshold, if two are shown."""
     shown = np.isfinite(cells)
-    return (
-        shown & ((cells < otsu(cells[shown])) == dark)
-        if shown.sum() > 1
-        else np.zeros(len(cells), dtype=np.bool_)
-    )
+    if shown.sum() < 2:
+        return np.zeros(len(cells), dtype=np.bool_)
+    return shown & ((cells < otsu(cells[shown])) == dark)
 
 
 def otsu(values: F64) -> float:
-    """Compute Otsu's threshold of values.
-
-    It divides them into two groups with the largest variance between them.
-    """
+    """Compute Otsu's threshold: the largest variance between two groups."""
     ordered = np.sort(values)
     count, low = np.arange(1, len(ordered)), np.cumsum(ordered)[:-1]
-    between = (
-        (low / count - (ordered.sum() - low) / (len(ordered) - count)) ** 2
-        * count
-        * (len(ordered) - count)
-    )
+    rest = len(ordered) - count
+    between = (low / count - (ordered.sum() - low) / rest) ** 2 * count * rest
     best = int(between.argmax())
     return float(ordered[best] + ordered[best + 1]) / 2.0

@@ -1,9 +1,4 @@
-"""Cramer-Rao bounds of particle positions, and how well claimed errors keep to them.
-
-particle_bounds: True images of particles with recorded noise, for bounds of positions.
-
-claimed_accuracy: Errors of positions against what images allow and estimates claim.
-"""
+"""Errors of particle positions against bounds and claimed errors."""
 
 from __future__ import annotations
 
@@ -95,9 +90,7 @@ def coverage(error: F64, covariance: F64, nominal: float) -> float:
 
 
 def brier_score(probability: F64, true: Bool) -> float:
-    """Compute the mean square of probabilities (n,) less what is true.
-
-    NaN without any.
+    """Compute the mean square of probabilities (n,) less truth, or NaN.
 
     Source: G. W. Brier, Monthly Weather Review 78 (1950) 1.
     """

@@ -1,10 +1,7 @@
-"""Connected components (26 neighbours) of bright voxels of a volume.
+"""Detection of particles in a volume, and counts of true and ghost particles.
 
-connected_components: Connected components (26 neighbours) of bright voxels of a volume.
-
-local_maxima: Local maxima of a volume among 26 neighbours, with sub-voxel positions.
-
-particle_detection: Detection of particles in a volume, and counts of true and ghost particles.
+Particles are connected components of bright voxels, or local maxima with sub-voxel positions, both
+among 26 neighbours.
 """
 
 from __future__ import annotations
@@ -24,10 +21,7 @@ from sabench.utils.arrays import F32, F64, I64, Bool
 
 
 def component_sums(volume: F32, floor: float) -> F64:
-    """Sum E, E x, E y and E z over the voxels of each component of E >= floor.
-
-    Returns (n, 4), in the order of the components' first voxels.
-    """
+    """Sum E, E x, E y, E z (n, 4) over the voxels of each component of E >= floor."""
     numbers, count = label(volume >= floor, np.ones((3, 3, 3), dtype=np.bool_))
     sums = np.zeros((4, count))
     for z, (plane, own) in enumerate(zip(volume, numbers, strict=True)):
@@ -44,9 +38,9 @@ _AROUND = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)
 def fitted_maxima(volume: F32, floor: float) -> F64:
     """Locate the maxima of E >= floor as fractional voxel indices (n, 3) of x, y, z.
 
-    They are in the order of their first voxels.
-    A voxel higher than its 26 neighbours is a maximum; so is a plateau, connected voxels of one
-    value, that no neighbour exceeds, at the mean of its voxels.
+    They are in the order of their first voxels. A voxel higher than its 26 neighbours is a maximum;
+    so is a plateau, connected voxels of one value, that no neighbour exceeds, at the mean of its
+    voxels.
     """
     highest_around = maximum_filter(volume, 3, mode="nearest")
     highest = np.flatnonzero((volume >= floor) & (volume == highest_around))
@@ -61,10 +55,7 @@ def fitted_maxima(volume: F32, floor: float) -> F64:
 
 
 def _equals(volume: F32, voxels: I64, step: tuple[int, ...]) -> tuple[I64, I64]:
-    """Find neighbours one step away that have the same value as their voxels.
-
-    Returns the neighbours' flat indices, and the rows of the voxels.
-    """
+    """Find equal neighbours a step away: flat indices, rows of the voxels."""
     places = np.unravel_index(voxels, volume.shape)
     inside = np.ones(len(voxels), dtype=np.bool_)
     for place, shift, size in zip(places, step, volume.shape, strict=True):
@@ -139,11 +130,10 @@ _LOWEST = 0.10
 def detect(volume: F32) -> F64:
     """Detect particles in a volume (z, y, x) as connected components.
 
-    Returns their intensity-weighted centroids (n, 3), fractional voxel indices (x, y, z).
-
-    Non-zero intensities below their own 10 % quantile are removed, the rest is joined into
-    26-connected components: thesis section 3.3.2, after Elsinga et al. (2006). The thesis takes the
-    centroid of the binary component; weighting it with the intensity is more exact.
+    Returns their intensity-weighted centroids (n, 3), fractional voxel indices (x, y, z). Non-zero
+    intensities below their own 10 % quantile are removed, the rest is joined into 26-connected
+    components: thesis section 3.3.2, after Elsinga et al. (2006). The thesis takes the centroid of
+    the binary component; weighting it with the intensity is more exact.
     """
     floor = _floor(volume)
     if floor is None:
@@ -208,10 +198,7 @@ class Counts:
 
     @property
     def ghost_percent(self) -> float | None:
-        """Unmatched detections as a percentage of the matched ones; None: only ghosts.
-
-        Source: thesis, figure 3-6b.
-        """
+        """Unmatched over matched detections, percent (figure 3-6b); None for only ghosts."""
         ghosts = self.detections - self.matched
         return 100.0 * ghosts / self.matched if self.matched else (None if ghosts else 0.0)
 
@@ -256,11 +243,7 @@ def count_challenge(estimate: F64, truth: F64, scored_estimate: Bool, scored_tru
 def f1_over_distance(
     estimate: F64, truth: F64, scored_estimate: Bool, scored_truth: Bool, radii: Sequence[float]
 ) -> F64:
-    """Compute F1 as a curve over the matching distance.
-
-    The rule is that of `count_challenge`, with each of the radii, in voxels. Arguments as for
-    `count_thesis`.
-    """
+    """Compute F1 by the rule of `count_challenge` over radii in voxels."""
     curve = []
     for radius in radii:
         a, b = challenge_pairs(estimate, truth, radius)
@@ -275,24 +258,23 @@ def count_duplicates(estimate: F64, truth: F64, scored_estimate: Bool) -> int:
 
 
 def mark_duplicates(estimate: F64, truth: F64, matched: I64) -> Bool:
-    """Mark the detections (n,) of true particles that have a better one.
+    """Mark detections (n,) of true particles that have a better one.
 
     `matched` are the rows of the detections in pairs; see `challenge_pairs`.
     """
-    alone = np.ones(len(estimate), dtype=np.bool_)
-    alone[matched] = False
-    if not alone.any() or not len(truth):
-        return np.zeros(len(estimate), dtype=np.bool_)
-    limit = CHALLENGE_RADIUS
-    apart, _ = cKDTree(truth).query(estimate[alone], p=np.inf, distance_upper_bound=limit)
-    alone[alone] = apart < limit
-    return alone
+    duplicate = np.zeros(len(estimate), dtype=np.bool_)
+    alone = np.setdiff1d(np.arange(len(estimate)), matched)
+    if len(alone) and len(truth):
+        limit = CHALLENGE_RADIUS
+        apart, _ = cKDTree(truth).query(estimate[alone], p=np.inf, distance_upper_bound=limit)
+        duplicate[alone] = apart < limit
+    return duplicate
 
 
 def challenge_pairs(estimate: F64, truth: F64, radius: float = CHALLENGE_RADIUS) -> tuple[I64, I64]:
-    """Pair detections (n, 3) with true particles (m, 3) by the challenge's rule.
+    """Pair detections (n, 3) with true particles (m, 3), in voxels.
 
-    Both are in voxels. Returns the rows of both, equally long.
+    Returns the rows of both, equally long, by the challenge's rule.
     """
     if not len(estimate) or not len(truth):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -302,12 +284,8 @@ def challenge_pairs(estimate: F64, truth: F64, radius: float = CHALLENGE_RADIUS)
     offset = estimate[left] - truth[right]
     close = np.abs(offset).max(axis=1) < radius
     order = np.argsort(np.linalg.norm(offset[close], axis=1), kind="stable")
-    return _one_to_one(left[close][order], right[close][order], len(estimate), len(truth))
-
-
-def _one_to_one(left: I64, right: I64, lefts: int, rights: int) -> tuple[I64, I64]:
-    """Keep the pairs, in order, whose partners are not in an earlier pair."""
-    free_left, free_right = [True] * lefts, [True] * rights
+    left, right = left[close][order], right[close][order]
+    free_left, free_right = [True] * len(estimate), [True] * len(truth)
     kept = []
     for i, (a, b) in enumerate(zip(left.tolist(), right.tolist(), strict=True)):
         if free_left[a] and free_right[b]:

@@ -71,24 +71,18 @@ def analyse(
     edge : fraction of the largest concentration at a depth where the cloud ends.
     frames : number of frames that the bubbles are from.
     """
-    position = center_mm - impact_mm
+    across, depth, along = (center_mm - impact_mm).T
+    away = np.hypot(across, along)
     depths = np.arange(0.0, depth_mm + 1e-9, DEPTH_MM)
-    outer = max(RADIUS_MM, float(np.hypot(position[:, 0], position[:, 2]).max(initial=0.0)))
+    outer = max(RADIUS_MM, float(away.max(initial=0.0)))
     radii = np.arange(0.0, outer + RADIUS_MM, RADIUS_MM)
     volume = 4.0 / 3.0 * np.pi * radius_mm**3
-    air, *_ = np.histogram2d(
-        position[:, 1],
-        np.hypot(position[:, 0], position[:, 2]),
-        bins=(depths, radii),
-        weights=volume,
-    )
+    air, *_ = np.histogram2d(depth, away, bins=(depths, radii), weights=volume)
     space = np.pi * np.diff(radii**2)[None] * DEPTH_MM
     concentration = air / space / frames
     y, r = (edges[:-1] + np.diff(edges) / 2.0 for edges in (depths, radii))
-    total, largest = (
-        2.0 * np.pi * concentration.sum(axis=1) * RADIUS_MM,
-        concentration.max(axis=1, initial=0.0),
-    )
+    total = 2.0 * np.pi * concentration.sum(axis=1) * RADIUS_MM
+    largest = concentration.max(axis=1, initial=0.0)
     half = np.array([_falls_to(r, row, 0.5) for row in concentration])
     drop = _drop(total)
     penetration = equivalent = float("nan")
@@ -96,34 +90,18 @@ def analyse(
         penetration = float(y[drop] + y[drop - 1]) / 2.0
         equivalent = 2.0 * _falls_to(r, concentration[drop - 1], edge)
     angle = float(np.rad2deg(np.arctan2(equivalent / 2.0, penetration)))
-    return JetFigures(
-        y,
-        r,
-        concentration,
-        total,
-        largest,
-        half,
-        penetration,
-        equivalent,
-        angle,
-        _cone_percent(position, volume, penetration, equivalent) / frames,
-        *_scaling(y, total, penetration),
-    )
-
-
-def _cone_percent(position: F64, volume: F64, penetration: float, equivalent: float) -> float:
-    """Compute the share of air in the cone down to Y_p, a tenth wider than D_eq."""
-    slope = MARGIN * equivalent / 2.0 / penetration
-    y, r = position[:, 1], np.hypot(position[:, 0], position[:, 2])
-    air = float(volume[(y > 0.0) & (y <= penetration) & (r <= slope * y)].sum())
-    return 100.0 * air / (np.pi * slope**2 * penetration**3 / 3.0)
+    slope = MARGIN * equivalent / 2.0 / penetration  # of a cone a tenth wider than D_eq
+    inside = (depth > 0.0) & (depth <= penetration) & (away <= slope * depth)
+    percent = 100.0 * float(volume[inside].sum()) / (np.pi * slope**2 * penetration**3 / 3.0)
+    weight = width = float("nan")
+    if np.isfinite(penetration) and len(y) >= 4:
+        weight, width = fit_total((y - y[total.argmax()]) / penetration, total / total.max())
+    profiles = y, r, concentration, total, largest, half
+    return JetFigures(*profiles, penetration, equivalent, angle, percent / frames, weight, width)
 
 
 def _falls_to(r: F64, profile: F64, fraction: float) -> float:
-    """Find the radius where a profile falls to a fraction of its maximum.
-
-    Values between bins are linear; NaN for an empty profile.
-    """
+    """Find the radius where a profile falls to a fraction of its maximum, or NaN."""
     if not len(profile) or profile.max() <= 0.0:
         return float("nan")
     start = int(profile.argmax())
@@ -149,18 +127,8 @@ def _drop(total: F64) -> int | None:
     return top + 1 + int(np.argmin(part))
 
 
-def _scaling(y: F64, total: F64, penetration: float) -> tuple[float, float]:
-    """Fit A and s of equation 5.18 to C_Y of one jet."""
-    if not np.isfinite(penetration) or len(y) < 4:
-        return float("nan"), float("nan")
-    return fit_total((y - y[total.argmax()]) / penetration, total / total.max())
-
-
 def fit_total(scaled: F64, share: F64) -> tuple[float, float]:
-    """Fit A and s of equation 5.18 to C_Y over its maximum at scaled depths (n,).
-
-    NaN where the fit does not converge.
-    """
+    """Fit A and s of equation 5.18 to relative C_Y at scaled depths (n,)."""
 
     def law(x: F64, weight: float, width: float) -> F64:
         return np.asarray(weight * np.exp(-(x**2) / (2.0 * width**2)) + (1.0 - weight))

@@ -1,10 +1,7 @@
-"""Intensity of a volume's blobs, summed over all voxels that lead up to a peak.
+"""Errors of a reconstructed volume: quality factor, particles, intensities.
 
-blob_intensity: Intensity of a volume's blobs, summed over all voxels that lead up to a peak.
-
-It depends on how bright a blob is, not on its shape.
-
-reconstruction_error: Errors of a reconstructed volume: quality factor, particles, intensities.
+The intensity of a blob is a sum over all voxels that lead up to its peak, and does not depend on
+its shape.
 """
 
 from __future__ import annotations
@@ -18,17 +15,7 @@ from scipy.spatial import cKDTree
 from sabench.api import Reconstruction
 from sabench.api.truth import Particles, View
 from sabench.geometry.grid import Grid
-from sabench.metrics.particle_detection import (
-    CHALLENGE_RADIUS,
-    MATCHING_DISTANCES,
-    Counts,
-    challenge_pairs,
-    count_challenge,
-    count_thesis,
-    detect,
-    detect_peaks,
-    f1_over_distance,
-)
+from sabench.metrics import particle_detection as detection
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import brightness, true_field
 from sabench.utils import memory
@@ -58,7 +45,7 @@ def blob_intensities(volume: F32, peaks: F64) -> F64:
     light = _climb(volume, step, summits)
     places = np.stack(np.unravel_index(summits, volume.shape)[::-1], axis=1).astype(np.float64)
     distance, nearest = cKDTree(peaks).query(places, p=np.inf)
-    near = distance < CHALLENGE_RADIUS
+    near = distance < detection.CHALLENGE_RADIUS
     np.add.at(sums, nearest[near], light[near])
     return sums
 
@@ -82,7 +69,7 @@ def intensity_error(
     kept = scored_truth & _alone(truth, brightness > 0.0, volume.shape)
     if not kept.any():
         return None
-    a, b = challenge_pairs(estimate, truth)
+    a, b = detection.challenge_pairs(estimate, truth)
     light = np.zeros(len(truth))
     light[b] = blob_intensities(volume, estimate)[a]
     found, true = light[kept], brightness[kept]
@@ -101,10 +88,7 @@ def _alone(truth: F64, lit: Bool, shape: tuple[int, ...]) -> Bool:
 
 
 def _find_steps(volume: F32) -> U8:
-    """Find the number of each voxel's brightest neighbour, 13 for itself.
-
-    Of equally bright ones it is the first.
-    """
+    """Find the number of each voxel's first brightest neighbour, 13 for itself."""
     step = np.empty(volume.shape, dtype=np.uint8)
     last = len(volume) - 1
     before = here = _brightest_in_plane(volume[0])
@@ -123,10 +107,7 @@ def _find_steps(volume: F32) -> U8:
 
 
 def _brightest_in_plane(plane: F32) -> tuple[F32, U8]:
-    """Find the brightest of each pixel and its 8 neighbours.
-
-    Returns it, and the number of the first such one.
-    """
+    """Find the brightest of 9 pixels, and the number of the first such one."""
     numbers = np.full_like(plane, 4, dtype=np.uint8)
     along_rows = (slice(None), slice(None, -1)), (slice(None), slice(1, None))
     across = _brightest_of_three(plane, numbers, np.uint8(1), *along_rows)
@@ -174,56 +155,32 @@ def score_frame(
     grid: Grid, particles: Particles, views: Sequence[View], estimate: Reconstruction
 ) -> dict[str, float | None]:
     """Score one frame's estimate against its true particles; the keys are `SCORES`."""
-    truth = grid.to_voxels(particles.position_mm)
-    detected, peaks = _particles(grid, estimate)
-    own, other = _counts(grid, detected, truth), _counts(grid, peaks, truth)
-    light = intensity_error(estimate.volume, peaks, truth, brightness(views), grid.in_scored(truth))
+    truth, peaks = grid.to_voxels(particles.position_mm), _peaks(grid, estimate)
+    scored = grid.in_scored(truth)
+    # an estimate that lists particles replaces both ways of detection
+    detected = detection.detect(estimate.volume) if estimate.particles_mm is None else peaks
+    counts: dict[str, float | None] = {}
+    for prefix, found in (("", detected), ("peak_", peaks)):
+        arguments = found, truth, grid.in_scored(found), scored
+        thesis = detection.count_thesis(*arguments)
+        challenge = detection.count_challenge(*arguments)
+        figures = thesis.true_percent, thesis.ghost_percent, challenge.precision
+        for key, value in zip(_DETECTION, (*figures, challenge.recall, challenge.rms), strict=True):
+            counts[prefix + key] = value
+    light = intensity_error(estimate.volume, peaks, truth, brightness(views), scored)
     memory.trim()
     q = quality(estimate.volume[grid.scored], true_field(grid, particles, views)[grid.scored])
-    return {
-        "q": q,
-        "peak_f1": other[1].f1,
-        "intensity_error": light,
-        **_figures(*own),
-        **{f"peak_{key}": value for key, value in _figures(*other).items()},
-    }
+    return {"q": q, "peak_f1": challenge.f1, "intensity_error": light, **counts}
 
 
 def peak_f1_over_distance(grid: Grid, particles: Particles, estimate: Reconstruction) -> F64:
     """Compute peak F1 as a curve over the matching distances of `MATCHING_DISTANCES`."""
     truth, peaks = grid.to_voxels(particles.position_mm), _peaks(grid, estimate)
     scored = grid.in_scored(peaks), grid.in_scored(truth)
-    return f1_over_distance(peaks, truth, *scored, MATCHING_DISTANCES)
-
-
-def _particles(grid: Grid, estimate: Reconstruction) -> tuple[F64, F64]:
-    """Detect particles (n, 3), in voxels, as components and as peaks.
-
-    Where the estimate itself lists particles, both are that list.
-    """
-    peaks = _peaks(grid, estimate)
-    return (detect(estimate.volume) if estimate.particles_mm is None else peaks), peaks
+    return detection.f1_over_distance(peaks, truth, *scored, detection.MATCHING_DISTANCES)
 
 
 def _peaks(grid: Grid, estimate: Reconstruction) -> F64:
     if estimate.particles_mm is None:
-        return detect_peaks(estimate.volume)
+        return detection.detect_peaks(estimate.volume)
     return grid.to_voxels(estimate.particles_mm)
-
-
-def _counts(grid: Grid, estimate: F64, truth: F64) -> tuple[Counts, Counts]:
-    """Count particles by the thesis's and the challenge's rule; both in voxels."""
-    pair = (estimate, truth, grid.in_scored(estimate), grid.in_scored(truth))
-    return count_thesis(*pair), count_challenge(*pair)
-
-
-def _figures(thesis: Counts, challenge: Counts) -> dict[str, float | None]:
-    """Name the detection figures of both rules."""
-    figures = (
-        thesis.true_percent,
-        thesis.ghost_percent,
-        challenge.precision,
-        challenge.recall,
-        challenge.rms,
-    )
-    return dict(zip(_DETECTION, figures, strict=True))

@@ -1,8 +1,8 @@
 """Found particles against the images that they came from; no truth is needed.
 
 Particles are projected, and their images, Gaussians of the width that the image's statistics show,
-are given the light that fits the image best. What is left tells how much is explained, and in which
-direction each particle's images are off.
+receive the light that fits the image best. The remaining image shows how much is explained, and in
+which direction each particle's images are off.
 """
 
 from __future__ import annotations
@@ -68,13 +68,10 @@ def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool)
         rows = np.flatnonzero(((pixels >= -0.5) & (pixels < size - 0.5)).all(axis=1))
     half = np.ceil(_REACH * sigma_px).astype(np.int64)
     first = np.rint(pixels[rows]).astype(np.int64) - half
-    profiles = [
-        gaussian_profiles(
-            pixels[rows, axis], sigma_px[axis], first[:, axis], 2 * int(half[axis]) + 1
-        )
-        for axis in (0, 1)
-    ]
-    (x, by_x), (y, by_y) = profiles
+    (x, by_x), (y, by_y) = (
+        gaussian_profiles(pixels[rows, axis], sigma_px[axis], first[:, axis], 2 * int(reach) + 1)
+        for axis, reach in enumerate(half)
+    )
     column = first[:, 0, None, None] + np.arange(x.shape[1])
     row = first[:, 1, None, None] + np.arange(y.shape[1])[:, None]
     inside = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
@@ -83,10 +80,8 @@ def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool)
     image = np.where(counts, y[:, :, None] * x[:, None], 0.0)
     slope = np.stack([y[:, :, None] * by_x[:, None], by_y[:, :, None] * x[:, None]], axis=-1)
     slope *= counts[..., None]
-    flat = len(rows), x.shape[1] * y.shape[1]
-    return Patches(
-        rows, np.where(counts, at, -1).reshape(flat), image.reshape(flat), slope.reshape(*flat, 2)
-    )
+    flat, at = (len(rows), x.shape[1] * y.shape[1]), np.where(counts, at, -1)
+    return Patches(rows, at.reshape(flat), image.reshape(flat), slope.reshape(*flat, 2))
 
 
 def fit_light(image: F64, patches: Patches, count: int) -> LightFit:
@@ -105,9 +100,9 @@ def fit_light(image: F64, patches: Patches, count: int) -> LightFit:
     square = (patches.image**2).sum(axis=1)
     light = given / np.maximum(square, 1e-12)
     for _ in range(_ROUNDS):
-        shown = (patches.image * _read(_sum_up(image.shape, patches, light), patches)).sum(axis=1)
+        shown = (patches.image * _read(draw(image.shape, patches, light), patches)).sum(axis=1)
         light *= given / np.maximum(shown, 1e-12)
-    left = image - _sum_up(image.shape, patches, light)
+    left = image - draw(image.shape, patches, light)
     all_light, shift = np.full(count, np.nan), np.full((count, 2), np.nan)
     all_light[patches.rows] = light
     shift[patches.rows] = _shifts(left, patches, light)
@@ -128,18 +123,18 @@ def _shifts(left: F64, patches: Patches, light: F64) -> F64:
 
 
 def matched_light(image: F64, patches: Patches) -> F64:
-    """Fit the light (m,) of each particle in view as if it were alone.
-
-    NaN where no pixel of its window is known.
-    """
+    """Fit the light (m,) of each particle in view alone; NaN without pixels."""
     square = (patches.image**2).sum(axis=1)
     light = (patches.image * _read(image, patches)).sum(axis=1) / np.maximum(square, 1e-12)
     return np.where(square > 0.0, light, np.nan)
 
 
-def draw(shape: tuple[int, int], patches: Patches, light: F64) -> F64:
+def draw(shape: tuple[int, ...], patches: Patches, light: F64) -> F64:
     """Draw the image (row, column) of particles in view with light (m,)."""
-    return _sum_up(shape, patches, light)
+    values = patches.image * light[:, None]
+    inside = patches.at >= 0
+    total = np.bincount(patches.at[inside], values[inside], shape[0] * shape[1])
+    return total.reshape(shape).astype(np.float64)
 
 
 def explained_share(image: F64, left: F64, known: Bool, noise: float) -> float:
@@ -156,15 +151,6 @@ def explained_share(image: F64, left: F64, known: Bool, noise: float) -> float:
     added = noise**2 * known.sum()
     there, rest = (float((one[known] ** 2).sum()) - added for one in (image, left))
     return 1.0 - max(rest, 0.0) / there if there > 0.0 else float("nan")
-
-
-def _sum_up(shape: tuple[int, ...], patches: Patches, light: F64) -> F64:
-    """Add up images (row, column) of particles with light (m,)."""
-    values = patches.image * light[:, None]
-    there = patches.at >= 0
-    size = shape[0] * shape[1]
-    total = np.bincount(patches.at[there], values[there], size).reshape(shape)
-    return total.astype(np.float64)
 
 
 def _read(image: F64, patches: Patches) -> F64:

@@ -1,27 +1,20 @@
 """Errors, links, identity and smoothness of trajectories.
 
-motion_errors: Errors of velocities and accelerations of particles.
-
-track_identity: Identities of trajectories: HOTA, switches, fragments, completeness.
-
 HOTA (higher order tracking accuracy) is that of J. Luiten et al., Int. J. Computer Vision 129
 (2021) 548. One difference: it pairs detections anew for every distance so as to help identities;
 here the closest pairs come first, whatever their identities. Switches and fragments are those of
 K. Bernardin and R. Stiefelhagen, EURASIP J. Image and Video Processing (2008) 246309, relative to
 the true links.
 
-trajectories: Estimated trajectories against true ones: links, velocities, and coverage.
-
 Links are counted as the vectors of the first challenge on Lagrangian Particle Tracking are
 (Leclaire et al. 2021). One difference: its recall counts undetected particles as missed, too. The
 coverage of a true trajectory by one estimated trajectory is the target effectiveness of Bise et
 al., "Reliable cell tracking by global data association", ISBI 2011.
-
-track_smoothness: Smoothness of trajectories, which tells errors of positions without truth.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -63,10 +56,7 @@ def claimed_errors(pairs: Sequence[tuple[F64, F64]]) -> tuple[F64, F64]:
 
 
 def median_errors(off: F64, size: F64) -> tuple[float, float]:
-    """Compute the median error, and the median error over the true size in percent.
-
-    The latter is of what is not zero; NaN without any.
-    """
+    """Compute the median error, and that over true sizes above 0 in percent, or NaN."""
     some = size > 0.0
     return _median(off), 100.0 * _median(off[some] / size[some])
 
@@ -106,15 +96,21 @@ def identity_scores(sequences: Sequence[Sequence[Sightings]]) -> dict[str, float
     links = switches = fragments = 0
     for frames in sequences:
         quality.append(_hota(frames))
-        for seen in _by_object(frames).values():
-            if len(seen) < 2:
+        followers: dict[int, list[int | None]] = {}  # trajectories, or None, of each true object
+        for frame in frames:
+            i, j = frame.pairs
+            partner = dict(zip(j.tolist(), frame.trajectory[i].tolist(), strict=True))
+            for row, number in enumerate(frame.identity.tolist()):
+                followers.setdefault(number, []).append(partner.get(row))
+        for numbers in followers.values():
+            if len(numbers) < 2:
                 continue
-            there = [number for number in seen if number is not None]
-            links += len(seen) - 1
-            switches += sum(one != other for one, other in itertools.pairwise(there))
-            runs = [found for found, _ in itertools.groupby(seen, lambda one: one is not None)]
+            found = [number for number in numbers if number is not None]
+            links += len(numbers) - 1
+            switches += sum(before != after for before, after in itertools.pairwise(found))
+            runs = [run for run, _ in itertools.groupby(numbers, lambda number: number is not None)]
             fragments += max(sum(runs) - 1, 0)
-            complete.append(len(there) == len(seen) and len(set(there)) == 1)
+            complete.append(len(found) == len(numbers) and len(set(found)) == 1)
     return {
         "hota": float(np.mean(quality)) if quality else math.nan,
         "complete": float(np.mean(complete)) if complete else math.nan,
@@ -123,33 +119,16 @@ def identity_scores(sequences: Sequence[Sequence[Sightings]]) -> dict[str, float
     }
 
 
-def _by_object(frames: Sequence[Sightings]) -> dict[int, list[int | None]]:
-    """List for each true object what follows it in its frames: a trajectory, or None."""
-    every: dict[int, list[int | None]] = {}
-    for frame in frames:
-        i, j = frame.pairs
-        partner = dict(zip(j.tolist(), frame.trajectory[i].tolist(), strict=True))
-        for row, number in enumerate(frame.identity.tolist()):
-            every.setdefault(number, []).append(partner.get(row))
-    return every
-
-
 def _hota(frames: Sequence[Sightings]) -> float:
     """Average over the levels of similarity; NaN without true or estimated objects."""
-    every = [
-        np.concatenate([getattr(frame, name) for frame in frames])
-        for name in ("trajectory", "identity")
-    ]
-    if not len(every[0]) and not len(every[1]):
+    trajectory = np.concatenate([frame.trajectory for frame in frames])
+    identity = np.concatenate([frame.identity for frame in frames])
+    if not len(trajectory) and not len(identity):
         return math.nan
-    estimates, of_estimate = np.unique(every[0], return_counts=True)
-    truths, of_truth = np.unique(every[1], return_counts=True)
-    both = np.concatenate(
-        [
-            np.stack([frame.trajectory[frame.pairs[0]], frame.identity[frame.pairs[1]]], axis=1)
-            for frame in frames
-        ]
-    )
+    estimates, of_estimate = np.unique(trajectory, return_counts=True)
+    truths, of_truth = np.unique(identity, return_counts=True)
+    pairs = [(one.trajectory[one.pairs[0]], one.identity[one.pairs[1]]) for one in frames]
+    both = np.concatenate(pairs, axis=1).T
     near = 1.0 - np.concatenate([frame.apart for frame in frames])
     levels = []
     for level in _LEVELS:
@@ -158,7 +137,7 @@ def _hota(frames: Sequence[Sightings]) -> float:
         whole = of_estimate[np.searchsorted(estimates, together[:, 0])]
         whole = whole + of_truth[np.searchsorted(truths, together[:, 1])] - times
         association = float(np.sum(times * times / whole)) / max(right, 1)
-        detection = right / (len(every[0]) + len(every[1]) - right)
+        detection = right / (len(trajectory) + len(identity) - right)
         levels.append(math.sqrt(detection * association))
     return float(np.mean(levels))
 
@@ -186,15 +165,9 @@ def trajectory_scores(
         match(one.center_mm, true.center_mm, true.radius_mm)
         for one, true in zip(estimate, truth, strict=True)
     ]
-    return link_scores(
-        [one.center_mm for one in estimate],
-        trajectory,
-        [one.center_mm for one in truth],
-        [one.id for one in truth],
-        matched,
-        times_s,
-        sequences,
-    )
+    centers, true_centers = ([one.center_mm for one in part] for part in (estimate, truth))
+    identity = [one.id for one in truth]
+    return link_scores(centers, trajectory, true_centers, identity, matched, times_s, sequences)
 
 
 def link_scores(
@@ -225,20 +198,11 @@ def link_scores(
             links += len(np.intersect1d(trajectory[one], trajectory[other]))
             duration = times_s[other] - times_s[one]
             velocity = (truth_mm[other][m] - truth_mm[one][j])[good] / duration
-            off.append(
-                np.linalg.norm(
-                    (estimate_mm[other][k] - estimate_mm[one][i])[good] / duration - velocity,
-                    axis=1,
-                )
-            )
+            estimated = (estimate_mm[other][k] - estimate_mm[one][i])[good] / duration
+            off.append(np.linalg.norm(estimated - velocity, axis=1))
             speed.append(np.linalg.norm(velocity, axis=1))
-        cover.append(
-            _coverage(
-                [trajectory[f][matched[f][0]] for f in frames],
-                [identity[f][matched[f][1]] for f in frames],
-                [identity[f] for f in frames],
-            )
-        )
+        pairs = [(identity[f][matched[f][1]], trajectory[f][matched[f][0]]) for f in frames]
+        cover.append(_coverage(pairs, [identity[f] for f in frames]))
     figures = (
         ratio(right, there),
         ratio(right, links),
@@ -279,31 +243,24 @@ def vector_scores(
 def _in_both(
     identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], one: int, other: int
 ) -> tuple[I64, I64, I64, I64]:
-    """Find the pairs of two frames that share a true object.
-
-    Returns the rows of the estimated and true ones in the first, then in the second frame.
-    """
+    """Find rows of estimated and true objects in two frames for the same ones."""
     (i, j), (k, m) = matched[one], matched[other]
     _, first, second = np.intersect1d(identity[one][j], identity[other][m], return_indices=True)
     return i[first], j[first], k[second], m[second]
 
 
-def _coverage(trajectory: Sequence[I64], identity: Sequence[I64], every: Sequence[I64]) -> F64:
+def _coverage(pairs: Sequence[tuple[I64, I64]], every: Sequence[I64]) -> F64:
     """Compute the fraction of each true trajectory that one estimate covers.
 
     Only objects that exist in two frames or more count.
 
     Parameters
     ----------
-    trajectory, identity : (n,) numbers of each frame's pairs of estimated and true objects.
+    pairs : numbers (n,) of the true and estimated objects that form pairs, for each frame.
     every : numbers of all true objects of each frame.
     """
     objects, frames = np.unique(np.concatenate(every), return_counts=True)
-    both, times = np.unique(
-        np.column_stack([np.concatenate(identity), np.concatenate(trajectory)]),
-        axis=0,
-        return_counts=True,
-    )
+    both, times = np.unique(np.concatenate(pairs, axis=1).T, axis=0, return_counts=True)
     most = np.zeros(len(objects), dtype=np.int64)
     np.maximum.at(most, np.searchsorted(objects, both[:, 0]), times)
     return (most / frames)[frames > 1]
@@ -328,9 +285,7 @@ def differences(numbers: Sequence[I64], positions: Sequence[F64], order: int) ->
     found = [np.zeros((0, 3))]
     for first in range(len(numbers) - order):
         window = range(first, first + order + 1)
-        common = numbers[first]
-        for frame in window:
-            common = np.intersect1d(common, numbers[frame])
+        common = functools.reduce(np.intersect1d, numbers[first : first + order + 1])
         total = np.zeros((len(common), 3))
         for factor, frame in zip(factors, window, strict=True):
             sorter = np.argsort(numbers[frame])
@@ -357,10 +312,7 @@ def jitter_mm(numbers: Sequence[I64], positions: Sequence[F64]) -> float:
 
 
 def share_followed(numbers: Sequence[I64], frames: int) -> float:
-    """Compute the share of found particles in trajectories of enough frames.
-
-    NaN without any.
-    """
+    """Compute the share of found particles in long enough trajectories, or NaN."""
     every = np.concatenate([np.zeros(0, dtype=np.int64), *numbers])
     if not len(every):
         return float("nan")

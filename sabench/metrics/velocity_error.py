@@ -1,9 +1,4 @@
-"""Evaluation nodes of velocity fields, and fields of any lattice sampled there.
-
-velocity_sampling: Evaluation nodes of velocity fields, and fields of any lattice sampled there.
-
-velocity_error: Errors of a velocity field against the true one.
-"""
+"""Errors of velocity fields of any lattice, sampled at common nodes."""
 
 from __future__ import annotations
 
@@ -50,18 +45,13 @@ def evaluation_lattice(grid: Grid) -> Velocity:
 
 
 def _spread(voxels: F64, least: float) -> tuple[F64, I64]:
-    """Compute the spacing and the number of nodes along edges of a box.
-
-    Edges and the least spacing are in voxels.
-    """
+    """Compute spacing, in voxels, and number of nodes along edges of a box."""
     steps = np.maximum(np.minimum(max(_SPACING, least), voxels / _LEAST), 1.0)
     return steps, np.maximum(1, np.floor(voxels / steps * (1.0 + 1e-12))).astype(np.int64)
 
 
 def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
-    """Make the lattice of nodes at which velocities in a light sheet are scored.
-
-    All of them are at rest.
+    """Make the lattice at which velocities in a light sheet are scored.
 
     It is centred in the rectangle around the part of the plane in the scored box; the nodes in the
     box are valid. Its `plane_axes` are as near to the grid's axes as the plane allows.
@@ -100,9 +90,7 @@ def lengths_along(axes: F64, voxel_mm: tuple[float, float, float]) -> F64:
 
 
 def sample_velocity(field: Velocity, points_mm: F64) -> tuple[F64, Bool]:
-    """Interpolate a field at points (n, 3).
-
-    Returns velocities (n, 3), and where (n,) they were measured.
+    """Interpolate velocities at points (n, 3), and mark the measured ones.
 
     Each node stands for the cell around it, half a step in every direction, as a voxel does. A
     point is measured where the node of its cell is. Its velocity is interpolated linearly along
@@ -171,14 +159,8 @@ def velocity_scores(
     """
     valid = valid & fluid
     errors = ((estimate - truth) * interval_s / np.asarray(voxel_mm))[valid]
-    scores = _displacement_figures(errors if len(errors) else np.full((1, 3), np.nan))
-    scores["yield_percent"] = 100.0 * float(valid.sum() / max(fluid.sum(), 1))
-    scores["response"] = response(estimate[valid], truth[valid])
-    return scores | _derivative_figures(estimate, truth, valid, step_mm)
-
-
-def _displacement_figures(errors: F64) -> dict[str, float]:
-    """Compute precision, bias and root mean square of displacement errors (n, 3)."""
+    if not len(errors):
+        errors = np.full((1, 3), np.nan)
     bias = errors.mean(axis=0)
     figures = {
         "p90": precision_interval(errors),
@@ -192,42 +174,34 @@ def _displacement_figures(errors: F64) -> dict[str, float]:
     }
     scores["bias_voxel"] = float(np.linalg.norm(bias))
     scores["rms_voxel"] = float(np.sqrt((errors**2).sum(axis=1).mean()))
-    return scores
+    scores["yield_percent"] = 100.0 * float(valid.sum() / max(fluid.sum(), 1))
+    scores["response"] = response(estimate[valid], truth[valid])
+    return scores | _derivative_figures(estimate, truth, valid, step_mm)
 
 
 def _derivative_figures(
     estimate: F64, truth: F64, valid: Bool, step_mm: tuple[float, float, float]
 ) -> dict[str, float]:
-    """Compute the root mean square errors of divergence and vorticity.
-
-    The former is in 1/s, the latter in percent of the true vorticity.
-    """
-    known = _with_neighbours(valid)
+    """Compute rms errors of divergence, and of vorticity in percent."""
+    known = valid & inner(valid.shape)  # with neighbours that were measured
+    for axis in np.flatnonzero(np.asarray(valid.shape) > 1):
+        for shift in (1, -1):
+            known &= np.roll(valid, shift, axis=axis)
     slopes, true = (gradient(field, step_mm)[known] for field in (estimate, truth))
     several = np.asarray(valid.shape[::-1]) > 1
     about = [axis for axis in range(3) if np.delete(several, axis).all()]
     spin, true_spin = vorticity(slopes)[..., about], vorticity(true)[..., about]
+    off, typical = root_mean_square(spin - true_spin), max(root_mean_square(true_spin), 1e-300)
     return {
         "divergence_1_s": root_mean_square(divergence(slopes) - divergence(true)),
-        "vorticity_percent": 100.0
-        * root_mean_square(spin - true_spin)
-        / max(root_mean_square(true_spin), 1e-300),
+        "vorticity_percent": 100.0 * off / typical,
     }
 
 
-def _with_neighbours(valid: Bool) -> Bool:
-    """Mark the measured nodes (z, y, x) whose neighbours were measured."""
-    known = valid & inner(valid.shape)
-    for axis in np.flatnonzero(np.asarray(valid.shape) > 1):
-        for shift in (1, -1):
-            known &= np.roll(valid, shift, axis=axis)
-    return np.asarray(known)
-
-
 def precision_interval(errors: F64) -> F64:
-    """Compute the half widths (3,) of intervals that hold 90 % of errors (n, 3).
+    """Compute half widths (3,) of intervals that hold 90 % of errors (n, 3).
 
-    The intervals are about zero. Source: thesis, section 2.3.3.
+    Source: thesis, section 2.3.3.
     """
     return np.asarray(np.percentile(np.abs(errors), _PRECISION, axis=0))
 
@@ -238,10 +212,8 @@ def response(estimate: F64, truth: F64) -> float:
     For a wave it is the ratio of the amplitudes. It is the slope of the estimated over the true
     velocities (n, 3), each less its mean.
     """
-    about = (
-        [values - values.mean(axis=0) for values in (estimate, truth)]
-        if len(truth)
-        else [estimate, truth]
-    )
-    power = float(np.sum(about[1] ** 2))
-    return float(np.sum(about[0] * about[1])) / power if power > 0.0 else float("nan")
+    if not len(truth):
+        return float("nan")
+    own, true = (values - values.mean(axis=0) for values in (estimate, truth))
+    power = float(np.sum(true**2))
+    return float(np.sum(own * true)) / power if power > 0.0 else float("nan")

@@ -44,10 +44,7 @@ def sample(field: Velocity, values: F64) -> Sampled:
 
 
 def spin_of(field: Velocity) -> Sampled:
-    """Interpolate a field's vorticity linearly between its nodes.
-
-    Of a planar field, it is the part about the plane's normal.
-    """
+    """Interpolate a field's vorticity linearly, or its part about a plane's normal."""
     own = field.in_own_axes()
     spin = vorticity(gradient(own.velocity_mm_s, own.step_mm))
     if field.plane_axes is not None:
@@ -72,10 +69,7 @@ class HalfPlane:
     normal: F64
 
     def points(self, r: F64, z: F64) -> F64:
-        """Compute world points at distances (n,) from the axis and heights (n,).
-
-        Points are (n, 3); heights are along the axis.
-        """
+        """Compute world points (n, 3) at distances and heights (n,)."""
         return np.asarray(self.center_mm + r[:, None] * self.outward + z[:, None] * self.axis)
 
 
@@ -95,9 +89,7 @@ def half_plane(center_mm: Vector, axis: Vector, start: Vector, degrees: float) -
 def core(
     spin: Sampled, half: HalfPlane, radius_mm: float, search_mm: float
 ) -> tuple[float, float, float]:
-    """Locate a core in a half plane.
-
-    Returns its distance from the axis, its height, and the peak vorticity.
+    """Locate a core in a half plane: radius, height, and peak vorticity.
 
     The position is the centroid of the vorticity that exceeds half of the peak, because a maximum
     lies on a node of a coarse field. NaN where the vorticity is unknown.
@@ -123,18 +115,15 @@ def circulation(
 ) -> float:
     """Integrate the velocity along a rectangle in a half plane.
 
-    The direction is right-handed about the plane's normal.
-
-    NaN where the velocity is not known all around. Source: thesis, section 2.3.3.
+    NaN if the velocity is not known all around. Source: thesis, section 2.3.3.
 
     Parameters
     ----------
     r_mm, z_mm : centre of the rectangle: distance from the axis, and height.
     width_mm, height_mm : its sides, across the axis and along it.
     """
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * 0.5 * np.array(
-        [width_mm, height_mm]
-    ) + np.array([r_mm, z_mm])
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
+    corners = signs * 0.5 * [width_mm, height_mm] + [r_mm, z_mm]
     total = 0.0
     for start, end in itertools.pairwise(corners):
         parts = (np.arange(_SIDE) + 0.5)[:, None] / _SIDE

@@ -1,19 +1,13 @@
-"""Transmission and light profiles of backlit bubbles.
+"""Images of a backlit scene as transmission, and the profiles of bubbles in them.
 
-backlit_profile: Appearance of a backlit bubble.
-
-The profile is the transmission over the distance from its centre, by ray optics, blurred by lens
-and pixels.
+Transmission is 1 where only the diffuser is seen, 0 where it is dark. A profile is the transmission
+over the distance from a bubble's centre, by ray optics, blurred by lens and pixels.
 
 A ray that meets a ball at a part b of its radius is reflected, by pi - 2 asin(b), or goes through,
 by 2 (asin(b n) - asin(b)), n being the index of the fluid over that of the ball, or is reflected
 inside first. A ray carries the diffuser's light if it leaves within the diffuser's half angle of
-its direction, and no light otherwise. The rim is dark between where light that goes through is bent
-too far and where light that is reflected is not bent far enough.
-
-transmission: Images of a backlit scene as transmission.
-
-Transmission is 1 where only the diffuser is seen, 0 where it is dark.
+its direction, and no light otherwise. The rim is dark where light that goes through is bent too far
+and light that is reflected not far enough.
 """
 
 from __future__ import annotations
@@ -54,13 +48,8 @@ def sharp(b: F64, index: float, half_angle: float) -> F64:
     light = part * _diffuser_share(np.pi - 2.0 * incident, half_angle)
     deflection = 2.0 * (refracted - incident)
     for bounce in range(_INNER + 1):
-        light = light + np.where(
-            total,
-            0.0,
-            (1.0 - part) ** 2
-            * part**bounce
-            * _diffuser_share(deflection + bounce * (np.pi - 2.0 * refracted), half_angle),
-        )
+        share = _diffuser_share(deflection + bounce * (np.pi - 2.0 * refracted), half_angle)
+        light = light + np.where(total, 0.0, (1.0 - part) ** 2 * part**bounce * share)
     return np.where(b >= 1.0, 1.0, light)
 
 
@@ -76,22 +65,15 @@ def reflectance(incident: F64, refracted: F64, index: float) -> F64:
 
 
 def _diffuser_share(angle: F64, half_angle: float) -> F64:
-    """Compute how much of the light turned by an angle comes from the diffuser.
-
-    The result is 0 or 1, or between these near the diffuser's edge.
-    """
+    """Compute the share of the light turned by an angle that is diffuser's."""
     away = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
-    return np.asarray(
-        np.clip((half_angle * (1.0 + _SOFT) - away) / (2.0 * _SOFT * half_angle), 0.0, 1.0)
-    )
+    share = (half_angle * (1.0 + _SOFT) - away) / (2.0 * _SOFT * half_angle)
+    return np.asarray(np.clip(share, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Blurred transmission (radius, distance).
-
-    Radii are spaced geometrically, distances uniformly from the centre to `reach` radii.
-    """
+    """Blurred transmission at geometric radii (rows) and uniform distances (columns)."""
 
     table: F32
     blur_px: float
@@ -99,14 +81,10 @@ class Profile:
     @classmethod
     @functools.lru_cache(maxsize=64)  # the same for every frame
     def tabulate(cls, index: float, half_angle: float, blur_px: float) -> Profile:
-        """Tabulate balls of a relative index in front of a diffuser of a half angle.
-
-        A Gaussian blurs the profiles.
-        """
+        """Tabulate blurred balls of a relative index in front of a diffuser's half angle."""
         parts = (np.arange(_FINE) + 0.5) / _FINE
-        table = (1.0 - _blur_weights(blur_px) @ (1.0 - sharp(parts, index, half_angle))).astype(
-            np.float32
-        )
+        dark = _blur_weights(blur_px) @ (1.0 - sharp(parts, index, half_angle))
+        table = (1.0 - dark).astype(np.float32)
         table.flags.writeable = False
         return cls(table, blur_px)
 
@@ -146,28 +124,18 @@ def transmission(case: Observation) -> F32:
     would follow.
     """
     out = np.ones(case.images.shape, dtype=np.float32)
-    for image, made in zip(case.images, out, strict=True):
+    size, scale = _REACH // _SHRINK | 1, 1.0 / _SHRINK
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    for image, relative in zip(case.images, out, strict=True):
         light = image.astype(np.float32) - np.float32(case.black_dn)
-        small = cv2.resize(
-            cv2.medianBlur(light, 5),
-            None,
-            fx=1.0 / _SHRINK,
-            fy=1.0 / _SHRINK,
-            interpolation=cv2.INTER_AREA,
-        )
-        size = _REACH // _SHRINK | 1
-        closed = cv2.morphologyEx(
-            small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-        )
-        ground = cv2.resize(
-            cv2.GaussianBlur(closed, (0, 0), size / 3.0),
-            light.shape[::-1],
-            interpolation=cv2.INTER_LINEAR,
-        )
+        median = cv2.medianBlur(light, 5)
+        small = cv2.resize(median, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, disc)
+        smooth = cv2.GaussianBlur(closed, (0, 0), size / 3.0)
+        ground = cv2.resize(smooth, light.shape[::-1], interpolation=cv2.INTER_LINEAR)
         if float(ground.max()) <= _DARKEST * (case.white_dn - case.black_dn):
             continue
-        np.divide(light, np.maximum(ground, _DARKEST * float(ground.max())), out=made)
-        made /= (
-            np.median(made[made > 0.8]) if (made > 0.8).any() else 1.0
-        )  # the brightest of many noisy pixels is too bright
+        np.divide(light, np.maximum(ground, _DARKEST * float(ground.max())), out=relative)
+        # the brightest of many noisy pixels is too bright
+        relative /= np.median(relative[relative > 0.8]) if (relative > 0.8).any() else 1.0
     return out

@@ -1,21 +1,14 @@
-"""Ellipses and circles in images of bubbles.
+"""Detection of dark ellipses and circles in images of bubbles.
 
-ellipse_detection: Detection of dark ellipses in an image.
+Ellipses: edges are located to a fraction of a pixel, and every two of them may be the ends of a
+major axis; all others vote for its minor axis (Y. Xie and Q. Ji, A new efficient ellipse detection
+method, ICPR 2002). Here edges must also have the direction of the ellipse's inward normals, which
+leaves few pairs and excludes the inner edges of rings; an outline is judged by the part of it that
+has edges.
 
-Edges are located to a fraction of a pixel and vote for axes; ellipses are fitted by least squares
-to the edges that voted.
-
-Source: Y. Xie and Q. Ji, A new efficient ellipse detection method, ICPR 2002: every two edges may
-be the ends of a major axis, for whose minor axis all others vote. Here edges have directions too,
-which must be those of the ellipse's inward normals, so that few pairs are left and the inner edges
-of rings do not vote; and an outline is judged by the part of it that has edges.
-
-hough_circles: Votes for outlines by Hough's transform.
-
-A vote is the part of a circle around a pixel that is an edge from dark inside to bright outside.
-
-The direction of the gradient counts and its strength hardly does, as in Loy and Zelinsky's radial
-symmetry (IEEE PAMI 25, 2003): a faint bubble with a complete outline has more votes than one
+Circles: a vote is the part of a circle around a pixel that is an edge from dark inside to bright
+outside. The direction of the gradient counts and its strength hardly does, as in Loy and Zelinsky's
+radial symmetry (IEEE PAMI 25, 2003): a faint bubble with a complete outline has more votes than one
 strong edge.
 """
 
@@ -39,6 +32,15 @@ _FEWEST = 6  # edges of an outline
 _FITS = 2
 
 
+def compute_gradient(image: F32, border: int = cv2.BORDER_REPLICATE) -> tuple[F32, F32]:
+    """Compute the derivatives of an image along columns and rows, per pixel."""
+    right, down = (
+        cv2.Sobel(image, cv2.CV_32F, dx, 1 - dx, ksize=3, scale=0.125, borderType=border)
+        for dx in (1, 0)
+    )
+    return np.asarray(right), np.asarray(down)
+
+
 def find_edges(dark: F32, least: float) -> F64:
     """Find edges (n, 4) in an image of darkness.
 
@@ -52,35 +54,28 @@ def find_edges(dark: F32, least: float) -> F64:
     """
     if min(dark.shape) < 3:
         return np.zeros((0, 4))
-    right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE)
-    down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE)
+    right, down = compute_gradient(dark)
     strength = cv2.magnitude(right, down)
     rows, columns = np.nonzero(strength > least)
+    if not len(rows):
+        return np.zeros((0, 4))
     here = strength[rows, columns]
     gx, gy = right[rows, columns] / here, down[rows, columns] / here
     before, after = (
-        _interpolate(strength, columns + side * gx, rows + side * gy) for side in (-1.0, 1.0)
+        cv2.remap(
+            strength,
+            (columns + side * gx).astype(np.float32)[None],
+            (rows + side * gy).astype(np.float32)[None],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )[0]
+        for side in (-1.0, 1.0)
     )
     peak = (here >= before) & (here > after)
     offset = 0.5 * (before - after)[peak] / (before - 2.0 * here + after)[peak]
     gx, gy = gx[peak], gy[peak]
-    return np.column_stack([columns[peak] + offset * gx, rows[peak] + offset * gy, gx, gy]).astype(
-        np.float64
-    )
-
-
-def _interpolate(image: F32, x: F32, y: F32) -> F32:
-    """Interpolate between pixels."""
-    if not len(x):
-        return np.zeros(0, dtype=np.float32)
-    found = cv2.remap(
-        image,
-        x.astype(np.float32)[None],
-        y.astype(np.float32)[None],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    return np.asarray(found[0])
+    edges = np.column_stack([columns[peak] + offset * gx, rows[peak] + offset * gy, gx, gy])
+    return edges.astype(np.float64)
 
 
 def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: float) -> F64:
@@ -114,27 +109,19 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
 
 
 def _fit_ellipse(points: F64, first: F64) -> F64:
-    """Fit an ellipse to edges by least squares.
-
-    Returns `first` if there are too few edges or no similar ellipse fits them.
-    """
+    """Fit an ellipse to edges by least squares; `first` without a similar one."""
     if len(points) < _FEWEST:
         return first
-    (x, y), (one, other), degrees = cv2.fitEllipseDirect(points[:, :2].astype(np.float32))
-    angle = np.deg2rad(degrees) + (0.0 if one >= other else np.pi / 2.0)
-    found = np.array([x, y, max(one, other) / 2.0, min(one, other) / 2.0, angle])
-    like = np.isfinite(found).all() and np.abs(found[:4] - first[:4]).max() <= max(
-        1.0, 0.3 * first[2]
-    )
-    return found if like and found[3] >= _LEAST_PX else first
+    (x, y), (width, height), degrees = cv2.fitEllipseDirect(points[:, :2].astype(np.float32))
+    angle = np.deg2rad(degrees) + (0.0 if width >= height else np.pi / 2.0)
+    fitted = np.array([x, y, max(width, height) / 2.0, min(width, height) / 2.0, angle])
+    similar = np.abs(fitted[:4] - first[:4]).max() <= max(1.0, 0.3 * first[2])
+    return fitted if np.isfinite(fitted).all() and similar and fitted[3] >= _LEAST_PX else first
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _relation(points: Any, ellipse: Any) -> Any:
-    """Compute distances of edges from an ellipse to first order.
-
-    Also the cosines between their directions and its inward normals, and eccentric angles.
-    """
+    """Compute distances of edges from an ellipse, cosines, eccentric angles."""
     x, y, a, b, angle = ellipse
     cosine, sine = np.cos(angle), np.sin(angle)
     out = np.empty((3, len(points)))
@@ -174,10 +161,7 @@ def _edge_coverage(points: Any, ellipse: Any) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _vote_for_ellipse(points: Any, largest: float, least_aspect: float) -> Any:
-    """Find the ellipse (5,) that most edges vote for, and the part of it with edges.
-
-    Of ellipses with equal parts, the larger one is returned.
-    """
+    """Find the ellipse (5,) with most votes, and its coverage."""
     best, best_part, most = np.zeros(5), 0.0, 0.0
     for i in range(len(points)):
         for j in range(i):
@@ -211,10 +195,7 @@ def _vote_for_ellipse(points: Any, largest: float, least_aspect: float) -> Any:
 
 @numba.njit(cache=True, error_model="numpy")
 def _minor(points: Any, axis: Any, least_aspect: float) -> float:
-    """Find the minor semi-axis with the most votes; 0 without votes.
-
-    Also returns the mean of the votes over it and its neighbours in the accumulator.
-    """
+    """Find the minor semi-axis with the most votes of three bins; 0 without votes."""
     x, y, a, _, angle = axis
     cosine, sine = np.cos(angle), np.sin(angle)
     votes = np.zeros(int(a / _BIN) + 4)
@@ -251,10 +232,7 @@ _SMOOTH = 0.6  # px
 
 @dataclass(frozen=True)
 class Votes:
-    """Votes (radius, row, column) from 0 to 1 of one image, and the radii in px.
-
-    They are stretched downwards until ellipses of an aspect are circles.
-    """
+    """Votes (radius, row, column) from 0 to 1, stretched down by the aspect."""
 
     radii_px: F64
     maps: F32
@@ -272,21 +250,13 @@ def radii_between(smallest_px: float, largest_px: float) -> F64:
 
 
 def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
-    """Vote for circles in one image of transmission.
-
-    With an aspect (short over long axis), vote for ellipses that lie flat.
-    """
+    """Vote for circles, or flat ellipses of an aspect, in a transmission."""
     if aspect != 1.0:
         image = cv2.resize(
             image, (image.shape[1], round(image.shape[0] / aspect)), interpolation=cv2.INTER_CUBIC
         )
     smooth = cv2.GaussianBlur(image, (0, 0), _SMOOTH)
-    right = cv2.Sobel(
-        smooth, cv2.CV_32F, 1, 0, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE
-    )
-    down = cv2.Sobel(
-        smooth, cv2.CV_32F, 0, 1, ksize=3, scale=0.125, borderType=cv2.BORDER_REPLICATE
-    )
+    right, down = compute_gradient(smooth)
     strength = cv2.magnitude(right, down) + np.float32(_WEAK)
     right /= strength
     down /= strength
@@ -301,9 +271,8 @@ def vote(image: F32, radii_px: F64, aspect: float = 1.0) -> Votes:
 def _ring(radius: float) -> tuple[F32, F32]:
     """Make kernels that add up the outward parts of a field on a ring."""
     half = int(np.ceil(radius + 3.0 * _WIDTH))
-    x, y = np.meshgrid(
-        np.arange(-half, half + 1, dtype=np.float64), np.arange(-half, half + 1, dtype=np.float64)
-    )
+    along = np.arange(-half, half + 1, dtype=np.float64)
+    x, y = np.meshgrid(along, along)
     distance = np.hypot(x, y)
     weight = np.exp(-((distance - radius) ** 2) / (2.0 * _WIDTH**2))
     weight[half, half] = 0.0
@@ -313,19 +282,13 @@ def _ring(radius: float) -> tuple[F32, F32]:
 
 
 def peaks(votes: Votes, least: float, margin: int = 1) -> F64:
-    """Find local maxima over position and radius.
-
-    Returns (n, 4): column, row, radius in px, vote.
-    """
-    maps = votes.maps
-    spatial = np.stack(
-        [cv2.dilate(one, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8)) for one in maps]
-    )
+    """Find local maxima (n, 4): column, row, radius in px, vote."""
+    maps, window = votes.maps, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8)
+    spatial = np.stack([cv2.dilate(votes_of_radius, window) for votes_of_radius in maps])
     around = spatial.copy()
     around[1:] = np.maximum(around[1:], spatial[:-1])
     around[:-1] = np.maximum(around[:-1], spatial[1:])
     scale, row, column = np.nonzero((maps >= around) & (maps > least))
-    there = (row + 0.5) * votes.aspect - 0.5
-    return np.column_stack([column, there, votes.radii_px[scale], maps[scale, row, column]]).astype(
-        np.float64
-    )
+    image_row = (row + 0.5) * votes.aspect - 0.5
+    found = [column, image_row, votes.radii_px[scale], maps[scale, row, column]]
+    return np.column_stack(found).astype(np.float64)

@@ -1,10 +1,9 @@
-"""Peaks of the feature potential over depth, and groups of them.
+"""Peaks of the feature potential over depth, and depths of outlines.
 
-The module also finds the depth of an outline. Source: J. Belden's thesis, section 5.4.3. There a
-group is whatever is connected, each peak within half a window and ten planes of another one. Among
-many bubbles such chains run from one to the next, and their mean depth is that of none; here a
-group is what is connected to its strongest peak within ten planes of that one, and as far sideways
-as the largest bubble.
+Source: J. Belden's thesis, section 5.4.3. There a group is a chain of peaks, each within half a
+window and ten planes of another one. Among many bubbles such chains run from one to the next, and
+their mean depth is that of none; here a group reaches at most ten planes from its strongest peak,
+and as far sideways as the largest bubble.
 """
 
 from __future__ import annotations
@@ -71,10 +70,7 @@ class FeaturePeaks:
         return round(float(np.average(self.position[group, 0], weights=self.weight[group])))
 
     def within(self, bubble: F64, planes: int) -> Bool:
-        """Mark the peaks inside the circle around a bubble (7,).
-
-        They are at most that many planes from it, and some of their window lies inside.
-        """
+        """Mark the peaks within some planes of a bubble (7,) and in its circle."""
         y, x = (self.position[:, axis] * STEP + (WINDOW - 1) / 2.0 for axis in (1, 2))
         return np.asarray(
             (np.hypot(x - bubble[0], y - bubble[1]) <= bubble[2] + WINDOW / 2.0)
@@ -106,10 +102,7 @@ def find_depth(volume: F32, outline: F64, plane: int) -> float:
 
 
 def _inside(shape: tuple[int, ...], outline: F64) -> tuple[slice, slice, Bool]:
-    """Cut a box out of a plane and mark its voxels inside an outline.
-
-    Voxels within one voxel of the outline count too.
-    """
+    """Cut out a box and mark its voxels inside an outline grown by a voxel."""
     x, y, a, b, angle = outline[:5]
     rows = slice(max(int(y - a) - 1, 0), max(min(int(y + a) + 3, shape[0]), 0))
     columns = slice(max(int(x - a) - 1, 0), max(min(int(x + a) + 3, shape[1]), 0))

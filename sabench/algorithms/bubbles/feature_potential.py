@@ -1,7 +1,6 @@
-"""Detection of bubbles as in the thesis.
+"""Detection of bubbles by feature potentials of refocused stacks.
 
-The steps are a refocused stack, its feature potential, minimum images and outlines. Source: J.
-Belden's thesis, sections 5.3 and 5.4. All steps work on darkness, one less the images'
+Source: J. Belden's thesis, sections 5.3 and 5.4. All steps work on darkness, one less the images'
 transmission: the thesis's minimum images are images of the largest darkness here.
 """
 
@@ -12,8 +11,10 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.ndimage import binary_fill_holes
 
 from sabench.algorithms.bubbles.backlit_images import transmission
+from sabench.algorithms.bubbles.ellipse_detection import compute_gradient
 from sabench.algorithms.refocus import refocus_log2
 from sabench.api import Observation
 from sabench.geometry.grid import Grid
@@ -41,7 +42,7 @@ def darkness(case: Observation) -> F32:
     return np.asarray(np.exp2(volume, out=volume))
 
 
-def feature_potential(volume: F32, step: int, flat: float = _FLAT) -> F32:
+def compute_potential(volume: F32, step: int, flat: float = _FLAT) -> F32:
     """Compute the feature potential E of equations 5.15 and 5.16.
 
     Returns (z, window rows, window columns) for windows `step` voxels apart; 0 where the spread is
@@ -90,33 +91,23 @@ def _potential(volume: Any, step: int, flat: float, out: Any) -> None:
 
 
 def attenuate(volume: F32, potential: F32, step: int) -> None:
-    """Multiply windows' planes by the cumulative distribution of E over depth.
-
-    Works in place. Between the windows' middles it is interpolated.
-    """
+    """Multiply planes, in place, by the cumulative distribution of E over depth."""
     order = np.argsort(np.argsort(potential, axis=0, kind="stable"), axis=0, kind="stable")
     share = ((order + 1) / len(potential)).astype(np.float32)
     share[:, potential.max(axis=0) == 0.0] = 0.0
     offset = WINDOW / 2.0 - 0.5
-    x = ((np.arange(volume.shape[2], dtype=np.float32) - offset) / step).astype(np.float32)
-    y = ((np.arange(volume.shape[1], dtype=np.float32) - offset) / step).astype(np.float32)
+    y, x = (
+        ((np.arange(size, dtype=np.float32) - offset) / step).astype(np.float32)
+        for size in volume.shape[1:]
+    )
     columns, rows = np.meshgrid(x, y)
-    for plane, part in zip(volume, share, strict=True):
-        plane *= cv2.remap(
-            np.ascontiguousarray(part),
-            columns,
-            rows,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+    for plane, part in zip(volume, np.ascontiguousarray(share), strict=True):
+        plane *= cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 @dataclass(frozen=True)
 class Outlines:
-    """Circles or ellipses in a plane.
-
-    Column, row, semi-axes across and down (n, 4) in voxels, and the depth index (n,).
-    """
+    """Column, row, semi-axes (n, 4) in voxels, and depth index (n,)."""
 
     shapes: F64
     depth: F64
@@ -132,47 +123,38 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
     least : gradient of darkness per voxel that makes an edge.
     small : equivalent diameter in voxels below which a feature is thresholded.
     """
-    right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
-    down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
-    strength = cv2.magnitude(right, down)
-    edges = (strength > least).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
+    right, down, labels, stats = _label_edges(dark, least)
     found = []
-    for label in range(1, count):
-        left, top, width, height, area = stats[label]
+    for label, (left, top, width, height, area) in enumerate(stats[1:], start=1):
         if area <= 3:
             continue
-        margin = 2
-        rows, columns = (
-            slice(max(top - margin, 0), top + height + margin),
-            slice(max(left - margin, 0), left + width + margin),
-        )
-        filled = _fill_holes(labels[rows, columns] == label)
+        box = _grow_box(left, top, width, height)
+        feature = labels[box] == label
         shapes = []
-        if 2.0 * np.sqrt(filled.sum() / np.pi) >= small:
-            shapes = find_circles(
-                right[rows, columns], down[rows, columns], labels[rows, columns] == label
-            )
-        shapes = shapes or _threshold(
-            dark[rows, columns]
-        )  # a circle that nothing votes for is too small for votes
-        for x, y, a, b in shapes:
-            found.append((x + columns.start, y + rows.start, a, b))
-    every = np.array(found, dtype=np.float64).reshape(-1, 4)
-    return Outlines(every, np.array([_depth_of(one, dark, depth) for one in every]))
+        if 2.0 * np.sqrt(binary_fill_holes(feature).sum() / np.pi) >= small:
+            shapes = find_circles(right[box], down[box], feature)
+        # a circle that nothing votes for is too small for votes
+        for x, y, a, b in shapes or _threshold(dark[box]):
+            found.append((x + box[1].start, y + box[0].start, a, b))
+    outlines = np.array(found, dtype=np.float64).reshape(-1, 4)
+    return Outlines(outlines, np.array([_depth_of(shape, dark, depth) for shape in outlines]))
 
 
-def _fill_holes(mask: Any) -> Any:
-    from scipy.ndimage import binary_fill_holes
+def _label_edges(dark: F32, least: float) -> tuple[F32, F32, Any, Any]:
+    """Return an image's gradient, labels of its edges, and their statistics."""
+    right, down = compute_gradient(dark, cv2.BORDER_DEFAULT)
+    edges = (cv2.magnitude(right, down) > least).astype(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
+    return right, down, labels, stats
 
-    return binary_fill_holes(mask)
+
+def _grow_box(left: int, top: int, width: int, height: int) -> tuple[slice, slice]:
+    """Make slices of rows and columns that reach two pixels beyond a box."""
+    return slice(max(top - 2, 0), top + height + 2), slice(max(left - 2, 0), left + width + 2)
 
 
 def _threshold(dark: F32) -> list[tuple[float, float, float, float]]:
-    """List regions darker than their mean as circles.
-
-    Each circle has the region's centroid and equivalent radius. A uniform region gives none.
-    """
+    """List regions darker than their mean as circles; none for a uniform region."""
     inside = dark > dark.mean()
     if not inside.any():
         return []
@@ -182,33 +164,17 @@ def _threshold(dark: F32) -> list[tuple[float, float, float, float]]:
 
 
 def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float, float]]:
-    """Find column, row and radius of small features of a region.
-
-    They end within it and have an equivalent diameter below `small` voxels.
-    """
-    right = cv2.Sobel(dark, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
-    down = cv2.Sobel(dark, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
-    count, _, stats, _ = cv2.connectedComponentsWithStats(
-        (cv2.magnitude(right, down) > least).astype(np.uint8), connectivity=8
-    )
+    """Find column, row and radius of features below `small` voxels."""
+    *_, stats = _label_edges(dark, least)
     out = []
-    for left, top, width, height, area in stats[1:count]:
-        if (
-            area <= 3
-            or left == 0
-            or top == 0
-            or left + width == dark.shape[1]
-            or top + height == dark.shape[0]
-        ):
+    for left, top, width, height, area in stats[1:]:
+        inside = left > 0 and top > 0 and left + width < dark.shape[1]
+        if area <= 3 or not inside or top + height == dark.shape[0]:
             continue
-        margin = 2
-        rows, columns = (
-            slice(max(top - margin, 0), top + height + margin),
-            slice(max(left - margin, 0), left + width + margin),
-        )
+        box = _grow_box(left, top, width, height)
         out += [
-            (x + columns.start, y + rows.start, r)
-            for x, y, r, _ in _threshold(dark[rows, columns])
+            (x + box[1].start, y + box[0].start, r)
+            for x, y, r, _ in _threshold(dark[box])
             if 2.0 * r < small
         ]
     return out
@@ -229,48 +195,34 @@ def find_circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, fl
     for _ in range(8):
         smooth = cv2.GaussianBlur(votes.max(axis=0), (0, 0), 0.8)
         row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
-        profile = votes[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].sum(
-            axis=(1, 2)
+        around = (
+            slice(max(row - 1, 0), min(row + 2, own.shape[0])),
+            slice(max(column - 1, 0), min(column + 2, own.shape[1])),
         )
-        expected = 2.0 * np.pi * np.arange(1, largest + 1)
-        score = profile / expected
+        profile = votes[:, *around].sum(axis=(1, 2))
+        radii = np.arange(1, largest + 1)
+        score = profile / (2.0 * np.pi * radii)
         radius = int(score.argmax()) + 1
         if score[radius - 1] < 0.35 or radius < 2:
             break
         near = slice(max(radius - 2, 0), radius + 1)
-        weight = profile[near]
-        r = float(np.sum(weight * (np.arange(largest) + 1)[near]) / weight.sum())
-        ys, xs = np.mgrid[
-            max(row - 1, 0) : min(row + 2, own.shape[0]),
-            max(column - 1, 0) : min(column + 2, own.shape[1]),
-        ]
-        there = votes[near, ys.min() : ys.max() + 1, xs.min() : xs.max() + 1].sum(axis=0)
-        out.append(
-            (float(np.sum(there * xs) / there.sum()), float(np.sum(there * ys) / there.sum()), r, r)
-        )
-        used = np.abs(np.hypot(columns - column, rows - row) - r) < 1.5
-        if used.all():
+        r = float(np.sum(profile[near] * radii[near]) / profile[near].sum())
+        ys, xs = np.mgrid[around]
+        weight = votes[near, *around].sum(axis=0)
+        x, y = (float(np.sum(weight * axis) / weight.sum()) for axis in (xs, ys))
+        out.append((x, y, r, r))
+        left = np.abs(np.hypot(columns - column, rows - row) - r) >= 1.5
+        if left.sum() < 6:
             break
-        rows, columns, gx, gy, length = (
-            rows[~used],
-            columns[~used],
-            gx[~used],
-            gy[~used],
-            length[~used],
-        )
+        rows, columns, gx, gy, length = (a[left] for a in (rows, columns, gx, gy, length))
         votes[:] = 0.0
-        if len(rows) < 6:
-            break
         _vote(rows, columns, gx / length, gy / length, votes)
     return out
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
-    """Vote by each edge pixel for the centres of circles whose outline it is.
-
-    Darkness grows inwards.
-    """
+    """Vote by each edge pixel for the centres of circles that are dark inside."""
     for n in range(len(rows)):
         for r in range(1, votes.shape[0] + 1):
             x, y = int(np.rint(columns[n] + r * gx[n])), int(np.rint(rows[n] + r * gy[n]))
@@ -279,10 +231,7 @@ def _vote(rows: Any, columns: Any, gx: Any, gy: Any, votes: Any) -> None:
 
 
 def _depth_of(shape: F64, dark: F32, depth: F32) -> float:
-    """Average the depths on an outline's rim, weighted with the darkness.
-
-    The rim is what lies within a voxel of the outline and inside it.
-    """
+    """Average the depths on an outline's rim, weighted with the darkness."""
     x, y, a, b = shape
     margin = 2
     top, bottom = max(int(y - b) - margin, 0), min(int(y + b) + margin + 1, dark.shape[0])
@@ -297,11 +246,8 @@ def minimum_images(volume: F32) -> list[tuple[F32, F32]]:
     """Compute the largest darkness over every `STACK` planes and its plane's index."""
     out = []
     for first in range(0, len(volume), STACK):
-        part = volume[first : first + STACK]
-        which = part.argmax(axis=0)
-        out.append(
-            (np.take_along_axis(part, which[None], axis=0)[0], (which + first).astype(np.float32))
-        )
+        planes = volume[first : first + STACK]
+        out.append((planes.max(axis=0), (planes.argmax(axis=0) + first).astype(np.float32)))
     return out
 
 

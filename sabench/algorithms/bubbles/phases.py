@@ -1,10 +1,10 @@
 """Separation of images of bubbles, a body and tracers before a diffuser.
 
-Three facts tell the phases apart. Light of the diffuser that bubbles refract or a body reflects
-is never brighter than the diffuser itself (radiance is conserved), so that small peaks above it are
-tracers. Bubbles and bodies are darker than it. Of what is dark, the body is wider than bubbles are;
-it has no bright spots, so that peaks in front of it are tracers, too. Tracers in front of bubbles
-are lost where they are no brighter than the diffuser.
+Three facts separate the phases. Light of the diffuser that bubbles refract or a body reflects is
+never brighter than the diffuser itself (radiance is conserved), so that small peaks above it are
+tracers. Bubbles and bodies are darker than the diffuser. Bodies are wider than bubbles and have no
+bright spots, so that peaks in front of them are tracers, too. Limit: tracers in front of bubbles
+are lost unless they are brighter than the diffuser.
 """
 
 from __future__ import annotations
@@ -60,10 +60,7 @@ def separate_phases(case: Observation, largest_px: float) -> SeparatedPhases:
 
 
 def image_diameter_px(case: Observation, radius_mm: float) -> float:
-    """Compute the diameter in pixels of a ball in the middle of the volume.
-
-    It is the largest of all cameras.
-    """
+    """Compute the largest image's diameter of a ball in the middle of the volume."""
     grid = case.grid
     middle = np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * grid.shape[::-1] / 2.0
     ends = np.stack([middle, *(middle + radius_mm * np.eye(3))])
@@ -76,11 +73,10 @@ def _separate(light: F32, largest_px: float, white: float) -> tuple[F32, F32, Bo
     diffuser, noise = _diffuser(light)
     if diffuser < _LEAST * white:
         return light, np.zeros_like(light), np.zeros(light.shape, dtype=np.bool_)
-    peaks = light - _opened(light, _PEAK_PX)
-    above = (
-        light - cv2.medianBlur(light, 5) > _SIGMAS * noise
-    )  # of five pixels: few tracers fill it
-    body = _wide(_opened(light, _PEAK_PX) < _DARK * diffuser, largest_px)
+    opened = np.asarray(cv2.morphologyEx(light, cv2.MORPH_OPEN, _disc(_PEAK_PX)), dtype=np.float32)
+    peaks = light - opened
+    above = light - cv2.medianBlur(light, 5) > _SIGMAS * noise  # few tracers fill five pixels
+    body = _wide(opened < _DARK * diffuser, largest_px)
     bright = above & (body | (light > diffuser + _SIGMAS * noise))
     around = cv2.dilate(bright.astype(np.uint8), _disc(_GROWN_PX)) > 0
     shadows = _filled(np.minimum(light, diffuser + noise), around)
@@ -90,10 +86,7 @@ def _separate(light: F32, largest_px: float, white: float) -> tuple[F32, F32, Bo
 
 
 def _diffuser(light: F32) -> tuple[float, float]:
-    """Estimate the diffuser's brightness, and the noise of its pixels.
-
-    The diffuser is the most frequent brightness; noise is symmetric about it.
-    """
+    """Estimate the most frequent brightness, the diffuser's, and its noise."""
     values = np.sort(cv2.medianBlur(light, 3).ravel())
     width = len(values) // 5  # the shortest interval that holds a fifth of the pixels: its mode
     first = int(np.argmin(values[width:] - values[:-width]))
@@ -117,10 +110,6 @@ def _wide(dark: Bool, largest_px: float) -> Bool:
     cores = cv2.morphologyEx(solid, cv2.MORPH_OPEN, _disc(size))
     reach = cv2.dilate(cores, _disc(size))
     return np.asarray((reach > 0) & (solid > 0))
-
-
-def _opened(light: F32, size: int) -> F32:
-    return np.asarray(cv2.morphologyEx(light, cv2.MORPH_OPEN, _disc(size)), dtype=np.float32)
 
 
 def _disc(size: int) -> U8:

@@ -1,20 +1,12 @@
-"""Fit of spheroids to the rims of their shadows.
+"""Fit of spheroids to the shadows of bubbles in all images simultaneously.
 
-ellipse_shadows: Transmission through a bubble whose image is an ellipse, pixel by pixel.
+The product of all bubbles' transmissions models the images. One bubble is fitted while the others
+stay, by Levenberg and Marquardt's method on the pixels around it in all views.
 
-An ellipse is its centre's column and row, and the inverse of its shape matrix as xx, xy, yy.
-
-spheroids: Spheroids as parameters, and the ellipses that they are in images.
-
-Parameters are x, y, z of the centre, the logarithms of the long and of the short semi-axis, and the
-tilts of the short axis about z and about x. The image in a camera is an ellipse, since a camera is
-almost linear over so small an object.
-
-rim_fit: Bubbles fitted to all images simultaneously.
-
-Light from behind several bubbles is dimmed by each of them. All bubbles together model the images
-by the product of their transmissions. One bubble, a spheroid, is fitted while the others stay, by
-Levenberg and Marquardt's method on the pixels around it in all views.
+Parameters of a spheroid are x, y, z of its centre, the logarithms of the long and of the short
+semi-axis, and the tilts of the short axis about z and about x. Its image is an ellipse, since a
+camera is almost linear over so small an object: column and row of the centre, and the inverse of
+the shape matrix as xx, xy, yy.
 """
 
 from __future__ import annotations
@@ -36,10 +28,7 @@ _MARGIN = 2.5  # px around a bubble that are looked at
 
 @numba.njit(cache=True, error_model="numpy")
 def _shade(table: Any, blur: float, distance: float, part: float) -> Any:
-    """Interpolate transmission at a distance in px.
-
-    The distance is a part of the radius there. The profile's table is interpolated bilinearly.
-    """
+    """Interpolate transmission at a distance in px, a part of the radius."""
     radius = distance / part if part > 1e-9 else 1e9
     radius = min(max(radius, SMALLEST), LARGEST)
     across = distance / (radius + REACH * blur) * (table.shape[1] - 1)
@@ -72,11 +61,7 @@ def shade_at(ellipse: Any, column: int, row: int, middle: float, table: Any, blu
 def slopes_at(
     ellipse: Any, column: int, row: int, middle: float, table: Any, blur: float, out: Any
 ) -> Any:
-    """Compute the transmission at a pixel, and its derivatives by the ellipse.
-
-    The transmission is at least `DIM`. Derivatives of the table are those of its bilinear
-    interpolation.
-    """
+    """Compute the transmission at a pixel, at least `DIM`, and its derivatives."""
     out[:] = 0.0
     here = shade_at(ellipse, column, row, middle, table, blur)
     x, y = column - ellipse[0], row - ellipse[1]
@@ -134,9 +119,9 @@ def start_of(center_mm: F64, radius_mm: float, aspect: float = 1.0) -> F64:
 
 
 def turn_of(parameters: F64) -> F64:
-    """Return the rotation (..., 3, 3) to the axes of bubbles (..., 7).
+    """Return the rotation (..., 3, 3) from the world to the axes of bubbles (..., 7).
 
-    It is from the world; the second row is the short axis.
+    The second row is the short axis.
     """
     a, b = parameters[..., 5], parameters[..., 6]
     x, y, z = np.sin(a) * np.cos(b), -np.cos(a) * np.cos(b), np.sin(b)
@@ -154,8 +139,6 @@ def semi_axes_of(parameters: F64) -> F64:
 
 def images_of(linear: tuple[F64, F64, F64], parameters: F64) -> F64:
     """Compute the ellipses (camera, ..., 5) of bubbles (..., 7).
-
-    Centre column and row, and the inverse of its shape matrix as xx, xy, yy.
 
     Parameters
     ----------
@@ -181,29 +164,20 @@ def images_of(linear: tuple[F64, F64, F64], parameters: F64) -> F64:
 def linearise(cameras: Sequence[Camera], position: F64) -> tuple[F64, F64, F64]:
     """Linearise every camera around a position."""
     step = 0.05
-    points = np.concatenate(
-        [position[None], position + step * np.eye(3), position - step * np.eye(3)]
-    )
+    points = np.vstack([position, position + step * np.eye(3), position - step * np.eye(3)])
     pixels = np.stack([camera.project(points)[0] for camera in cameras])
-    return (
-        position.copy(),
-        pixels[:, 0],
-        np.asarray((pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step)),
-    )
+    jacobians = (pixels[:, 1:4] - pixels[:, 4:7]).transpose(0, 2, 1) / (2.0 * step)
+    return position.copy(), pixels[:, 0], np.asarray(jacobians)
 
 
-# of the parameters of a spheroid
-_STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # of differences
+_STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # differences of the parameters
 _PRIOR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.15])  # weight of the tilts: a ball has none
 _ROBUST = 0.12  # transmission by which a pixel may be off before it counts less
 
 
 @dataclass
 class Model:
-    """Images and the logarithm of the transmission of all bubbles so far.
-
-    Images are (camera, row, column).
-    """
+    """Images (camera, row, column), and the log of all bubbles' transmission."""
 
     images: F32
     logs: F32
@@ -218,10 +192,7 @@ def darken(model: Model, parameters: F64, sign: float) -> None:
 
 
 def gain(model: Model, parameters: F64) -> F64:
-    """Compute how much of a bubble's shadow is dark and not yet explained.
-
-    Returns (camera,) from below 0 to 1; NaN out of view.
-    """
+    """Compute the unexplained dark share (camera,) of a shadow, or NaN."""
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
     _gains(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)
@@ -266,13 +237,11 @@ def ellipses_of(model: Model, parameters: F64) -> F64:
 
 
 def misfit(model: Model, parameters: F64) -> float:
-    """Compute the mean square unexplained by a bubble over the pixels around it.
-
-    The result is the median over the views, since other bubbles are in front of it in some.
-    """
+    """Compute the mean square unexplained by a bubble over the pixels around it."""
     ellipses = ellipses_of(model, parameters)
     out = np.full(len(model.cameras), np.nan)
     _squares(model.images, model.logs, ellipses, model.profile.table, model.profile.blur_px, out)
+    # the median over the views: in some of them other bubbles are in front
     return float(np.nanmedian(out)) if np.isfinite(out).any() else float("inf")
 
 
@@ -282,22 +251,11 @@ def _normal_equations(
     """Compute the robust sum of squares and its normal equations."""
     ellipses = images_of(linear, np.vstack([parameters, parameters + np.diag(_STEPS)]))
     normal, slope = np.zeros((len(parameters), len(parameters))), np.zeros(len(parameters))
-    value = _normal(
-        model.images,
-        model.logs,
-        ellipses,
-        model.profile.table,
-        model.profile.blur_px,
-        _STEPS,
-        normal,
-        slope,
-    )
+    table, blur_px = model.profile.table, model.profile.blur_px
+    value = _normal(model.images, model.logs, ellipses, table, blur_px, _STEPS, normal, slope)
     weight = _PRIOR**2
-    return (
-        value + float(np.sum(weight * parameters**2)),
-        normal + np.diag(weight),
-        slope + weight * parameters,
-    )
+    value += float(np.sum(weight * parameters**2))
+    return value, normal + np.diag(weight), slope + weight * parameters
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -374,10 +332,7 @@ def _normal(
     normal: Any,
     slope: Any,
 ) -> Any:
-    """Sum over views and pixels of Geman and McClure's function of the residuals.
-
-    The weights of the normal equations are those of this function.
-    """
+    """Sum Geman and McClure's function of the residuals, and its normal equations."""
     count = len(steps)
     change, own, moves = np.empty(count), np.empty(5), np.empty((count, 5))
     value = 0.0

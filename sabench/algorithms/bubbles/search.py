@@ -1,12 +1,7 @@
 """Search for bubbles: hypotheses from the images, fitted and verified.
 
-hypotheses: Possible positions of bubbles in space.
-
-Outlines of one view are followed along their lines of sight, and searched for in all others.
-
-search: Choice of the hypotheses that are bubbles.
-
-The best are fitted first, and the others are fitted to the darkness that is left.
+Outlines of one view are followed along their lines of sight, and searched for in all others. The
+best hypotheses are fitted first, and the others are fitted to the darkness that is left.
 """
 
 from __future__ import annotations
@@ -15,33 +10,29 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sabench.algorithms.bubbles import rim_fit
 from sabench.algorithms.bubbles.backlit_images import Profile
 from sabench.algorithms.bubbles.ellipse_detection import Votes, peaks
-from sabench.algorithms.bubbles.rim_fit import (
-    Model,
-    darken,
-    ellipses_of,
-    fit,
-    gain,
-    misfit,
-    semi_axes_of,
-    start_of,
-    turn_of,
-    unexplained,
-)
+from sabench.algorithms.bubbles.rim_fit import Model, darken, fit
 from sabench.api import Detections
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
+from sabench.geometry.turned_cameras import (
+    turn_camera as turn_camera,
+    turn_grid as turn_grid,
+    viewing_axes as viewing_axes,
+)
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
 _PLANE_MM = 0.25  # between positions along a line of sight, at most
 _AGREE = 0.75  # of the cameras that see a position count: those with the most votes
-_SPREAD = 0.8  # px
+_SPREAD = 0.8  # px: votes are smoothed, since projections miss the exact pixels of other views
 # of the radius with the most votes: a blurred edge is steepest outside the rim of a small bubble
 _INWARD = 0.93
 _PER_LINE = 3  # positions along each line that are kept
@@ -50,9 +41,9 @@ _BEYOND = 0.02  # of the volume's depth: how far outside it lines are followed
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Possible bubbles.
+    """Possible bubbles, the best first.
 
-    Centres (n, 3), long semi-axes (n,), mean votes (n,), short over long axis (n,), the best first.
+    Centres (n, 3), long semi-axes, mean votes, and short over long axes, each (n,).
     """
 
     center_mm: F64
@@ -72,13 +63,14 @@ def find_hypotheses(
         make a hypothesis.
     """
     maps = np.empty((len(votes), *votes[0].maps.shape), dtype=np.float32)
-    for out, one in zip(maps, votes, strict=True):
-        _spread(one.maps, out)
-    made = [
+    for smoothed, view in zip(maps, votes, strict=True):
+        for out, votes_of_radius in zip(smoothed, view.maps, strict=True):
+            cv2.GaussianBlur(votes_of_radius, (0, 0), _SPREAD, dst=out)
+    parts = [
         _along_lines(number, cameras, votes, maps, grid, least_2d, least_3d)
         for number in range(len(cameras))
     ]
-    center, radius, vote = (np.concatenate([part[k] for part in made]) for k in range(3))
+    center, radius, vote = map(np.concatenate, zip(*parts, strict=True))
     return drop_duplicates(Hypotheses(center, radius, vote, np.full(len(vote), votes[0].aspect)))
 
 
@@ -91,18 +83,6 @@ def join_hypotheses(parts: Sequence[Hypotheses]) -> Hypotheses:
     return drop_duplicates(Hypotheses(center, radius, vote, aspect))
 
 
-def _spread(maps: F32, out: F32) -> None:
-    """Smooth votes.
-
-    Smoothing is needed since positions do not project to the exact pixels in other views. A maximum
-    over neighbours would be as good at many depths.
-    """
-    import cv2
-
-    for one, smooth in zip(maps, out, strict=True):
-        cv2.GaussianBlur(one, (0, 0), _SPREAD, dst=smooth)
-
-
 def _along_lines(
     number: int,
     cameras: Sequence[Camera],
@@ -113,58 +93,41 @@ def _along_lines(
     least_3d: float,
 ) -> tuple[F64, F64, F64]:
     """Find the best positions of one view's outlines."""
-    seen = peaks(votes[number], least_2d)
-    rays = cameras[number].back_project(seen[:, :2])
-    seen, starts, ways = seen[rays.valid], rays.origins_mm[rays.valid], rays.directions[rays.valid]
-    if not len(seen):
+    outlines = peaks(votes[number], least_2d)
+    rays = cameras[number].back_project(outlines[:, :2])
+    outlines, starts = outlines[rays.valid], rays.origins_mm[rays.valid, None]
+    directions = rays.directions[rays.valid, None]
+    if not len(outlines):
         return np.zeros((0, 3)), np.zeros(0), np.zeros(0)
     z = grid.axes_mm[2]
     margin = _BEYOND * (z[-1] - z[0]) + 1.0
     depths = np.arange(z[0] - margin, z[-1] + margin, min(_PLANE_MM, grid.voxel_mm[2] * 1.25))
-    positions = (
-        starts[:, None]
-        + ways[:, None] * ((depths[None] - starts[:, None, 2]) / ways[:, None, 2])[..., None]
+    positions = starts + directions * ((depths - starts[..., 2]) / directions[..., 2])[..., None]
+    points = positions.reshape(-1, 3)
+    radius = (
+        _INWARD * outlines[:, 2:3] / px_per_mm(cameras[number], points).reshape(positions.shape[:2])
     )
-    own = px_per_mm(cameras[number], positions.reshape(-1, 3)).reshape(positions.shape[:2])
-    radius = _INWARD * seen[:, 2:3] / own
     total = np.full((len(cameras), *positions.shape[:2]), np.nan, dtype=np.float32)
-    first, step = (
-        float(np.log(votes[0].radii_px[0])),
-        float(np.log(votes[0].radii_px[1] / votes[0].radii_px[0])),
-    )
-    for other, camera in enumerate(cameras):
-        pixels, valid = camera.project(positions.reshape(-1, 3))
+    radii = votes[0].radii_px
+    first, step = float(np.log(radii[0])), float(np.log(radii[1] / radii[0]))
+    for camera, view, smoothed, out in zip(cameras, votes, maps, total, strict=True):
+        pixels, valid = camera.project(points)
         good = valid & camera.contains(pixels)
-        size = radius.ravel() / _INWARD * px_per_mm(camera, positions.reshape(-1, 3))
-        _sample(
-            maps[other],
-            votes[other].map_pixels(pixels),
-            good,
-            size,
-            first,
-            step,
-            total[other].reshape(-1),
-        )
+        size = radius.ravel() / _INWARD * px_per_mm(camera, points)
+        _sample(smoothed, view.map_pixels(pixels), good, size, first, step, out.reshape(-1))
     low, high = np.asarray(grid.low_mm), np.array([axis[-1] for axis in grid.axes_mm])
-    inside = ((positions[..., :2] >= low[:2] - 1.0) & (positions[..., :2] <= high[:2] + 1.0)).all(
-        axis=-1
-    )
+    across = positions[..., :2]
+    inside = ((across >= low[:2] - 1.0) & (across <= high[:2] + 1.0)).all(axis=-1)
     score = np.where(inside, _average_agreeing(total), 0.0)
-    peak = (
-        (score >= least_3d)
-        & (score >= np.roll(score, 1, axis=1))
-        & (score > np.roll(score, -1, axis=1))
-    )
+    before, after = np.roll(score, 1, axis=1), np.roll(score, -1, axis=1)
+    peak = (score >= least_3d) & (score >= before) & (score > after)
     ranked = np.sort(np.where(peak, score, 0.0), axis=1)[:, -_PER_LINE]
     i, j = np.nonzero(peak & (score >= ranked[:, None]))
     return positions[i, j], radius[i, j], score[i, j].astype(np.float64)
 
 
 def px_per_mm(camera: Camera, points_mm: F64) -> F64:
-    """Compute pixels per mm across the line of sight at points (n, 3).
-
-    The length of the light path gives it, accurately enough to choose a radius.
-    """
+    """Compute pixels per mm across the line of sight at points (n, 3)."""
     step = 0.5
     across = step * np.array([1.0, 0.0, 0.0])
     ends = [camera.project(points_mm + sign * across)[0] for sign in (-1.0, 1.0)]
@@ -186,10 +149,7 @@ def _average_agreeing(total: F32) -> F32:
 def _sample(
     maps: Any, pixels: Any, good: Any, size: Any, first: float, step: float, out: Any
 ) -> None:
-    """Sample votes at pixels and radii.
-
-    Sampling is bilinear over the radius and takes the nearest pixel in the image.
-    """
+    """Sample votes at the nearest pixels, linearly over the radius."""
     count, rows, columns = maps.shape
     for n in numba.prange(len(out)):
         if not good[n]:
@@ -204,15 +164,15 @@ def _sample(
         )
 
 
-def drop_duplicates(all_of_them: Hypotheses) -> Hypotheses:
+def drop_duplicates(hypotheses: Hypotheses) -> Hypotheses:
     """Keep the best of the hypotheses of each bubble.
 
     Hypotheses of one bubble are closer than half a radius across and two along, and have similar
     radii.
     """
-    center, radius, vote = all_of_them.center_mm, all_of_them.radius_mm, all_of_them.vote
+    center, radius, vote = hypotheses.center_mm, hypotheses.radius_mm, hypotheses.vote
     if not len(vote):
-        return all_of_them
+        return hypotheses
     order = np.argsort(-vote, kind="stable")
     squeezed = center * [1.0, 1.0, 0.35]
     tree, alive, keep = cKDTree(squeezed), np.ones(len(vote), dtype=np.bool_), []
@@ -222,27 +182,18 @@ def drop_duplicates(all_of_them: Hypotheses) -> Hypotheses:
         keep.append(n)
         near = np.array(tree.query_ball_point(squeezed[n], 0.6 * radius[n] + 0.1))
         alive[near[(radius[near] < 1.6 * radius[n]) & (radius[near] > radius[n] / 1.6)]] = False
-    return Hypotheses(center[keep], radius[keep], vote[keep], all_of_them.aspect[keep])
+    return Hypotheses(center[keep], radius[keep], vote[keep], hypotheses.aspect[keep])
 
 
 _FIRST, _MORE = 8, 6  # steps of a fit
-_ANGLES = np.deg2rad(np.geomspace(6.0, 70.0, 26))
-_LIKELY, _LARGEST, _CLEAN = (
-    0.7,
-    32,
-    12,
-    # part of the most votes; bubbles that may tell the diffuser, and those that do: nothing else is
-    # there
-)
-_SURE, _WORTH = (
-    0.75,
-    0.25,
-)  # gain of what goes first; part of the least gain that makes a fit worth while
-_VOTED, _SMALLER, _SIMPLER = (
-    0.5,
-    0.75,
-    0.1,
-)  # votes of what may replace others; their radius over its; misfit that each of them is worth
+_ANGLES = np.deg2rad(np.geomspace(6.0, 70.0, 26))  # of the diffuser
+_LIKELY = 0.7  # part of the most votes
+_LARGEST, _CLEAN = 32, 12  # likely bubbles fitted for the diffuser's angle, and those that decide
+_SURE = 0.75  # gain of what is fitted first
+_WORTH = 0.25  # part of the least gain below which no fit is tried
+_VOTED = 0.5  # votes of a bubble that may replace others
+_SMALLER = 0.75  # their radius over its radius
+_SIMPLER = 0.1  # relative misfit allowed for each replaced bubble
 
 
 class Limits(NamedTuple):
@@ -280,46 +231,41 @@ def search_bubbles(
     sweeps : number of times that all bubbles are fitted again, each with the others in place.
     """
     if half_angle is None:
-        half_angle = _lit_from(images, cameras, profile_of, start)
+        half_angle = _fit_diffuser(images, cameras, profile_of, start)
     model = Model(images, np.zeros_like(images), cameras, profile_of(half_angle))
-    kept = _unite(model, _accept(model, start, limits), start, limits)
+    bubbles = _unite(model, _accept(model, start, limits), start, limits)
     for _ in range(sweeps):
-        kept = _refine(model, kept, limits)
-    return _detections(kept)
+        bubbles = _refine(model, bubbles, limits)
+    parameters = np.array(bubbles).reshape(-1, 7)
+    return Detections(
+        parameters[:, :3].copy(), rim_fit.semi_axes_of(parameters), rim_fit.turn_of(parameters)
+    )
 
 
-def _lit_from(
+def _fit_diffuser(
     images: F32,
     cameras: Sequence[Camera],
     profile_of: Callable[[float], Profile],
     start: Hypotheses,
 ) -> float:
-    """Find the diffuser's half angle that fits the likeliest bubbles best.
-
-    Only the largest of these are fitted.
-    """
+    """Find the diffuser's half angle that fits the largest likely bubbles."""
     likely = np.flatnonzero(start.vote >= _LIKELY * start.vote.max(initial=0.0))
     chosen = likely[np.argsort(-start.radius_mm[likely], kind="stable")][:_LARGEST]
     costs = np.zeros((len(_ANGLES), len(chosen)))
     for row, angle in zip(costs, progress_bar(_ANGLES.tolist(), "find the diffuser"), strict=True):
         model = Model(images, np.zeros_like(images), cameras, profile_of(angle))
-        row[:] = [misfit(model, fit(model, _start(start, n), _FIRST)) for n in chosen]
-    clean = np.argsort(costs.min(axis=0), kind="stable")[:_CLEAN]
-    return (
-        float(_ANGLES[costs[:, clean].sum(axis=1).argmin()])
-        if len(chosen)
-        else float(_ANGLES[len(_ANGLES) // 2])
-    )
+        row[:] = [rim_fit.misfit(model, fit(model, _start(start, n), _FIRST)) for n in chosen]
+    clean = np.argsort(costs.min(axis=0), kind="stable")[:_CLEAN]  # nothing else is near these
+    best = costs[:, clean].sum(axis=1).argmin() if len(chosen) else len(_ANGLES) // 2
+    return float(_ANGLES[best])
 
 
 def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
     """Fit and judge hypotheses in the order of their gains."""
     order = np.argsort(-start.vote * start.radius_mm, kind="stable")
     kept: list[F64] = []
-    for least in (
-        max(_SURE, limits.least_gain),
-        limits.least_gain,
-    ):  # what is sure goes first: a large bubble before the small ones that its rim could be
+    # what is sure goes first: a large bubble before the small ones that its rim could be
+    for least in (max(_SURE, limits.least_gain), limits.least_gain):
         for n in progress_bar(order.tolist(), "fit bubbles"):
             first = _start(start, n)
             if _median_gain(model, first) < _WORTH * least:
@@ -332,45 +278,31 @@ def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
 
 
 def _unite(model: Model, kept: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
-    """Replace small bubbles along one rim by one bubble.
-
-    A replacement must explain the images as well as they do.
-    """
-    order = [
-        n
-        for n in np.argsort(-start.radius_mm * start.aspect, kind="stable").tolist()
-        if start.vote[n] >= _VOTED
-    ]
-    for n in progress_bar(order, "unite bubbles"):
+    """Replace small bubbles along a rim by one that explains images as well."""
+    order = np.argsort(-start.radius_mm * start.aspect, kind="stable")
+    for n in progress_bar(order[start.vote[order] >= _VOTED].tolist(), "unite bubbles"):
         first = _start(start, n)
         parts = _parts(kept, first)
         if not parts:
             continue
-        before = unexplained(model, ellipses_of(model, first))
-        for one in parts:
-            darken(model, kept[one], -1.0)
+        ellipses = rim_fit.ellipses_of(model, first)
+        most = rim_fit.unexplained(model, ellipses) * (1.0 + _SIMPLER * (len(parts) - 1))
+        for part in parts:
+            darken(model, kept[part], -1.0)
         whole = fit(model, first, _FIRST)
-        good = _is_bubble(model, whole, limits) and set(_parts(kept, whole)) >= set(parts)
-        if good:
+        if _is_bubble(model, whole, limits) and set(_parts(kept, whole)) >= set(parts):
             darken(model, whole, 1.0)
-            good = unexplained(model, ellipses_of(model, first)) < before * (
-                1.0 + _SIMPLER * (len(parts) - 1)
-            )
-            if not good:
-                darken(model, whole, -1.0)
-        if good:
-            kept = [one for k, one in enumerate(kept) if k not in parts] + [whole]
-        else:
-            for one in parts:
-                darken(model, kept[one], 1.0)
+            if rim_fit.unexplained(model, ellipses) < most:
+                kept = [bubble for k, bubble in enumerate(kept) if k not in parts] + [whole]
+                continue
+            darken(model, whole, -1.0)
+        for part in parts:
+            darken(model, kept[part], 1.0)
     return kept
 
 
 def _parts(kept: list[F64], whole: F64) -> list[int]:
-    """List the bubbles that are smaller than another one and within its outline.
-
-    The list is empty if a similar bubble exists already.
-    """
+    """List the smaller bubbles within an outline; none if a similar bubble exists."""
     if not kept:
         return []
     every = np.stack(kept)
@@ -378,32 +310,26 @@ def _parts(kept: list[F64], whole: F64) -> list[int]:
     across, along = np.linalg.norm(every[:, :2] - whole[:2], axis=1), np.abs(every[:, 2] - whole[2])
     if ((across < 0.5 * own) & (along < 1.5 * own) & (radius > _SMALLER * own)).any():
         return []
-    return np.flatnonzero(
-        (across < 1.05 * own) & (along < 2.0 * own) & (radius <= _SMALLER * own)
-    ).tolist()
+    inside = (across < 1.05 * own) & (along < 2.0 * own)
+    return np.flatnonzero(inside & (radius <= _SMALLER * own)).tolist()
 
 
 def _start(start: Hypotheses, n: int) -> F64:
-    return start_of(start.center_mm[n], float(start.radius_mm[n]), float(start.aspect[n]))
+    return rim_fit.start_of(start.center_mm[n], float(start.radius_mm[n]), float(start.aspect[n]))
 
 
 def _is_bubble(model: Model, fitted: F64, limits: Limits) -> bool:
-    """Tell whether a fit has a bubble's size, by volume, and explains enough."""
+    """Return whether a fit has a bubble's size, by volume, and explains enough."""
     radius = float(np.exp((2.0 * fitted[3] + fitted[4]) / 3.0))
-    return (
-        limits.smallest_mm <= radius <= limits.largest_mm
-        and _median_gain(model, fitted) >= limits.least_gain
-    )
+    right_size = limits.smallest_mm <= radius <= limits.largest_mm
+    return right_size and _median_gain(model, fitted) >= limits.least_gain
 
 
 def _median_gain(model: Model, parameters: F64) -> float:
-    """Compute the median gain over the views that see a bubble.
-
-    A bubble that fewer than two views see is rejected.
-    """
-    gains = gain(model, parameters)
-    seen = gains[np.isfinite(gains)]
-    return float(np.median(seen)) if len(seen) >= 2 else -1.0
+    """Compute the median gain over two or more views of a bubble, or -1."""
+    gains = rim_fit.gain(model, parameters)
+    gains = gains[np.isfinite(gains)]
+    return float(np.median(gains)) if len(gains) >= 2 else -1.0
 
 
 def _refine(model: Model, kept: list[F64], limits: Limits) -> list[F64]:
@@ -416,13 +342,3 @@ def _refine(model: Model, kept: list[F64], limits: Limits) -> list[F64]:
             darken(model, better, 1.0)
             out.append(better)
     return out
-
-
-def _detections(kept: list[F64]) -> Detections:
-    if not kept:
-        return Detections(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    return Detections(
-        np.stack([p[:3] for p in kept]),
-        semi_axes_of(np.array(kept)),
-        turn_of(np.array(kept)),
-    )

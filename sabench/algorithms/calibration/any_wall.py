@@ -7,7 +7,6 @@ The cameras themselves project, and derivatives are central differences: slower 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -91,31 +90,17 @@ def spreads(
 
 
 def _slopes(frame: Frame, state: State, board: F64, free: FreeParameters) -> F64:
-    """Differentiate pixels by cameras' and boards' unknowns.
-
-    Returns (M, K, m, 2, f + BOARD).
-    """
-    columns = [
-        (
-            project(frame, state.apply_steps(camera, np.zeros(0), boards, free), board)
-            - project(frame, state.apply_steps(-camera, np.zeros(0), -boards, free), board)
-        )
-        / (2.0 * step)
-        for camera, boards, step in _unknowns(state, free)
-    ]
-    return np.stack(columns, axis=-1)
-
-
-def _unknowns(state: State, free: FreeParameters) -> Iterator[tuple[F64, F64, float]]:
-    """Give steps of every unknown, of all cameras and then of all boards at once."""
-    cameras = np.zeros((len(state.rotations), free.per_camera))
-    boards = np.zeros((len(state.board_rotations), BOARD))
+    """Differentiate pixels (M, K, m, 2) by unknowns (f + BOARD)."""
+    columns, none = [], np.zeros(0)
     own, _ = free.columns(len(state.indices))
-    for number, step in enumerate(_STEPS[own].tolist()):
-        moved = cameras.copy()
-        moved[:, number] = step
-        yield moved, boards, step
-    for number, step in enumerate(_BOARD_STEPS.tolist()):
-        moved = boards.copy()
-        moved[:, number] = step
-        yield cameras, moved, step
+    for number, step in enumerate(np.append(_STEPS[own], _BOARD_STEPS).tolist()):
+        cameras = np.zeros((len(state.rotations), len(own)))
+        boards = np.zeros((len(state.board_rotations), BOARD))
+        if number < len(own):
+            cameras[:, number] = step
+        else:
+            boards[:, number - len(own)] = step
+        ahead = project(frame, state.apply_steps(cameras, none, boards, free), board)
+        back = project(frame, state.apply_steps(-cameras, none, -boards, free), board)
+        columns.append((ahead - back) / (2.0 * step))
+    return np.stack(columns, axis=-1)

@@ -1,14 +1,8 @@
-"""Cameras that are known in the world, and a wall in front of them that is not.
+"""Bundle adjustment of cameras, boards and shared unknowns.
 
-known_cameras: Cameras that are known in the world, and a wall in front of them that is not.
-
-bundle_adjustment: Bundle adjustment of cameras and boards.
-
-Cameras, boards and shared unknowns are adjusted simultaneously, by Levenberg and Marquardt's
-method.
-
-The boards' blocks are eliminated first (Schur's complement), so that a step costs a Cholesky factor
-of the cameras' unknowns only. Source: Triggs et al. (2000), Bundle adjustment - a modern synthesis.
+The method is Levenberg and Marquardt's. The boards' blocks are eliminated first (Schur's
+complement), so that a step costs a Cholesky factor of the cameras' unknowns only. Source: Triggs et
+al. (2000), Bundle adjustment - a modern synthesis.
 """
 
 from __future__ import annotations
@@ -16,24 +10,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from sabench.algorithms.calibration import any_wall
+from sabench.algorithms.calibration import any_wall, parameters
 from sabench.algorithms.calibration.kernels import BEND
 from sabench.algorithms.calibration.normal_equations import equations, misses
-from sabench.algorithms.calibration.parameters import (
-    WALL,
-    Frame,
-    FreeParameters,
-    State,
-    bend_lifts,
-    steps_of,
-)
+from sabench.algorithms.calibration.parameters import Frame, FreeParameters, State
 from sabench.geometry.rigid_motion import RigidMotion, skew
-from sabench.utils.arrays import F64, I64
+from sabench.utils.arrays import F64
 
 
 def follow_wall(state: State, free: FreeParameters) -> F64:
@@ -49,7 +36,7 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
     rows = np.zeros((len(state.rotations), len(own), len(shared)))
     if free.wall:
         first = int(np.flatnonzero(shared == 2 * len(state.indices) - 2)[0])
-        part, back = slice(first, first + WALL), state.wall.rotation.T
+        part, back = slice(first, first + parameters.WALL), state.wall.rotation.T
         arms = skew(state.centers @ back)
         rows[:, 0:3, part][..., :2] = (state.rotations @ back)[..., :2]
         rows[:, 3:6, part] = back @ np.concatenate(
@@ -89,25 +76,13 @@ class BoardImages:
     prior: Prior | None = None
 
     @cached_property
-    def anchored(self) -> tuple[I64, I64, F64, F64, F64, F64]:
-        """Arrays of the anchors: boards, points, positions, precisions and motions.
-
-        Boards and points are (n,), positions and precisions (n, 3), rotations (n, 3, 3) and shifts
-        (n, 3) lead to the world's frame.
-        """
-        boards, points = (
-            np.array([getattr(anchor, name) for anchor in self.anchors], dtype=np.int64)
-            for name in ("board", "point")
-        )
-        positions, precisions = (
-            np.array([getattr(anchor, name) for anchor in self.anchors])
-            for name in ("position_mm", "precision")
-        )
-        rotations, shifts = (
-            np.array([getattr(anchor.world, name) for anchor in self.anchors])
-            for name in ("rotation", "shift")
-        )
-        return boards, points, positions, precisions, rotations, shifts
+    def anchored(self) -> tuple[Any, ...]:
+        """Boards, points (n,), positions, precisions (n, 3) and motions to the world."""
+        rows = [
+            (a.board, a.point, a.position_mm, a.precision, a.world.rotation, a.world.shift)
+            for a in self.anchors
+        ]
+        return tuple(np.array(column) for column in zip(*rows, strict=True))
 
 
 @dataclass(frozen=True)
@@ -146,10 +121,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations at a state with the anchors' part.
-
-    `normal_equations.equations` gives the other parts.
-    """
+    """Normal equations at a state; see `normal_equations.equations`."""
 
     cost: float
     aa: F64
@@ -173,17 +145,25 @@ def normal_equations(
     state: State, seen: BoardImages, free: FreeParameters, scale: float = 0.0
 ) -> Normal:
     """Compute the equations of one Gauss-Newton step."""
-    normal = Normal(*_equations(state, seen, free, scale))
+    pair, columns = (seen.pixels, seen.weights), free.columns(len(state.indices))
+    if seen.frame is not None:
+        normal = Normal(*any_wall.equations(seen.frame, state, seen.board, pair, free, scale))
+    else:
+        boards = state.boards(seen.board)
+        normal = Normal(*equations(state.array(), boards, pair, columns, scale))
     if seen.anchors:
         normal = _with_anchors(normal, state, seen, free)
     if seen.prior is not None:
-        normal = _with_prior(normal, state, seen.prior, free)
-    return normal if free.cameras else _hold_cameras(normal, state, free)
-
-
-def _hold_cameras(normal: Normal, state: State, free: FreeParameters) -> Normal:
-    """Leave only the shared unknowns, with cameras that are known in the world."""
-    slopes = follow_wall(state, free)
+        shared = columns[1]
+        own = np.arange(len(normal.aa) - len(shared), len(normal.aa))
+        precision = seen.prior.precision[shared]
+        miss = (seen.prior.mean - state.shared)[shared]
+        normal.aa[own, own] += precision
+        normal.a[own] += precision * miss
+        normal = replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
+    if free.cameras:
+        return normal
+    slopes = follow_wall(state, free)  # cameras are known: only the shared unknowns stay
     return replace(
         normal,
         aa=slopes.T @ normal.aa @ slopes,
@@ -210,7 +190,7 @@ def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreePar
             -skew(turned)[:, :, :2],
             np.broadcast_to(np.eye(3)[:, 2:], (len(arms), 3, 1)),
             (state.wall.rotation @ state.board_rotations[board])[:, :, 2:]
-            * bend_lifts(seen.board)[point][:, None],
+            * parameters.bend_lifts(seen.board)[point][:, None],
         ]
         chosen = np.repeat([free.wall, free.wall, free.bend], [2, 1, BEND])
         by_shared = (rotations @ np.concatenate(levers, axis=2))[:, :, chosen]
@@ -220,30 +200,6 @@ def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreePar
         normal.a[own] += np.einsum("nip,ni->p", heavy, miss)
         np.add.at(normal.ab[:, own], board, heavy.transpose(0, 2, 1) @ slopes)
     return replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
-
-
-def _with_prior(normal: Normal, state: State, prior: Prior, free: FreeParameters) -> Normal:
-    """Add what is known of the shared unknowns to the equations."""
-    _, shared = free.columns(len(state.indices))
-    own = np.arange(len(normal.aa) - len(shared), len(normal.aa))
-    miss, precision = (prior.mean - state.shared)[shared], prior.precision[shared]
-    normal.aa[own, own] += precision
-    normal.a[own] += precision * miss
-    return replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
-
-
-def _equations(
-    state: State, seen: BoardImages, free: FreeParameters, scale: float
-) -> any_wall.Equations:
-    """Sum the equations of the images, without anchors."""
-    pair = seen.pixels, seen.weights
-    if seen.frame is not None:
-        return any_wall.equations(seen.frame, state, seen.board, pair, free, scale)
-    boards = state.boards(seen.board)
-    made: any_wall.Equations = equations(
-        state.array(), boards, pair, free.columns(len(state.indices)), scale
-    )
-    return made
 
 
 def refine(
@@ -273,12 +229,11 @@ def refine(
             cameras, boards, promise = _step(here, damping, moving)
             if promise <= _GAIN * here.cost:
                 return Fit(state, here.cost, step, True)
-            tried = state.apply_steps(
-                *steps_of(cameras, len(state.rotations), free, len(state.indices)), boards, free
-            )
-            there = normal_equations(tried, seen, free, scale)
-            if there.cost < here.cost:
-                state, here, damping = tried, there, max(damping * 0.1, 1e-12)
+            steps = parameters.steps_of(cameras, len(state.rotations), free, len(state.indices))
+            tried = state.apply_steps(*steps, boards, free)
+            normal = normal_equations(tried, seen, free, scale)
+            if normal.cost < here.cost:
+                state, here, damping = tried, normal, max(damping * 0.1, 1e-12)
                 break
             damping *= 10.0
         else:
@@ -292,61 +247,41 @@ def promised_gain(normal: Normal) -> float:
 
 
 def _step(normal: Normal, damping: float, moving: Moving) -> tuple[F64, F64, float]:
-    """Solve for steps of the cameras' unknowns and the boards' (K, 6).
-
-    Also returns by how much the cost falls if it is quadratic.
-    """
+    """Solve for steps of cameras and boards (K, 6), and the fall of a quadratic cost."""
     aa, bb = normal.aa.copy(), normal.bb.copy()
     aa.flat[:: len(aa) + 1] += damping * np.diagonal(aa) + 1e-30
     corner = np.arange(bb.shape[1])
     bb[:, corner, corner] += damping * bb[:, corner, corner] + 1e-12
-    if moving != "all":
-        cameras = _solve_damped(aa, normal.a) if moving == "cameras" else np.zeros_like(normal.a)
-        boards = np.asarray(
-            np.linalg.solve(bb, normal.d[:, :, None])[:, :, 0]
-            if moving == "boards"
-            else np.zeros_like(normal.d),
-            dtype=np.float64,
-        )
-        return cameras, boards, float(cameras @ normal.a + np.sum(boards * normal.d))
-    right = np.concatenate([normal.ab.transpose(0, 2, 1), normal.d[:, :, None]], axis=2)
-    solved = np.linalg.solve(bb, right)  # bb^-1 ab^T and bb^-1 d
-    size = len(aa)
-    flat = normal.ab.transpose(1, 0, 2).reshape(size, -1)
-    reduced = aa - np.dot(flat, solved[:, :, :-1].reshape(-1, size))
-    free = normal.a - np.dot(flat, solved[:, :, -1].reshape(-1, 1))[:, 0]
-    cameras = _solve_damped(reduced, free)
-    boards = solved[:, :, -1] - solved[:, :, :-1] @ cameras
-    promise = float(cameras @ normal.a + np.sum(boards * normal.d))
-    return cameras, boards, promise
+    cameras, boards = np.zeros_like(normal.a), np.zeros_like(normal.d)
+    if moving == "cameras":
+        cameras = _solve_damped(aa, normal.a)
+    elif moving == "boards":
+        boards = np.asarray(np.linalg.solve(bb, normal.d[:, :, None])[:, :, 0])
+    else:
+        right = np.concatenate([normal.ab.transpose(0, 2, 1), normal.d[:, :, None]], axis=2)
+        solved = np.linalg.solve(bb, right)  # bb^-1 ab^T and bb^-1 d
+        size = len(aa)
+        flat = normal.ab.transpose(1, 0, 2).reshape(size, -1)
+        reduced = aa - np.dot(flat, solved[:, :, :-1].reshape(-1, size))
+        free = normal.a - np.dot(flat, solved[:, :, -1].reshape(-1, 1))[:, 0]
+        cameras = _solve_damped(reduced, free)
+        boards = solved[:, :, -1] - solved[:, :, :-1] @ cameras
+    return cameras, boards, float(cameras @ normal.a + np.sum(boards * normal.d))
 
 
 def _solve_damped(matrix: F64, right: F64) -> F64:
-    """Solve a symmetric system that damping keeps positive definite.
-
-    It is scaled to a unit diagonal first.
-    """
+    """Solve a positive definite system, scaled to a unit diagonal."""
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    scaled = matrix * scale * scale[:, None]
     try:
-        return np.asarray(
-            scale
-            * cho_solve(
-                cho_factor(matrix * scale * scale[:, None], check_finite=False),
-                scale * right,
-                check_finite=False,
-            )
-        )
+        factor = cho_factor(scaled, check_finite=False)
+        return np.asarray(scale * cho_solve(factor, scale * right, check_finite=False))
     except np.linalg.LinAlgError:
-        return np.asarray(
-            scale * np.linalg.lstsq(matrix * scale * scale[:, None], scale * right, rcond=None)[0]
-        )
+        return np.asarray(scale * np.linalg.lstsq(scaled, scale * right, rcond=None)[0])
 
 
 def residuals(state: State, seen: BoardImages) -> F64:
-    """Subtract computed from observed pixels (M, K, m, 2).
-
-    NaN where a point is not seen.
-    """
+    """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
     pair = seen.pixels, seen.weights
     if seen.frame is not None:
         return any_wall.misses(seen.frame, state, seen.board, pair)

@@ -8,12 +8,8 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import ellipe
 
-from sabench.algorithms.calibration import any_wall
-from sabench.algorithms.calibration.bundle_adjustment import (
-    BoardImages,
-    follow_wall,
-    normal_equations,
-)
+from sabench.algorithms.calibration import any_wall, bundle_adjustment as bundle
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages
 from sabench.algorithms.calibration.kernels import BOARD
 from sabench.algorithms.calibration.normal_equations import spreads
 from sabench.algorithms.calibration.parameters import FreeParameters, State
@@ -52,10 +48,7 @@ class Limit:
 
     @property
     def efficiency(self) -> float:
-        """Ratio of the true to the measured reprojection error of a perfect estimate.
-
-        It is sqrt(p / (N - p)).
-        """
+        """True over measured error of a perfect estimate: sqrt(p / (N - p))."""
         return float(np.sqrt(self.unknowns / max(self.equations - self.unknowns, 1)))
 
 
@@ -68,18 +61,10 @@ def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float
     shared = np.arange(size - len(free.columns(len(state.indices))[1]), size)
     variances = np.where(shown, np.diagonal(covariance), np.inf)[shared]
     pairs = _spreads(state, seen, free, covariance)
-    known = np.isfinite(pairs[..., 0])
-    uu, vv, uv = pairs[known].T
-    std, mean = _points(state, seen, covariance)
-    return Limit(
-        float(_mean_length(uu, vv, uv).mean()),
-        float(np.sqrt((uu + vv).mean())),
-        std,
-        mean,
-        np.sqrt(variances),
-        rank,
-        2 * int(known.sum()),
-    )
+    uu, vv, uv = pairs[np.isfinite(pairs[..., 0])].T
+    lengths = float(_mean_length(uu, vv, uv).mean()), float(np.sqrt((uu + vv).mean()))
+    points = _points(state, seen, covariance)
+    return Limit(*lengths, *points, np.sqrt(variances), rank, 2 * len(uu))
 
 
 def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: F64) -> F64:
@@ -87,7 +72,7 @@ def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: 
     pair = seen.pixels, seen.weights
     if not free.cameras:
         boards = BOARD * len(state.board_positions)
-        slopes = block_diag(follow_wall(state, free), np.eye(boards))
+        slopes = block_diag(bundle.follow_wall(state, free), np.eye(boards))
         covariance = slopes @ covariance @ slopes.T
     if seen.frame is not None:
         return any_wall.spreads(seen.frame, state, seen.board, pair, free, covariance)
@@ -96,21 +81,15 @@ def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: 
 
 
 def _whole(state: State, seen: BoardImages, free: FreeParameters) -> F64:
-    """Compute the information matrix of all unknowns for a noise of 1 px.
-
-    Unknowns are in the order cameras, shared, boards.
-    """
-    normal = normal_equations(state, seen, free)
+    """Compute the information of cameras, shared unknowns and boards at 1 px."""
+    normal = bundle.normal_equations(state, seen, free)
     size, boards = len(normal.aa), len(normal.bb)
     whole = np.zeros((size + BOARD * boards, size + BOARD * boards))
     whole[:size, :size] = normal.aa
     for k in range(boards):
         part = slice(size + BOARD * k, size + BOARD * (k + 1))
-        whole[:size, part], whole[part, :size], whole[part, part] = (
-            normal.ab[k],
-            normal.ab[k].T,
-            normal.bb[k],
-        )
+        whole[:size, part], whole[part, :size] = normal.ab[k], normal.ab[k].T
+        whole[part, part] = normal.bb[k]
     return whole
 
 
@@ -129,14 +108,12 @@ def _inverse(information: F64) -> tuple[F64, int, Bool]:
 
 
 def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]:
-    """Compute the scatter and mean error of all boards' points after alignment.
-
-    Boards that no camera sees are left out.
-    """
+    """Compute the scatter and mean error of all visible points after alignment."""
     boards = np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0)
     size = len(covariance) - BOARD * len(state.board_positions)
     own = (size + BOARD * boards[:, None] + np.arange(BOARD)).ravel()
-    root = _root(covariance[np.ix_(own, own)])
+    values, vectors = np.linalg.eigh(covariance[np.ix_(own, own)])
+    root = vectors * np.sqrt(np.maximum(values, 0.0))  # R R^T = covariance, in spite of rounding
     points = state.points(seen.board)[boards]
     slopes = np.zeros((*points.shape, len(own)))  # of every coordinate by the boards' unknowns
     arms = points - state.board_positions[boards, None]
@@ -154,19 +131,9 @@ def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]
     return np.sqrt(((errors - mean) ** 2).sum(axis=2).mean(axis=0)), np.sqrt((mean**2).sum(axis=1))
 
 
-def _root(covariance: F64) -> F64:
-    """Compute a root R of a covariance R R^T, in spite of rounding."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-
-
 def _mean_length(uu: F64, vv: F64, uv: F64) -> F64:
-    """Compute mean lengths of pairs of normal numbers.
-
-    Their variances and covariances are given. A complete elliptic integral.
-    """
+    """Compute mean lengths of pairs of normal numbers from their covariances."""
     middle, spread = (uu + vv) / 2.0, np.hypot((uu - vv) / 2.0, uv)
     large, small = middle + spread, np.maximum(middle - spread, 0.0)
-    return np.asarray(
-        np.sqrt(2.0 * large / np.pi) * ellipe(1.0 - small / np.maximum(large, 1e-300))
-    )
+    flattening = 1.0 - small / np.maximum(large, 1e-300)
+    return np.asarray(np.sqrt(2.0 * large / np.pi) * ellipe(flattening))

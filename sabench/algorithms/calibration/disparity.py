@@ -39,8 +39,8 @@ _NEAR = 64  # particle images looked at around one position
 class Sets:
     """Sets of particle images.
 
-    Places (n, 3) from -1 to 1 in the box, numbers (n, cameras) of the images, errors (n, cameras,
-    2) in px.
+    Positions (n, 3) from -1 to 1 in the box, numbers (n, cameras) of the images, and errors (n,
+    cameras, 2) in px.
     """
 
     positions: F64
@@ -51,26 +51,20 @@ class Sets:
 def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float) -> Sets:
     """Find sets of peaks within a radius, and the errors of their images.
 
-    Errors are distances from the projections of the position that fits best.
-
-    If they are too many, they are those of a random part of the first camera's images.
-    The shares of right and wrong sets then stay the same.
+    Errors are distances from the projections of the position that fits best. If sets are too many,
+    only those of a random part of the first camera's images are found, which keeps the shares of
+    right and wrong sets.
     """
     along, steps = follow_lines(maps, range(len(peaks)), _STEP_PX)
-    positions, hits, errors = (
-        np.empty((_SETS, 3)),
-        np.empty((_SETS, len(peaks)), dtype=np.int32),
-        np.empty((_SETS, len(peaks), 2)),
-    )
+    positions, errors = np.empty((_SETS, 3)), np.empty((_SETS, len(peaks), 2))
+    hits = np.empty((_SETS, len(peaks)), dtype=np.int32)
     order = np.random.default_rng(0).permutation(len(peaks[0].pixels))
     count = match(maps, peaks, order, reach_px, along, steps, positions, hits, errors)
     return Sets(positions[:count].copy(), hits[:count].astype(np.int64), errors[:count].copy())
 
 
 def correct(maps: VolumePolynomials, sets: Sets, cameras: range) -> tuple[VolumePolynomials, float]:
-    """Move the polynomials of these cameras by their common disparity.
-
-    Also returns the largest move in px.
+    """Move the cameras' polynomials by their disparity; return the largest, px.
 
     All cameras' errors together are one vector, from which the part that a change of position
     explains is projected out. In the few dimensions that are left, the right sets lie in one spot
@@ -112,10 +106,7 @@ def densest(values: F64) -> F64:
 
 
 def _shift_mean(values: F64, middle: F64) -> tuple[F64, int]:
-    """Compute the mean of the values near a point, then near that mean, and so on.
-
-    Also returns the number of these values.
-    """
+    """Shift a point repeatedly to the mean of the values near it; count these."""
     near = np.zeros(len(values), dtype=np.bool_)
     for _ in range(_SHIFTS):
         near = np.linalg.norm(values - middle, axis=1) <= _SPOT_PX
@@ -126,11 +117,7 @@ def _shift_mean(values: F64, middle: F64) -> tuple[F64, int]:
 
 
 def _unobservable_shifts(maps: VolumePolynomials, cameras: range) -> F64:
-    """Compute orthonormal columns (2 cameras, d).
-
-    They span the changes of the cameras' pixels that no change of position causes, at the middle of
-    the box. For one camera they span all changes.
-    """
+    """Compute a basis (2 cameras, d) of pixel changes that no position causes."""
     if len(cameras) < 2:
         return np.eye(2)
     nearby = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
@@ -140,30 +127,21 @@ def _unobservable_shifts(maps: VolumePolynomials, cameras: range) -> F64:
 
 
 def _by_parts(positions: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
-    """Compute rows (1, x, y) of the middles of the parts, and their spots.
-
-    One row (1,) for the whole box where parts have too few.
-    """
+    """Compute rows (1, x, y) of the parts' middles, or (1,), and their spots."""
     near = np.linalg.norm(errors - whole, axis=1) <= 2.0 * _SPOT_PX
-    part = np.clip(((positions[:, :2] + 1.0) / 2.0 * _PARTS).astype(int), 0, _PARTS - 1) @ [
-        1,
-        _PARTS,
-    ]
+    cell = ((positions[:, :2] + 1.0) / 2.0 * _PARTS).astype(int)
+    part = np.clip(cell, 0, _PARTS - 1) @ [1, _PARTS]
     chosen = [np.flatnonzero(near & (part == number)) for number in range(_PARTS**2)]
-    if min(len(own) for own in chosen) < _FEW:
+    if min(map(len, chosen)) < _FEW:
         return np.ones((1, 1)), whole[None]
     middles = np.array([positions[own, :2].mean(axis=0) for own in chosen])
-    return np.column_stack([np.ones(len(chosen)), middles]), np.stack(
-        [_shift_mean(errors[own], whole)[0] for own in chosen]
-    )
+    spots = np.stack([_shift_mean(errors[own], whole)[0] for own in chosen])
+    return np.column_stack([np.ones(len(chosen)), middles]), spots
 
 
 @numba.njit(cache=True)
 def _gains(slopes: Any, cameras: int, gains: Any) -> bool:
-    """Fill in gains (camera, 2, 3).
-
-    A gain is the least-squares displacement of a position for every pixel of a camera's error.
-    """
+    """Fill in a position's displacement (camera, 2, 3) per pixel of error."""
     m = np.zeros((3, 3))
     for c in range(cameras):
         for a in range(2):
@@ -294,10 +272,7 @@ def _intersect(
     here: Any,
     step: Any,
 ) -> bool:
-    """Move a point to where the lines of sight of the first two cameras come nearest.
-
-    Returns False if that is outside the box.
-    """
+    """Move a point nearest to two lines of sight; False outside the box."""
     for _ in range(2):
         for c in range(2):
             project_point(maps, c, position, here, slopes[c])
@@ -327,10 +302,7 @@ def _others(
     errors: Any,
     count: int,
 ) -> int:
-    """Try all images of the cameras after the second near a position.
-
-    Returns the number of sets so far.
-    """
+    """Try all images of the other cameras near a position; return the number of sets."""
     cameras = len(peaks)
     seen, found = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
     numbers = np.ones(2, dtype=np.int64)
@@ -387,10 +359,7 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
 
 @numba.njit(cache=True)
 def pair_up(peaks: Any, pixels: Any, radius: float, out: Any) -> int:
-    """Fill in pairs (pixel, peak) within a radius of each other; return how many.
-
-    Stops when the arrays are full.
-    """
+    """Fill in pairs (pixel, peak) within a radius while they fit; count them."""
     found, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
     for n in range(len(pixels)):
         for k in range(find_near(peaks, pixels[n], radius, found)):

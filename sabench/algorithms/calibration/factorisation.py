@@ -1,6 +1,4 @@
-"""Cameras and points from images alone, for pinholes without refraction.
-
-Projective factorisation, then a Euclidean frame.
+"""Cameras and points from images alone, by projective factorisation.
 
 Sources: P. Sturm and B. Triggs, ECCV 1996; R. Hartley and A. Zisserman, Multiple View Geometry,
 section 19.3; T. Svoboda, D. Martinec and T. Pajdla, Presence 14, 2005.
@@ -8,6 +6,7 @@ section 19.3; T. Svoboda, D. Martinec and T. Pajdla, Presence 14, 2005.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,58 +23,42 @@ _SETTLED = 1e-10  # change of the depths in a round, relative, at which they are
 
 @dataclass(frozen=True)
 class Factors:
-    """Matrices (camera, 3, 4) and homogeneous points (n, 4).
-
-    Their products are the images.
-    """
+    """Matrices (camera, 3, 4) and points (n, 4); products are images."""
 
     matrices: F64
     points: F64
 
     def transform(self, frame: F64) -> Factors:
         """Express the factors in another frame (4, 4), with the same images."""
-        return Factors(
-            self.matrices @ frame,
-            np.asarray(np.linalg.solve(frame, self.points.T).T, dtype=np.float64),
-        )
+        return Factors(self.matrices @ frame, np.asarray(np.linalg.solve(frame, self.points.T).T))
 
 
 def factorise(images: F64, seen: Bool) -> Factors:
-    """Factorise images (camera, n, 2) into matrices and points.
+    """Factorise images (camera, n, 2), scaled to about 1, into matrices and points.
 
-    Images that are not `seen` (camera, n) are filled in from the others.
-
-    Images should be scaled to about 1. The depths of all points start equal and follow from the
-    product of rank 4 that is nearest.
+    Images that are not `seen` (camera, n) are filled in from the others. The depths of all points
+    start equal and follow from the product of rank 4 that is nearest.
     """
     cameras, count = seen.shape
-    homogeneous = np.concatenate(
-        [np.where(seen[..., None], images, 0.0), np.ones((cameras, count, 1))], axis=2
-    )
+    known = np.where(seen[..., None], images, 0.0)
     if not seen.all():
-        homogeneous[..., :2] = _guess_unseen(homogeneous[..., :2], seen)
+        known = _guess_unseen(known, seen)
+    homogeneous = np.concatenate([known, np.ones((cameras, count, 1))], axis=2)
     depths = np.ones((cameras, count))
     for _ in range(_ROUNDS):
         depths = _balance(depths, homogeneous)
         table = (depths[..., None] * homogeneous).transpose(0, 2, 1).reshape(3 * cameras, count)
         left, values, right = np.linalg.svd(table, full_matrices=False)
-        product = (
-            ((left[:, :4] * values[:4]) @ right[:4]).reshape(cameras, 3, count).transpose(0, 2, 1)
-        )
+        scaled = left[:, :4] * values[:4]
+        product = (scaled @ right[:4]).reshape(cameras, 3, count).transpose(0, 2, 1)
         new = product[..., 2]
-        homogeneous = np.where(
-            seen[..., None],
-            homogeneous,
-            product / np.where(np.abs(new) > 1e-12, new, 1.0)[..., None],
-        )
+        image = product / np.where(np.abs(new) > 1e-12, new, 1.0)[..., None]
+        homogeneous = np.where(seen[..., None], homogeneous, image)
         done = np.abs(new - depths).max() < _SETTLED * np.abs(depths).max()
         depths = new
         if done:
             break
-    return Factors(
-        np.asarray((left[:, :4] * values[:4]).reshape(cameras, 3, 4), dtype=np.float64),
-        np.asarray(right[:4].T, dtype=np.float64),
-    )
+    return Factors(np.asarray(scaled.reshape(cameras, 3, 4)), np.asarray(right[:4].T))
 
 
 def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
@@ -85,24 +68,19 @@ def adjust_factors(factors: Factors, images: F64, seen: Bool) -> Factors:
     Factorisation leaves an algebraic error and converges slowly; Levenberg and Marquardt's steps
     with eliminated points improve its result.
     """
-    frame = np.eye(4)
-    frame[:, 3] = np.linalg.lstsq(factors.points, np.ones(len(factors.points)), rcond=None)[
-        0
-    ]  # of about 1 becomes the last coordinate
+    frame, ones = np.eye(4), np.ones(len(factors.points))
+    frame[:, 3] = np.linalg.lstsq(factors.points, ones, rcond=None)[0]  # last coordinates near 1
     frame[:, :3] = np.linalg.svd(frame[None, :, 3])[2][1:].T
     matrices, points = _rescale(factors.matrices, factors.points, frame)
     cost, damping = _cost(matrices, points, images, seen), 1e-3
     for _ in range(_STEPS):
         step = _projective_step(matrices, points, images, seen, damping)
-        tried = matrices + step[0], points + step[1]
-        there = _cost(*tried, images, seen)
-        gain, better = cost - there, there < cost
+        changed, moved = matrices + step[0], points + step[1]
+        new = _cost(changed, moved, images, seen)
+        gain, better = cost - new, new < cost
         if better:
-            matrices, points, cost = (
-                tried[0] / np.linalg.norm(tried[0], axis=(1, 2), keepdims=True),
-                tried[1],
-                there,
-            )
+            matrices = changed / np.linalg.norm(changed, axis=(1, 2), keepdims=True)
+            points, cost = moved, new
         damping *= 0.1 if better else 10.0
         if (better and gain < 1e-10 * cost) or cost < _NOTHING or damping > 1e9:
             break
@@ -118,9 +96,8 @@ def _rescale(matrices: F64, points: F64, frame: F64) -> tuple[F64, F64]:
     unit = np.diag([*scale, 1.0])
     unit[:3, 3] = middle
     changed = matrices @ back @ unit
-    return changed / np.linalg.norm(changed, axis=(1, 2), keepdims=True), (
-        positions - middle
-    ) / scale
+    changed = changed / np.linalg.norm(changed, axis=(1, 2), keepdims=True)
+    return changed, (positions - middle) / scale
 
 
 def _cost(matrices: F64, points: F64, images: F64, seen: Bool) -> float:
@@ -139,17 +116,9 @@ def _projective_step(
     cameras, count = seen.shape
     found, depth = _images(matrices, points)
     miss = np.where(seen[..., None], images - found, 0.0)
-    rows = np.stack(
-        [
-            np.eye(3)[None, None, 0] - 0.0 * found[..., :1],
-            np.eye(3)[None, None, 1] - 0.0 * found[..., :1],
-        ],
-        axis=2,
-    )
-    rows[..., 2] = -found
-    rows = np.where(
-        seen[..., None, None], rows / depth[..., None, None], 0.0
-    )  # of the image by the projected vector: (camera, n, 2, 3)
+    rows = np.empty((cameras, count, 2, 3))  # derivatives of the image by the projected vector
+    rows[..., :2], rows[..., 2] = np.eye(2), -found
+    rows = np.where(seen[..., None, None], rows / depth[..., None, None], 0.0)
     full = np.column_stack([points, np.ones(count)])
     by_matrix = np.einsum("cnki,nj->cnkij", rows, full).reshape(cameras, count, 2, 12)
     by_point = np.einsum("cnki,cij->cnkj", rows, matrices[:, :, :3])
@@ -162,12 +131,9 @@ def _projective_step(
     a, d = np.einsum("cnkp,cnk->cp", by_matrix, miss), np.einsum("cnkp,cnk->np", by_point, miss)
     inverse = np.linalg.inv(bb)
     eliminated = np.einsum("cnpq,nqr->cnpr", ab, inverse)
-    whole = -np.einsum("cnpr,enqr->cpeq", eliminated, ab, optimize=True).reshape(
-        12 * cameras, 12 * cameras
-    )
-    for number in range(cameras):
-        part = slice(12 * number, 12 * number + 12)
-        whole[part, part] += aa[number]
+    whole = -np.einsum("cnpr,enqr->cpeq", eliminated, ab, optimize=True)
+    whole[np.arange(cameras), :, np.arange(cameras)] += aa
+    whole = whole.reshape(12 * cameras, 12 * cameras)
     right = (a - np.einsum("cnpr,nr->cp", eliminated, d)).ravel()
     change = np.linalg.solve(whole, right).reshape(cameras, 12)
     moved = np.einsum("npq,nq->np", inverse, d - np.einsum("cnpq,cp->nq", ab, change))
@@ -191,15 +157,13 @@ def upgrade_to_euclidean(factors: Factors) -> Factors:
     """
     rows = []
     for matrix in factors.matrices:
-        square = [_product(matrix[i], matrix[i]) for i in range(3)]
-        rows += [
-            _product(matrix[0], matrix[1]),
-            _product(matrix[0], matrix[2]),
-            _product(matrix[1], matrix[2]),
-            square[0] - square[1],
-        ]
+        square = [_product(row, row) for row in matrix]
+        rows += [_product(*pair) for pair in itertools.combinations(matrix, 2)]
+        rows.append(square[0] - square[1])
         rows += [_FOCAL * (square[0] - square[2]), _FOCAL * (square[1] - square[2])]
-    quadric = _symmetric(np.linalg.svd(np.stack(rows))[2][-1])
+    quadric = np.zeros((4, 4))
+    quadric[np.triu_indices(4)] = np.linalg.svd(np.stack(rows))[2][-1]
+    quadric += np.triu(quadric, 1).T
     values, vectors = np.linalg.eigh(quadric)
     if np.sum(values) < 0.0:
         values, vectors = -values[::-1], vectors[:, ::-1]
@@ -213,22 +177,15 @@ def upgrade_to_euclidean(factors: Factors) -> Factors:
 
 
 def _guess_unseen(images: F64, seen: Bool) -> F64:
-    """Make a first guess of unseen images.
-
-    It is an affine product of rank 3 about the cameras' means, iterated.
-    """
-    means = (
-        np.nansum(images * seen[..., None], axis=1, keepdims=True)
-        / np.maximum(seen.sum(axis=1), 1)[:, None, None]
-    )
+    """Guess unseen images as an affine product of rank 3 about the cameras' means."""
+    count = np.maximum(seen.sum(axis=1), 1)[:, None, None]
+    means = np.nansum(images * seen[..., None], axis=1, keepdims=True) / count
     filled = np.where(seen[..., None], images, means)
     for _ in range(_ROUNDS):
         table = (filled - means).transpose(0, 2, 1).reshape(-1, filled.shape[1])
         left, values, right = np.linalg.svd(table, full_matrices=False)
-        guess = ((left[:, :3] * values[:3]) @ right[:3]).reshape(len(filled), 2, -1).transpose(
-            0, 2, 1
-        ) + means
-        filled = np.where(seen[..., None], images, guess)
+        product = ((left[:, :3] * values[:3]) @ right[:3]).reshape(len(filled), 2, -1)
+        filled = np.where(seen[..., None], images, product.transpose(0, 2, 1) + means)
     return np.asarray(filled)
 
 
@@ -247,12 +204,6 @@ def _product(a: F64, b: F64) -> F64:
     return np.array(
         [full[i, j] + (full[j, i] if i != j else 0.0) for i in range(4) for j in range(i, 4)]
     )
-
-
-def _symmetric(entries: F64) -> F64:
-    matrix = np.zeros((4, 4))
-    matrix[np.triu_indices(4)] = entries
-    return np.asarray(matrix + np.triu(matrix, 1).T)
 
 
 def _forward(factors: Factors) -> Factors:

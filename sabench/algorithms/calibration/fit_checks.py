@@ -1,10 +1,7 @@
-"""Checks of a fit's input and of its end.
+"""Checks of a calibration's end state, and correlated residuals.
 
-end_state: Checks of a calibration's end state, and its mirror image at a plane wall.
-
-misfit: Errors of a model, told from noise by their correlation between neighbours.
-
-Noise of detection differs from point to point. What a model lacks changes slowly over an image.
+Noise of detection differs from point to point; errors of a model change slowly over an image, so
+that those of neighbours are correlated.
 """
 
 from __future__ import annotations
@@ -31,8 +28,11 @@ def list_faults(state: State, seen: BoardImages, frame: Frame) -> list[str]:
     of a plane wall and boards behind it.
     """
     names = [camera.name for camera in frame.cameras]
-    if lost := _not_finite(state):
-        return [f"{lost}: expected finite numbers, but the fit did not find any"]
+    parts = {one.name: getattr(state, one.name) for one in fields(state) if one.name != "wall"}
+    parts |= {"wall": np.append(state.wall.rotation, state.wall.shift)}
+    for name, values in parts.items():
+        if not np.isfinite(values).all():
+            return [f"{name}: expected finite numbers, but the fit did not find any"]
     faults = [
         f"{name}: expected a positive principal distance, but the fit gives {focal:.3g} px"
         for name, focal in zip(names, state.lenses[:, 0].tolist(), strict=True)
@@ -42,7 +42,7 @@ def list_faults(state: State, seen: BoardImages, frame: Frame) -> list[str]:
 
 
 def check_end(state: State, seen: BoardImages, frame: Frame) -> None:
-    """Refuse a state that cannot be.
+    """Refuse an impossible state.
 
     Raises
     ------
@@ -51,13 +51,6 @@ def check_end(state: State, seen: BoardImages, frame: Frame) -> None:
     """
     if faults := list_faults(state, seen, frame):
         raise InputError(faults[0])
-
-
-def _not_finite(state: State) -> str | None:
-    """Name the first part of a state with a number that is not finite."""
-    parts = {one.name: getattr(state, one.name) for one in fields(state) if one.name != "wall"}
-    parts |= {"wall": np.append(state.wall.rotation, state.wall.shift)}
-    return next((name for name, values in parts.items() if not np.isfinite(values).all()), None)
 
 
 def _wall_faults(state: State, seen: BoardImages, names: list[str], wall: Wall) -> list[str]:

@@ -1,11 +1,9 @@
-"""Checks of a calibration's input.
-
-Each error names the camera or the frame.
-"""
+"""Checks of a calibration's input; each error names the camera or the frame."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -14,7 +12,6 @@ from sabench.algorithms.calibration.fit_checks import check_end
 from sabench.algorithms.calibration.parameters import Frame, State, common_plane
 from sabench.api import CalibrationCase
 from sabench.api.truth import Target
-from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
 
@@ -22,7 +19,7 @@ _SUSPECT = 0.5  # share of an image's points that fit, below which something is 
 _WRONG = 0.01  # of an image's width: noise that no detection has
 _FITS = 6.0  # times the noise below which a guess explains the points
 _FLAT = 1e-3  # thickness over width of points that lie in one plane
-_SEVERAL = 3  # points that an image needs to be told from another
+_SEVERAL = 3  # points that distinguish an image from another
 _MIRRORED = 0.25  # times its misfit below which the mirror image of an array fits better
 _FAR = 3.0  # times the nominal distance of a camera, beyond which no guess can be so wrong
 _GLASS = 1.4  # index that solids exceed and most fluids do not
@@ -43,56 +40,41 @@ def check_case(case: CalibrationCase) -> None:
                 "behind it"
             )
     if wall := common_plane(case.cameras):
-        _check_indices(wall)
-    _check_duplicates(case)
-
-
-def _check_indices(wall: Wall) -> None:
-    first, *solids, last = wall.indices.tolist()
-    if first > last:
-        raise InputError(
-            "wall: expected indices from the cameras' side on, air first, got air_index "
-            f"{first:g} above fluid_index {last:g}"
-        )
-    if solids and max(solids) < _GLASS <= last:
-        raise InputError(
-            "wall: expected layers of glass and a fluid behind them, got layers of index "
-            f"{max(solids):g} before a fluid of {last:g}"
-        )
-
-
-def _check_duplicates(case: CalibrationCase) -> None:
-    """Refuse equal pixels of two images.
-
-    Noise never repeats: equal pixels of several points are one image under two names.
-    """
+        first, *solids, last = wall.indices.tolist()
+        if first > last:
+            raise InputError(
+                "wall: expected indices from the cameras' side on, air first, got air_index "
+                f"{first:g} above fluid_index {last:g}"
+            )
+        if solids and max(solids) < _GLASS <= last:
+            raise InputError(
+                "wall: expected layers of glass and a fluid behind them, got layers of index "
+                f"{max(solids):g} before a fluid of {last:g}"
+            )
     if case.pixels.shape[2] < _SEVERAL:
         return
-    whole = _twins(case.pixels)
-    if whole:
-        i, j = whole
+    # noise never repeats: equal pixels of several points are one image under two names
+    for i, j in _equal_images(case.pixels):
         raise InputError(
             f"{case.cameras[i].name} and {case.cameras[j].name}: expected images of their "
             "own, but all their points are the same"
         )
     for camera, frames in zip(case.cameras, case.pixels, strict=True):
-        if twins := _twins(frames):
-            i, j = twins
+        for i, j in _equal_images(frames):
             raise InputError(
                 f"{camera.name}: expected different images in frames {i} and {j}, but all "
                 "their points are the same"
             )
 
 
-def _twins(images: F64) -> tuple[int, int] | None:
-    """Find two images (n, ...) with the same points, if there are any."""
+def _equal_images(images: F64) -> Iterator[tuple[int, int]]:
+    """Find pairs of images (n, ...) with the same points."""
     first: dict[bytes, int] = {}
     for number, image in enumerate(images):
         if np.isfinite(image).any():
             other = first.setdefault(np.nan_to_num(image, nan=-1e9).tobytes(), number)
             if other != number:
-                return other, number
-    return None
+                yield other, number
 
 
 def check_fit(
@@ -105,12 +87,11 @@ def check_fit(
 ) -> None:
     """Refuse a fit that contradicts the input.
 
-    Such a fit cannot be (see `end_state.list_faults`), contradicts the nominal positions, leaves
-    out an image because of its order, or rests on one plane.
-
-    Images through a wall show neither the first corner of a board nor the names of cameras. Only
-    the nominal positions show that a board's corners are counted from another corner in all
-    cameras, or that two cameras are swapped.
+    Such a fit is impossible (see `fit_checks.list_faults`), contradicts the nominal positions,
+    leaves out an image because of its order, or rests on one plane. Images through a wall show
+    neither the first corner of a board nor the names of cameras: only the nominal positions show
+    that a board's corners are counted from another corner in all cameras, or that two cameras are
+    swapped.
 
     Raises
     ------
@@ -130,11 +111,12 @@ def check_fit(
     nominal = frame.motion(np.array([camera.center_mm for camera in case.cameras]))
     _check_names(case, state.centers, nominal)
     _check_mirror(state.centers, nominal)
-    _check_distances(case, state.centers - points[there.any(axis=0)].mean(axis=0))
     found = points[there.any(axis=0)]
+    middle = found.mean(axis=0)
+    _check_distances(case, state.centers - middle)
     if case.target.pattern == "wand":
         return
-    spread = np.linalg.svd(found - found.mean(axis=0), compute_uv=False)
+    spread = np.linalg.svd(found - middle, compute_uv=False)
     if spread[2] < _FLAT * spread[0]:
         raise InputError(
             "expected a target at different depths or tilts, but all frames show it in one "
@@ -145,22 +127,17 @@ def check_fit(
 def _check_views(
     case: CalibrationCase, state: State, seen: BoardImages, used: Bool, there: Bool, noise_px: float
 ) -> None:
-    """Find a view that would fit if its points were counted from another corner.
-
-    A view that never fits is not used.
-    """
-    shares = used.sum(axis=2) / np.maximum(there.sum(axis=2), 1)
+    """Refuse a view that would fit if its points were counted from another corner."""
+    shares = used.sum(axis=2) / np.maximum(there.sum(axis=2), 1)  # few used: it never fits
     computed = seen.pixels - residuals(state, seen)
     for camera, number in np.argwhere((shares < _SUSPECT) & there.any(axis=2)).tolist():
-        name = f"{case.cameras[camera].name}: frame {number}"
+        view = camera, number
         for degrees, order in list_relabellings(case.target):
-            misses = np.linalg.norm(
-                seen.pixels[camera, number] - computed[camera, number, order], axis=-1
-            )[there[camera, number]]
-            if np.nanmedian(misses) < _FITS * noise_px:
+            misses = np.linalg.norm(seen.pixels[view] - computed[view][order], axis=-1)
+            if np.nanmedian(misses[there[view]]) < _FITS * noise_px:
                 raise InputError(
-                    f"{name}: expected its points numbered as in the other cameras, but they "
-                    f"are turned by {degrees} degrees"
+                    f"{case.cameras[camera].name}: frame {number}: expected its points numbered as "
+                    f"in the other cameras, but they are turned by {degrees} degrees"
                 )
 
 
@@ -177,15 +154,13 @@ def list_relabellings(target: Target) -> list[tuple[int, I64]]:
 
 
 def _check_corners(case: CalibrationCase, points: F64, initial: F64, there: Bool) -> None:
-    """Refuse a frame whose points lie at their nominal positions in another order."""
+    """Refuse a frame if its points lie at their nominal positions in another order."""
     for number in np.flatnonzero(there.any(axis=(0, 2))).tolist():
-        own, nominal = (
-            points[number] - points[number].mean(axis=0),
-            initial[number] - np.nanmean(initial[number], axis=0),
-        )
-        apart = _rms(own - nominal)
+        fitted = points[number] - points[number].mean(axis=0)
+        nominal = initial[number] - np.nanmean(initial[number], axis=0)
+        apart = _rms(fitted - nominal)
         for degrees, order in list_relabellings(case.target):
-            if _rms(own[order] - nominal) < 0.5 * apart:
+            if _rms(fitted[order] - nominal) < 0.5 * apart:
                 raise InputError(
                     f"frame {number}: expected its points numbered as at its nominal position, but "
                     f"they are turned by {degrees} degrees against it"
@@ -205,10 +180,7 @@ def _check_names(case: CalibrationCase, centers: F64, initial: F64) -> None:
 
 
 def _check_mirror(centers: F64, initial: F64) -> None:
-    """Refuse cameras that stand where the mirror image of their initial guess does.
-
-    A flat board looks the same in mirrored images, so that they show a mirrored array.
-    """
+    """Refuse the mirror image of the nominal array, as mirrored images give."""
     if len(centers) < _SEVERAL:
         return
     own, nominal = (one[:, :2] - one[:, :2].mean(axis=0) for one in (centers, initial))
@@ -225,25 +197,17 @@ def _check_mirror(centers: F64, initial: F64) -> None:
 
 
 def _check_distances(case: CalibrationCase, apart: F64) -> None:
-    """Refuse a camera whose distance from the target is not like its nominal one.
-
-    Vectors from the target to the cameras are (n, 3).
-    """
+    """Refuse vectors (n, 3) from the target to cameras of a wrong length."""
     middle = np.nanmean(case.initial_mm.reshape(-1, 3), axis=0)
     given = np.array([camera.center_mm for camera in case.cameras]) - middle
-    pairs = zip(case.cameras, _lengths(apart), _lengths(given), strict=True)
-    for camera, found, nominal in pairs:
+    lengths = np.linalg.norm([apart, given], axis=-1).T.tolist()
+    for camera, (found, nominal) in zip(case.cameras, lengths, strict=True):
         if not nominal / _FAR < found < nominal * _FAR:
             raise InputError(
                 f"{camera.name}: expected it about {nominal:.4g} mm from the target, as its "
                 f"initial guess is, but the fit puts it {found:.4g} mm away: are two cameras "
                 "swapped, images mirrored, or a length wrong?"
             )
-
-
-def _lengths(vectors: F64) -> list[float]:
-    lengths: list[float] = np.linalg.norm(vectors, axis=-1).tolist()
-    return lengths
 
 
 def _rms(errors: F64) -> float:

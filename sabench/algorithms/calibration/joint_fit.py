@@ -1,17 +1,10 @@
-"""Joint fit of cameras, wall and points: direct, robust and alternating.
+"""Joint fit of cameras, wall and boards: robust or alternating.
 
-robust: Bundle adjustment with detection of outliers.
+`fit_jointly` fits lenses and boards first. What images hardly show, or not at all, follows: known
+positions fix the world and the depth, and nominal values hold the wall.
 
-joint_fit: Joint fit of cameras, boards and wall that ends in a possible state.
-
-Lenses and boards come first. What images hardly show, or not at all, follows: the known places fix
-the world and the depth, and nominal values hold the wall.
-
-alternating: Auto-calibration of the thesis.
-
-Cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
-
-Source: J. Belden, PhD thesis, MIT 2011, figure 4-1 and section 4.4.2.
+`alternate` is the auto-calibration of J. Belden's thesis (MIT 2011, figure 4-1 and section 4.4.2):
+cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
 """
 
 from __future__ import annotations
@@ -50,10 +43,9 @@ Held = Literal["richer model", "initial guess"]
 
 @dataclass(frozen=True)
 class Robust:
-    """Fit, the observations (camera, board, point) used, and their noise in px.
+    """Fit, used observations (camera, board, point), noise of a coordinate in px.
 
-    The noise is that of one coordinate. `held` says where the depth of the boards had to be
-    held, if it had to be.
+    `held` names the source of the boards' depth if it had to be held.
     """
 
     fit: Fit
@@ -82,13 +74,13 @@ def adjust(
     """
     start = np.asarray(seen.weights > 0.0)
     fit, used = refine(state, seen, free, moving=moving), start
-    noise = noise_px or _noise(_lengths(fit.state, seen), used)
+    noise = noise_px or median_noise(_lengths(fit.state, seen)[used])
     if _lengths(fit.state, seen)[used].max(initial=0.0) <= _NOTHING_ODD * max(noise, 1e-9):
         return Robust(fit, used, noise)
     fit = _fit_cauchy(fit.state, seen, free, moving)
     for _ in range(_REWEIGHTINGS):
         lengths = _lengths(fit.state, seen)
-        noise = _noise(lengths, used)
+        noise = median_noise(lengths[used])
         kept = start & (lengths <= _REJECT * max(noise, 1e-9))
         if np.array_equal(kept, used):
             break
@@ -103,7 +95,7 @@ def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters, moving: M
     used = np.asarray(seen.weights > 0.0)
     scale = np.inf
     for _ in range(_REWEIGHTINGS):
-        smaller = _CAUCHY * max(_noise(_lengths(state, seen), used), 1e-6)
+        smaller = _CAUCHY * max(median_noise(_lengths(state, seen)[used]), 1e-6)
         if smaller > 0.9 * scale:
             break
         scale = smaller
@@ -113,25 +105,14 @@ def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters, moving: M
 
 
 def _lengths(state: State, seen: BoardImages) -> F64:
-    """Compute reprojection errors (camera, board, point) in px.
-
-    Infinite where there is none.
-    """
+    """Compute reprojection errors (camera, board, point) in px, or infinity."""
     lengths = np.linalg.norm(residuals(state, seen), axis=-1)
     return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
 def median_noise(lengths: F64) -> float:
-    """Compute the noise of coordinates whose pairs have this median length.
-
-    The noise is the standard deviation of normal coordinates.
-    """
+    """Compute the standard deviation of coordinates from pairs' median length."""
     return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
-
-
-def _noise(lengths: F64, used: Bool) -> float:
-    """Compute the standard deviation per coordinate that explains the median error."""
-    return median_noise(lengths[used])
 
 
 _LEAST_NOISE_PX = 1e-3  # with which known places are weighed
@@ -148,26 +129,21 @@ _HELD = (0.5, 0.1, 0.02)  # standard deviations of a depth that no image shows, 
 def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
     """Adjust cameras, boards and what they share, robustly.
 
-    An end state that cannot be is left by other starts, see `end_state.list_faults`. If all of them
-    fail, the last one is returned: `input_checks.check_fit` refuses it.
+    If the end state is impossible (see `fit_checks.list_faults`), other starts are tried. If all of
+    them fail, the last one is returned: `input_checks.check_fit` refuses it.
     """
     if not free.cameras:
         return _weigh(problem, adjust(problem.start, problem.seen, free, moving="boards"), free)
-    if fixes_world(problem):
-        placed = _place_cameras(problem, free)
-        return _weigh(replace(problem, start=placed.fit.state), placed, free)
+    if fixes_world(problem):  # the cameras are fitted to known positions first, taken as exact
+        fit = refine(problem.start, problem.seen, free.of_lenses, moving="cameras")
+        used = np.asarray(problem.seen.weights > 0.0)
+        lengths = np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[used]
+        placed = Robust(fit, used, max(median_noise(lengths), _LEAST_NOISE_PX))
+        return _weigh(replace(problem, start=fit.state), placed, free)
     found = _fit_soundly(problem, problem.seen, free.of_lenses)
     if free == free.of_lenses and not make_anchors(problem.case, problem.frame, 1.0):
         return found
     return _weigh(problem, found, free)
-
-
-def _place_cameras(problem: CalibrationProblem, free: FreeParameters) -> Robust:
-    """Fit the cameras to known places, taken as exact."""
-    fit = refine(problem.start, problem.seen, free.of_lenses, moving="cameras")
-    used = np.asarray(problem.seen.weights > 0.0)
-    lengths = np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[used]
-    return Robust(fit, used, max(median_noise(lengths), _LEAST_NOISE_PX))
 
 
 def fixes_world(problem: CalibrationProblem) -> bool:
@@ -203,10 +179,7 @@ def make_prior(nominal: State, noise_px: float) -> Prior:
 
 
 def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParameters) -> Robust:
-    """Fit from the start, and again from other states while the end cannot be.
-
-    The last fit is returned if none ends well.
-    """
+    """Fit from the start, and from other states until the end is possible."""
     found = adjust(problem.start, seen, free)
     if _is_sound(found, seen, problem):
         return found
@@ -215,7 +188,7 @@ def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParam
         return min(sound, key=lambda end: end.noise_px)
     start, deep = _staged(problem.start, seen, free), _fit_richly(problem, seen, free, found)
     for part in _HELD:
-        held = hold_depth(deep or problem.start, problem, seen, found.noise_px, part)
+        held = _hold_depth(deep or problem.start, problem, seen, found.noise_px, part)
         found = adjust(start, held, free)
         if _is_sound(found, seen, problem):
             break
@@ -225,10 +198,8 @@ def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParam
 def _fit_richly(
     problem: CalibrationProblem, seen: BoardImages, free: FreeParameters, found: Robust
 ) -> State | None:
-    """Fit with what the unknowns may lack; None if that does not end well, either.
-
-    A bent board that is taken for flat seems to be at another depth.
-    """
+    """Fit with more unknowns; None if the end state is impossible, too."""
+    # a bent board that is taken for flat seems to be at another depth
     if problem.frame.wall is None or not np.isfinite(found.noise_px):
         return None
     rich = replace(free, distortion=_RICH, tilt=True, bend=True)
@@ -245,7 +216,7 @@ def _is_sound(found: Robust, seen: BoardImages, problem: CalibrationProblem) -> 
 
 
 def _other_starts(problem: CalibrationProblem, end: State, seen: BoardImages) -> Iterator[State]:
-    """Give the mirrored ends, and the start with boards placed before the cameras."""
+    """Yield the mirrored ends, and the start with boards placed before the cameras."""
     if problem.frame.wall is not None and np.isfinite(end.board_positions).all():
         yield mirror_boards(end, seen, turned=False)
         yield mirror_boards(end, seen, turned=True)
@@ -254,22 +225,18 @@ def _other_starts(problem: CalibrationProblem, end: State, seen: BoardImages) ->
 
 def _staged(start: State, seen: BoardImages, free: FreeParameters) -> State:
     """Adjust boards, then cameras: slower than both together, and less prone to leap."""
-    return refine(
-        refine(start, seen, free, moving="boards").state, seen, free, moving="cameras"
-    ).state
+    placed = refine(start, seen, free, moving="boards").state
+    return refine(placed, seen, free, moving="cameras").state
 
 
-def hold_depth(
+def _hold_depth(
     start: State, problem: CalibrationProblem, seen: BoardImages, noise_px: float, part: float
 ) -> BoardImages:
-    """Add that boards are about as deep in the fluid as in a state.
+    """Anchor boards to their depths in a state, within a part of the mean.
 
-    Through a plane wall images hardly show the depth of all boards together. Where noise, or what
-    a model lacks, would put boards into the wall, a richer model or the nominal depth says more.
-
-    Parameters
-    ----------
-    part : standard deviation of the mean depth, as a part of it.
+    Through a plane wall images hardly show the depth of all boards together: where noise, or a
+    flaw of the model, would put boards into the wall, a richer model or the nominal depth is nearer
+    to the truth.
     """
     if problem.frame.wall is None or not np.isfinite(noise_px):
         return seen
@@ -286,13 +253,12 @@ def hold_depth(
     return replace(seen, anchors=(*seen.anchors, *held))
 
 
+_OF_CAMERAS = ("rotations", "centers", "lenses")  # of a state
+
+
 @dataclass(frozen=True)
 class Rounds:
-    """End of an alternation and the errors on its way.
-
-    The errors are the largest mean reprojection error of a camera (px) before it began and after
-    every round.
-    """
+    """End of an alternation, and the largest error of a camera per round, px."""
 
     state: State
     errors_px: tuple[float, ...]
@@ -301,11 +267,7 @@ class Rounds:
 def alternate(
     state: State, seen: BoardImages, free: FreeParameters, tolerance_px: float, most: int
 ) -> Rounds:
-    """Adjust cameras and boards in turn.
-
-    Stop when the largest of the cameras' mean reprojection errors changes by less than the
-    tolerance.
-    """
+    """Adjust cameras and boards in turn until the error settles."""
     errors = [_largest(state, seen)]
     while len(errors) <= most:
         state = _boards(_cameras(state, seen, free), seen, free)
@@ -317,12 +279,7 @@ def alternate(
 
 def select_cameras(state: State, seen: BoardImages, cameras: I64) -> tuple[State, BoardImages]:
     """Select some of the cameras, and what they see."""
-    part = replace(
-        state,
-        rotations=state.rotations[cameras],
-        centers=state.centers[cameras],
-        lenses=state.lenses[cameras],
-    )
+    part = replace(state, **{name: getattr(state, name)[cameras] for name in _OF_CAMERAS})
     return part, replace(
         seen,
         pixels=np.ascontiguousarray(seen.pixels[cameras]),
@@ -337,11 +294,8 @@ def _cameras(state: State, seen: BoardImages, free: FreeParameters) -> State:
         refine(*select_cameras(state, seen, np.array([number])), free, moving="cameras").state
         for number in range(len(state.rotations))
     ]
-    rotations, centers, lenses = (
-        np.concatenate([getattr(fit, name) for fit in fits])
-        for name in ("rotations", "centers", "lenses")
-    )
-    return replace(state, rotations=rotations, centers=centers, lenses=lenses)
+    parts = {name: np.concatenate([getattr(fit, name) for fit in fits]) for name in _OF_CAMERAS}
+    return replace(state, **parts)
 
 
 def _boards(state: State, seen: BoardImages, free: FreeParameters) -> State:
@@ -355,14 +309,8 @@ def _boards(state: State, seen: BoardImages, free: FreeParameters) -> State:
             weights=np.ascontiguousarray(seen.weights[:, own]),
             anchors=(),
         )
-        fit = refine(
-            replace(
-                state, board_rotations=rotations[own].copy(), board_positions=positions[own].copy()
-            ),
-            view,
-            free,
-            moving="boards",
-        ).state
+        board = {"board_rotations": rotations[own].copy(), "board_positions": positions[own].copy()}
+        fit = refine(replace(state, **board), view, free, moving="boards").state
         rotations[own], positions[own] = fit.board_rotations, fit.board_positions
     return replace(state, board_rotations=rotations, board_positions=positions)
 
@@ -373,10 +321,7 @@ def _largest(state: State, seen: BoardImages) -> float:
 
 
 def mean_rotation(rotations: F64) -> F64:
-    """Average rotations (n, ..., 3, 3) in the least-squares sense of their entries.
-
-    Returns (..., 3, 3).
-    """
+    """Average rotations (n, ..., 3, 3) in the least-squares sense of their entries."""
     left, _, right = np.linalg.svd(rotations.mean(axis=0))
     sign = np.sign(np.linalg.det(left @ right))
     left[..., :, 2] *= sign[..., None]

@@ -53,11 +53,9 @@ def bend(indices: Any, depths: Any, radius: float) -> float:
 def leave(
     indices: Any, depths: Any, radius: float, by_depth: Any, by_index: Any
 ) -> tuple[float, float]:
-    """Compute G = tan(angle in the first medium) / r, and (dG/dr) / r.
+    """Compute G = tan(angle in the first medium) / r and (dG/dr) / r at the radius r.
 
-    The radius is r. Fills in dG by depths and by indices.
-
-    Derivatives at a radius of zero are those of the paraxial path.
+    Fills in dG by depths and by indices. At r = 0 derivatives are those of the paraxial path.
     """
     slope = bend(indices, depths, radius)
     rarest = indices.min()
@@ -157,10 +155,7 @@ def observe(
 
 @numba.njit(cache=True)
 def _fill_lens(row: Any, right: float, down: float, u: float, v: float) -> None:
-    """Fill in derivatives by the coefficients of distortion.
-
-    They follow from those by the distorted coordinates, of the point (u, v) of an ideal lens.
-    """
+    """Fill in derivatives by coefficients of distortion at (u, v)."""
     s = u * u + v * v
     radial = right * u + down * v
     row[9], row[10], row[13] = radial * s, radial * s * s, radial * s * s * s
@@ -191,10 +186,7 @@ def _tilt(u: float, v: float, lens: Any, row: Any) -> tuple[float, float]:
 
 @numba.njit(cache=True)
 def _distort(u: float, v: float, lens: Any) -> tuple[float, float, float, float, float]:
-    """Distort ideal coordinates by Brown and Conrady's model.
-
-    Also returns its symmetric derivative.
-    """
+    """Distort coordinates by Brown and Conrady's model, with derivatives."""
     k1, k2, p1, p2, k3 = lens[3], lens[4], lens[5], lens[6], lens[7]
     s = u * u + v * v
     radial = 1.0 + s * (k1 + s * (k2 + s * k3))
@@ -219,11 +211,7 @@ def _fill(
     work: Any,
     count: int,
 ) -> None:
-    """Fill in derivatives of a pixel coordinate.
-
-    Derivatives by rotation, centre, board and media are filled in. They follow from those by the
-    camera frame's x and y.
-    """
+    """Fill in derivatives of a pixel coordinate by rotation, centre, board and media."""
     (u, v, w), (x, y, tangent, curved) = seen, swing
     by_depth, by_index = work[1], work[2]
     third = -(first * u + second * v)  # by the camera frame's z; its vector is (u, v, 1) w

@@ -36,10 +36,7 @@ def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
 
 @numba.njit(cache=True)
 def _columns(own: Any, shared: Any) -> Any:
-    """List columns of `observe`'s rows for the unknowns.
-
-    Unknowns are in the order camera, shared, board.
-    """
+    """List the columns of `observe`'s rows for camera, shared and board unknowns."""
     f, s = len(own), len(shared)
     pick = np.empty(f + s + BOARD, dtype=np.int64)
     for i in range(f):
@@ -157,10 +154,7 @@ def _scatter(
 
 @numba.njit(cache=True)
 def misses(array: Any, boards: Any, seen: Any) -> Any:
-    """Subtract computed from observed pixels (M, K, m, 2).
-
-    NaN where nothing was seen or there is no path.
-    """
+    """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
     rotations, centers, lenses, media = array
     board_rotations, positions, points, _ = boards
     pixels, _ = seen
@@ -187,10 +181,7 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
 
 @numba.njit(cache=True)
 def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> Any:
-    """Compute covariances (M, K, m, 3) of computed pixels: column, row and both.
-
-    They follow from that of the unknowns in the order cameras, shared, boards.
-    """
+    """Compute covariances (M, K, m, 3) of pixels: column, row, both."""
     rotations, centers, lenses, media = array
     board_rotations, positions, points, lifts = boards
     _, weights = seen

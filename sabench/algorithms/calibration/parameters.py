@@ -1,11 +1,4 @@
-"""Frame of a wall, and similarities that bring points onto others.
-
-wall_frame: Frame of a wall, and similarities that bring points onto others.
-
-parameters: Unknowns of a calibration as arrays.
-
-They convert to cameras and points.
-"""
+"""Unknowns of a calibration as arrays, and cameras and points of them."""
 
 from __future__ import annotations
 
@@ -56,30 +49,8 @@ def common_plane(cameras: Sequence[Camera]) -> Wall | None:
     return wall if same and isinstance(wall, Wall) else None
 
 
-def wall_frame(wall: Wall | None, cameras: tuple[Camera, ...], points_mm: F64) -> RigidMotion:
-    """Find the motion from the world to the frame of a wall.
-
-    There the outer face is Z = 0 and the normal +Z. Without a common plane wall the plane lies
-    between the cameras and the points; it then has no meaning.
-    """
-    if wall is not None:
-        rotation = frame_of_normal(np.asarray(wall.normal, dtype=np.float64))
-        point = np.asarray(wall.point_mm)
-        return RigidMotion(rotation, -rotation @ point * np.array([0.0, 0.0, 1.0]))
-    centers = np.array([camera.center_mm for camera in cameras])
-    normal = np.mean([camera.rotation[2] for camera in cameras], axis=0)
-    length = np.linalg.norm(normal)  # 0 for cameras that face each other
-    normal = normal / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
-    middle = ((centers @ normal).max() + np.nanmin(points_mm.reshape(-1, 3) @ normal)) / 2.0
-    return RigidMotion(frame_of_normal(normal), np.array([0.0, 0.0, -middle]))
-
-
 def fit_similarity(points: F64, targets: F64) -> F64:
-    """Fit a similarity (4, 4) that brings points to targets.
-
-    A homogeneous matrix of rotation, scale and shift. Points and targets are (n, 3); the fit is one
-    of least squares.
-    """
+    """Fit the similarity (4, 4) of points (n, 3) to targets by least squares."""
     motion = fit_rigid_motion(points, targets)
     rotated = (points - points.mean(axis=0)) @ motion.rotation.T
     scale = float(np.sum(rotated * (targets - targets.mean(axis=0))) / np.sum(rotated**2))
@@ -153,12 +124,8 @@ class FreeParameters:
 
     def columns(self, media: int) -> tuple[I64, I64]:
         """Index a camera's unknowns and the shared ones, as `equations` takes them."""
-        own = (
-            [0, 1, 2, 3, 4, 5, 6]
-            + [7, 8] * self.principal_point
-            + [9 + _DISTORTION.index(name) for name in self.distortion]
-            + [14, 15] * self.tilt
-        )
+        own = [*range(7), *[7, 8] * self.principal_point]
+        own += [9 + _DISTORTION.index(name) for name in self.distortion] + [14, 15] * self.tilt
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
         shared += [2 * media - 2 + number for number in range(WALL)] * self.wall
         shared += [2 * media + 1 + number for number in range(BEND)] * self.bend
@@ -260,10 +227,9 @@ class State:
 
 @dataclass(frozen=True)
 class Frame:
-    """Transformation from states to cameras.
+    """World's position in the wall's frame, and the constants that a state lacks.
 
-    It holds the world's position in the wall's frame, and the constants that a state lacks.
-    `wall` is the plane wall of all cameras; None in plain air, or where there is no such wall.
+    `wall` is the plane wall of all cameras; None in plain air, or without a common wall.
     """
 
     motion: RigidMotion
@@ -277,49 +243,53 @@ class Frame:
 
     @classmethod
     def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
-        """Make the frame of the cameras' common plane wall, if there is one."""
-        wall = common_plane(cameras)
-        return cls(wall_frame(wall, cameras, points_mm), cameras, wall)
+        """Make the frame in which the outer face of the cameras' wall is Z = 0.
+
+        The normal is +Z. Without a common plane wall a plane without meaning, between the cameras
+        and the points, replaces the face.
+        """
+        if wall := common_plane(cameras):
+            rotation = frame_of_normal(np.asarray(wall.normal, dtype=np.float64))
+            shift = -rotation @ np.asarray(wall.point_mm) * np.array([0.0, 0.0, 1.0])
+            return cls(RigidMotion(rotation, shift), cameras, wall)
+        centers = np.array([camera.center_mm for camera in cameras])
+        normal = np.mean([camera.rotation[2] for camera in cameras], axis=0)
+        length = np.linalg.norm(normal)  # 0 for cameras that face each other
+        normal = normal / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])
+        middle = ((centers @ normal).max() + np.nanmin(points_mm.reshape(-1, 3) @ normal)) / 2.0
+        return cls(
+            RigidMotion(frame_of_normal(normal), np.array([0.0, 0.0, -middle])), cameras, None
+        )
 
     def select(self, cameras: I64) -> Frame:
         """Select some of the cameras."""
         return replace(self, cameras=tuple(self.cameras[number] for number in cameras.tolist()))
 
     def state(self, board: F64, points_mm: F64) -> State:
-        """Make the state of the cameras, with boards (m, 3) fitted to points (K, m, 3).
-
-        The points are an initial guess, NaN where unknown.
-        """
+        """Make the cameras' state, with boards (m, 3) fitted to points (K, m, 3)."""
         rotations = np.stack(
             [np.asarray(camera.rotation) @ self.motion.rotation.T for camera in self.cameras]
         )
         centers = self.motion(np.array([camera.center_mm for camera in self.cameras]))
-        lenses = np.array(
-            [
-                [
-                    c.focal_px,
-                    *c.principal_point_px,
-                    *(getattr(c.distortion, k) for k in _DISTORTION),
-                    *np.deg2rad(c.tilt_deg),
-                ]
-                for c in self.cameras
-            ]
-        )
-        media = self.wall.indices if self.wall else np.ones(2)
-        thicknesses = (
-            np.array([layer.thickness_mm for layer in self.wall.layers])
-            if self.wall
-            else np.zeros(0)
-        )
-        poses = [_pose(board, self.motion(points)) for points in points_mm]
+        lenses = []
+        for camera in self.cameras:
+            distortion = (getattr(camera.distortion, name) for name in _DISTORTION)
+            tilt = np.deg2rad(camera.tilt_deg)
+            lenses.append([camera.focal_px, *camera.principal_point_px, *distortion, *tilt])
+        layers = self.wall.layers if self.wall else ()
+        known = np.isfinite(points_mm).all(axis=2)
+        poses = [
+            fit_rigid_motion(board[rows], self.motion(points)[rows])
+            for points, rows in zip(points_mm, known, strict=True)
+        ]
         return State(
             rotations,
             centers,
-            lenses,
-            media,
-            thicknesses,
-            np.stack([p.rotation for p in poses]),
-            np.stack([p.shift for p in poses]),
+            np.array(lenses),
+            self.wall.indices if self.wall else np.ones(2),
+            np.array([layer.thickness_mm for layer in layers], dtype=np.float64),
+            np.stack([pose.rotation for pose in poses]),
+            np.stack([pose.shift for pose in poses]),
         )
 
     def to_wall(self, state: State) -> RigidMotion:
@@ -328,8 +298,24 @@ class Frame:
 
     def build_cameras(self, state: State) -> tuple[Camera, ...]:
         """Make the cameras of a state, in the world's frame."""
-        wall = self._wall(state)
-        return tuple(self._camera(number, state, wall) for number in range(len(self.cameras)))
+        wall, motion, cameras = self._wall(state), self.to_wall(state), []
+        for camera, rotation, center, lens in zip(
+            self.cameras, state.rotations, state.centers, state.lenses.tolist(), strict=True
+        ):
+            turn = rotation @ motion.rotation
+            cameras.append(
+                replace(
+                    camera,
+                    center_mm=triple(motion.inverse()(center)),
+                    rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
+                    wall=wall or camera.wall,
+                    principal_distance_mm=lens[0] * camera.pixel_mm,
+                    principal_point_px=(lens[1], lens[2]),
+                    distortion=Distortion(**dict(zip(_DISTORTION, lens[3:8], strict=True))),
+                    tilt_deg=(math.degrees(lens[8]), math.degrees(lens[9])),
+                )
+            )
+        return tuple(cameras)
 
     def points(self, state: State, board: F64) -> F64:
         """Return world points (K, m, 3) of a state's boards."""
@@ -350,42 +336,15 @@ class Frame:
         face = self.motion(np.asarray(wall.point_mm)) * np.array([1.0, 1.0, 0.0])
         return replace(wall, point_mm=triple(own.inverse()(face)), normal=triple(own.rotation[2]))
 
-    def _camera(self, number: int, state: State, wall: Wall | None) -> Camera:
-        camera, lens = self.cameras[number], state.lenses[number].tolist()
-        motion = self.to_wall(state)
-        turn = state.rotations[number] @ motion.rotation
-        center = motion.inverse()(state.centers[number])
-        return replace(
-            camera,
-            center_mm=triple(center),
-            rotation=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
-            wall=wall or camera.wall,
-            principal_distance_mm=lens[0] * camera.pixel_mm,
-            principal_point_px=(lens[1], lens[2]),
-            distortion=Distortion(**dict(zip(_DISTORTION, lens[3:8], strict=True))),
-            tilt_deg=(math.degrees(lens[8]), math.degrees(lens[9])),
-        )
-
 
 def bend_lifts(board: F64) -> F64:
-    """Compute the lifts (m, BEND) of a board's points by bends of 1 mm.
-
-    The terms are X^2, X Y and Y^2 in its own frame, scaled to its farthest coordinate.
-    """
+    """Compute lifts (m, BEND) of points by bends of 1 mm: X^2, X Y, Y^2."""
     x, y = board[:, :2].T / max(float(np.abs(board[:, :2]).max()), 1e-300)
     return np.column_stack([x * x, x * y, y * y])
 
 
-def _pose(board: F64, points: F64) -> RigidMotion:
-    known = np.isfinite(points).all(axis=1)
-    return fit_rigid_motion(board[known], points[known])
-
-
 def steps_of(vector: F64, cameras: int, free: FreeParameters, media: int) -> tuple[F64, F64]:
-    """Split a vector of the cameras' and shared unknowns into (M, f) and (s,).
-
-    The steps of known cameras are 0.
-    """
+    """Split a vector into steps of cameras (M, f), or 0, and shared ones (s,)."""
     own, _ = free.columns(media)
     if not free.cameras:
         return np.zeros((cameras, len(own))), vector

@@ -69,20 +69,17 @@ def plane_homography(name: str, plane_mm: F64, pixels: F64) -> F64:
     InputError
         Fewer than four points, or points on one line.
     """
-    matrix = cv2.findHomography(plane_mm, pixels)[0] if _spans_area(plane_mm) else None
+    matrix = None
+    if len(plane_mm) >= _FEWEST:
+        spread = np.linalg.svd(plane_mm - plane_mm.mean(axis=0), compute_uv=False)
+        if spread[-1] > 1e-6 * spread[0]:
+            matrix = cv2.findHomography(plane_mm, pixels)[0]
     if matrix is None:
         raise InputError(
             f"{name}: expected {_FEWEST} points or more of the reference plane that are not on one "
             f"line, got {len(pixels)} that determine no homography"
         )
     return np.asarray(matrix)
-
-
-def _spans_area(plane_mm: F64) -> bool:
-    if len(plane_mm) < _FEWEST:
-        return False
-    spread = np.linalg.svd(plane_mm - plane_mm.mean(axis=0), compute_uv=False)
-    return bool(spread[-1] > 1e-6 * spread[0])
 
 
 def align(homography: F64, pixels: F64) -> F64:
@@ -92,15 +89,11 @@ def align(homography: F64, pixels: F64) -> F64:
 
 
 def factorise_parallax(aligned: F64, seen: Bool) -> RankOne:
-    """Factorise aligned images (camera, n, 2) into offsets and parallax.
-
-    Images that are not `seen` (camera, n) are filled in from the product, again and again.
-    """
+    """Factorise aligned images (camera, n, 2), some unseen, into parallax."""
     cameras, count = seen.shape
     weight = seen / np.maximum(seen.sum(axis=0), 1)
-    guess = np.broadcast_to(
-        np.einsum("cn,cnk->nk", weight, np.where(seen[..., None], aligned, 0.0)), aligned.shape
-    )
+    mean = np.einsum("cn,cnk->nk", weight, np.where(seen[..., None], aligned, 0.0))
+    guess = np.broadcast_to(mean, aligned.shape)
     for _ in range(_ROUNDS):
         filled = np.where(seen[..., None], aligned, guess)
         middles = filled.mean(axis=0)
@@ -129,13 +122,8 @@ def fit_depth_scale(found: RankOne, points_mm: F64) -> DepthScale:
     z = points_mm[:, 2]
     if np.ptp(z) <= 1e-6 * np.ptp(points_mm[:, 0]):
         raise InputError("expected points at different depths, got all of them in one plane")
-    zero, one = np.zeros_like(z), z
-    table = np.vstack(
-        [
-            np.column_stack([-z * found.middles[:, 0], one, zero]),
-            np.column_stack([-z * found.middles[:, 1], zero, one]),
-        ]
-    )
+    x, y, zero = *found.middles.T, np.zeros_like(z)
+    table = np.vstack([np.column_stack([-z * x, z, zero]), np.column_stack([-z * y, zero, z])])
     off = (found.middles - points_mm[:, :2]).T.ravel()
     per_mm, *center = np.linalg.lstsq(table, off, rcond=None)[0]
     offset = np.sum(found.parallax * (1.0 + per_mm * z) * z) / np.sum(z**2)
@@ -150,26 +138,18 @@ def make_cameras(
     reference_z_mm: float,
 ) -> tuple[Projective, ...]:
     """Make projective cameras of homographies (camera, 3, 3) and offsets."""
-    cameras = []
-    for (name, rows, columns), homography, offset in zip(
-        names_and_sizes, homographies, found.offsets, strict=True
-    ):
+    cameras, shift = [], np.eye(4)
+    shift[2, 3] = -reference_z_mm
+    for given, homography, offset in zip(names_and_sizes, homographies, found.offsets, strict=True):
         x, y = scale.center + scale.offset * offset
         to_plane = np.array([[1.0, 0.0, x, 0.0], [0.0, 1.0, y, 0.0], [0.0, 0.0, scale.per_mm, 1.0]])
-        shift = np.eye(4)
-        shift[2, 3] = -reference_z_mm
         matrix = homography @ to_plane @ shift
-        cameras.append(
-            Projective(name, rows, columns, nested(matrix / np.linalg.norm(matrix[2, :3])))
-        )
+        cameras.append(Projective(*given, nested(matrix / np.linalg.norm(matrix[2, :3]))))
     return tuple(cameras)
 
 
 def misfit_px(errors_px: F64, target_mm: F64) -> tuple[float, float]:
-    """Split reprojection errors into what neighbours share, and noise.
-
-    The errors are (camera, frame, point, 2). Both are root mean squares of one coordinate in px.
-    """
+    """Split errors (camera, frame, point, 2) into correlated part and noise."""
     shared = float(np.sqrt(np.mean(correlated_part(errors_px, neighbours(target_mm)) ** 2)))
     noise = max(float(np.nanmean(errors_px**2)) - shared**2, 0.0) ** 0.5
     return shared, noise

@@ -1,9 +1,4 @@
-"""Motions of all cameras and points together that walls of any shape do not show.
-
-free_motion: Motions of all cameras and points together that walls of any shape do not show.
-
-problem: Calibration case of the refractive algorithms, and its result.
-"""
+"""Calibration case of the refractive algorithms: checks, start, result."""
 
 from __future__ import annotations
 
@@ -38,26 +33,23 @@ def fit_free_motion(frame: Frame, points: F64, targets: F64) -> RigidMotion:
     A cylinder allows a rotation about its axis and a shift along it, several plane walls a shift
     along all of them, other walls nothing.
     """
-    walls = {camera.wall for camera in frame.cameras}
+    walls, motion = {camera.wall for camera in frame.cameras}, frame.motion
     (first, *others) = walls
     if isinstance(first, CylinderWall) and not others:
-        return _about_axis(first, frame.motion, points, targets)
+        axis = motion.rotation @ np.asarray(first.axis)
+        point = motion(np.asarray(first.axis_point_mm))
+        start, goal = points - point, targets - point
+        crossed = np.sum(np.cross(start, goal) @ axis)
+        aligned = np.sum(start * goal) - np.sum((start @ axis) * (goal @ axis))
+        rotation = rotation_matrices(np.arctan2(crossed, aligned) * axis)
+        shift = np.mean((goal - start) @ axis) * axis
+        return RigidMotion(rotation, point - rotation @ point + shift)
     planes = [wall for wall in walls if isinstance(wall, Wall)]
     if len(planes) < len(walls):
-        return RigidMotion(np.eye(3), np.zeros(3))
+        return RigidMotion.none()
     _, values, right = np.linalg.svd(np.array([wall.normal for wall in planes]))
-    along = right[np.append(values, np.zeros(3))[:3] < _SAME] @ frame.motion.rotation.T
+    along = right[np.append(values, np.zeros(3))[:3] < _SAME] @ motion.rotation.T
     return RigidMotion(np.eye(3), along.T @ along @ (targets - points).mean(axis=0))
-
-
-def _about_axis(wall: CylinderWall, motion: RigidMotion, points: F64, targets: F64) -> RigidMotion:
-    axis, point = motion.rotation @ np.asarray(wall.axis), motion(np.asarray(wall.axis_point_mm))
-    one, other = points - point, targets - point
-    crossed = np.sum(np.cross(one, other) @ axis)
-    aligned = np.sum(one * other) - np.sum((one @ axis) * (other @ axis))
-    rotation = rotation_matrices(np.arctan2(crossed, aligned) * axis)
-    shift = np.mean((other - one) @ axis) * axis
-    return RigidMotion(rotation, point - rotation @ point + shift)
 
 
 @dataclass(frozen=True)
@@ -88,27 +80,22 @@ class CalibrationProblem:
             nothing is known beforehand.
         """
         check_case(case)
-        check_count(case, free.per_camera if free.cameras else 0)
+        _check_count(case, free.per_camera if free.cameras else 0)
         enough = min(3, case.initial_mm.shape[1])
         for number, points in enumerate(case.initial_mm):
             if np.isfinite(points).all(axis=1).sum() < enough and case.found[:, number].any():
                 raise InputError(
                     f"frame {number}: expected a nominal position of its target, got none"
                 )
-        frame = Frame.from_cameras(case.cameras, case.initial_mm)
-        found = case.found
+        frame, board = Frame.from_cameras(case.cameras, case.initial_mm), case.target.points_mm
         if not free.cameras:
-            check_known_cameras(case)
+            _check_known_cameras(case)
         if free != free.of_lenses:
             check_plane_wall(case.cameras)
-            check_shared(case, frame, free)
-        seen = BoardImages(
-            case.target.points_mm,
-            np.nan_to_num(case.pixels),
-            found.astype(np.float64),
-            frame=frame.beyond_kernels,
-        )
-        return cls(frame, frame.state(case.target.points_mm, case.initial_mm), seen, case)
+            _check_shared(case, frame, free)
+        pixels, weights = np.nan_to_num(case.pixels), case.found.astype(np.float64)
+        seen = BoardImages(board, pixels, weights, frame=frame.beyond_kernels)
+        return cls(frame, frame.state(board, case.initial_mm), seen, case)
 
     def align_to_nominal(self, state: State) -> State:
         """Move the state so that its boards are near their nominal positions.
@@ -139,7 +126,7 @@ class CalibrationProblem:
         Raises
         ------
         InputError
-            A state that cannot be: see `end_state.list_faults`.
+            An impossible state: see `fit_checks.list_faults`.
         """
         check_end(state, self.seen, self.frame)
         return Calibration(
@@ -176,14 +163,8 @@ def lens_unknowns(case: CalibrationCase) -> FreeParameters:
     return free
 
 
-def check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> None:
-    """Refuse unknowns of a wall that is not there, or that nothing shows.
-
-    Raises
-    ------
-    InputError
-        A layer or medium that the wall does not have, or no known points to show the wall's place.
-    """
+def _check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> None:
+    """Refuse unknowns of walls or layers that do not exist, or that nothing shows."""
     layers = len(frame.wall.layers) if frame.wall else 0
     media = layers + 2 if frame.wall else 0
     given = (("thicknesses", free.thicknesses, layers), ("indices", free.indices, media))
@@ -193,7 +174,7 @@ def check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> N
                 f"{name}: expected numbers from 0 and below {count}, for a wall of {layers} "
                 f"layers, got {wrong[0]}"
             )
-    if free.bend and (np.ptp(case.target.points_mm, axis=0)[:2].min() <= 0.0):
+    if free.bend and np.ptp(case.target.points_mm, axis=0)[:2].min() <= 0.0:
         raise InputError("bend: expected a board, got a target whose points are on a line")
     places = int(np.isfinite(case.known_mm).all(axis=-1).sum())
     if free.wall and (frame.wall is None or (free.cameras and places < 3)):
@@ -203,27 +184,21 @@ def check_shared(case: CalibrationCase, frame: Frame, free: FreeParameters) -> N
         )
 
 
-def check_known_cameras(case: CalibrationCase) -> None:
-    """Refuse unknowns of lenses that are known, and a case without any unknown.
-
-    Raises
-    ------
-    InputError
-        The sentence lists the unknowns that a wall has.
-    """
+def _check_known_cameras(case: CalibrationCase) -> None:
+    """Refuse unknowns of lenses that are known, and a case without any unknown."""
+    of_wall = ", ".join(get_args(WallNumber))
     if wrong := [name for name in case.unknown if name in get_args(LensNumber)]:
         raise InputError(
-            f"unknown: expected {', '.join(get_args(WallNumber))} or bend, since the cameras are "
-            f"known, got {', '.join(wrong)}"
+            f"unknown: expected {of_wall} or bend, since the cameras are known, got "
+            f"{', '.join(wrong)}"
         )
     if not case.unknown:
         raise InputError(
-            f"unknown: expected one or more of {', '.join(get_args(WallNumber))}, since the "
-            "cameras are known, got none"
+            f"unknown: expected one or more of {of_wall}, since the cameras are known, got none"
         )
 
 
-def check_count(case: CalibrationCase, unknowns: int) -> None:
+def _check_count(case: CalibrationCase, unknowns: int) -> None:
     """Refuse a case with fewer equations than unknowns.
 
     With boards the thesis's equation 4.3 becomes 2 N + A >= b M + 6 K: N image points, A known

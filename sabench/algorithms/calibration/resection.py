@@ -1,12 +1,7 @@
-"""Poses of cameras from points with known positions.
+"""Positions of a target's points, to which each camera is fitted.
 
-initial_poses: Initial positions of a target's points: measured, or fitted to the images.
-
+Classical calibrations take the nominal positions as known; `place_boards` fits them to the images.
 No axis of the world is preferred: a board starts upright in the cameras' images.
-
-known_points: Nominal positions of a target's points, taken as known.
-
-Classical calibrations fit each camera to them.
 """
 
 from __future__ import annotations
@@ -64,27 +59,21 @@ def place_boards(case: CalibrationCase) -> F64:
     seen = BoardImages(board, pixels, weights, frame=frame.beyond_kernels)
     start = frame.state(board, case.initial_mm)
     ahead = frame.motion.rotation @ upright_axes(case.cameras)
-    best = _fit(start, seen)
+    best = refine(start, seen, FreeParameters(), moving="boards").state
     for angle in _QUARTERS[1:].tolist():
         turned = start.board_rotations @ rotation_matrices(np.array([0.0, 0.0, angle]))
-        best = _better(best, _fit(replace(start, board_rotations=turned), seen), seen)
+        best = _refit_boards(best, replace(start, board_rotations=turned), seen)
     flip = ahead @ np.diag([1.0, 1.0, -1.0]) @ ahead.T
     mirrored = flip @ best.board_rotations @ np.diag([1.0, 1.0, -1.0])
-    best = _better(best, _fit(replace(best, board_rotations=mirrored), seen), seen)
-    fitted = _off_the_wall(case, frame.points(best, board))
+    best = _refit_boards(best, replace(best, board_rotations=mirrored), seen)
+    fitted = frame.points(best, board)
+    # all boards move off the wall together: nominal cameras put boards too near, and a fit that
+    # starts in the wall does not move
+    near = _NEAR * _depth(case, case.initial_mm)
+    fitted = fitted + (near - min(_depth(case, fitted), near)) * upright_axes(case.cameras)[:, 2]
     enough = case.found.sum(axis=(0, 2)) >= _LEAST
     fitted = np.where(enough[:, None, None], fitted, case.initial_mm)
     return np.where(np.isfinite(places), places, fitted)
-
-
-def _off_the_wall(case: CalibrationCase, fitted: F64) -> F64:
-    """Move all boards together away from the wall, if one of them touches it.
-
-    Nominal cameras put boards too near, and a fit that starts in the wall does not move.
-    """
-    least = min(_depth(case, fitted), _NEAR * _depth(case, case.initial_mm))
-    deeper = _NEAR * _depth(case, case.initial_mm) - least
-    return fitted + deeper * upright_axes(case.cameras)[:, 2]
 
 
 def _depth(case: CalibrationCase, points_mm: F64) -> float:
@@ -95,51 +84,43 @@ def _depth(case: CalibrationCase, points_mm: F64) -> float:
 
 
 def known_places(case: CalibrationCase) -> F64:
-    """Place the target (frame, point, 3) by its known points.
-
-    Known points stay where they are. NaN where they are too few.
-    """
+    """Place the target (frame, point, 3) by known points; NaN if too few."""
     board = case.target.points_mm
     known = np.asarray(np.isfinite(case.known_mm).all(axis=-1))
     places = np.full(case.known_mm.shape, np.nan)
-    for number, there in enumerate(known):
-        motion = _motion(board[there], case.known_mm[number, there], len(board))
-        if motion is not None:
-            places[number] = motion(board)
-            places[number, there] = case.known_mm[number, there]
+    for number, rows in enumerate(known):
+        own, goal = board[rows], case.known_mm[number, rows]
+        if len(board) == 1 and len(own):
+            motion = RigidMotion(np.eye(3), goal[0] - own[0])
+        elif len(own) >= 3 and not _on_line(own):
+            motion = fit_rigid_motion(own, goal)
+        else:
+            continue
+        places[number] = motion(board)
+        places[number, rows] = goal
     return places
 
 
-def _motion(board: F64, known: F64, count: int) -> RigidMotion | None:
-    """Fit the motion of a board's points (n, 3) to known ones, if they determine it."""
-    if count == 1 and len(board):
-        return RigidMotion(np.eye(3), known[0] - board[0])
-    if len(board) < 3:
-        return None
-    spread = np.linalg.svd(board - board.mean(axis=0), compute_uv=False)
-    return fit_rigid_motion(board, known) if spread[1] > _LINE * spread[0] else None
+def _on_line(points: F64) -> bool:
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] <= _LINE * spread[0])
 
 
-def _fit(state: State, seen: BoardImages) -> State:
-    return refine(state, seen, FreeParameters(), moving="boards").state
-
-
-def _better(one: State, other: State, seen: BoardImages) -> State:
-    """Take each board from the state in which it fits its images better."""
-    costs = [_costs(state, seen) for state in (one, other)]
-    chosen = costs[1] < costs[0]
+def _refit_boards(best: State, start: State, seen: BoardImages) -> State:
+    """Fit the boards from another start, and keep each that fits its images better."""
+    fitted, costs = refine(start, seen, FreeParameters(), moving="boards").state, []
+    for state in (best, fitted):
+        squares = np.sum(residuals(state, seen) ** 2, axis=-1)
+        cost = np.where(seen.weights > 0.0, squares, 0.0).sum(axis=(0, 2))
+        costs.append(np.where(np.isfinite(cost), cost, np.inf))
+    better = costs[1] < costs[0]
     return replace(
-        one,
-        board_rotations=np.where(chosen[:, None, None], other.board_rotations, one.board_rotations),
-        board_positions=np.where(chosen[:, None], other.board_positions, one.board_positions),
+        best,
+        board_rotations=np.where(
+            better[:, None, None], fitted.board_rotations, best.board_rotations
+        ),
+        board_positions=np.where(better[:, None], fitted.board_positions, best.board_positions),
     )
-
-
-def _costs(state: State, seen: BoardImages) -> F64:
-    """Sum squared residuals of boards (K,); infinite where a point has no image."""
-    squares = np.sum(residuals(state, seen) ** 2, axis=-1)
-    used = np.where(seen.weights > 0.0, squares, 0.0).sum(axis=(0, 2))
-    return np.asarray(np.where(np.isfinite(used), used, np.inf))
 
 
 _PLANE = 1e-6  # thickness over width of places in one plane
@@ -153,10 +134,7 @@ def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
 
 
 def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F64]]:
-    """Split known points and pixels by frame.
-
-    Frames of which the camera found nothing are left out.
-    """
+    """Split known points and pixels by the frames that a camera found."""
     points, pixels = [], []
     for initial, found in zip(case.initial_mm, case.pixels[camera], strict=True):
         there = np.isfinite(initial).all(axis=1) & np.isfinite(found).all(axis=1)
@@ -167,17 +145,12 @@ def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F6
 
 
 def reason_if_flat(case: CalibrationCase) -> str | None:
-    """Explain why a case is refused whose nominal positions lie in one plane.
-
-    Returns None if they do not.
-    """
+    """Return the reason to refuse nominal positions in one plane, or None."""
     nominal = case.initial_mm[np.isfinite(case.initial_mm).all(axis=-1)]
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
-    return (
-        "expected nominal positions at different depths, got all of them in one plane"
-        if spread[2] <= _PLANE * spread[0]
-        else None
-    )
+    if spread[2] > _PLANE * spread[0]:
+        return None
+    return "expected nominal positions at different depths, got all of them in one plane"
 
 
 def reason_if_edge_on(case: CalibrationCase) -> str | None:

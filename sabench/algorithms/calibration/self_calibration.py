@@ -1,13 +1,11 @@
-"""Steps of a volume self-calibration.
-
-The disparities are reduced, particles that all cameras agree on are collected, and the cameras are
-adjusted to them.
-"""
+"""Volume self-calibration: disparities, particles, adjusted cameras."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -32,14 +30,14 @@ from sabench.utils.errors import InputError
 
 _ROUNDS = 20
 _SETTLED_PX = 0.03
-# the core's common errors move all positions, and so may another camera's disparity be larger than
-# its own error
+# times reach_px: the core's common errors move all positions, so that another camera's disparity
+# may be larger than its own error
 _FARTHER = 3.0
 _CORE = 4  # cameras whose particle images are matched all with all
 _PAIRS = 1_000_000
 _MOST = 3000  # particles that the cameras are adjusted to
 _LATTICE = (5, 5, 3)
-_TOLD_PX = 2.0  # standard deviation of the nominal cameras' pixels, where particles say nothing
+_NOMINAL_PX = 2.0  # standard deviation of the nominal cameras' pixels
 _REJECT = 4.0
 # standard deviations by which right sets exceed chance: the most crowded of many spots of wrong
 # ones has a dozen
@@ -53,10 +51,10 @@ class Tracking:
     Attributes
     ----------
     cameras : nominal cameras, those of the core first.
-    order : their numbers in the case.
-    peaks : their particle images.
+    order : numbers of these cameras in the case.
+    peaks : particle images of these cameras.
     maps : polynomials of the nominal cameras, in a box along the rig's axes.
-    axes : (3, 3) these, one a row.
+    axes : (3, 3) the rig's axes as rows.
     """
 
     cameras: tuple[Camera, ...]
@@ -107,10 +105,7 @@ class Tracking:
 
 
 def _spread(centers: F64) -> list[int]:
-    """Order all cameras, each the farthest from those before it.
-
-    The first is the farthest from their mean.
-    """
+    """Order cameras, each the farthest from those before it, the outermost first."""
     order = [int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmax())]
     while len(order) < len(centers):
         away = np.linalg.norm(centers[:, None] - centers[order], axis=2).min(axis=1)
@@ -119,83 +114,70 @@ def _spread(centers: F64) -> list[int]:
 
 
 def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> VolumePolynomials:
-    """Correct the polynomials by disparities.
-
-    First those of the core, then those of every other camera against the sets of the core.
-    """
+    """Correct polynomials by disparities of the core, then of each camera against it."""
     core = range(min(_CORE, len(tracking.cameras)))
-    maps, radius = tracking.maps, reach_px
-    for _ in range(_ROUNDS):
-        sets = find_sets(maps, tracking.peaks[: len(core)], radius)
+    peaks = tracking.peaks[: len(core)]
+
+    def find_in_core(maps: VolumePolynomials, radius: float) -> Sets:
+        sets = find_sets(maps, peaks, radius)
         if not len(sets.positions):
             raise InputError(
                 f"expected particle images that agree within {radius:g} px, got none: larger "
                 "errors need a larger reach_px"
             )
-        maps, moved = correct(maps, sets, core)
-        if radius <= least_px and moved < _SETTLED_PX:
-            break
-        radius = max(least_px, 0.5 * radius)
-    sure = find_sets(maps, tracking.peaks[: len(core)], least_px)
-    _check(tracking, maps, sure, reach_px, least_px)
-    for camera in range(len(core), len(tracking.cameras)):
-        maps = _follow_one(tracking, maps, sure, camera, reach_px, least_px)
-    return maps
+        return sets
 
-
-def _check(
-    tracking: Tracking, maps: VolumePolynomials, sure: Sets, reach_px: float, least_px: float
-) -> None:
-    """Refuse a spot of sets that agree by chance.
-
-    The number of such sets grows with the radius to the power of the dimensions in which they could
-    disagree.
-    """
-    core = min(_CORE, len(tracking.cameras))
-    wider = find_sets(maps, tracking.peaks[:core], 2.0 * least_px)
-    chance = (len(wider.positions) - len(sure.positions)) / (2.0 ** (2 * core - 3) - 1.0)
+    maps = _reduce(tracking.maps, core, find_in_core, reach_px, least_px)
+    sure = find_sets(maps, peaks, least_px)
+    # sets that agree by chance grow in number with the radius to the power of the dimensions in
+    # which they could disagree
+    wider = find_sets(maps, peaks, 2.0 * least_px)
+    chance = (len(wider.positions) - len(sure.positions)) / (2.0 ** (2 * len(core) - 3) - 1.0)
     if len(sure.positions) - chance < _SURE * np.sqrt(max(chance, 1.0)):
         raise InputError(
-            f"expected sets of particle images of {core} cameras that agree within {least_px:g} "
-            f"px, got {len(sure.positions)} where chance makes "
+            f"expected sets of particle images of {len(core)} cameras that agree within "
+            f"{least_px:g} px, got {len(sure.positions)} where chance makes "
             f"{chance:.0f}: errors are larger than reach_px = {reach_px:g}, or particles too many"
         )
+    for camera in range(len(core), len(tracking.cameras)):
+        find = partial(_find_in_camera, tracking, sure, camera)
+        farthest = _FARTHER * reach_px
+        maps = _reduce(maps, range(camera, camera + 1), find, farthest, least_px)
+    return maps
 
 
-def _follow_one(
-    tracking: Tracking,
+def _reduce(
     maps: VolumePolynomials,
-    sure: Sets,
-    camera: int,
-    reach_px: float,
+    cameras: range,
+    find: Callable[[VolumePolynomials, float], Sets],
+    radius: float,
     least_px: float,
 ) -> VolumePolynomials:
-    radius = _FARTHER * reach_px
+    """Correct cameras by the sets within a radius that halves every round."""
     for _ in range(_ROUNDS):
-        pairs, errors = _pairs(maps, tracking.peaks[camera], camera, sure.positions, radius)
-        if not len(pairs):
-            raise InputError(
-                f"{tracking.cameras[camera].name}: expected particle images within {radius:g} px "
-                "of where the other cameras' are, got none"
-            )
-        maps, moved = correct(
-            maps,
-            Sets(sure.positions[pairs[:, 0]], pairs, errors[:, None]),
-            range(camera, camera + 1),
-        )
+        maps, moved = correct(maps, find(maps, radius), cameras)
         if radius <= least_px and moved < _SETTLED_PX:
             break
         radius = max(least_px, 0.5 * radius)
     return maps
+
+
+def _find_in_camera(
+    tracking: Tracking, sure: Sets, camera: int, maps: VolumePolynomials, radius: float
+) -> Sets:
+    pairs, errors = _pairs(maps, tracking.peaks[camera], camera, sure.positions, radius)
+    if not len(pairs):
+        raise InputError(
+            f"{tracking.cameras[camera].name}: expected particle images within {radius:g} px "
+            "of where the other cameras' are, got none"
+        )
+    return Sets(sure.positions[pairs[:, 0]], pairs, errors[:, None])
 
 
 def _pairs(
     maps: VolumePolynomials, peaks: Peaks, camera: int, positions: F64, radius: float
 ) -> tuple[I64, F64]:
-    """Pair positions with a camera's images within the radius.
-
-    Returns pairs (n, 2) and the images' errors (n, 2).
-    """
+    """Return pairs (n, 2) of positions and a camera's images, and errors."""
     pixels = project_points(maps, camera, positions)
     pairs = np.empty((_PAIRS, 2), dtype=np.int64)
     pairs = pairs[: pair_up(peaks, pixels, radius, pairs)]
@@ -207,32 +189,29 @@ def match_particles(
 ) -> tuple[F64, F64]:
     """Find particles that the cameras agree on.
 
-    Places (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
-
+    Returns positions (n, 3) from -1 to 1, and pixels (camera, n, 2), NaN where a camera has none.
     A particle image belongs to the set that fits best of all that contain it.
     """
     core = min(_CORE, len(tracking.cameras))
     sets = find_sets(maps, tracking.peaks[:core], least_px)
     order = np.argsort(np.linalg.norm(sets.errors, axis=2).max(axis=1), kind="stable")
-    taken = [np.zeros(len(own.pixels), dtype=np.bool_) for own in tracking.peaks]
+    taken: set[tuple[int, int]] = set()
     chosen = []
     for number in order.tolist():
-        if not any(taken[c][sets.hits[number, c]] for c in range(core)):
+        images = set(enumerate(sets.hits[number].tolist()))
+        if taken.isdisjoint(images):
             chosen.append(number)
-            for c in range(core):
-                taken[c][sets.hits[number, c]] = True
-    some = np.random.default_rng(0).permutation(np.array(chosen, dtype=np.int64))[
-        :_MOST
-    ]  # the best alone would agree with the maps too much
+            taken |= images
+    # a random part of them: the best alone would agree with the maps too much
+    some = np.random.default_rng(0).permutation(np.array(chosen, dtype=np.int64))[:_MOST]
     positions = sets.positions[some]
     pixels = np.full((len(tracking.cameras), len(some), 2), np.nan)
     for c in range(core):
         pixels[c] = tracking.peaks[c].pixels[sets.hits[some, c]]
     for c in range(core, len(tracking.cameras)):
         pairs, errors = _pairs(maps, tracking.peaks[c], c, positions, least_px)
-        for row in np.argsort(
-            -np.linalg.norm(errors, axis=1)
-        ).tolist():  # the nearest comes last and stays
+        farthest_first = np.argsort(-np.linalg.norm(errors, axis=1))
+        for row in farthest_first.tolist():  # the nearest comes last and stays
             pixels[c, pairs[row, 0]] = tracking.peaks[c].pixels[pairs[row, 1]]
     return positions, pixels
 
@@ -252,25 +231,16 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
     both = np.concatenate([pixels, nominal], axis=1)
     weights = np.isfinite(both).all(axis=2).astype(np.float64)
     frame = Frame.from_cameras(tracking.cameras, points[:, None])
-    state = frame.state(np.zeros((1, 3)), points[:, None])
-    seen = BoardImages(
-        np.zeros((1, 3)),
-        np.nan_to_num(both)[:, :, None],
-        weights[:, :, None],
-        _anchor_lattice(frame, lattice, len(particles)),
-        frame.beyond_kernels,
+    board, world = np.zeros((1, 3)), frame.motion.inverse()
+    anchors = tuple(
+        Anchor(number, 0, position, np.full(3, 1e6), world)
+        for number, position in enumerate(lattice, start=len(particles))
     )
-    state = _adjust(state, seen, len(particles))
+    images = np.nan_to_num(both)[:, :, None], weights[:, :, None]
+    seen = BoardImages(board, *images, anchors, frame.beyond_kernels)
+    state = _adjust(frame.state(board, points[:, None]), seen, len(particles))
     by_number = dict(zip(tracking.order, frame.build_cameras(state), strict=True))
     return tuple(by_number[number] for number in range(len(by_number)))
-
-
-def _anchor_lattice(frame: Frame, lattice: F64, first: int) -> tuple[Anchor, ...]:
-    world = frame.motion.inverse()
-    return tuple(
-        Anchor(first + number, 0, position, np.full(3, 1e6), world)
-        for number, position in enumerate(lattice)
-    )
 
 
 def _adjust(state: State, seen: BoardImages, particles: int) -> State:
@@ -280,24 +250,20 @@ def _adjust(state: State, seen: BoardImages, particles: int) -> State:
     """
     noise = _noise(state, seen, particles)
     for _ in range(_ROUNDS):
-        state = refine(
-            state,
-            replace(seen, weights=_weights(seen, particles, noise)),
-            FreeParameters(),
-            3.0 * noise,
-        ).state
+        weighted = replace(seen, weights=_weights(seen, particles, noise))
+        state = refine(state, weighted, FreeParameters(), 3.0 * noise).state
         before, noise = noise, _noise(state, seen, particles)
         if noise > 0.9 * before:
             break
     weights = _weights(seen, particles, noise)
     lengths = np.linalg.norm(residuals(state, seen), axis=-1)
     weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
-    return refine(state, replace(seen, weights=weights), FreeParameters(), 0.0).state
+    return refine(state, replace(seen, weights=weights), FreeParameters()).state
 
 
 def _weights(seen: BoardImages, particles: int, noise: float) -> F64:
     weights = seen.weights.copy()
-    weights[:, particles:] *= (noise / _TOLD_PX) ** 2
+    weights[:, particles:] *= (noise / _NOMINAL_PX) ** 2
     return weights
 
 

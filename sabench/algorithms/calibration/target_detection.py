@@ -4,23 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sabench.api.truth import Target
-from sabench.utils.arrays import F64, U16
-
-U8 = npt.NDArray[np.uint8]
+from sabench.utils.arrays import F64, U8, U16
 
 _BLUR_PX = 1.5  # against noise, where lights are few
 _FAINT = 0.1  # of a blob's peak: below there is none
-_BALL = (
-    0.05,
-    0.15,
-    # the same of a ball's, and where its light is cut: its shading would draw its centroid to the
-    # lit
-    # side
-)
+# the same for a ball, and the part of its peak at which its light is cut: its shading would shift
+# the centroid to the lit side
+_BALL = (0.05, 0.15)
 _LIT = 0.35  # of the brightest ball: what belongs to one
 _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for the detectors
 
@@ -37,47 +31,22 @@ def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
         looks the same after a half or a quarter rotation; by default the board is upright. Shift,
         scale and a rotation of less than half of that do not matter.
     """
-    grey = _eight_bits(
-        image,
-        *(
-            _small_lights(image)
-            if target.pattern == "wand"
-            else np.percentile(image, [_DARKEST, _BRIGHTEST])
-        ),
-    )
-    found = {"checkerboard": _corners, "circles": _circles, "charuco": _charuco, "wand": _balls}[
-        target.pattern
-    ](grey, target)
+    if target.pattern == "wand":  # lights may be too small for percentiles
+        low = float(np.median(image))
+        high = float(cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX).max())
+    else:
+        low, high = np.percentile(image, [_DARKEST, _BRIGHTEST])
+    scaled = (image - low) * (255.0 / max(high - low, 1.0))
+    grey: U8 = np.clip(scaled, 0.0, 255.0).astype(np.uint8)
+    detectors = {"checkerboard": _corners, "circles": _circles, "charuco": _charuco, "wand": _balls}
+    found = detectors[target.pattern](grey, target)
     if found is None:
         return np.full((len(target.points_mm), 2), np.nan)
     return found if target.pattern == "charuco" else _choose_order(found, target, expected)
 
 
-def _small_lights(image: U16) -> tuple[float, float]:
-    """Estimate grey values of the dark around lights and of the brightest light.
-
-    However small the lights are.
-    """
-    import cv2
-
-    return float(np.median(image)), float(
-        cv2.GaussianBlur(image.astype(np.float32), (0, 0), _BLUR_PX).max()
-    )
-
-
-def _eight_bits(image: U16, low: float, high: float) -> U8:
-    return np.asarray(
-        np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0.0, 255.0), dtype=np.uint8
-    )
-
-
 def _corners(grey: U8, target: Target) -> F64 | None:
-    """Find saddle points of the intensity.
-
-    Source: A. Duda and U. Frese, BMVC 2018.
-    """
-    import cv2
-
+    """Find saddle points of the intensity (A. Duda and U. Frese, BMVC 2018)."""
     found, corners = cv2.findChessboardCornersSB(
         grey, (target.columns, target.rows), flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     )
@@ -86,8 +55,6 @@ def _corners(grey: U8, target: Target) -> F64 | None:
 
 def _circles(grey: U8, target: Target) -> F64 | None:
     """Find centres of the dark ellipses that are images of circles."""
-    import cv2
-
     found, centers = cv2.findCirclesGrid(
         grey, (target.columns, target.rows), flags=cv2.CALIB_CB_SYMMETRIC_GRID
     )
@@ -95,12 +62,7 @@ def _circles(grey: U8, target: Target) -> F64 | None:
 
 
 def _charuco(grey: U8, target: Target) -> F64 | None:
-    """Find corners between markers.
-
-    Each is identified by its markers, so that part of a board is enough.
-    """
-    import cv2
-
+    """Find corners, each identified by its markers, even of part of a board."""
     dictionary: Any = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     board = cv2.aruco.CharucoBoard(
         (target.columns + 1, target.rows + 1), target.pitch_mm, target.mark_mm, dictionary
@@ -108,40 +70,23 @@ def _charuco(grey: U8, target: Target) -> F64 | None:
     corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
     if numbers is None or not len(numbers):
         return None
-    found, order = (
-        np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2),
-        np.asarray(numbers).ravel(),
-    )
-    pixels = np.full((len(target.points_mm), 2), np.nan)
-    pixels[order] = cv2.cornerSubPix(
-        cv2.GaussianBlur(grey, (0, 0), 1.0), found, *_window(found[:, 0], order, target)
-    ).reshape(-1, 2)
-    return pixels
-
-
-def _window(
-    found: npt.NDArray[np.float32], order: npt.NDArray[Any], target: Target
-) -> tuple[Any, ...]:
-    """Choose the window of `cornerSubPix` around a corner, and its stop criterion.
-
-    No marker lies in the window, since it would shift the corner.
-    """
-    import cv2
-
-    positions = target.points_mm[order, :2]
-    scale = (
-        float(np.std(found, axis=0).sum() / max(np.std(positions, axis=0).sum(), 1e-9))
-        if len(order) > 1
-        else 0.0
-    )
+    found = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
+    order = np.asarray(numbers).ravel()
+    scale = 0.0  # px per mm
+    if len(order) > 1:
+        width = np.std(target.points_mm[order, :2], axis=0).sum()
+        scale = float(np.std(found[:, 0], axis=0).sum() / max(width, 1e-9))
+    # no marker may lie in the window around a corner, since it would shift the corner
     side = max(2, int(0.7 * scale * (target.pitch_mm - target.mark_mm) / 2.0))
-    return (side, side), (-1, -1), (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+    stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+    smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
+    pixels = np.full((len(target.points_mm), 2), np.nan)
+    pixels[order] = cv2.cornerSubPix(smooth, found, (side, side), (-1, -1), stop).reshape(-1, 2)
+    return pixels
 
 
 def _balls(grey: U8, target: Target) -> F64 | None:
     """Find centroids of as many bright balls as the wand has, in order along it."""
-    import cv2
-
     smooth = cv2.GaussianBlur(grey, (0, 0), _BLUR_PX)
     count, _, stats, centers = cv2.connectedComponentsWithStats(
         (smooth > 255.0 * _LIT).astype(np.uint8)
@@ -155,13 +100,9 @@ def _balls(grey: U8, target: Target) -> F64 | None:
 
 
 def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0) -> F64:
-    """Compute intensity-weighted centroids of blobs around rough centres.
-
-    Blobs reach as far as half the distance to the next; light above `full` of the peak is cut.
-    """
-    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2) + np.diag(
-        np.full(len(centers), np.inf)
-    )
+    """Compute centroids of blobs, whose light above `full` of the peak is cut."""
+    gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    np.fill_diagonal(gaps, np.inf)
     out = centers.copy()
     for number, (center, gap) in enumerate(zip(centers, gaps.min(axis=1), strict=True)):
         radius = max(3, int(min(0.45 * gap, 60.0)))
@@ -177,21 +118,15 @@ def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0
 
 
 def _choose_order(found: F64, target: Target, expected: F64 | None) -> F64:
-    """Choose the order of points whose directions fit the expected ones best.
-
-    Only orders that the pattern allows are tried.
-    """
+    """Choose the possible order of points nearest to the expected directions."""
     plan = target.points_mm[:, :2] if expected is None else expected
     known = np.isfinite(plan).all(axis=1)
     goal = plan[known] - plan[known].mean(axis=0)
     grid = np.arange(len(found)).reshape(target.rows, target.columns)
     rotated = [np.rot90(grid, quarter) for quarter in range(4)]
+    if target.rows > 1:
+        rotated += [order.T for order in rotated]
     orders = [order.ravel() for order in rotated if order.shape == grid.shape]
-    orders += (
-        [order.T.ravel() for order in rotated if order.T.shape == grid.shape]
-        if target.rows > 1
-        else []
-    )
     return max(
         (found[order] for order in orders),
         key=lambda ordered: float(np.sum((ordered[known] - ordered[known].mean(axis=0)) * goal)),

@@ -1,7 +1,7 @@
 """Choice of a calibration's unknowns by nested fits and held-out boards.
 
 Each unknown is freed in addition to those chosen before. It stays free if the held-out boards fit
-better by more than twice the standard error of that difference, over the boards.
+better by more than twice the standard error of that difference over the boards.
 """
 
 from __future__ import annotations
@@ -10,13 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sabench.algorithms.calibration.bundle_adjustment import (
-    BoardImages,
-    normal_equations,
-    promised_gain,
-    refine,
-    residuals,
-)
+from sabench.algorithms.calibration import bundle_adjustment as bundle
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, refine
 from sabench.algorithms.calibration.fit_checks import list_faults
 from sabench.algorithms.calibration.joint_fit import fit_jointly, fixes_world, make_prior
 from sabench.algorithms.calibration.parameters import FreeParameters, State
@@ -26,18 +21,12 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.validation import Unknown
 
+# fmt: off
 _GROUPS: tuple[tuple[Unknown, ...], ...] = (
-    ("principal_point",),
-    ("k1",),
-    ("k2",),
-    ("p1", "p2"),
-    ("k3",),
-    ("tilt",),
-    ("bend",),
-    ("wall",),
-    ("thickness",),
-    ("fluid_index",),
+    ("principal_point",), ("k1",), ("k2",), ("p1", "p2"), ("k3",), ("tilt",),
+    ("bend",), ("wall",), ("thickness",), ("fluid_index",),
 )
+# fmt: on
 _FIRST = {"k2": "k1", "k3": "k2"}  # what an unknown presupposes
 _FOLDS = 5
 _SURE = 2.0  # standard errors by which held-out boards must fit better
@@ -84,9 +73,9 @@ def split_frames(case: CalibrationCase, seed: int = 1) -> list[I64]:
 
 
 def select_unknowns(case: CalibrationCase) -> tuple[tuple[Unknown, ...], tuple[Nested, ...]]:
-    """Choose unknowns of a case, beginning with none besides the focal lengths.
+    """Choose unknowns of a case, and return the table of all fits in their order.
 
-    Also returns the table of all fits, in their order.
+    The first fit has no unknowns besides the focal lengths.
 
     Raises
     ------
@@ -124,7 +113,7 @@ def select_unknowns(case: CalibrationCase) -> tuple[tuple[Unknown, ...], tuple[N
 
 
 def _can_free(group: tuple[Unknown, ...], problem: CalibrationProblem) -> bool:
-    """Return whether a case has what a group of unknowns belongs to."""
+    """Return whether a case has the wall, layers or board of a group of unknowns."""
     wall = problem.frame.wall
     if group == ("wall",):
         return wall is not None and fixes_world(problem)
@@ -156,18 +145,16 @@ class _HeldOut:
     noise_px: float
 
     def free(self, names: tuple[Unknown, ...]) -> FreeParameters:
-        """Free the unknowns of these names."""
         return FreeParameters.from_names(names, self.layers)
 
     @property
     def seen(self) -> BoardImages:
-        """The images, with what is known besides, weighed against the noise."""
+        """The images with anchors and nominal values, weighed against the noise."""
         anchors = make_anchors(self.problem.case, self.problem.frame, self.noise_px)
         prior = make_prior(self.problem.start, self.noise_px)
         return replace(self.problem.seen, anchors=anchors, prior=prior)
 
     def full(self, state: State, names: tuple[Unknown, ...]) -> State:
-        """Fit all frames."""
         return refine(state, self.seen, self.free(names), _BEND * self.noise_px).state
 
     def most_promising(
@@ -175,17 +162,14 @@ class _HeldOut:
     ) -> tuple[Unknown, ...] | None:
         """Find the group by which one step lowers the cost most."""
         ready = [one for one in left if _FIRST.get(one[0], one[0]) in (one[0], *chosen)]
-        gains = [self._gain(state, (*chosen, *one)) for one in ready]
+        seen, scale, gains = self.seen, _BEND * self.noise_px, []
+        for group in ready:
+            normal = bundle.normal_equations(state, seen, self.free((*chosen, *group)), scale)
+            gains.append(bundle.promised_gain(normal))
         return ready[int(np.argmax(gains))] if ready else None
 
-    def _gain(self, state: State, names: tuple[Unknown, ...]) -> float:
-        """Compute by how much a step of all unknowns lowers the cost, if it is quadratic."""
-        return promised_gain(
-            normal_equations(state, self.seen, self.free(names), _BEND * self.noise_px)
-        )
-
     def losses(self, state: State, names: tuple[Unknown, ...]) -> F64 | None:
-        """Compute the mean loss of every held-out frame; None if a fit cannot be."""
+        """Compute the mean loss of every held-out frame; None if a fit is impossible."""
         parts = [self._fold(state, names, fold) for fold in self.folds]
         sound = [part for part in parts if part is not None]
         return np.concatenate(sound) if len(sound) == len(parts) else None
@@ -200,7 +184,7 @@ class _HeldOut:
         if list_faults(fit.state, replace(seen, weights=weights), self.problem.frame):
             return None
         placed = refine(fit.state, seen, free, scale, moving="boards").state
-        squares = np.sum(residuals(placed, seen) ** 2, axis=-1)[:, fold]
+        squares = np.sum(bundle.residuals(placed, seen) ** 2, axis=-1)[:, fold]
         used = seen.weights[:, fold] > 0.0
         loss = np.where(used, scale**2 * np.log1p(squares / scale**2), 0.0).sum(axis=(0, 2))
         unknowns = 6 if seen.weights.shape[2] > 1 else 0

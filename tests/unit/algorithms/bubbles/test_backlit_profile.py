@@ -10,7 +10,7 @@ from sabench.algorithms.bubbles.ellipse_detection import peaks, radii_between, v
 from sabench.algorithms.bubbles.feature_potential import (
     STACK,
     attenuate,
-    feature_potential,
+    compute_potential,
     minimum_images,
 )
 from tests.unit.simulation.rendering.test_bubbles_traced import profile_by_hand
@@ -69,7 +69,7 @@ def test_attenuation_keeps_the_plane_with_edges() -> None:
     rng = np.random.default_rng(1)
     volume = (0.05 * rng.random((60, 21, 21))).astype(np.float32)
     volume[37, 8:13, 8:13] = 0.9
-    potential = feature_potential(volume, 7)
+    potential = compute_potential(volume, 7)
     assert potential.shape == (60, 3, 3)
     assert int(potential[:, 1, 1].argmax()) == 37
     before = volume.copy()

@@ -12,8 +12,8 @@ import pytest
 from sabench.algorithms.bubbles.backlit_images import transmission
 from sabench.algorithms.bubbles.feature_potential import (
     WINDOW,
+    compute_potential,
     darkness,
-    feature_potential,
 )
 from sabench.algorithms.bubbles.search import _sample
 from sabench.api import Observation
@@ -47,7 +47,7 @@ def test_the_feature_potential_is_that_of_the_equations(step: int) -> None:
     padded = np.pad(volume.astype(np.float64), ((0, 0), (1, 1), (1, 1)), mode="edge")
     across = np.abs(padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]) / 2.0
     along = np.abs(padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]) / 2.0
-    potential = feature_potential(volume, step)
+    potential = compute_potential(volume, step)
     assert potential.shape == (4, (16 - WINDOW) // step + 1, (21 - WINDOW) // step + 1)
     for _, row, column in np.ndindex(1, *potential.shape[1:]):
         part = np.s_[:, row * step : row * step + WINDOW, column * step : column * step + WINDOW]
