@@ -225,14 +225,7 @@ def _overlap(
 
 @numba.njit(cache=True, nogil=True)
 def _invert(
-    starts: Any,
-    near: Any,
-    own: Any,
-    known: Any,
-    inverse: Any,
-    both: Any,
-    rows: Any,
-    out: Any,
+    starts: Any, near: Any, own: Any, known: Any, inverse: Any, both: Any, rows: Any, out: Any
 ) -> None:  # pragma: no cover
     """Invert the information of positions whose partners are fitted, too.
 
@@ -272,14 +265,7 @@ def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: 
 
 @numba.njit(cache=True)
 def _rest(
-    own: Any,
-    shared: Any,
-    alone: Any,
-    inverse: Any,
-    links: Any,
-    places: Any,
-    ends: Any,
-    both: Any,
+    own: Any, shared: Any, alone: Any, inverse: Any, links: Any, places: Any, ends: Any, both: Any
 ) -> Any:  # pragma: no cover
     """Compute a particle's information (4, 4) if its partners are fitted, too.
 

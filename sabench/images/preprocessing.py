@@ -135,11 +135,7 @@ def step_faults(steps: Sequence[Step], frames: int) -> Iterator[str]:
 
 
 def preprocess(
-    images: U16,
-    black_dn: float,
-    white_dn: float,
-    steps: Sequence[Step],
-    lowest: U16 | None = None,
+    images: U16, black_dn: float, white_dn: float, steps: Sequence[Step], lowest: U16 | None = None
 ) -> U16:
     """Apply all steps to images (camera, row, column), from 0 to `WHITE`.
 

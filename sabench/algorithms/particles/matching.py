@@ -369,14 +369,7 @@ def _within(position: Any, bound: float) -> bool:
 
 
 @numba.njit(cache=True)
-def _others(
-    maps: Any,
-    peaks: Any,
-    chosen: Any,
-    position: Any,
-    radius: float,
-    covered: Any,
-) -> bool:
+def _others(maps: Any, peaks: Any, chosen: Any, position: Any, radius: float, covered: Any) -> bool:
     """Choose the image nearest to a position in each camera after the first two.
 
     Returns False if one shows none and has it on its sensor, uncovered.

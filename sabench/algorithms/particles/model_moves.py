@@ -158,12 +158,7 @@ def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
     for c in range(len(light)):
         fill_image(model, room, c, image)
         gained = _gain_in(
-            model.images[c],
-            model.left[c],
-            model.weight[c],
-            image,
-            room.corner[c],
-            light[c],
+            model.images[c], model.left[c], model.weight[c], image, room.corner[c], light[c]
         )
         most, total = max(most, gained), total + max(gained, 0.0)
         for k in range(len(light)):

@@ -138,11 +138,7 @@ class ParticleSearch:
     deadline: Deadline = Deadline()
 
     def __init__(
-        self,
-        clear: ClearImages,
-        maps: VolumePolynomials,
-        statistics: ImageStatistics,
-        fits: int,
+        self, clear: ClearImages, maps: VolumePolynomials, statistics: ImageStatistics, fits: int
     ) -> None:
         """Start without particles; all are fitted `fits` times before removals, at most."""
         self.shown, self.fits = statistics.shown, fits

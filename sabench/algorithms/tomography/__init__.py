@@ -12,11 +12,7 @@ from sabench.algorithms.tomography.art_updates import (
     sart,
     smart,
 )
-from sabench.algorithms.tomography.motion_tracking import (
-    Displacement,
-    Exposure,
-    enhanced_guesses,
-)
+from sabench.algorithms.tomography.motion_tracking import Displacement, Exposure, enhanced_guesses
 from sabench.algorithms.tomography.problem import (
     SparseParameters,
     TomographyParameters,
