@@ -51,10 +51,7 @@ Groups = Sequence[I64]
 
 
 def side_by_side(work: Callable[[I64], None], turns: Iterable[Groups]) -> None:
-    """Work on one turn after the other.
-
-    The groups of a turn do not notice each other: all cores share them.
-    """
+    """Work on one turn after the other; all cores share the groups of a turn."""
     threads = numba.get_num_threads()
     with ThreadPoolExecutor(threads) as pool:
         for groups in turns:
@@ -109,10 +106,7 @@ def disjoint_groups(
 
 
 def order_in_memory(maps: VolumePolynomials, position: F64, pixel: float) -> I64:
-    """Return the rows (n,) of many particles cell by cell; of few as they are.
-
-    Each cell's particles and pixels then stay in the processor's cache.
-    """
+    """Return the rows (n,) of many particles cell by cell, for the processor's cache."""
     if len(position) < _FEW:
         return np.arange(len(position))
     return np.argsort(_cells(maps, position, pixel), kind="stable")
@@ -135,9 +129,8 @@ def _ends(
     if neighbours is None:
         pixels = [project_points(maps, camera, position[rows]) for camera in cameras]
         return np.repeat(np.stack(pixels, axis=1)[:, :, None], 2, axis=2)
-    pixels = [project_points(maps, camera, position) for camera in cameras]
-    out = np.zeros((len(rows), len(pixels), 2, 2))
-    stacked = np.stack(pixels, axis=1)
+    stacked = np.stack([project_points(maps, camera, position) for camera in cameras], axis=1)
+    out = np.zeros((len(rows), len(cameras), 2, 2))
     share_rows(lambda part: _fill_ends(stacked, rows[part], *neighbours, out[part]), len(rows))
     return out
 
@@ -193,39 +186,34 @@ def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, si
 
 
 def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure how far squares left around particles exceed those of noise.
+    """Measure (n,) how far squares left around particles exceed those of noise.
 
-    The result (n,) has the standard deviation of their sum as its unit.
+    The unit is the standard deviation of their sum.
     """
-    out = np.zeros(len(particles.position))
-
-    def measure(rows: slice) -> None:
-        measure_misfit(model, make_room(sigma), some_rows(particles, rows), out[rows])
-
-    share_rows(measure, len(out))
-    return out
+    return _measure(measure_misfit, model, sigma, particles, np.zeros(len(particles.position)))
 
 
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
-    """Measure how much cost a split promises to save.
-
-    The result (n,) is that along the best of some steps (k, 3).
-    """
-    out = np.zeros(len(particles.position))
-
-    def measure(rows: slice) -> None:
-        measure_split_gains(model, make_room(sigma), some_rows(particles, rows), steps, out[rows])
-
-    share_rows(measure, len(out))
-    return out
+    """Measure (n,) how much cost a split along the best of some steps (k, 3) promises to save."""
+    gains = np.zeros(len(particles.position))
+    return _measure(measure_split_gains, model, sigma, particles, gains, steps)
 
 
 def light_gains(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure how much cost particles' light saves in each camera (n, camera)."""
-    out = np.zeros(particles.light.shape)
+    """Measure (n, camera) how much cost particles' light saves in each camera."""
+    return _measure(measure_light_gains, model, sigma, particles, np.zeros(particles.light.shape))
 
+
+def _measure(
+    kernel: Callable[..., None],
+    model: ImageModel,
+    sigma: F64,
+    particles: ModelParticles,
+    out: F64,
+    *more: F64,
+) -> F64:
     def measure(rows: slice) -> None:
-        measure_light_gains(model, make_room(sigma), some_rows(particles, rows), out[rows])
+        kernel(model, make_room(sigma), some_rows(particles, rows), *more, out[rows])
 
     share_rows(measure, len(out))
     return out
@@ -236,18 +224,14 @@ def leverage(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
 
     The result (camera, row, column) has margins.
     """
-    taken = np.zeros((*particles.light.shape, 2))
+    taken = _measure(tell_taken, model, sigma, particles, np.zeros((*particles.light.shape, 2)))
     out = np.zeros(model.images.shape)
-
-    def tell(rows: slice) -> None:
-        tell_taken(model, make_room(sigma), some_rows(particles, rows), taken[rows])
 
     def add(camera: int) -> None:
         one, room = _of_camera(model, sigma, camera)
         own = np.ascontiguousarray(taken[:, camera])
         add_leverage(one, room, _in_camera(particles, camera), own, out[camera])
 
-    share_rows(tell, len(taken))
     for_each(add, len(sigma))
     return out
 
@@ -256,14 +240,8 @@ def _of_camera(model: ImageModel, sigma: F64, camera: int) -> tuple[ImageModel, 
     """Return a view of one camera alone, and room with windows as wide as in all."""
     one = slice(camera, camera + 1)
     maps = model.maps._replace(coefficients=model.maps.coefficients[one])
-    view = model._replace(
-        maps=maps,
-        shapes=model.shapes[one],
-        typical=model.typical[one],
-        images=model.images[one],
-        weight=model.weight[one],
-        left=model.left[one],
-    )
+    arrays = ("shapes", "typical", "images", "weight", "left")
+    view = model._replace(maps=maps, **{name: getattr(model, name)[one] for name in arrays})
     return view, make_room(np.full((1, 2), sigma.max()))
 
 

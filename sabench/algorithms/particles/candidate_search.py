@@ -1,9 +1,9 @@
 """Search of the volume for positions where all cameras see light.
 
-At every point of a lattice the images are looked up where the cameras see it. Local maxima of a
-mean over cameras are candidates for particles. The mean is that of logarithms, so that a particle
-may be dim in one camera, and not more above the darkest camera than particles' scatter explains.
-Where images are crowded, some cameras may be darker: neighbours have taken their light there.
+At every point of a lattice the images are looked up at its projections. Local maxima of a mean over
+cameras are candidates for particles. The mean is that of logarithms, so that a particle may be dim
+in one camera, and not more above the darkest camera than particles' scatter explains. In crowded
+images some cameras may be darker: neighbours have taken their light there.
 
 Lattices, orders of equal candidates and directions of splits follow the axes of the box that is
 searched. Its axes are the world's, but images decide which of them is x, y and z, and in which
@@ -81,8 +81,8 @@ def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
 def lattice_shape(maps: VolumePolynomials) -> tuple[int, int, int]:
     """Choose the lattice's points along z, y and x.
 
-    Neighbours are one pixel apart in the camera that resolves their direction best, and no more
-    than two pixels' size in space.
+    Neighbours are one pixel apart in the camera that resolves their direction best, and at most
+    two pixels' size in space.
     """
     slopes = slopes_per_mm(maps)
     finest = 1.0 / np.linalg.norm(slopes, ord=2, axis=(1, 2)).max()
@@ -145,18 +145,13 @@ def find_candidates(
     limits = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
     _bound(logs, limits[2], bounds)
     _sweep(maps, logs, bounds, *limits, dark, means)
-    z, y, x = _local_maxima(means)
+    # points that exceed their 26 neighbours: counted, then listed
+    maxima = np.zeros((_mark_maxima(means, np.zeros((0, 3), dtype=np.int64)), 3), dtype=np.int64)
+    _mark_maxima(means, maxima)
+    z, y, x = maxima.T
     order = np.argsort(-means[z, y, x], kind="stable")
     places = np.stack([x, y, z], axis=1)[order]
     return np.asarray(2.0 * places / (np.array(means.shape[::-1]) - 1.0) - 1.0)
-
-
-def _local_maxima(means: F32) -> tuple[Any, Any, Any]:
-    """Find points (z, y, x) that exceed their 26 neighbours; of equal ones the first."""
-    count = _mark_maxima(means, np.zeros((0, 3), dtype=np.int64))
-    places = np.zeros((count, 3), dtype=np.int64)
-    _mark_maxima(means, places)
-    return places[:, 0], places[:, 1], places[:, 2]
 
 
 @numba.njit(cache=True)
@@ -174,10 +169,7 @@ def _look_up(image: Any, column: float, row: float) -> Any:
 
 @numba.njit(cache=True)
 def _bound(logs: Any, most: Any, bounds: Any) -> None:
-    """Fill in the most (camera, row, column) between pixels and the next ones.
-
-    It is `most` where one of them is unknown. The last row and column are no lower corners.
-    """
+    """Fill in the most between pixels and the next ones, `most` if one is unknown."""
     cameras, rows, columns = logs.shape
     for c in range(cameras):
         for i in range(rows - 1):
@@ -192,10 +184,7 @@ def _bound(logs: Any, most: Any, bounds: Any) -> None:
 def _sweep(
     maps: Any, logs: Any, bounds: Any, floor: Any, spread: Any, most: Any, dark: int, means: Any
 ) -> None:
-    """Fill in the lattice's mean logarithms (z, y, x), `_DARK` below the floor.
-
-    The bounds, of one memory access a camera, spare most points the rest.
-    """
+    """Fill in the lattice's mean logarithms (z, y, x), `_DARK` if the bounds or means are low."""
     slices, rows, columns = means.shape
     cameras, last_row, last_column = len(logs), logs.shape[1] - 1.0, logs.shape[2] - 1.0
     least = floor - spread
@@ -238,10 +227,7 @@ def _sweep(
 
 @numba.njit(cache=True)
 def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any, lows: Any) -> Any:
-    """Average the cameras' logarithms at one point; `_DARK` below the floor.
-
-    `lows` is room for the darkest cameras' logarithms: of those that do not count, and one more.
-    """
+    """Average the cameras' logarithms at one point, with room for the darkest in `lows`."""
     total, count, cameras, last = 0.0, 0, len(logs), len(lows) - 1
     lows[:] = np.inf
     for c in range(cameras):
@@ -392,7 +378,7 @@ def _blocks(maps: VolumePolynomials, shape: tuple[int, ...], count: int) -> Iter
 
 
 def find_fault(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
-    """Say why particles cannot be looked for with these cameras; None if they can."""
+    """Say why particles cannot be searched for with these cameras; None if they can."""
     if len(cameras) < _FEWEST:
         return "it needs three cameras"
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)

@@ -21,6 +21,7 @@ from sabench.algorithms.particles.matching import (
     PeakSets,
     detect_in_cameras,
     heights_of,
+    join_sets,
     select_best,
     select_rows,
 )
@@ -141,9 +142,7 @@ def find_by_defocusing(
     Parameters
     ----------
     case : of cameras that `find_unsuitable` accepts.
-    floor : smallest peak that counts as a particle image, over a bright particle's.
-    false_alarms : probability that noise makes a particle image of a pixel; the larger of both
-        thresholds holds.
+    floor, false_alarms : as in `PeakParameters`.
     reach_px : largest distance of an image from the corner of the triangle that fits best.
     """
     cameras = [camera for camera in case.cameras if isinstance(camera, Camera)]
@@ -186,11 +185,7 @@ def match_triangles(
             inside = ((voxels >= -_MARGIN) & (voxels <= last + _MARGIN)).all(axis=1)
             good = inside & (off <= reach_px)
             found.append(PeakSets(position[good], hit[good], off[good]))
-    return PeakSets(
-        np.concatenate([one.position for one in found]),
-        np.concatenate([one.hit for one in found]),
-        np.concatenate([one.error_px for one in found]),
-    )
+    return join_sets(found)
 
 
 def _triples(
@@ -200,9 +195,8 @@ def _triples(
     first, second, third = images
     tree, near = cKDTree(third), _SEARCHED * reach_px
     to_third = (apertures.corners_mm[2] - apertures.corners_mm[0]) / apertures.side_mm
-    order = np.argsort(
-        second[:, 1], kind="stable"
-    )  # sides between the two run along the first axis
+    # sides between the first two images run along the first axis
+    order = np.argsort(second[:, 1], kind="stable")
     down = second[order, 1]
     for start in range(0, len(first), _BATCH):
         own = first[start : start + _BATCH]
@@ -222,7 +216,6 @@ def _triples(
 
 
 def _sides(corners: F64) -> F64:
-    """Compute the lengths (3,) of a triangle's sides."""
     return np.array([np.linalg.norm(a - b) for a, b in itertools.combinations(corners, 2)])
 
 
@@ -230,6 +223,5 @@ def _corners(grid: Grid) -> F64:
     """List the corners (8, 3) of a grid with its margin, mm."""
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
     high = low + voxel * (np.asarray(grid.shape[::-1]) - 1)
-    return np.array(
-        list(itertools.product(*np.array([low - _MARGIN * voxel, high + _MARGIN * voxel]).T))
-    )
+    ends = low - _MARGIN * voxel, high + _MARGIN * voxel
+    return np.array(list(itertools.product(*np.transpose(ends))))

@@ -30,7 +30,7 @@ from sabench.algorithms.particles.kalman_tracks import (
 )
 from sabench.algorithms.particles.linking import assign, link
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.api import FoundParticles, Observation
+from sabench.api import Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64
 
@@ -98,7 +98,14 @@ def search_window(
         found = [search.found() for search in searches if search is not None]
         if len(found) < len(cases) or min(len(one.position_mm) for one in found) <= _NEIGHBOURS:
             return list(alone)
-        finds = [_finds(one, time, maps) for one, time in zip(found, times_s, strict=True)]
+        finds = []
+        for frame, time in zip(found, times_s, strict=True):
+            variance = np.asarray(frame.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
+            # the errors are as large as where images overlap
+            usual = np.median(variance, axis=0)
+            usual *= (_ERROR_PX * pixel_mm(maps)) ** 2 / usual.min()
+            errors = np.broadcast_to(usual, variance.shape)
+            finds.append(Finds(time, frame.position_mm, errors, np.asarray(frame.light)))
         count = float(np.mean([len(one.position_mm) for one in found]))
         known = confirm_tracks(finds, mean_spacing(maps, count))
         before, confirmed = confirmed, sum(len(one.position) for one in known)
@@ -114,15 +121,6 @@ def search_window(
             break
     first = [search for search in searches if search is not None]
     return first if len(first) == len(alone) else list(alone)
-
-
-def _finds(found: FoundParticles, time: float, maps: VolumePolynomials) -> Finds:
-    """Write down what a frame shows, with errors as large as where images overlap."""
-    variance = np.asarray(found.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
-    usual = np.median(variance, axis=0)
-    usual *= (_ERROR_PX * pixel_mm(maps)) ** 2 / usual.min()
-    light = np.asarray(found.light)
-    return Finds(time, found.position_mm, np.broadcast_to(usual, variance.shape), light)
 
 
 class Finds(NamedTuple):
@@ -149,11 +147,9 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
     motion = tracks.acceleration, tracks.jerk
     number = _number_tracks(frames, flow, tracks)
     real = np.flatnonzero(np.bincount(np.concatenate(number)) >= CONFIRMED)
+    values = ((*frame[1:], *moves) for frame, moves in zip(frames, flow, strict=True))
     position, variance, light, velocity, spread = (
-        _table(real, number, values)
-        for values in zip(
-            *((*one[1:], *moves) for one, moves in zip(frames, flow, strict=True)), strict=True
-        )
+        _table(real, number, each) for each in zip(*values, strict=True)
     )
     expected = np.nanmean(velocity, axis=1), np.nanmean(spread, axis=1)
     typical = np.nanmedian(light, axis=1)
@@ -181,8 +177,8 @@ def _number_tracks(
 ) -> list[I64]:
     """Follow particles through the frames, and return the track (n,) of each.
 
-    Tracks start with the velocities of the flow and their variances. What few of them tell does not
-    change how strongly particles accelerate.
+    Tracks start with the velocities of the flow. So few do not change how strongly particles
+    accelerate.
     """
     motion, numbers = (tracks.acceleration, tracks.jerk), []
     born, last = 0, frames[0].time
@@ -205,7 +201,6 @@ def _number_tracks(
 
 
 def _continue(tracks: KalmanTracks, frame: Finds) -> tuple[I64, I64]:
-    """Pair tracks with the particles of a frame."""
     count = min(_FEW, len(frame.position))
     if not count:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -263,13 +258,10 @@ def estimate_velocity(
     count = min(_NEAREST, len(place))
     _, rows = cKDTree(place).query(position, range(1, count + 1))
     width = _WIDTH * spacing / votes.interval
-    parts = [
-        _fit(velocity[part], (place[part] - here[:, None]) / spacing, width)
-        for part, here in (
-            (rows[first : first + _PORTION], position[first : first + _PORTION])
-            for first in range(0, len(position), _PORTION)
-        )
-    ]
+    parts = []
+    for first in range(0, len(position), _PORTION):
+        part, here = rows[first : first + _PORTION], position[first : first + _PORTION]
+        parts.append(_fit(velocity[part], (place[part] - here[:, None]) / spacing, width))
     none = np.zeros((0, 3))
     means, spreads = zip((none, none), *parts, strict=True)
     return np.concatenate(means), np.maximum(np.concatenate(spreads), (_LEAST_SPREAD * width) ** 2)

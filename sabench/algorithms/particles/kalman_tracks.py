@@ -69,17 +69,8 @@ class KalmanTracks:
     def start(acceleration: float, jerk: float) -> KalmanTracks:
         """Begin without tracks, with first guesses of the strengths."""
         none = np.zeros(0, dtype=np.int64)
-        return KalmanTracks(
-            none,
-            np.zeros((0, 3, 3)),
-            np.zeros((0, 3, 3, 3)),
-            np.zeros((0, 0)),
-            none,
-            none,
-            jerk,
-            acceleration,
-            _LEAST * jerk,
-        )
+        tracks = none, np.zeros((0, 3, 3)), np.zeros((0, 3, 3, 3)), np.zeros((0, 0)), none, none
+        return KalmanTracks(*tracks, jerk, acceleration, _LEAST * jerk)
 
     @property
     def variance(self) -> F64:
@@ -95,13 +86,8 @@ class KalmanTracks:
         """Move the states on by a duration in s."""
         d = duration
         step = np.array([[1.0, d, d**2 / 2.0], [0.0, 1.0, d], [0.0, 0.0, 1.0]])
-        noise = np.array(
-            [
-                [d**5 / 20.0, d**4 / 8.0, d**3 / 6.0],
-                [d**4 / 8.0, d**3 / 3.0, d**2 / 2.0],
-                [d**3 / 6.0, d**2 / 2.0, d],
-            ]
-        )
+        rows = [d**5 / 20.0, d**4 / 8.0, d**3 / 6.0], [d**4 / 8.0, d**3 / 3.0, d**2 / 2.0]
+        noise = np.array([*rows, [d**3 / 6.0, d**2 / 2.0, d]])
         self.state = step @ self.state
         self.covariance = step @ self.covariance @ step.T + self.jerk * noise
         self.missed = self.missed + 1
@@ -112,12 +98,18 @@ class KalmanTracks:
         return np.asarray((position - self.state[rows, 0]) ** 2 / expected)
 
     def update(self, rows: I64, position: F64, variance: F64, light: F64) -> None:
-        """Take positions (n, 3), their variances, and light (n, camera) of tracks.
+        """Update tracks by positions (n, 3), their variances, and light (n, camera).
 
-        A track that misses by more than it should does not know its acceleration: its errors grow.
+        The strengths of jerk and acceleration follow the misses. The errors of a track that misses
+        by more than expected grow: its acceleration is not known.
         """
         off = self.off(rows, position, variance)
-        self._learn(rows, off)
+        last = self.missed[rows] == 1
+        old, new = self.seen[rows] >= MATURE, self.seen[rows] == MATURE - 1
+        if (last & old).sum() >= _ENOUGH:
+            self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
+        if (last & new).sum() >= _ENOUGH:
+            self.acceleration *= _change(off[last & new])
         known = self.covariance[rows]
         known *= np.maximum(off.sum(axis=1) / _SURPRISE, 1.0)[:, None, None, None]
         gain = known[:, :, :, 0] / (known[:, :, 0, 0] + variance)[:, :, None]
@@ -128,20 +120,8 @@ class KalmanTracks:
         self.seen[rows] += 1
         self.missed[rows] = 0
 
-    def _learn(self, rows: I64, off: F64) -> None:
-        """Learn the strengths from the squares of misses (n, 3) of these tracks."""
-        last = self.missed[rows] == 1
-        old, new = self.seen[rows] >= MATURE, self.seen[rows] == MATURE - 1
-        if (last & old).sum() >= _ENOUGH:
-            self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
-        if (last & new).sum() >= _ENOUGH:
-            self.acceleration *= _change(off[last & new])
-
     def neighbours_velocity(self, position: F64) -> tuple[F64, F64]:
-        """Estimate velocities (n, 3) and their variances from the tracks near.
-
-        Without tracks nearby it is 0 with an error as large.
-        """
+        """Estimate velocities (n, 3) and their variances from the tracks near, if there are any."""
         known = (self.seen >= 2) & (self.missed == 0)
         return velocity_near(position, self.state[known, 0], self.state[known, 1])
 
@@ -180,8 +160,7 @@ def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -
     """Guess how strongly particles accelerate, and how fast that changes.
 
     An acceleration is as large as (u grad) u, of fluctuations of the velocity and their gradient,
-    but at least `least`.
-    A random jerk changes it as much as that in the longest time between two frames.
+    but at least `least`. A random jerk changes it as much in the longest time between two frames.
     """
     distance, near = cKDTree(position).query(position, _NEAREST + 1)
     apart = np.linalg.norm(velocity[near[:, 1:]] - velocity[:, None], axis=2)
@@ -193,10 +172,9 @@ def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -
 
 
 def velocity_near(position: F64, known: F64, velocity: F64) -> tuple[F64, F64]:
-    """Estimate velocities (n, 3) at positions, and their variances.
+    """Estimate velocities (n, 3) at positions, and their variances, from known ones (m, 3).
 
-    Known ones (m, 3) are those of particles at other or the same positions. Without any, velocities
-    are 0 with a large variance.
+    Without any, velocities are 0 with a large variance.
     """
     if not len(known):
         return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
@@ -261,8 +239,8 @@ def most_probable_motion(
 def _jerk_covariance(times: F64) -> F64:
     """Compute the covariance (m, m) of positions by a jerk of power 1 since time 0.
 
-    Jerks before and after are independent. Between them and a time t the position grows with
-    (t - s)^2 / 2, so that two times on one side share the integral of both such squares.
+    Jerks before and after are independent. Until a time t the position grows with (t - s)^2 / 2:
+    two times on one side share the integral of both such squares.
     """
     one, other = np.abs(times)[:, None], np.abs(times)[None, :]
     least, rest = np.minimum(one, other), np.abs(one - other)
@@ -312,10 +290,7 @@ def no_frame(time: float, cameras: int) -> TrackedFrame:
 def with_motion(
     frames: Sequence[TrackedFrame], frame: TrackedFrame, motion: tuple[float, float] | None
 ) -> FoundParticles:
-    """Add velocities and accelerations to a frame, from it and those around it.
-
-    Particles that were not seen get their positions, too.
-    """
+    """Add velocities and accelerations, and positions where none was seen, to a frame."""
     found = replace(frame.found, trajectory=frame.number)
     if motion is None or not len(frame.number):
         return found
@@ -341,10 +316,7 @@ def with_motion(
 
 
 def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:
-    """Collect places of trajectories in some frames, and variances: (n, frame, 3).
-
-    NaN where they were not seen.
-    """
+    """Collect positions of trajectories, and variances (n, frame, 3), NaN where not seen."""
     position, variance = (np.full((len(number), len(frames), 3), np.nan) for _ in range(2))
     for slot, one in enumerate(frames):
         _, i, j = np.intersect1d(number, one.number[one.seen], return_indices=True)
@@ -354,5 +326,4 @@ def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:
 
 
 def _diagonal(covariance: F64, order: int) -> F64:
-    """Make covariances (n, 3, 3) over axes of one order of the motion."""
     return np.asarray(covariance[:, :, order, order, None] * np.eye(3))
