@@ -279,7 +279,7 @@ class ParticleSearch:
         return float(self.number * area / self.images[0].size)
 
     def peaks(self, sigma: F64 | None = None) -> F64:
-        """Compute the brightest pixel (camera,) of a typical particle, by default as wide as now."""
+        """Compute the brightest pixel (camera,) of a typical particle, of given widths."""
         widths = self.sigma if sigma is None else sigma
         erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in widths])
         return np.asarray(self.typical * erf.prod(axis=1) * self._lowered())

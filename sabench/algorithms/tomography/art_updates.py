@@ -71,10 +71,6 @@ class RecordedLight:
         """Give the light (camera, row, column); a bright particle's where it is unknown."""
         return np.where(self.unknown(), np.float32(1.0), self.light)
 
-    def select_camera(self, camera: int) -> RecordedLight:
-        """Select one camera."""
-        return RecordedLight(self.light[camera : camera + 1], self.saturated[camera : camera + 1])
-
     def missing(self, projection: F32) -> float:
         """Turn a projection W I into P - W I, in place; returns the sum of squares."""
         return self._compare(projection, _missing)
@@ -89,12 +85,8 @@ class RecordedLight:
     def _compare(self, projection: F32, kernel: Callable[..., None]) -> float:
         rows = projection.shape[0] * projection.shape[1]
         squares = np.empty(rows)
-        kernel(
-            self.light.reshape(rows, -1),
-            self.saturated.reshape(rows, -1),
-            projection.reshape(rows, -1),
-            squares,
-        )
+        arrays = self.light, self.saturated, projection
+        kernel(*(array.reshape(rows, -1) for array in arrays), squares)
         return float(squares.sum())
 
 
@@ -151,9 +143,8 @@ def sart(state: Iterate, measured: RecordedLight, lengths: F32, relaxation: floa
     missed = measured.missing(images)
     correction = state.lines.adjoint(np.divide(images, lengths, out=images, where=lengths > 0.0))
     correction *= np.float32(relaxation) / state.seen
-    np.maximum(
-        np.add(state.values, correction, out=state.values), np.float32(0.0), out=state.values
-    )
+    state.values[:] += correction
+    np.maximum(state.values, np.float32(0.0), out=state.values)
     return missed
 
 
@@ -167,7 +158,9 @@ def block_mart(state: Iterate, measured: RecordedLight, relaxation: float) -> fl
     missed = 0.0
     for camera in state.lines.cameras:
         image = state.lines.forward(state.values, [camera])
-        missed += measured.select_camera(camera).log_ratio(image)
+        part = slice(camera, camera + 1)
+        own = RecordedLight(measured.light[part], measured.saturated[part])
+        missed += own.log_ratio(image)
         multiply(state.values, state.lines.adjoint(image, [camera]), np.float32(relaxation))
     return missed
 

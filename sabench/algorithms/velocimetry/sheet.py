@@ -94,9 +94,11 @@ def find_sheet(
     through = middle if point_mm is None else np.asarray(point_mm, dtype=np.float64)
     across = _thinnest(grid) if normal is None else np.asarray(normal) / np.linalg.norm(normal)
     points = _probe(grid, through, across)
-    views = [
-        _View.of(number, cameras[number], points, across) for number in _candidates(cameras, camera)
-    ]
+    names = [one.name for one in cameras]
+    if camera is not None and camera not in names:
+        raise InputError(f"camera: expected one of {', '.join(names)}, got {camera}")
+    numbers = range(len(cameras)) if camera is None else [names.index(camera)]
+    views = [_View.of(number, cameras[number], points, across) for number in numbers]
     best = max(views, key=lambda view: view.angle)
     best.check(len(views))
     return _lay(best, cameras[best.camera], grid, points, across)
@@ -106,10 +108,10 @@ def _thinnest(grid: Grid) -> F64:
     """Return the unit vector across a grid of one plane, or along its shortest edge."""
     single = np.asarray(grid.shape[::-1]) == 1
     if single.sum() == 1:
-        return np.asarray(single.astype(np.float64))
+        return single.astype(np.float64)
     edges = np.asarray(grid.voxel_mm) * grid.shape[::-1]
-    shortest, next_one = np.sort(edges)[:2]
-    if next_one - shortest < 1e-6 * shortest:
+    shortest, second = np.sort(edges)[:2]
+    if second - shortest < 1e-6 * shortest:
         raise InputError(
             "normal: expected that of the light sheet, since the grid of "
             f"{edges[0]:g} x {edges[1]:g} x {edges[2]:g} mm has no shortest edge, got none"
@@ -140,15 +142,6 @@ def _probe(grid: Grid, point_mm: F64, normal: F64) -> F64:
     return np.asarray(points[_in_box(grid, points)])
 
 
-def _candidates(cameras: Sequence[CameraModel], name: str | None) -> list[int]:
-    names = [one.name for one in cameras]
-    if name is None:
-        return list(range(len(cameras)))
-    if name not in names:
-        raise InputError(f"camera: expected one of {', '.join(names)}, got {name}")
-    return [names.index(name)]
-
-
 @dataclass(frozen=True)
 class _View:
     """A camera's view of a plane.
@@ -170,8 +163,8 @@ class _View:
     def of(cls, number: int, camera: CameraModel, points_mm: F64, normal: F64) -> _View:
         """Find which points a camera sees, and how it sees the plane at their middle.
 
-        The angle is that of a distant camera that shortens directions in the plane as much: the
-        ratio of the singular values of the derivatives is its sine.
+        The angle is that of a distant camera that shortens directions in the plane as much: its
+        sine is the ratio of the singular values of the derivatives.
         """
         pixels, valid = camera.project(points_mm)
         seen = points_mm[valid & camera.contains(pixels)]
@@ -187,7 +180,6 @@ class _View:
         return cls(number, camera.name, seen, slopes @ basis, round(angle, 6))
 
     def check(self, count: int) -> None:
-        """Raise a DeclinedError for a view of nothing, or along the plane."""
         if self.angle < 0.0:
             who = self.name if count == 1 else f"none of {count} cameras"
             what = "no point" if count == 1 else "a point"
@@ -233,15 +225,9 @@ def _lay(view: _View, camera: CameraModel, grid: Grid, points_mm: F64, normal: F
     points = (start + steps).reshape(-1, 3) @ axes
     pixels, valid = camera.project(points)
     seen = valid & camera.contains(pixels) & _in_box(grid, points)
-    return Sheet(
-        view.camera,
-        start @ axes,
-        axes,
-        edge,
-        float(np.abs(normal) @ np.asarray(grid.voxel_mm)),
-        pixels.reshape(rows, columns, 2),
-        seen.reshape(rows, columns),
-    )
+    depth = float(np.abs(normal) @ np.asarray(grid.voxel_mm))
+    images = pixels.reshape(rows, columns, 2), seen.reshape(rows, columns)
+    return Sheet(view.camera, start @ axes, axes, edge, depth, *images)
 
 
 def light_in_sheet(case: Observation, sheet: Sheet, around_px: int) -> F32:
