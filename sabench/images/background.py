@@ -79,10 +79,7 @@ def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
 
 
 def estimate_background(image: F32, known: Bool) -> F32 | None:
-    """Estimate the background of an image (row, column) less black.
-
-    None if it is black, or if particles leave no pixel between them.
-    """
+    """Estimate the background (row, column) of an image less black; None if none shows."""
     rows, columns = (max(size // _TILE, 1) for size in image.shape)
     tiles = _ends(image.shape[0], rows), _ends(image.shape[1], columns)
     modes = np.full((rows * columns, 4), np.nan)
@@ -156,10 +153,7 @@ def _levels(image: Any, known: Any) -> Any:
 
 @numba.njit(cache=True)
 def _add_patches(image: Any, known: Any, lit: Any, below: float, total: Any, count: Any) -> None:
-    """Add up, and count, the dimmest values of even squares that begin at lit pixels.
-
-    Every second row and column of squares tells where the others are worth a look.
-    """
+    """Add up, and count, the dimmest values of even squares, first those of every second row."""
     near = np.zeros(lit.shape, dtype=np.bool_)
     values = np.zeros(_PATCH * _PATCH)
     for i, j in np.argwhere(lit):
@@ -241,11 +235,7 @@ def _mode(values: Any) -> tuple[float, float, float]:
 
 
 def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
-    """Mark glints and other bright things (row, column) that are no particles.
-
-    They are wider than a particle's image or, if a typical particle's light is known, many times as
-    bright.
-    """
+    """Mark glints (row, column): wider than a particle, or many times as bright if known."""
     shown = np.where(known, image, np.float32(0.0))
     bright = max(float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0, 1e-6)
     square = np.ones((_SPOT, _SPOT), np.uint8)

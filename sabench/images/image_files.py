@@ -137,13 +137,8 @@ def _in_one_folder(files: Sequence[Path], cameras: Sequence[str]) -> Files:
 
 
 def _images_in(folder: Path) -> tuple[Path, ...]:
-    images = (
-        path
-        for path in folder.iterdir()
-        if (path.suffix.lower() in READABLE or _is_numbered(path))
-        and path.is_file()
-        and not path.name.startswith(".")
-    )
+    shown = (path for path in folder.iterdir() if path.is_file() and path.name[:1] != ".")
+    images = (path for path in shown if path.suffix.lower() in READABLE or _is_numbered(path))
     return tuple(sorted(images, key=_natural))
 
 

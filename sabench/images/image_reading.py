@@ -191,10 +191,7 @@ def _store_photographs(_: Path, paths: Sequence[Path], folder: Path) -> None:
 
 
 def _is_negative(path: Path, image: Any) -> bool:
-    """Return whether 0 is white in a TIFF of 16 bits.
-
-    OpenCV inverts those of 8 bits itself, but no others.
-    """
+    """Say whether 0 is white in a TIFF of 16 bits; OpenCV inverts only those of 8 bits."""
     import tifffile
 
     if path.suffix.lower() not in (".tif", ".tiff") or image.dtype != np.uint16:

@@ -83,10 +83,7 @@ class GreyValues:
         return int(np.searchsorted(up_to, share * up_to[-1], side="right"))
 
     def _most_frequent(self) -> float:
-        """Average the values around the most frequent one, as far as the darkest are from it.
-
-        Light makes the other side longer; it does not count.
-        """
+        """Average values around the most frequent one, as far as the darkest are from it."""
         reach = max(int(np.argmax(self.counts)) - self._quantile(_TAIL), 1)
         wide = np.convolve(self.counts, np.ones(reach), mode="same")
         middle = int(np.argmax(wide)) if reach > 2 else int(np.argmax(self.counts))

@@ -69,10 +69,7 @@ def keep_peaks(peaks: Peaks, numbers: I64) -> Peaks:
 
 @numba.njit(cache=True)
 def maxima(light: Any, least: Any) -> Any:
-    """Find pixels (2, n) of `least` or more that no neighbour exceeds: rows, columns.
-
-    Borders are left out.
-    """
+    """Find inner pixels (rows, columns) of `least` or more that no neighbour exceeds."""
     rows, columns = light.shape
     found = []
     for r in range(1, rows - 1):

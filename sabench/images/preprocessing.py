@@ -58,10 +58,7 @@ class MatchHistograms(_Step):
     step: Literal["match_histograms"] = Field(description="`match_histograms`")
 
     def apply(self, images: F32) -> F32:
-        """Apply the step to images (camera, row, column).
-
-        Pixels of one value keep one value, the mean over their ranks.
-        """
+        """Apply the step to images (camera, row, column); equal values stay equal."""
         best = np.sort(images[int(np.argmax(images.std(axis=(1, 2))))], axis=None)
         sums, out = np.concatenate([[0.0], np.cumsum(best, dtype=np.float64)]), images.copy()
         for image, matched in zip(images, out, strict=True):

@@ -54,11 +54,7 @@ def repair(images: U16, black_dn: float, white_dn: float) -> Repaired:
 
 
 def above_background(grey: U16) -> tuple[F32, float]:
-    """Subtract the darkest part around every pixel.
-
-    Single dead pixels do not change it. Returns light (row, column) and the standard deviation of
-    the noise, in grey values.
-    """
+    """Subtract the darkest part, without single dead pixels, and estimate the noise."""
     import cv2  # takes long to load
 
     smooth = cv2.medianBlur(grey, 3)

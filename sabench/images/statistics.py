@@ -79,10 +79,7 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
     """
     stack = np.stack(frames)
     scale = SCALED_WHITE / white_dn
-    low = [
-        (frame.astype(np.float32) - above_background(frame)[0]).astype(np.uint16)
-        for frame in frames
-    ]
+    low = [(frame - above_background(frame)[0]).astype(np.uint16) for frame in frames]
     fixed, near, temporal = measure_noise(stack) if len(stack) >= NOISE_FRAMES else [np.nan] * 3
     fits = [fit_particle_images(frame, white_dn) for frame in frames]
     width, flux, height = (
@@ -106,10 +103,7 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
 
 
 def measure_noise(stack: U16) -> tuple[float, float, float]:
-    """Measure the noise of dim pixels of images (frame, row, column).
-
-    Returns `fixed`, `fixed_near` and `temporal` of `CameraStatistics`, in grey values.
-    """
+    """Measure `fixed`, `fixed_near` and `temporal` noise (`CameraStatistics`) of a stack."""
     import cv2
 
     quarter = len(stack) // 4
@@ -118,19 +112,14 @@ def measure_noise(stack: U16) -> tuple[float, float, float]:
     dim = around <= np.percentile(around, _DIM)
     temporal = _clipped_deviation(np.diff(stack.astype(np.float32), axis=0)[:, dim]) / np.sqrt(2.0)
     rest = _MIDDLE / len(stack) * temporal**2
-    deviations = (
-        float(middle[dim].std(dtype=np.float64)),
-        _clipped_deviation((middle - around)[dim]),
-    )
+    spread = float(middle[dim].std(dtype=np.float64))
+    deviations = spread, _clipped_deviation((middle - around)[dim])
     fixed, fixed_near = (float(np.sqrt(max(one**2 - rest, 0.0))) for one in deviations)
     return fixed, fixed_near, temporal
 
 
 def _clipped_deviation(values: F32) -> float:
-    """Compute the standard deviation of values without the few far from the median.
-
-    Unlike quantiles, it also measures noise of less than a grey value.
-    """
+    """Compute a standard deviation without outliers, also below one grey value."""
     away = np.abs(values - np.median(values))
     limit = max(float(np.percentile(away, 68.0)), 1.0)
     for _ in range(_ROUNDS):

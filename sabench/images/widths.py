@@ -125,10 +125,7 @@ def noise_below_black(values: F64 | F32) -> float:
 
 
 def _without_brightest(image: F64, known: Bool) -> Bool:
-    """Leave out squares with more than a tenth of the squared light, such as a small glint.
-
-    They stay if few peaks are left without them.
-    """
+    """Leave out squares with over a tenth of the squared light, unless few peaks are left."""
     import cv2  # takes long to load
 
     squares = np.where(known, image, 0.0) ** 2

@@ -186,10 +186,7 @@ def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, si
 
 
 def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure (n,) how far squares left around particles exceed those of noise.
-
-    The unit is the standard deviation of their sum.
-    """
+    """Measure (n,) by how many standard deviations squares left exceed those of noise."""
     return _measure(measure_misfit, model, sigma, particles, np.zeros(len(particles.position)))
 
 
@@ -220,10 +217,7 @@ def _measure(
 
 
 def leverage(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Compute how much of each pixel the fit of particles takes for itself.
-
-    The result (camera, row, column) has margins.
-    """
+    """Compute (camera, row, column) what fits take of each pixel, with margins."""
     taken = _measure(tell_taken, model, sigma, particles, np.zeros((*particles.light.shape, 2)))
     out = np.zeros(model.images.shape)
 
@@ -282,10 +276,7 @@ def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: Any) -> None:
-    """Add up what particles take of each pixel of the model's one camera.
-
-    Taken (n, 2) is its column of `tell_taken`. Leverage has margins.
-    """
+    """Add up what particles take of pixels of the one camera, with margins, by `tell_taken`."""
     own, by_x, by_y = np.zeros((3, room.window, room.window), dtype=np.float32)
     weights, corner = model.weight[0], room.corner[0]
     for n in range(len(particles.position)):

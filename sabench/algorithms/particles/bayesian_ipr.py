@@ -158,10 +158,7 @@ class _Frame(NamedTuple):
 
 
 def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
-    """Find most particles without the cameras (all cameras,) that are wrong.
-
-    A dark area does not count if particles found without it should be seen there.
-    """
+    """Find particles without wrong cameras (all cameras,) and areas that hide others."""
     search = _find_most(frame, wrong)
     if search is None or frame.deadline.over:
         return search

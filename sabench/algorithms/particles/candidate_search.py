@@ -34,19 +34,9 @@ BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up 
 _NARROWEST, _ANY = 0.4, 1e-3  # px: widths of images that a lattice of pixels' steps does not miss
 _FLATTEST = 2.0  # pixels: longest step of the lattice, in space
 _DEEPEST = 3.0  # of the longest step along the depth over one across
-_STEPS = np.array(  # across, across and along the depth, in their units
-    [
-        [1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0],
-        [0.7, 0.7, 0.0],
-        [0.7, -0.7, 0.0],
-        [0.7, 0.0, 0.7],
-        [0.0, 0.7, 0.7],
-        [0.7, 0.0, -0.7],
-        [0.0, 0.7, -0.7],
-    ]
-)
+# across, across and along the depth, in their units
+_DIAGONALS = [[1, 1, 0], [1, -1, 0], [1, 0, 1], [0, 1, 1], [1, 0, -1], [0, 1, -1]]
+_STEPS = np.concatenate([np.eye(3), 0.7 * np.array(_DIAGONALS)])
 _DARK = np.float32(-1e9)
 _FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too often
 
@@ -64,10 +54,7 @@ _NODES, _INSIDE = 17, 0.98  # of the lattice along each axis, and its edge over 
 
 
 def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
-    """Blur images (camera, row, column) of too narrow particles.
-
-    Returns them and the widths (camera, 2) of the particles' images then.
-    """
+    """Blur images (camera, row, column) of too narrow particles; return them and the widths."""
     import cv2  # takes long to load
 
     missing = np.sqrt(np.maximum(_NARROWEST**2 - sigma**2, 0.0))
@@ -291,8 +278,8 @@ def rig_axes(maps: VolumePolynomials) -> F64:
     x = int(np.argmax(np.abs(growth[0])))
     y = int(np.argmax(np.where(np.arange(3) == x, -1.0, np.abs(growth[1]))))
     axes = np.zeros((3, 3))
-    axes[0, x] = 1.0 if growth[0, x] >= 0.0 else -1.0
-    axes[1, y] = 1.0 if growth[1, y] >= 0.0 else -1.0
+    for row, column in enumerate((x, y)):
+        axes[row, column] = 1.0 if growth[row, column] >= 0.0 else -1.0
     axes[2] = np.cross(axes[0], axes[1])
     return axes
 
@@ -320,10 +307,7 @@ def turn_to_world(found: FoundParticles, axes: F64) -> FoundParticles:
 
 
 def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
-    """Compute the shares (camera, row, column) of the maps' box that the pixels show.
-
-    They are counts of points that fill the box evenly, in blocks of pixels, interpolated.
-    """
+    """Compute shares (camera, row, column) of the box that pixels show, by points in blocks."""
     import cv2  # takes long to load
 
     out = np.zeros((len(maps.coefficients), *shape))
@@ -337,11 +321,7 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
 
 
 def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
-    """Mark pixels (camera, row, column) whose part of the box enough cameras see.
-
-    At least `fewest` of them, that one included, see nearly all of it. Pixels that show nothing of
-    the box are marked, too.
-    """
+    """Mark pixels whose part of the box, if any, at least `fewest` cameras see nearly all of."""
     blocks = list(_blocks(maps, shape, _FOR_VIEWS))
     lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
     out = np.zeros((len(blocks), *shape), dtype=np.bool_)

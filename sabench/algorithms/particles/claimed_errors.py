@@ -58,11 +58,7 @@ def claimed_covariances(
 def _spots(
     model: ImageModel, particles: ModelParticles, camera: int, variance: F64
 ) -> ParticleSpots:
-    """Make a camera's particle images, with the variance of its pixels.
-
-    They are round, of the same area, and move so much more or less with the position that each
-    particle alone is known as well as from its true image.
-    """
+    """Make round images of the same area, which fix each particle as well as the true ones."""
     pixel, slope = project_with_slopes(model.maps, camera, particles.position)
     terms = np.concatenate([np.ones((len(pixel), 1)), particles.position], axis=1)
     across, down, tilt, flatness = model.shapes[camera] @ terms.T

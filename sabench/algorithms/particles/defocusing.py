@@ -76,10 +76,7 @@ class Apertures:
         return float(_sides(self.corners_mm).mean())
 
     def superimpose(self, camera: Camera, pixels: F64) -> F64:
-        """Carry a camera's pixels (n, 2) to the common image plane, (n, 2) in px.
-
-        The origin is what the camera sees along the normal: distant points have one image.
-        """
+        """Project a camera's pixels (n, 2) to the common image plane, origin along the normal."""
         ahead = camera.directions(pixels)[0] @ self.axes.T
         return np.asarray(ahead[:, :2] / ahead[:, 2:] * self.focal_px)
 
@@ -169,10 +166,8 @@ def match_triangles(
 
     Returns positions in mm.
     """
-    images = [
-        apertures.superimpose(camera, own.pixels)
-        for camera, own in zip(cameras, peaks, strict=True)
-    ]
+    views = zip(cameras, peaks, strict=True)
+    images = [apertures.superimpose(camera, found.pixels) for camera, found in views]
     found = [PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
     if all(map(len, images)):
         for hit in _triples(apertures, images, apertures.sizes(grid), reach_px):

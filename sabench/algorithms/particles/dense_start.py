@@ -175,11 +175,7 @@ def _table(real: I64, number: Sequence[I64], values: Sequence[F64]) -> F64:
 def _number_tracks(
     frames: Sequence[Finds], flow: Sequence[tuple[F64, F64]], tracks: KalmanTracks
 ) -> list[I64]:
-    """Follow particles through the frames, and return the track (n,) of each.
-
-    Tracks start with the velocities of the flow. So few do not change how strongly particles
-    accelerate.
-    """
+    """Follow particles through the frames from the flow's velocities; return tracks (n,)."""
     motion, numbers = (tracks.acceleration, tracks.jerk), []
     born, last = 0, frames[0].time
     for frame, (velocity, spread) in zip(frames, flow, strict=True):

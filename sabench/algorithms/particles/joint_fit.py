@@ -116,10 +116,7 @@ def light_cost(signal: Any, weight: Any, typical: Any, precision: Any, logs: Any
 def find_light(
     signal: Any, weight: Any, typical: Any, precision: Any, logs: Any, slope: Any, bend: Any
 ) -> float:
-    """Improve logarithms (camera,) to the most probable ones by Newton's method.
-
-    Returns their cost. `precision` is the inverse covariance; `slope` and `bend` are scratch.
-    """
+    """Improve logarithms (camera,) by Newton's method, return their cost; bends are scratch."""
     cameras = len(logs)
     for _ in range(_LIGHT_STEPS):
         for c in range(cameras):
@@ -288,10 +285,7 @@ def _fits_already(model: Any, room: Any, light: Any) -> bool:
 
 @numba.njit(cache=True)
 def fit_particle(model: Any, room: Any, particles: Any, n: int) -> float:
-    """Fit a particle to the images less all others; returns the change of the cost.
-
-    A step that raises the cost is not taken, nor one that hardly lowers it.
-    """
+    """Fit a particle to the images less all others, if the cost falls; returns its change."""
     position, light = particles.position[n], particles.light[n]
     steepest = _normal_equations(model, room, position, light)
     solved = solve_three(room.matrix, room.right, room.trial) > 0.0

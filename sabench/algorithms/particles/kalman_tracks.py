@@ -172,10 +172,7 @@ def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -
 
 
 def velocity_near(position: F64, known: F64, velocity: F64) -> tuple[F64, F64]:
-    """Estimate velocities (n, 3) at positions, and their variances, from known ones (m, 3).
-
-    Without any, velocities are 0 with a large variance.
-    """
+    """Estimate velocities (n, 3) and variances from known ones (m, 3); 0 without any."""
     if not len(known):
         return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
     count = min(_NEIGHBOURS, len(known))
@@ -304,15 +301,10 @@ def with_motion(
     seen = frame.seen[:, None]
     place = np.where(seen, frame.position, state[:, 0])
     error = np.where(seen[:, None], np.asarray(found.covariance_mm2), _diagonal(covariance, 0))
-    return replace(
-        found,
-        position_mm=place,
-        covariance_mm2=error,
-        velocity_mm_s=state[:, 1],
-        velocity_covariance=_diagonal(covariance, 1),
-        acceleration_mm_s2=state[:, 2],
-        acceleration_covariance=_diagonal(covariance, 2),
-    )
+    velocity = {"velocity_mm_s": state[:, 1], "acceleration_mm_s2": state[:, 2]}
+    names = "velocity_covariance", "acceleration_covariance"
+    errors = {name: _diagonal(covariance, order) for order, name in enumerate(names, 1)}
+    return replace(found, position_mm=place, covariance_mm2=error, **velocity, **errors)
 
 
 def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:

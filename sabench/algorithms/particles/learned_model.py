@@ -72,15 +72,9 @@ def weigh_pixels(search: ParticleSearch, cap: float) -> None:
     peaks = search.peaks()
 
     def weigh(camera: int) -> None:
-        fill_variance(
-            search.images[camera],
-            search.left[camera],
-            search.known[camera],
-            search.saturated[camera],
-            float(search.noise[camera]) ** 2,
-            (cap * float(peaks[camera])) ** 2,
-            search.variance[camera],
-        )
+        images = search.images, search.left, search.known, search.saturated
+        dark, most = float(search.noise[camera]) ** 2, (cap * float(peaks[camera])) ** 2
+        fill_variance(*(each[camera] for each in images), dark, most, search.variance[camera])
 
     for_each(weigh, len(peaks))
 
@@ -249,10 +243,7 @@ def _add_overlap(
 
 @numba.njit(cache=True, nogil=True)
 def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
-    """Add up (camera, 5) what each camera alone says of a common shift of its images.
-
-    The columns are xx, xy, yy of the normal equations, and their right sides x and y.
-    """
+    """Add up (camera, 5) the equations xx, xy, yy, x, y of a shift of each camera's images."""
     for n in range(len(particles.position)):
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):

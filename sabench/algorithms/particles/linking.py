@@ -42,10 +42,7 @@ _ENOUGH = 8  # links by which these errors are measured
 
 @dataclass(frozen=True)
 class _Points:
-    """Detections, or the last ones of trajectories.
-
-    Positions (n, 3), logarithms of radii (n,), times (n,), numbers of frames (n,).
-    """
+    """Detections: positions (n, 3), logarithms of radii, times and numbers of frames (n,)."""
 
     position: F64
     size: F64
@@ -55,10 +52,7 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Trajectories(_Points):
-    """Trajectories that may continue.
-
-    Their last detections, numbers (n,) and velocities (n, 3), NaN for those of one detection.
-    """
+    """Trajectories that may continue: last detections, numbers, velocities (n, 3), NaN if new."""
 
     number: I64
     velocity: F64
@@ -74,11 +68,7 @@ class _Trajectories(_Points):
 
 @dataclass(frozen=True)
 class _Scale:
-    """Scales of a distance or a difference that counts as small.
-
-    The distance between neighbours, and standard errors of predictions along the axes (3,) and of
-    the logarithm of radii.
-    """
+    """Distance between neighbours, and standard errors of predictions and logarithms of radii."""
 
     spacing: float
     position: F64
@@ -156,10 +146,7 @@ def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I6
 
 
 def _spacing(center_mm: Sequence[F64]) -> float:
-    """Compute the median distance of nearest neighbours in all frames.
-
-    Without any neighbours, it is far more than the extent of all positions.
-    """
+    """Compute the median distance of nearest neighbours, or more than the whole extent."""
     several = [positions for positions in center_mm if len(positions) > 1]
     near = [cKDTree(positions).query(positions, 2)[0][:, 1] for positions in several]
     spacing = float(np.median(np.concatenate(near))) if near else 0.0

@@ -64,16 +64,12 @@ def detect_in_cameras(
     case: Observation, floor: float, false_alarms: float = FALSE_ALARMS
 ) -> tuple[Peaks, ...]:
     """Detect peaks of particle images in each camera; thresholds as in `PeakParameters`."""
-    good, black = case.repaired, case.black_dn
-    return tuple(
-        detect_particle_peaks(
-            grey,
-            unknown,
-            least_dn=black + floor * bright_dn(grey, black, unknown),
-            false_alarms=false_alarms,
-        )
-        for grey, unknown in zip(good.images, good.flaws.unknown, strict=True)
-    )
+    good, black, peaks = case.repaired, case.black_dn, []
+    for grey, unknown in zip(good.images, good.flaws.unknown, strict=True):
+        least = black + floor * bright_dn(grey, black, unknown)
+        found = detect_particle_peaks(grey, unknown, least_dn=least, false_alarms=false_alarms)
+        peaks.append(found)
+    return tuple(peaks)
 
 
 def heights(peaks: Peaks, image: F32) -> F32:
@@ -246,10 +242,7 @@ def _empty(count: int, cameras: int) -> PeakSets:
 def count_by_chance(
     maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float, pixels: int
 ) -> float:
-    """Estimate how many sets that agree by chance contain a peak of the first camera.
-
-    Peaks of the others are taken as spread evenly over images of so many pixels.
-    """
+    """Estimate how many chance sets contain a peak of the first camera, if others are uniform."""
     steps = follow_lines(maps, range(1, 2), reach_px)[1]
     density = np.array([len(own.pixels) / pixels for own in peaks[1:]])
     near = _SEARCHED * reach_px
@@ -258,10 +251,7 @@ def count_by_chance(
 
 
 def select_best(found: PeakSets, peaks: tuple[Peaks, ...]) -> I64:
-    """Select rows of candidates so that each peak belongs to one only.
-
-    Complete sets come before others, and those that fit best first.
-    """
+    """Select rows so that each peak is used once: complete sets and best fits come first."""
     order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
     # the last one is that of a camera that shows none
     free = [np.ones(len(one.pixels) + 1, dtype=bool) for one in peaks]
@@ -350,10 +340,7 @@ def _within(position: Any, bound: float) -> bool:
 
 @numba.njit(cache=True)
 def _others(maps: Any, peaks: Any, chosen: Any, position: Any, radius: float, covered: Any) -> bool:
-    """Choose the nearest image in each camera after the first two.
-
-    Returns False if one shows none and has the position on its sensor, uncovered.
-    """
+    """Choose the nearest image in each other camera; False if an open one shows none."""
     here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64)
     for c in range(2, len(peaks)):
         project_point(maps, c, position, here, slope)

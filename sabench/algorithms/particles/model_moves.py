@@ -56,10 +56,7 @@ _DOUBTFUL = 2  # of them, after which a split that does not pay is given up
 
 
 def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
-    """Find particles whose images are a few widths (camera, 2) apart in at least one camera.
-
-    Returns the start of each particle's neighbours in a list (n + 1,), and the list.
-    """
+    """List, as `near_images`, particles a few widths (camera, 2) apart in some camera."""
     pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
     return near_images(np.stack(pixels), _NEAR * sigma.max(axis=1))
 
@@ -243,10 +240,7 @@ def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> N
 
 @numba.njit(cache=True, nogil=True)
 def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains: Any) -> None:
-    """Fill in (n,) how much cost the best split along some steps (k, 3) promises to save.
-
-    Light is free in each camera, or a peak lower than the model's would promise as much.
-    """
+    """Fill in (n,) what the best split along steps (k, 3) promises to save, with free light."""
     cameras, size = len(model.typical), room.window
     bent, pull, square = np.zeros((2, size)), np.zeros((cameras, 3)), np.zeros((cameras, 3, 3))
     image = np.zeros((size, size), dtype=np.float32)

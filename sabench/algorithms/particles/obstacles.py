@@ -192,10 +192,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
 
 
 def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
-    """List sets of cameras to try: those that contain one which hides particles.
-
-    The first are those whose smaller sets hide most.
-    """
+    """List sets of cameras to try, supersets of those that hide particles, most first."""
     promise: dict[_Cameras, int] = {}
     for smaller, many in before.items():
         for camera in set(range(number)).difference(smaller):

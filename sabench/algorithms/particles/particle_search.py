@@ -58,14 +58,9 @@ _APART = 1.1  # widths: distance of the two of a split from their middle
 
 def no_particles(cameras: int) -> FoundParticles:
     """Return no particles, with all that a search tells of them."""
-    none = np.zeros(0)
-    return FoundParticles(
-        np.zeros((0, 3)),
-        none,
-        light=np.zeros((0, cameras)),
-        covariance_mm2=np.zeros((0, 3, 3)),
-        probability=none,
-    )
+    none, light = np.zeros(0), np.zeros((0, cameras))
+    known = {"light": light, "covariance_mm2": np.zeros((0, 3, 3)), "probability": none}
+    return FoundParticles(np.zeros((0, 3)), none, **known)
 
 
 def joined(one: FoundParticles, other: FoundParticles) -> FoundParticles:
@@ -147,8 +142,7 @@ class ParticleSearch:
         self.left, self.variance = without_margins(self.framed_left), np.ones_like(self.images)
         self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
         self.sure, self.trusted = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
-        self.tag = np.zeros(0, dtype=np.int64)
-        self.odds = np.zeros(0)
+        self.tag, self.odds = np.zeros(0, dtype=np.int64), np.zeros(0)
 
     def hide(self, areas: Bool) -> None:
         """Hide areas (all cameras, row, column) of the images."""
@@ -201,15 +195,11 @@ class ParticleSearch:
         brightness = self._lowered() * peak_brightness(self.light, self.sigma.mean(axis=1))
         light = np.zeros((len(self.light), len(self.shown)))
         light[:, self.shown] = self.light
-        return FoundParticles(
-            points_in_mm(self.maps, self.position),
-            brightness.mean(axis=1),
-            light=light,
-            covariance_mm2=claimed_covariances(
-                self.model(), self.widest, self.particles(), self.noise
-            ),
-            probability=1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN))),
-        )
+        position = points_in_mm(self.maps, self.position)
+        errors = claimed_covariances(self.model(), self.widest, self.particles(), self.noise)
+        probability = 1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN)))
+        known = {"light": light, "covariance_mm2": errors, "probability": probability}
+        return FoundParticles(position, brightness.mean(axis=1), **known)
 
     def put(self, position: F64, light: F64, tag: I64) -> None:
         """Put in particles, whatever the images show."""
@@ -234,18 +224,11 @@ class ParticleSearch:
             fill_weights(known, saturated, self.variance[camera], weight[camera])
 
         for_each(fill, len(weight))
-        return ImageModel(
-            self.maps,
-            self.shapes,
-            self.typical,
-            precision,
-            float(np.linalg.slogdet(precision)[1]),
-            float(np.linalg.eigvalsh(precision)[0]),
-            self.framed,
-            weight,
-            self.framed_left,
-            math.log(self.number / _BOX),
-        )
+        cameras = self.maps, self.shapes, self.typical, precision
+        determinant = float(np.linalg.slogdet(precision)[1])
+        least = float(np.linalg.eigvalsh(precision)[0])
+        images, log_rate = (self.framed, weight, self.framed_left), math.log(self.number / _BOX)
+        return ImageModel(*cameras, determinant, least, *images, log_rate)
 
     def particles(self) -> ModelParticles:
         """Make the kernels' view of the particles, all alive."""
@@ -254,12 +237,11 @@ class ParticleSearch:
 
     def squares_left(self) -> F64:
         """Sum up the squares (camera,) of what is left of the images, over the variance."""
-        return np.array(
-            [
-                float((self.miss(camera)[known] ** 2 / self.variance[camera][known]).sum())
-                for camera, known in enumerate(self.known)
-            ]
-        )
+        sums = []
+        for camera, known in enumerate(self.known):
+            squares = self.miss(camera)[known] ** 2 / self.variance[camera][known]
+            sums.append(float(squares.sum()))
+        return np.array(sums)
 
     def unexplained(self) -> float:
         """Compute the share of the light that is left; the median over the cameras."""
@@ -355,10 +337,7 @@ class ParticleSearch:
         all_particles.side_by_side(work, in_time)
 
     def find(self, floor: float) -> None:
-        """Add the brightest candidates from what is left of the images.
-
-        Too many together would take each other's light, and that of particles.
-        """
+        """Add the brightest candidates from what is left, not too many together."""
         if self.deadline.over:
             return
         left, sigma = candidate_search.wide_enough(self.left, self.sigma)

@@ -137,10 +137,7 @@ class _Tracker:
             self._begin(case, time, coming)
 
     def _begin(self, case: Observation, time: float, coming: int) -> None:
-        """Search a frame without predictions, and link it to the one before.
-
-        If the links are mostly wrong, both wait until several frames can be searched together.
-        """
+        """Search a frame without predictions; hold it if links to the last are mostly wrong."""
         last = self.search
         self.search = bayesian_ipr.search_frame(case, self.maps, self.settings.first)
         frame = self._join(last, time)
@@ -196,11 +193,9 @@ class _Tracker:
     def _link_first(
         self, light: F64, first: TrackedFrame, second: TrackedFrame
     ) -> KalmanTracks | None:
-        earlier, later = link(
-            [first.position, second.position],
-            [np.ones(len(first.position)), np.ones(len(second.position))],
-            [first.time, second.time],
-        )
+        positions = first.position, second.position
+        sizes = [np.ones(len(position)) for position in positions]
+        earlier, later = link(positions, sizes, [first.time, second.time])
         _, i, j = np.intersect1d(earlier, later, return_indices=True)
         if len(i) < _FEWEST:
             return None
@@ -212,8 +207,8 @@ class _Tracker:
         least = _LEAST_ERROR_PX * candidate_search.pixel_mm(self.maps) / duration
         tracks = start_tracks(first.position[i], velocity, self.longest_s, least / duration)
         errors = 2.0 * variance[i] / duration**2 + tracks.acceleration * duration**2
-        place = first.position
-        tracks.add(first.number[i], place[i], variance[i], light[i], velocity, errors, 2)
+        position = first.position[i]
+        tracks.add(first.number[i], position, variance[i], light[i], velocity, errors, 2)
         alone = np.setdiff1d(np.arange(len(first.number)), i)
         self._begin_tracks(tracks, first, alone, light)
         tracks.seen[:] = 1

@@ -42,10 +42,7 @@ def _stretch(fraction: float, step: float, first: int, count: int) -> int:
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _fold(total: Any, sample: Any, fold: Any) -> Any:
-    """Return total + sample for a `fold` of one number, else total * max(sample, fold[0]).
-
-    The length of `fold` is part of its type, so no branch is left at run time.
-    """
+    """Return total + sample or, by the type of `fold`, total * max(sample, fold[0])."""
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
 

@@ -76,10 +76,7 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
 
 
 def gradient(planes: F32) -> tuple[F32, F32]:
-    """Differentiate planes (z, y, x) along x and y by Gaussian derivatives.
-
-    The unit is the height of a step: a sharp edge of height 1 gives 1.
-    """
+    """Differentiate planes (z, y, x) along x and y; a sharp edge of height 1 gives 1."""
     at = np.arange(-_REACH, _REACH + 1) / _WIDTH
     bell = np.exp(-0.5 * at**2)
     slope = at * bell

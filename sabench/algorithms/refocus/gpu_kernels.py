@@ -83,10 +83,8 @@ def _sample(
     rows, columns = shape
     column, row = position
     inside = (column >= 0.0) & (row >= 0.0) & (column <= columns - 1.0) & (row <= rows - 1.0)
-    left, top = (
-        dr.minimum(types.Int32(dr.floor(column)), columns - 2),
-        dr.minimum(types.Int32(dr.floor(row)), rows - 2),
-    )
+    left = dr.minimum(types.Int32(dr.floor(column)), columns - 2)
+    top = dr.minimum(types.Int32(dr.floor(row)), rows - 2)
     right_share, bottom_share = column - types.Float(left), row - types.Float(top)
     corner = types.UInt32(top * columns + left)
     values = [

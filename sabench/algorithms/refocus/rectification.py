@@ -21,10 +21,7 @@ _LINES = 64  # lines filtered side by side, so that the recursion runs over cont
 
 
 def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
-    """Compute the coefficients of the B-spline through all pixels.
-
-    Returns (n, rows + 3, columns + 3), mirrored one pixel before and two behind.
-    """
+    """Compute coefficients (n, rows + 3, columns + 3) of the B-spline, mirrored at borders."""
     if spline == LINEAR:
         return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
     count, rows, columns = images.shape

@@ -153,24 +153,19 @@ def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> floa
     rng = np.random.default_rng(0)
     top, left = tile_origins(grid)
     maps, tile = slab.tiles(grid), rng.integers(len(top), size=_PROBES)
-    plane = np.where(
-        np.arange(_PROBES) % 4,
-        rng.choice([0, slab.count - 1], size=_PROBES),
-        rng.integers(slab.count, size=_PROBES),
-    )
-    share = np.where(
-        np.arange(_PROBES)[:, None] % 2,
-        rng.random((_PROBES, 2)),
-        rng.integers(2, size=(_PROBES, 2)),
-    )
+    number = np.arange(_PROBES)
+    outer = rng.choice([0, slab.count - 1], size=_PROBES)
+    plane = np.where(number % 4, outer, rng.integers(slab.count, size=_PROBES))
+    inner = rng.random((_PROBES, 2))
+    share = np.where(number[:, None] % 2, inner, rng.integers(2, size=(_PROBES, 2)))
     column, row = np.rint(share * (tile_sizes(grid)[tile] - 1)).astype(int).T
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     exact = low + step * np.column_stack([left[tile] + column, top[tile] + row, slab.first + plane])
     worst = 0.0
-    for number, camera in enumerate(cameras):
-        affine = maps[tile, plane, number]
+    for camera, own, corner in zip(cameras, np.moveaxis(maps, 2, 0), slab.corners, strict=True):
+        affine = own[tile, plane]
         mapped = affine[:, [0, 3]] + affine[:, [1, 4]] * column[:, None]
-        mapped = mapped + affine[:, [2, 5]] * row[:, None] + slab.corners[number]
+        mapped = mapped + affine[:, [2, 5]] * row[:, None] + corner
         on_plane = np.column_stack([low[:2] + step[:2] * mapped, np.full(_PROBES, slab.z_mm)])
         pixel = camera.project(exact)[0]
         distance = np.linalg.norm(pixel - camera.project(on_plane)[0], axis=1)
@@ -233,10 +228,7 @@ def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> 
 def _boxes(
     cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement: F64, degree: int
 ) -> tuple[F64, tuple[int, int]]:
-    """Find first pixels (camera, 2) and the common shape of the rectified images.
-
-    They cover the parts of the cameras' views that the slab's planes need.
-    """
+    """Find first pixels (camera, 2) and common shape of the rectified images."""
     axis = np.linspace(-1.0, 1.0, 9)
     unit = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     voxels = (unit + 1.0) / 2.0 * (np.asarray(grid.shape[:0:-1]) - 1)

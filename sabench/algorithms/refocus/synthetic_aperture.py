@@ -50,10 +50,7 @@ def refocus_sum(
 
 
 def typical_where_covered(case: Observation) -> F32:
-    """Normalise images, with the camera's mean light under reflections.
-
-    In an average over cameras, a reflection then makes voxels neither bright nor dark.
-    """
+    """Normalise images, with the camera's mean light under reflections, for averages."""
     images = case.normalised_images()
     for image, covered in zip(images, case.repaired.flaws.covered, strict=True):
         image[covered] = image[~covered].mean() if covered.any() and not covered.all() else 0.0

@@ -76,10 +76,7 @@ class RecordedLight:
         return self._compare(projection, _missing)
 
     def log_ratio(self, projection: F32) -> float:
-        """Turn a projection W I into log2(P / W I), in place.
-
-        Returns the sum of squares of P - W I.
-        """
+        """Turn W I into log2(P / W I), in place; returns the sum of squares of P - W I."""
         return self._compare(projection, _log_ratio)
 
     def _compare(self, projection: F32, kernel: Callable[..., None]) -> float:
@@ -167,11 +164,10 @@ def block_mart(state: Iterate, measured: RecordedLight, relaxation: float) -> fl
 
 def mart(state: Iterate, measured: RecordedLight, relaxation: float) -> float:
     """Update by one camera after the other, pixel by pixel: see `mart_sweep`."""
-    images = enumerate(zip(measured.light, measured.saturated, strict=True))
-    return sum(
-        mart_sweep(state.lines, state.values, camera, light, saturated, relaxation)
-        for camera, (light, saturated) in images
-    )
+    missed = 0.0
+    for camera, image in enumerate(zip(measured.light, measured.saturated, strict=True)):
+        missed += mart_sweep(state.lines, state.values, camera, *image, relaxation)
+    return missed
 
 
 def iterate(

@@ -73,12 +73,8 @@ class Displacement:
     @classmethod
     def of(cls, field: Field, splits: Splits) -> Displacement:
         """Convert a field in voxels, of which each is split into fine ones."""
-        z, y, x = (
-            ((start + 0.5) * count - 0.5, float(step * count))
-            for start, step, count in zip(
-                field.windows.origin, field.windows.step, splits[::-1], strict=True
-            )
-        )
+        axes = zip(field.windows.origin, field.windows.step, splits[::-1], strict=True)
+        z, y, x = (((start + 0.5) * n - 0.5, float(step * n)) for start, step, n in axes)
         return cls(field.shift * np.asarray(splits), (z[0], y[0], x[0]), (z[1], y[1], x[1]))
 
     def at_end(self, share: float) -> F64:

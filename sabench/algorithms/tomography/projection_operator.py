@@ -45,10 +45,7 @@ class Footprint:
         return 1 if self.spread else 0
 
     def smooth(self, images: F32) -> F32:
-        """Smooth images (camera, row, column) by giving light to neighbouring pixels.
-
-        The operator is symmetric; images are dark beyond the borders.
-        """
+        """Spread light of images (camera, row, column), dark beyond borders, symmetrically."""
         if not self.spread:
             return images
         kernel = np.array([self.spread, 1.0 - 2.0 * self.spread, self.spread])
@@ -61,10 +58,7 @@ BILINEAR = Footprint(0.0)
 
 
 def gaussian(sigma_px: float) -> Footprint:
-    """Make the footprint of a Gaussian over pixels, 0.29 <= sigma_px <= 0.86.
-
-    It has the same variance: sigma^2 + 1/12 = 2 spread + 1/6 on the mean.
-    """
+    """Make the footprint of a Gaussian's variance: sigma^2 + 1/12 = 2 spread + 1/6."""
     return Footprint((sigma_px**2 - 1.0 / 12.0) / 2.0)
 
 
@@ -170,10 +164,7 @@ class ProjectionOperator:
         return range(len(self.geometry.maps))
 
     def forward(self, values: F32, cameras: Sequence[int] | None = None) -> F32:
-        """Project voxels (n,) to images of all or the given cameras.
-
-        Returns (camera, row, column).
-        """
+        """Project voxels (n,) to images (camera, row, column) of all or the given cameras."""
         chosen = self._numbers(cameras)
         parts = self.support.parts(max(1, _TASKS // len(chosen)))
         size = self.geometry.rows, self.geometry.columns
@@ -182,10 +173,7 @@ class ProjectionOperator:
         return self.footprint.smooth(images.sum(axis=1).reshape(-1, *size))
 
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
-        """Compute sum_i W_ij images_i for every voxel (n,).
-
-        The images (camera, row, column) are those of all cameras, or of the given ones.
-        """
+        """Compute sum_i W_ij images_i for every voxel (n,), over all or the given cameras."""
         flat = self.footprint.smooth(images).reshape(len(images), -1)
         chosen, support = self._numbers(cameras), self.support
         out = np.zeros(len(support), dtype=np.float32)

@@ -66,10 +66,8 @@ def scale_of(cameras: Sequence[CameraModel], grid: Grid) -> Scale:
     pixels = np.stack([pixels for pixels, _ in projections])
     steps = pixels[:, :3] - pixels[:, 3:]
     by_mm = steps / np.asarray(grid.voxel_mm)[:, None]
-    return Scale(
-        triple(np.linalg.norm(steps, axis=2).max(axis=0)),
-        float(np.linalg.svd(by_mm, compute_uv=False)[:, 0].mean()),
-    )
+    magnification = float(np.linalg.svd(by_mm, compute_uv=False)[:, 0].mean())
+    return Scale(triple(np.linalg.norm(steps, axis=2).max(axis=0)), magnification)
 
 
 def splits(scale: Scale) -> Splits:
@@ -87,10 +85,7 @@ def split(grid: Grid, count: Splits) -> Grid:
 
 
 def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
-    """Return the volume (z, y, x) on `grid`.
-
-    Each fine voxel is a Gaussian blob of `sigma_mm`, or a point if that is zero.
-    """
+    """Return the volume (z, y, x) on `grid` of Gaussian blobs of `sigma_mm`, or points if 0."""
     x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
     volume = np.zeros(grid.shape, dtype=np.float32)
     _gather(support.start, support.x, values, support.shape[1], support.shape[2], x, y, z, volume)

@@ -213,10 +213,7 @@ def _is_beyond(voxel: int, part: Any, count: int) -> bool:
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
-    """Find the point at which each voxel of a row is read.
-
-    Fills in the voxel before it (x relative to its own, y, z), and the fraction to the next one.
-    """
+    """Find the voxel (x relative to its own, y, z) and fraction at which each one is read."""
     last = len(row) - 1
     for x in range(positions.shape[1]):
         at = (x - origin) / step

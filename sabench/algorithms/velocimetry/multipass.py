@@ -145,10 +145,8 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     coefficients = spline_coefficients(first), spline_coefficients(second)
     warped = np.empty_like(first), np.empty_like(second)
     for _ in progress_bar(range(plan.passes), "move and correlate"):
-        z, y, x = (
-            plan.smoothing * own / step
-            for own, step in zip(plan.last, field.windows.step, strict=True)
-        )
+        sizes = zip(plan.last, field.windows.step, strict=True)
+        z, y, x = (plan.smoothing * size / step for size, step in sizes)
         lead = smooth_vectors(field.shift, (z, y, x)) if plan.smoothing else field.shift
         lattice = field.windows.origin, tuple(float(part) for part in field.windows.step)
         deform_pair(*coefficients, lead, *lattice, *warped)

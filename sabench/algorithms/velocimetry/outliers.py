@@ -46,10 +46,7 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
 
 
 def fill_invalid(shift: F64, valid: Bool) -> F64:
-    """Replace invalid vectors by means of their valid neighbours, from the edges inwards.
-
-    Returns zero if none is valid.
-    """
+    """Replace invalid vectors by means of valid neighbours, from the edges in; 0 if none is."""
     out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
     if not known.any():
         return out
@@ -72,10 +69,7 @@ def _around(values: F64) -> F64:
 
 
 def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
-    """Smooth vectors by a Gaussian of standard deviations (z, y, x) in vectors.
-
-    Beyond the edges fields are extrapolated linearly.
-    """
+    """Smooth vectors by a Gaussian (z, y, x) in vectors, extrapolated linearly at edges."""
     radii = [math.ceil(_REACH * own) for own in sigma]
     counts = shift.shape[:3]
     margins = [min(radius, count - 1) for radius, count in zip(radii, counts, strict=True)]

@@ -51,17 +51,12 @@ class Sheet:
         _, down, across = field.windows.step
         _, rows, columns = field.windows.counts
         low = self.origin_mm + self.pixel_mm * (np.array([column, row]) @ self.axes[:2])
-        at_rows, at_columns = (
-            np.rint(first + step * np.arange(count)).astype(np.int64)
-            for first, step, count in ((row, down, rows), (column, across, columns))
-        )
-        return Velocity(
-            triple(low),
-            (across * self.pixel_mm, down * self.pixel_mm, self.depth_mm),
-            field.shift[..., :2] @ self.axes[:2] * self.pixel_mm / interval_s,
-            field.valid & self.seen[np.ix_(at_rows, at_columns)],
-            self.axes[:2].copy(),
-        )
+        axes = (row, down, rows), (column, across, columns)
+        middles = [np.rint(first + step * np.arange(n)).astype(np.int64) for first, step, n in axes]
+        spacing = across * self.pixel_mm, down * self.pixel_mm, self.depth_mm
+        velocity = field.shift[..., :2] @ self.axes[:2] * self.pixel_mm / interval_s
+        seen = field.valid & self.seen[np.ix_(*middles)]
+        return Velocity(triple(low), spacing, velocity, seen, self.axes[:2].copy())
 
 
 def find_sheet(

@@ -65,10 +65,7 @@ def block_sums(
 
 @numba.njit(cache=True, fastmath=True)
 def _add_rows(one: Any, other: Any, search: int, rows: Any) -> None:
-    """Add the products of two rows for all shifts along them, and the second's squares.
-
-    The second begins `search` voxels further right.
-    """
+    """Add products of rows, the second `search` voxels further right, and its squares."""
     count = len(one)
     for n in range(2 * search + 1):
         dx = n - search
@@ -174,10 +171,7 @@ def _vertex(before: float, here: float, after: float) -> float:
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
-    """Fill in windows (n, z, y, x) of a volume less their means, from corners (n, 3) on.
-
-    Also fills in the sums of their squares (n,).
-    """
+    """Fill in windows (n, z, y, x) at corners (n, 3) less their means, and sums of squares."""
     _, deep, high, wide = out.shape
     for n in range(len(corners)):
         z, y, x = corners[n]
@@ -299,10 +293,8 @@ class Windows:
     @property
     def blocks(self) -> Size:
         """Blocks (z, y, x) of one step each that the windows cover."""
-        z, y, x = (
-            n - 1 + own // part
-            for n, own, part in zip(self.counts, self.size, self.step, strict=True)
-        )
+        axes = zip(self.counts, self.size, self.step, strict=True)
+        z, y, x = (count - 1 + size // step for count, size, step in axes)
         return z, y, x
 
 
@@ -392,8 +384,6 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> CorrelationPeaks:
         for job in progress_bar(jobs, "correlate by spectra"):
             job.result()
     textured = height > 0.0
-    return CorrelationPeaks(
-        (shift * textured[:, None]).reshape(*windows.counts, 3),
-        height.reshape(windows.counts),
-        (ratio * textured).reshape(windows.counts),
-    )
+    shift = (shift * textured[:, None]).reshape(*windows.counts, 3)
+    heights, ratios = (one.reshape(windows.counts) for one in (height, ratio * textured))
+    return CorrelationPeaks(shift, heights, ratios)
