@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from sabench.algorithms.particles import model_moves
 from sabench.algorithms.particles.image_model import (
     UNSEEN,
     WEIGHT,
@@ -33,11 +34,6 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
 )
 from sabench.algorithms.particles.joint_fit import factorise_cholesky, fill_inverse_diagonal
-from sabench.algorithms.particles.model_moves import (
-    measure_light_gains,
-    measure_misfit,
-    measure_split_gains,
-)
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
@@ -187,18 +183,22 @@ def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, si
 
 def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Measure (n,) by how many standard deviations squares left exceed those of noise."""
-    return _measure(measure_misfit, model, sigma, particles, np.zeros(len(particles.position)))
+    return _measure(
+        model_moves.measure_misfit, model, sigma, particles, np.zeros(len(particles.position))
+    )
 
 
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
     """Measure (n,) how much cost a split along the best of some steps (k, 3) promises to save."""
     gains = np.zeros(len(particles.position))
-    return _measure(measure_split_gains, model, sigma, particles, gains, steps)
+    return _measure(model_moves.measure_split_gains, model, sigma, particles, gains, steps)
 
 
 def light_gains(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     """Measure (n, camera) how much cost particles' light saves in each camera."""
-    return _measure(measure_light_gains, model, sigma, particles, np.zeros(particles.light.shape))
+    return _measure(
+        model_moves.measure_light_gains, model, sigma, particles, np.zeros(particles.light.shape)
+    )
 
 
 def _measure(

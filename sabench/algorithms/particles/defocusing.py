@@ -17,14 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.matching import (
-    PeakSets,
-    detect_in_cameras,
-    heights_of,
-    join_sets,
-    select_best,
-    select_rows,
-)
+from sabench.algorithms.particles import matching
 from sabench.api import Camera, FoundParticles, Observation
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
@@ -144,10 +137,10 @@ def find_by_defocusing(
     """
     cameras = [camera for camera in case.cameras if isinstance(camera, Camera)]
     apertures = Apertures.of(cameras)
-    peaks = detect_in_cameras(case, floor, false_alarms)
+    peaks = matching.detect_in_cameras(case, floor, false_alarms)
     every = match_triangles(apertures, cameras, peaks, case.grid, reach_px)
-    found = select_rows(every, select_best(every, peaks))
-    light = heights_of(found.hit, peaks, case.normalised_images()).mean(axis=1)
+    found = matching.select_rows(every, matching.select_best(every, peaks))
+    light = matching.heights_of(found.hit, peaks, case.normalised_images()).mean(axis=1)
     return FoundParticles(found.position, light)
 
 
@@ -157,7 +150,7 @@ def match_triangles(
     peaks: tuple[Peaks, ...],
     grid: Grid,
     reach_px: float,
-) -> PeakSets:
+) -> matching.PeakSets:
     """Match peaks of three cameras that form triangles of particles in a grid.
 
     The side from the first camera's image to the second's has a known direction, and a length
@@ -168,7 +161,7 @@ def match_triangles(
     """
     views = zip(cameras, peaks, strict=True)
     images = [apertures.superimpose(camera, found.pixels) for camera, found in views]
-    found = [PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
+    found = [matching.PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
     if all(map(len, images)):
         for hit in _triples(apertures, images, apertures.sizes(grid), reach_px):
             triangles = np.stack(
@@ -179,8 +172,8 @@ def match_triangles(
             last = np.asarray(grid.shape[::-1]) - 1.0
             inside = ((voxels >= -_MARGIN) & (voxels <= last + _MARGIN)).all(axis=1)
             good = inside & (off <= reach_px)
-            found.append(PeakSets(position[good], hit[good], off[good]))
-    return join_sets(found)
+            found.append(matching.PeakSets(position[good], hit[good], off[good]))
+    return matching.join_sets(found)
 
 
 def _triples(

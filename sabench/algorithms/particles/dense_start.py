@@ -20,14 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sabench.algorithms.particles import kalman_tracks
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, Known, search_frame
 from sabench.algorithms.particles.candidate_search import mean_spacing, pixel_mm
-from sabench.algorithms.particles.kalman_tracks import (
-    ANY_SPEED,
-    KalmanTracks,
-    most_probable_motion,
-    start_tracks,
-)
 from sabench.algorithms.particles.linking import assign, link
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.api import Observation
@@ -143,7 +138,7 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
     votes = collect_votes([one.position for one in frames], [one.time for one in frames])
     flow = [estimate_velocity(votes, one.position, one.time, spacing) for one in frames]
     least = _LEAST * float(np.sqrt(frames[0].variance.min())) / votes.interval**2
-    tracks = start_tracks(frames[0].position, flow[0][0], votes.longest, least)
+    tracks = kalman_tracks.start_tracks(frames[0].position, flow[0][0], votes.longest, least)
     motion = tracks.acceleration, tracks.jerk
     number = _number_tracks(frames, flow, tracks)
     real = np.flatnonzero(np.bincount(np.concatenate(number)) >= CONFIRMED)
@@ -156,7 +151,9 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
     known = []
     for frame in frames:
         times = np.array([one.time - frame.time for one in frames])
-        state, errors = most_probable_motion(times, position, variance, *expected, *motion)
+        state, errors = kalman_tracks.most_probable_motion(
+            times, position, variance, *expected, *motion
+        )
         usual = np.sqrt(np.median(frame.variance, axis=0))
         good = np.median(np.sqrt(errors[:, :, 0, 0]) / usual, axis=1) < _KNOWN
         known.append(Known(state[good, 0], typical[good]))
@@ -173,7 +170,7 @@ def _table(real: I64, number: Sequence[I64], values: Sequence[F64]) -> F64:
 
 
 def _number_tracks(
-    frames: Sequence[Finds], flow: Sequence[tuple[F64, F64]], tracks: KalmanTracks
+    frames: Sequence[Finds], flow: Sequence[tuple[F64, F64]], tracks: kalman_tracks.KalmanTracks
 ) -> list[I64]:
     """Follow particles through the frames from the flow's velocities; return tracks (n,)."""
     motion, numbers = (tracks.acceleration, tracks.jerk), []
@@ -196,7 +193,7 @@ def _number_tracks(
     return numbers
 
 
-def _continue(tracks: KalmanTracks, frame: Finds) -> tuple[I64, I64]:
+def _continue(tracks: kalman_tracks.KalmanTracks, frame: Finds) -> tuple[I64, I64]:
     count = min(_FEW, len(frame.position))
     if not count:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
@@ -250,7 +247,7 @@ def estimate_velocity(
     near = np.abs(votes.time - time) <= _FRAMES * votes.longest
     place, velocity = votes.position[near], votes.velocity[near]
     if not len(place):
-        return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
+        return np.zeros_like(position), np.full_like(position, kalman_tracks.ANY_SPEED**2)
     count = min(_NEAREST, len(place))
     _, rows = cKDTree(place).query(position, range(1, count + 1))
     width = _WIDTH * spacing / votes.interval

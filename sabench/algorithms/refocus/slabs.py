@@ -14,16 +14,9 @@ from functools import partial
 import numpy as np
 
 from sabench.algorithms.refocus.cpu_kernels import TILE_COLUMNS, TILE_ROWS
+from sabench.geometry import plane_polynomials as polynomials
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.geometry.plane_polynomials import (
-    Smooth,
-    fit,
-    lowest_degree,
-    plane_points,
-    slopes,
-    terms,
-)
 from sabench.utils.arrays import F64, I64
 
 # largest distance, in a camera's pixels, between the tiles' affine maps and the exact lines of
@@ -66,11 +59,9 @@ class Slab:
         middle = origin + (tile_sizes(grid) - 1) / 2.0
         half = np.maximum(np.asarray(grid.shape[:0:-1]) - 1.0, 1.0) / 2.0
         unit = (middle - (np.asarray(grid.shape[:0:-1]) - 1) / 2.0) / half
-        along_u, along_v = slopes(unit, self.degree)
-        value, along_x, along_y = (
-            self._evaluate(basis)
-            for basis in (terms(unit, self.degree), along_u / half[0], along_v / half[1])
-        )
+        along_u, along_v = polynomials.slopes(unit, self.degree)
+        bases = polynomials.terms(unit, self.degree), along_u / half[0], along_v / half[1]
+        value, along_x, along_y = (self._evaluate(basis) for basis in bases)
         along_x[..., 0] += 1.0
         along_y[..., 1] += 1.0
         back = (origin - middle)[:, None, None]
@@ -135,9 +126,9 @@ def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, planes: in
         nodes, inverse = z_mm + half * unit, np.linalg.inv(vander(unit, count - 1))
         interpolation = vander((depths - z_mm) / half, count - 1) @ inverse
     functions = [_displacement(camera, grid, nodes, z_mm) for camera in cameras]
-    degree = max(lowest_degree(function) for function in functions)
+    degree = max(polynomials.lowest_degree(function) for function in functions)
     at_nodes = np.stack(
-        [fit(function, degree)[0].reshape(len(nodes), 2, -1) for function in functions]
+        [polynomials.fit(function, degree)[0].reshape(len(nodes), 2, -1) for function in functions]
     )
     displacement = np.einsum("pn,cnik->cpik", interpolation, at_nodes)
     corners, shape = _boxes(cameras, grid, z_mm, displacement, degree)
@@ -182,12 +173,12 @@ def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> t
         corner = (low[0] + step[0] * left, low[1] + step[1] * top, slab.z_mm)
         box = Grid(corner, grid.voxel_mm, (1, height, width))
         functions.append(partial(_pixels, camera, box, slab.z_mm))
-    degree = max(lowest_degree(function) for function in functions)
-    return np.stack([fit(function, degree)[0] for function in functions]), degree
+    degree = max(polynomials.lowest_degree(function) for function in functions)
+    return np.stack([polynomials.fit(function, degree)[0] for function in functions]), degree
 
 
 def _pixels(camera: CameraModel, box: Grid, z_mm: float, unit: F64) -> F64:
-    return camera.project(plane_points(box, z_mm, unit))[0]
+    return camera.project(polynomials.plane_points(box, z_mm, unit))[0]
 
 
 def tile_origins(grid: Grid) -> tuple[I64, I64]:
@@ -206,13 +197,13 @@ def tile_sizes(grid: Grid) -> I64:
     )
 
 
-def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> Smooth:
+def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> polynomials.Smooth:
     """Make the function of shifts (n, 2 planes) along the line of sight to `z_mm`, in voxels."""
 
     def shifts(unit: F64) -> F64:
         parts = []
         for z in depths:
-            points = plane_points(grid, float(z), unit)
+            points = polynomials.plane_points(grid, float(z), unit)
             carried = camera.carry(points, z_mm)
             if not np.isfinite(carried).all():
                 raise ValueError(
@@ -232,7 +223,7 @@ def _boxes(
     axis = np.linspace(-1.0, 1.0, 9)
     unit = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     voxels = (unit + 1.0) / 2.0 * (np.asarray(grid.shape[:0:-1]) - 1)
-    ways = np.einsum("nk,cpik->cpni", terms(unit, degree), displacement[:, [0, -1]])
+    ways = np.einsum("nk,cpik->cpni", polynomials.terms(unit, degree), displacement[:, [0, -1]])
     needed = (voxels + ways).reshape(len(cameras), -1, 2)
     low, high = needed.min(axis=1), needed.max(axis=1)
     for number, camera in enumerate(cameras):

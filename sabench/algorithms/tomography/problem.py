@@ -12,18 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from sabench.algorithms.tomography import supersampling
+from sabench.algorithms.tomography import projection_operator as operators, supersampling
 from sabench.algorithms.tomography.art_updates import Iterate, RecordedLight
 from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample, scratch
-from sabench.algorithms.tomography.projection_operator import (
-    BILINEAR,
-    Footprint,
-    ProjectionOperator,
-    Support,
-    gaussian,
-    image_sigma_px,
-    make_geometry,
-)
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, I64
@@ -36,7 +27,9 @@ _SLAB = 8_000_000  # voxels whose memory is taken at a time
 _ROWS = 32
 
 
-def product_guess(geometry: KernelGeometry, images: F32, threshold: float) -> tuple[Support, F32]:
+def product_guess(
+    geometry: KernelGeometry, images: F32, threshold: float
+) -> tuple[operators.Support, F32]:
     """Find the voxels where every camera that sees them has light, and their product.
 
     The product is raised to one over the number of these cameras. Voxels that no camera sees are
@@ -57,15 +50,15 @@ def product_guess(geometry: KernelGeometry, images: F32, threshold: float) -> tu
         for first in progress_bar(range(0, planes, step), "first guess")
     ]
     counts, x, values = (np.concatenate(part) for part in zip(*kept, strict=True))
-    return Support((planes, *shape), np.concatenate([[0], np.cumsum(counts)]), x), values
+    return operators.Support((planes, *shape), np.concatenate([[0], np.cumsum(counts)]), x), values
 
 
-def every_voxel(geometry: KernelGeometry) -> tuple[Support, F32]:
+def every_voxel(geometry: KernelGeometry) -> tuple[operators.Support, F32]:
     """Return all voxels, all equally bright."""
     shape = geometry.maps.shape[1], geometry.height, geometry.width
     rows = shape[0] * shape[1]
     x = np.tile(np.arange(shape[2], dtype=_index_type(shape[2])), rows)
-    support = Support(shape, np.arange(rows + 1) * shape[2], x)
+    support = operators.Support(shape, np.arange(rows + 1) * shape[2], x)
     return support, np.ones(len(x), dtype=np.float32)
 
 
@@ -245,20 +238,20 @@ class TomographyProblem:
     splits: supersampling.Splits
     sigma_mm: float
     geometry: KernelGeometry
-    footprint: Footprint
+    footprint: operators.Footprint
 
     @classmethod
     def from_case(cls, case: Observation, parameters: TomographyParameters) -> TomographyProblem:
         """Scale the images, split the grid's voxels where needed, choose the footprint."""
         light, unknown = case.normalised_images(), case.repaired.flaws.unknown
         scale = supersampling.scale_of(case.cameras, case.grid)
-        splits, footprint, sigma_px = supersampling.splits(scale), BILINEAR, 0.0
+        splits, footprint, sigma_px = supersampling.splits(scale), operators.BILINEAR, 0.0
         if parameters.footprint == "gaussian":
-            estimate = np.clip(_BLOB * (image_sigma_px(light) or 0.0), *_SIGMA_PX)
+            estimate = np.clip(_BLOB * (operators.image_sigma_px(light) or 0.0), *_SIGMA_PX)
             sigma_px = parameters.sigma_px or float(estimate)
-            footprint = gaussian(sigma_px)
+            footprint = operators.gaussian(sigma_px)
         fine = supersampling.split(case.grid, splits)
-        geometry = make_geometry(case.cameras, fine, footprint.margin)
+        geometry = operators.make_geometry(case.cameras, fine, footprint.margin)
         measured = RecordedLight.of(light, case.images >= case.white_dn, unknown)
         return cls(measured, case.grid, splits, sigma_px / scale.px_per_mm, geometry, footprint)
 
@@ -290,8 +283,8 @@ class TomographyProblem:
         light = state.lines.support, state.values
         return supersampling.gather(*light, fine, (1, 1, 1), self.sigma_mm)
 
-    def _start(self, support: Support, values: F32) -> Iterate:
-        lines = ProjectionOperator(self.geometry, support, self.footprint)
+    def _start(self, support: operators.Support, values: F32) -> Iterate:
+        lines = operators.ProjectionOperator(self.geometry, support, self.footprint)
         seen = np.rint(lines.adjoint(np.ones_like(self.measured.light)))
         values[seen == 0.0] = 0.0
         unknown = self.measured.unknown()

@@ -11,14 +11,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from sabench.algorithms.velocimetry import outliers
 from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
-from sabench.algorithms.velocimetry.outliers import (
-    fill_invalid,
-    near_the_median,
-    smooth_vectors,
-    thesis_local,
-    within_deviations,
-)
 from sabench.algorithms.velocimetry.windows import (
     CorrelationPeaks,
     Size,
@@ -127,9 +121,10 @@ class Field:
     def on_grid(self, grid: Grid, interval_s: float) -> Velocity:
         """Convert to velocities in the world."""
         voxel = np.asarray(grid.voxel_mm)
-        low = triple(np.asarray(grid.low_mm) + voxel * self.windows.origin[::-1])
-        step = triple(voxel * self.windows.step[::-1])
-        return Velocity(low, step, self.shift * voxel / interval_s, self.valid)
+        lattice = self.windows.origin, self.windows.step
+        start, step = (np.asarray(values[::-1]) for values in lattice)
+        low = triple(np.asarray(grid.low_mm) + voxel * start)
+        return Velocity(low, triple(voxel * step), self.shift * voxel / interval_s, self.valid)
 
 
 def evaluate(first: F32, second: F32, plan: Plan) -> Field:
@@ -147,7 +142,7 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     for _ in progress_bar(range(plan.passes), "move and correlate"):
         sizes = zip(plan.last, field.windows.step, strict=True)
         z, y, x = (plan.smoothing * size / step for size, step in sizes)
-        lead = smooth_vectors(field.shift, (z, y, x)) if plan.smoothing else field.shift
+        lead = outliers.smooth_vectors(field.shift, (z, y, x)) if plan.smoothing else field.shift
         lattice = field.windows.origin, tuple(float(part) for part in field.windows.step)
         deform_pair(*coefficients, lead, *lattice, *warped)
         peaks = by_shifts(warped[0], warped[1], windows, plan.search, plan.taper)
@@ -162,15 +157,19 @@ def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: fl
     peaks = by_spectra(first, second, windows)
     assert peaks.ratio is not None
     clear = np.asarray((peaks.ratio >= ratio) & (peaks.height > 0.0))
-    valid = within_deviations(peaks.shift, clear, 5.0)
-    valid = thesis_local(fill_invalid(peaks.shift, valid), valid, 3.0)
-    return Field(windows, smooth_vectors(fill_invalid(peaks.shift, valid), (_KERNEL,) * 3), valid)
+    valid = outliers.within_deviations(peaks.shift, clear, 5.0)
+    valid = outliers.thesis_local(outliers.fill_invalid(peaks.shift, valid), valid, 3.0)
+    return Field(
+        windows,
+        outliers.smooth_vectors(outliers.fill_invalid(peaks.shift, valid), (_KERNEL,) * 3),
+        valid,
+    )
 
 
 def _validate(windows: Windows, peaks: CorrelationPeaks, valid: Bool, plan: Plan) -> Field:
-    valid = within_deviations(peaks.shift, valid, 5.0)
-    valid = near_the_median(peaks.shift, valid, plan.median)
-    return Field(windows, fill_invalid(peaks.shift, valid), valid)
+    valid = outliers.within_deviations(peaks.shift, valid, 5.0)
+    valid = outliers.near_the_median(peaks.shift, valid, plan.median)
+    return Field(windows, outliers.fill_invalid(peaks.shift, valid), valid)
 
 
 def _at(values: F64, there: Windows, here: Windows) -> F64:

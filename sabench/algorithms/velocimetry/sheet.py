@@ -186,11 +186,6 @@ class _View:
                 f"{_FLATTEST_DEGREES:.0f})"
             )
 
-    @property
-    def pixel_mm(self) -> float:
-        """Edge of a square in the plane as large as one pixel."""
-        return float(np.prod(np.linalg.svd(self.slopes, compute_uv=False)) ** -0.5)
-
     def axes(self, normal: F64) -> F64:
         """Choose the plane's columns, rows and normal (3, 3) as the image shows them."""
         along = np.eye(3) - np.outer(normal, normal)
@@ -207,7 +202,9 @@ class _View:
 
 def _lay(view: _View, camera: CameraModel, grid: Grid, points_mm: F64, normal: F64) -> Sheet:
     """Lay pixels over all that a camera sees of a plane; `points_mm` fill it."""
-    axes, edge = view.axes(normal), view.pixel_mm
+    axes = view.axes(normal)
+    # of a square in the plane as large as one pixel
+    edge = float(np.prod(np.linalg.svd(view.slopes, compute_uv=False)) ** -0.5)
     every, some = points_mm @ axes.T, view.points_mm @ axes.T
     spacing = np.ptp(every, axis=0).max() / (_PROBES - 1)
     low = np.maximum(every.min(axis=0), some.min(axis=0) - spacing)
