@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from sabench.algorithms.particles import kalman_tracks
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, Known, search_frame
 from sabench.algorithms.particles.candidate_search import mean_spacing, pixel_mm
-from sabench.algorithms.particles.linking import assign, link
+from sabench.algorithms.particles.linking import link
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.api import Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
@@ -179,7 +179,8 @@ def _number_tracks(
         number = np.full(len(frame.position), -1)
         if len(tracks.number):
             tracks.predict(frame.time - last)
-            rows, seen = _continue(tracks, frame)
+            every = np.arange(len(tracks.number))
+            rows, seen = tracks.pair(every, frame.position, frame.variance, _FEW, _NEAR)
             number[seen] = tracks.number[rows]
             tracks.update(rows, frame.position[seen], frame.variance[seen], frame.light[seen])
             tracks.acceleration, tracks.jerk = motion
@@ -191,17 +192,6 @@ def _number_tracks(
         born, last = born + len(new), frame.time
         numbers.append(number)
     return numbers
-
-
-def _continue(tracks: kalman_tracks.KalmanTracks, frame: Finds) -> tuple[I64, I64]:
-    count = min(_FEW, len(frame.position))
-    if not count:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    _, slot = cKDTree(frame.position).query(tracks.state[:, 0], range(1, count + 1))
-    i, j = np.repeat(np.arange(len(tracks.number)), count), slot.ravel()
-    cost = tracks.off(i, frame.position[j], frame.variance[j]).sum(axis=1)
-    good = cost < _NEAR
-    return assign(i[good], j[good], cost[good], (len(tracks.number), len(frame.position)))
 
 
 class LinkVotes(NamedTuple):

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sabench.algorithms.particles.linking import assign
 from sabench.algorithms.particles.particle_search import joined, no_particles
 from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, I64, Bool
@@ -96,6 +97,23 @@ class KalmanTracks:
         """Compute squared misses (n, 3) of positions over what is expected."""
         expected = self.covariance[rows][:, :, 0, 0] + variance
         return np.asarray((position - self.state[rows, 0]) ** 2 / expected)
+
+    def pair(
+        self, rows: I64, position: F64, variance: F64, few: int, most: float
+    ) -> tuple[I64, I64]:
+        """Pair tracks (rows) with positions, one to one, by misses of a square sum below `most`.
+
+        Each track has the `few` nearest positions as candidates.
+        """
+        count = min(few, len(position))
+        if not count or not len(rows):
+            return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        _, slot = cKDTree(position).query(self.state[rows, 0], range(1, count + 1))
+        i, j = np.repeat(np.arange(len(rows)), count), slot.ravel()
+        cost = self.off(rows[i], position[j], variance[j]).sum(axis=1)
+        good = cost < most
+        i, j = assign(i[good], j[good], cost[good], (len(rows), len(position)))
+        return rows[i], j
 
     def update(self, rows: I64, position: F64, variance: F64, light: F64) -> None:
         """Update tracks by positions (n, 3), their variances, and light (n, camera).

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from sabench.algorithms.particles import bayesian_ipr, candidate_search
 from sabench.algorithms.particles.dense_start import (
@@ -31,7 +30,7 @@ from sabench.algorithms.particles.kalman_tracks import (
     with_motion,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
-from sabench.algorithms.particles.linking import GATE, assign, link
+from sabench.algorithms.particles.linking import GATE, link
 from sabench.algorithms.particles.obstacles import hide_unseen
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.api import FoundParticles, Observation
@@ -283,14 +282,8 @@ class _Tracker:
         row[known[off.sum(axis=1) > GATE]] = -1
         lost = np.setdiff1d(np.arange(len(tracks.number)), row)
         new = np.flatnonzero(row < 0)
-        if len(lost) and len(new):
-            count = min(_NEIGHBOURS, len(new))
-            _, slot = cKDTree(position[new]).query(tracks.state[lost, 0], range(1, count + 1))
-            i, j = np.repeat(np.arange(len(lost)), count), slot.ravel()
-            cost = tracks.off(lost[i], position[new[j]], variance[new[j]] + slack).sum(axis=1)
-            good = cost < GATE
-            i, j = assign(i[good], j[good], cost[good], (len(lost), len(new)))
-            row[new[j]] = lost[i]
+        again, j = tracks.pair(lost, position[new], variance[new] + slack, _NEIGHBOURS, GATE)
+        row[new[j]] = again
         return row
 
     def _fill_gaps(self, tracks: KalmanTracks, rows: I64, found: FoundParticles) -> None:
