@@ -80,17 +80,12 @@ class DarkNoise:
     step: float
 
     def threshold(self, false_alarms: float = FALSE_ALARMS) -> F32:
-        """Compute grey values (row, column) that noise reaches with a probability.
+        """Compute grey values (row, column) that noise reaches with a probability, 0 to 0.5.
 
         The distribution is a gamma distribution with the noise's skewness (Pearson's type III),
         which is normal without any, rounded to grey values. Local maxima of noise are fewer than
         pixels above the threshold: the probability is an upper bound of false peaks per pixel,
         nearly reached where neighbours are independent.
-
-        Raises
-        ------
-        InputError
-            A probability that is not between 0 and 0.5.
         """
         if not 0.0 < false_alarms < 0.5:
             raise InputError(
@@ -105,11 +100,8 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
 
     Bright pixels and their surroundings are left out, again and again, as long as darker ones
     remain. If particles are too dense for that, the pixels with the darkest surroundings are
-    measured, which show noise up to about one particle on two pixels.
-
-    Parameters
-    ----------
-    known : the same shape or (row, column), pixels that count.
+    measured, which show noise up to about one particle on two pixels. Only known pixels, of the
+    same shape or (row, column), count.
     """
     import cv2  # takes long to load
 

@@ -53,10 +53,9 @@ _RAW_TYPES = {"uint8": "u1", "uint16": "<u2", "uint16-big": ">u2"}
 def read_images(
     files: Sequence[Path], shape: tuple[int, int], raw: RawLayout | None = None
 ) -> Iterator[tuple[Path, U16]]:
-    """Read all images in files, one after the other.
+    """Read all images in files, one after the other, in limited child processes.
 
-    Yields the file and the grey values (row, column) of each. A file may hold several. Limited
-    child processes read them, which the libraries may not survive.
+    Yields the file and the grey values (row, column) of each. A file may hold several.
 
     Parameters
     ----------
@@ -85,11 +84,8 @@ def read_images(
 def read_page(path: Path, page: int, shape: tuple[int, int], raw: RawLayout | None = None) -> U16:
     """Read one image (row, column) of a file; pages count from 0.
 
-    Raises
-    ------
-    InputError
-        A movie, whose images cannot be read alone; a page that the file does not have; and
-        anything that `read_images` refuses.
+    Movies, whose images cannot be read alone, missing pages, and anything that `read_images`
+    refuses are an InputError.
     """
     kind = _kind(path)
     if kind == "movie":
@@ -109,10 +105,7 @@ def read_pages(paths: Sequence[Path], first: int, count: int) -> Iterator[tuple[
 def read_photographs(paths: Sequence[Path], shape: tuple[int, int]) -> list[U16]:
     """Read the grey values (rows, columns) of images of that shape; colours become grey.
 
-    Raises
-    ------
-    InputError
-        A file that is not an image, one of another shape, or one that takes too much memory.
+    Other files, shapes and too large images are an InputError.
     """
     images = _in_child(_store_photographs, paths) if paths else ()
     return [_checked(path, image, shape) for path, image in images]

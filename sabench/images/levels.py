@@ -127,12 +127,8 @@ def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
     """Compute the bright level of an image: a percentile of its illuminated pixels.
 
     It is the 95th percentile, interpolated linearly, of grey values less black of the pixels that
-    exceed a tenth of the brightest; 0 without any. Pixels brighter than four typical peaks
-    (`repair.peak_light`) count as four: a few of them may be anything.
-
-    Parameters
-    ----------
-    unknown : pixels (row, column) that do not count.
+    exceed a tenth of the brightest, without unknown ones; 0 without any. Pixels brighter than four
+    typical peaks (`repair.peak_light`) count as four: a few of them may be anything.
     """
     from sabench.images.repair import above_background, peak_light  # loads numba
 

@@ -40,13 +40,8 @@ class Recording:
 def list_cameras(folder: Path) -> dict[str, list[Path]]:
     """List the image files of each camera in a folder, in the order of their numbers.
 
-    Each folder inside it with images is a camera. Of images that lie in the folder itself, those
-    whose names differ in the last number alone are one camera's.
-
-    Raises
-    ------
-    InputError
-        No folder there, or no images in it.
+    Each folder inside it with images is a camera. Of images in the folder itself, those whose names
+    differ in the last number alone are one camera's. No folder or no images is an InputError.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of images, got no folder")
@@ -68,18 +63,13 @@ def _images_in(folder: Path) -> list[Path]:
 
 
 def read_recordings(folder: Path, most: int, white_dn: float | None = None) -> Iterator[Recording]:
-    """Read the first images of every camera of a folder, camera by camera.
+    """Read the first images of every camera of a folder, camera by camera; faults as `read_frames`.
 
     Parameters
     ----------
     most : number of images of each camera.
-    white_dn : grey value of a saturated pixel; by default that of the bit depth, which is the least
-        of 8, 10, 12, 14 and 16 that all of a camera's grey values fit.
-
-    Raises
-    ------
-    InputError
-        No images, a file that is not an image or shows colours, images of different sizes.
+    white_dn : grey value of a saturated pixel; by default that of the least bit depth of 8, 10, 12,
+        14 and 16 that all of a camera's grey values fit.
     """
     for name, paths in progress_bar(list(list_cameras(folder).items()), "measure recordings"):
         frames = read_frames(paths[:most], most)
@@ -102,10 +92,7 @@ def guess_white(frames: Sequence[U16]) -> float:
 def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
     """Read up to so many grey images (row, column) of one size; a file may hold several.
 
-    Raises
-    ------
-    InputError
-        A file that is not an image or shows colours, or images of different sizes.
+    Other files, colours and different sizes are InputErrors.
     """
     folder = paths[0].parent
     frames = tuple(image for _, image in itertools.islice(read_pages(paths, 0, most), most))

@@ -71,12 +71,7 @@ class CameraStatistics:
 
 
 def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
-    """Measure the images (row, column) that one camera took one after the other.
-
-    Parameters
-    ----------
-    white_dn : grey value of a saturated pixel.
-    """
+    """Measure images (row, column) of one camera, one after the other, saturated at `white_dn`."""
     stack = np.stack(frames)
     scale = SCALED_WHITE / white_dn
     low = [(frame - above_background(frame)[0]).astype(np.uint16) for frame in frames]
@@ -201,14 +196,10 @@ def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
     """Fit a Gaussian at any angle to each peak of an image (row, column).
 
     Peaks exceed all of their 5 x 5 surroundings, and the local background by 8 standard deviations
-    of the noise; hot pixels, saturated peaks and those at the border are left out. A quadratic is
-    fitted to the logarithm of the light, with the light's square as weight (Guo, IEEE Signal
-    Process. Mag. 28 (2011) 134-137): of 3 x 3 pixels, since neighbours overlap, or of 5 x 5 where
-    the image is wider than 1 px.
-
-    Parameters
-    ----------
-    white_dn : grey value of a saturated pixel.
+    of the noise; hot pixels, peaks saturated at `white_dn` and those at the border are left out. A
+    quadratic is fitted to the logarithm of the light, with the light's square as weight (Guo, IEEE
+    Signal Process. Mag. 28 (2011) 134-137): of 3 x 3 pixels, since neighbours overlap, or of 5 x 5
+    where the image is wider than 1 px.
     """
     noise = image_noise(grey)
     light = above_background(grey)[0] - np.float32(noise)  # the least of many values is that low

@@ -31,14 +31,9 @@ def write_tiff(path: Path, image: U16) -> None:
 
 
 def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
-    """Read the grey values of a 16-bit TIFF of that shape.
+    """Read the grey values of a 16-bit TIFF of that shape; other files are an InputError.
 
     Nothing is decoded unless the tags are those of the format: one uncompressed page in strips.
-
-    Raises
-    ------
-    InputError
-        No such file, another kind of TIFF or image, or a damaged file.
     """
     import tifffile
 
@@ -105,13 +100,8 @@ def write_exr_channels(path: Path, channels: Mapping[str, npt.ArrayLike]) -> Non
 def read_exr(path: Path, shape: tuple[int, int]) -> F32:
     """Read the photon radiance of an EXR of that shape.
 
-    Nothing is decoded unless the header is that of the format.
-
-    Raises
-    ------
-    InputError
-        No such file, another kind of EXR or image, a damaged file, or radiance that is negative or
-        not finite.
+    Nothing is decoded unless the header is that of the format. Other or damaged files, and negative
+    or infinite radiance, are an InputError.
     """
     import OpenEXR
 
@@ -167,12 +157,8 @@ def _check_header(path: Path, shape: tuple[int, int]) -> None:
 def read_exr_header(path: Path) -> dict[str, bytes]:
     """Read the attributes of an EXR file with one part of scan lines, undecoded.
 
-    Source: https://openexr.com/en/latest/OpenEXRFileLayout.html
-
-    Raises
-    ------
-    ValueError, struct.error
-        Another kind of file, or a damaged one.
+    Source: https://openexr.com/en/latest/OpenEXRFileLayout.html. Other and damaged files are a
+    ValueError or a struct.error.
     """
     with path.open("rb") as file:
         data = file.read(_LONGEST_HEADER)

@@ -153,14 +153,9 @@ class KalmanTracks:
         spread: F64,
         seen: int,
     ) -> None:
-        """Begin tracks.
+        """Begin tracks at positions (n, 3), mm, with velocities, mm/s, and variances of both.
 
-        Parameters
-        ----------
-        number : (n,).
-        position, variance, velocity, spread : (n, 3) mm, mm2, mm/s, mm2/s2.
-        light : (n, camera).
-        seen : how many positions they have.
+        `seen` is how many positions they have.
         """
         count = len(number)
         state = np.stack([position, velocity, np.zeros((count, 3))], axis=1)

@@ -80,21 +80,15 @@ def link(
 ) -> list[I64]:
     """Link the detections of some frames to trajectories.
 
+    Returns numbers (n,) of each frame's trajectories, counted from 0 in the order in which they
+    begin. A detection that joins no other is a trajectory. Times that do not increase are a
+    ValueError.
+
     Parameters
     ----------
     center_mm, radius_mm : (n, 3) and (n,) of each frame.
-    times_s : when each frame was taken.
+    times_s : of the frames.
     gap : number of frames in a row that a trajectory may miss.
-
-    Returns
-    -------
-    Numbers (n,) of each frame's trajectories, counted from 0 in the order in which they begin; a
-    detection that joins no other is a trajectory of its own.
-
-    Raises
-    ------
-    ValueError
-        Times that do not increase.
     """
     if (np.diff(times_s) <= 0.0).any():
         raise ValueError(f"times_s: expected increasing times, got {list(times_s)}")
@@ -123,14 +117,12 @@ def link(
 
 
 def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I64, I64]:
-    """Choose pairs of rows and columns, one to one, of the least total cost.
-
-    A row that is in no pair costs `GATE`.
+    """Choose pairs of rows and columns, one to one, of the least total cost; no pair costs `GATE`.
 
     Parameters
     ----------
-    row, column, cost : (n,) each, the pairs that there may be, each once, with costs from 0 on.
-    shape : how many rows and columns there are.
+    row, column, cost : (n,) possible pairs, each once, with costs from 0 on.
+    shape : numbers of rows and columns.
     """
     rows, columns = shape
     alone = np.arange(rows)  # every row has a column of its own, which means none

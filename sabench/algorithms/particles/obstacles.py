@@ -58,13 +58,7 @@ _Cameras = tuple[int, ...]
 
 
 def find_dark_views(search: ParticleSearch, clear: ClearImages, shares: F64) -> Bool:
-    """Mark large dark areas (camera, row, column) of a search's cameras.
-
-    Parameters
-    ----------
-    clear : images of all cameras, also those that the search leaves out.
-    shares : (camera, row, column) of the volume that pixels show (`volume_shares`).
-    """
+    """Mark large dark areas (camera, row, column) of a search's cameras, by `volume_shares`."""
     dark = find_dark_areas(clear.images, clear.flaws, shares, search.number)
     large = dark.sum(axis=(1, 2)) > _LEAST * (shares > 0.0).sum(axis=(1, 2))
     dark[~(large & search.shown)] = False
@@ -223,15 +217,10 @@ def without_wrong_cameras(
     names: Sequence[str],
     search_without: Callable[[Bool], ParticleSearch | None],
 ) -> ParticleSearch:
-    """Search again without the cameras that contradict the others.
+    """Search again without the cameras that contradict the others, and warn of each.
 
-    A warning names each. If no choice of cameras explains the images, one warning says so, and the
-    search stays.
-
-    Parameters
-    ----------
-    names : of all cameras.
-    search_without : searches the frame without the cameras (all cameras,) that are marked.
+    If no choice of cameras explains the images, one warning says so, and the search stays.
+    `search_without` searches the frame without the cameras (all cameras,) that are marked.
     """
     wrong = np.zeros(len(search.shown), dtype=np.bool_)
     now: ParticleSearch | None = search

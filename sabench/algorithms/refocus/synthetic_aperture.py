@@ -25,20 +25,11 @@ _AT_ONCE = 16  # planes that are shifted before they are resampled: bounds memor
 def refocus_sum(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outside: float = 0.0
 ) -> F32:
-    """Sum the cameras' images at every voxel: (z, y, x).
+    """Sum the cameras' images (camera, row, column) at every voxel: (z, y, x).
 
-    Parameters
-    ----------
-    images : (camera, row, column).
-    outside : value of a camera's image at voxels that it does not see.
-
-    Source: thesis, equation 3.3, times N. Images are resampled once per slab by cubic B-splines,
-    then bilinearly: at most `slabs.DEVIATION_PX` from exact positions.
-
-    Raises
-    ------
-    ValueError
-        Some of the grid has no light path to a camera.
+    A camera that does not see a voxel counts as `outside` there. Source: thesis, equation 3.3,
+    times N. Images are resampled once per slab by cubic B-splines, then bilinearly: at most
+    `slabs.DEVIATION_PX` from exact positions. A grid without light paths is a ValueError.
     """
     volume = np.empty(grid.shape, dtype=np.float32)
     for view, rectified, part in _parts(images, cameras, grid, outside, volume):

@@ -86,15 +86,12 @@ class Plan:
     overlap : of the windows, as a part of them; the first pass overlaps by half.
     passes : after the first.
     search : largest shift (z, y, x) of a later pass.
-    ratio, height : least peak ratio of the first pass, and least normalised correlation of the last
-        one.
+    ratio, height : least peak ratio of the first pass, and normalised correlation of the last one.
     median : of the test against neighbours.
-    smoothing : standard deviation of the Gaussian on the field that moves the volumes, as a part of
-        the later windows.
-    width : least standard deviation in voxels of particles, to which narrower ones are blurred:
-        splines cannot resolve these between voxels.
-    taper : standard deviation of the Gaussian that weights the later windows, as a part of them;
-        None: no weights.
+    smoothing : standard deviation of the Gaussian on the field that moves the volumes, in windows.
+    width : least standard deviation of particles, voxels; narrower ones, which splines cannot
+        resolve, are blurred.
+    taper : standard deviation of the later windows' Gaussian weights, in windows, or None.
     """
 
     first: Size

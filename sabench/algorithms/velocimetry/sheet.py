@@ -226,12 +226,8 @@ def light_in_sheet(case: Observation, sheet: Sheet, around_px: int) -> F32:
     """Resample the camera's image at the sheet's pixels: (1, row, column).
 
     The mean of the `around_px` x `around_px` pixels around is subtracted, because a background that
-    does not move would correlate with itself. Pixels that are not seen are zero.
-
-    Raises
-    ------
-    InputError
-        An image that shows nothing in the sheet.
+    does not move would correlate with itself. Pixels that are not seen are zero. An image that
+    shows nothing in the sheet is an InputError.
     """
     image, seen = case.normalised_images()[sheet.camera], sheet.seen
     places = np.where(seen[..., None], sheet.pixels, 0.0)
