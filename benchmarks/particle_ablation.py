@@ -48,6 +48,7 @@ from benchmarks.particle_density import (  # noqa: E402
 )
 from sabench.algorithms.particles import (  # noqa: E402
     bayesian_ipr,
+    learned_model,
     obstacles,
     particle_search,
 )
@@ -90,7 +91,7 @@ def _learn_light_only(between: float) -> Callable[[ParticleSearch], None]:
 
 def _fixed_light(between: float) -> Patches:
     return [
-        (bayesian_ipr, "learn_light", _learn_light_only(between)),
+        (learned_model, "learn_light", _learn_light_only(between)),
         (ParticleSearch, "reset_covariance", _set_even(between)),
     ]
 
@@ -118,8 +119,8 @@ PARTS: dict[str, tuple[dict[str, Any], Patches]] = {
     "splits": ({}, [(ParticleSearch, "split", _nothing)]),
     "light free": ({}, _fixed_light(_FREE)),
     "one light": ({}, _fixed_light(_SAME)),
-    "alignment": ({}, [(bayesian_ipr, "align_cameras", _nothing)]),
-    "widths": ({}, [(bayesian_ipr, "learn_widths", _nothing)]),
+    "alignment": ({}, [(learned_model, "align_cameras", _nothing)]),
+    "widths": ({}, [(learned_model, "learn_widths", _nothing)]),
     "background": (
         {},
         [

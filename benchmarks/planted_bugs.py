@@ -34,8 +34,8 @@ BUGS = (
     Bug(
         "x and z of a velocity field's lattice swapped",
         "sabench/algorithms/velocimetry/multipass.py",
-        "np.asarray(values[::-1]) for values in (self.windows.origin",
-        "np.asarray(values) for values in (self.windows.origin",
+        "np.asarray(values[::-1]) for values in lattice",
+        "np.asarray(values) for values in lattice",
         case="vortex",
     ),
     Bug(
@@ -55,8 +55,8 @@ BUGS = (
     Bug(
         "planes counted from one",
         "sabench/algorithms/refocus/slabs.py",
-        "depths = grid.axes_mm[2][first : first + count]",
-        "depths = grid.axes_mm[2][first : first + count] + grid.voxel_mm[2]",
+        "depths = grid.axes_mm[2][first : first + planes]",
+        "depths = grid.axes_mm[2][first : first + planes] + grid.voxel_mm[2]",
         case="particles",
     ),
     Bug(
@@ -76,8 +76,8 @@ BUGS = (
     Bug(
         "black level not subtracted",
         "sabench/images/levels.py",
-        "_scale(grey, float(black_dn), 1.0",
-        "_scale(grey, 0.0, 1.0",
+        "grey.astype(np.float64) - black_dn",
+        "grey.astype(np.float64) - 0.0",
         case="particles",
     ),
     Bug(
@@ -97,7 +97,7 @@ BUGS = (
     Bug(
         "no median test of vectors",
         "sabench/algorithms/velocimetry/multipass.py",
-        "    valid = near_the_median(peaks.shift, valid, plan.median)\n",
+        "    valid = outliers.near_the_median(peaks.shift, valid, plan.median)\n",
         "",
         case="vortex",
     ),
@@ -167,8 +167,8 @@ BUGS = (
     Bug(
         "planes refocused .3 px to the right",
         "sabench/algorithms/refocus/slabs.py",
-        "return camera.project(plane_points(box, z_mm, unit))[0]",
-        "return camera.project(plane_points(box, z_mm, unit))[0] + [0.3, 0.0]",
+        "return camera.project(polynomials.plane_points(box, z_mm, unit))[0]",
+        "return camera.project(polynomials.plane_points(box, z_mm, unit))[0] + [0.3, 0.0]",
         case="particles",
     ),
     Bug(

@@ -3,8 +3,8 @@
 Images may be brighter than black between particles, differently from place to place: scattered
 light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by
 clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 393, 1996). Patches
-with sharp edges are brighter on top of it: a sliding minimum leaves them around dead pixels, and
-bodies are lit. They are found where hardly any pixel is dark.
+with sharp edges, in which hardly any pixel is dark, are brighter on top of it: a sliding minimum
+leaves them around dead pixels, and bodies are lit.
 """
 
 from __future__ import annotations
@@ -59,10 +59,7 @@ class ClearImages(NamedTuple):
 
 
 def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
-    """Take the background from images less black, and cover bright spots.
-
-    Images are (camera, row, column).
-    """
+    """Subtract the background of images (camera, row, column), and cover bright spots."""
     cleared, covered = images.copy(), flaws.covered.copy()
     for camera, image in enumerate(cleared):
         known = ~flaws.unknown[camera]
@@ -82,11 +79,7 @@ def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
 
 
 def estimate_background(image: F32, known: Bool) -> F32 | None:
-    """Estimate the background of an image (row, column) less black.
-
-    None where black is the background, or where particles leave no pixel between them: then
-    nothing tells.
-    """
+    """Estimate the background (row, column) of an image less black; None if none shows."""
     rows, columns = (max(size // _TILE, 1) for size in image.shape)
     tiles = _ends(image.shape[0], rows), _ends(image.shape[1], columns)
     modes = np.full((rows * columns, 4), np.nan)
@@ -126,37 +119,29 @@ def find_patches(image: F32, known: Bool) -> F32:
     total, count = np.zeros_like(image), np.zeros_like(image)
     _add_patches(image, known, lit, _BELOW * noise, total, count)
     raised = total / np.maximum(count, np.float32(1.0)) + np.float32(_BELOW * noise)
-    least = max(_RAISED * noise, _usual_level(image, known) + _BELOW * noise)
+    levels = _levels(image, known)
+    levels, usual = levels[np.isfinite(levels)], 0.0
+    if len(levels):  # the highest level by chance, some standard deviations above the middle one
+        low, middle = np.percentile(levels, [_ONE_SIGMA, 50.0])
+        usual = float(middle + _UNUSUAL * (middle - low))
+    least = max(_RAISED * noise, usual + _BELOW * noise)
     patches = (count > 0) & (raised > least)
     if not patches.any():
         return np.zeros_like(image)
     square = np.ones((2 * _BORDER + 1, 2 * _BORDER + 1), np.uint8)
     around = cv2.dilate(patches.astype(np.uint8), square) > 0
     even = np.where(patches, raised, np.float32(0.0))
-    wide = _wide_light(image, noise)
+    # light that is wider than particles' images, as of lit bodies
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_WIDE, _WIDE))
+    opened = cv2.morphologyEx(cv2.GaussianBlur(image, (0, 0), 1.0), cv2.MORPH_OPEN, disc)
+    wide = np.asarray(opened + np.float32(_LOW * noise))
     uneven = around & (wide > even + np.float32(_UNEVEN * noise))
     return np.where(uneven, wide, even)
 
 
-def _usual_level(image: F32, known: Bool) -> float:
-    """Compute the highest level that squares of an image have by chance.
-
-    That is some standard deviations above the middle one.
-    """
-    levels = _levels(image, known)
-    levels = levels[np.isfinite(levels)]
-    if not len(levels):
-        return 0.0
-    low, middle = np.percentile(levels, [_ONE_SIGMA, 50.0])
-    return float(middle + _UNUSUAL * (middle - low))
-
-
 @numba.njit(cache=True)
 def _levels(image: Any, known: Any) -> Any:
-    """Return the low percentiles of squares side by side.
-
-    They are NaN where few pixels are known.
-    """
+    """Return the low percentiles of squares side by side, NaN if few pixels are known."""
     rows, columns = image.shape[0] // _PATCH, image.shape[1] // _PATCH
     levels, values = np.full(rows * columns, np.nan), np.zeros(_PATCH * _PATCH)
     for square in range(rows * columns):
@@ -166,20 +151,9 @@ def _levels(image: Any, known: Any) -> Any:
     return levels
 
 
-def _wide_light(image: F32, noise: float) -> F32:
-    """Measure light that is wider than particles' images, as of lit bodies."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_WIDE, _WIDE))
-    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
-    opened = cv2.morphologyEx(smooth, cv2.MORPH_OPEN, disc)
-    return np.asarray(opened + np.float32(_LOW * noise))
-
-
 @numba.njit(cache=True)
 def _add_patches(image: Any, known: Any, lit: Any, below: float, total: Any, count: Any) -> None:
-    """Add up, and count, the dimmest values of even squares that begin at lit pixels.
-
-    Every second row and column of squares tells where the others are worth a look.
-    """
+    """Add up, and count, the dimmest values of even squares, first those of every second row."""
     near = np.zeros(lit.shape, dtype=np.bool_)
     values = np.zeros(_PATCH * _PATCH)
     for i, j in np.argwhere(lit):
@@ -203,10 +177,7 @@ def _level(image: Any, known: Any, i: int, j: int, below: float, values: Any) ->
 
 @numba.njit(cache=True)
 def _percentiles(image: Any, known: Any, i: int, j: int, values: Any) -> tuple[float, float]:
-    """Return a low percentile and the median of a square's known pixels.
-
-    They are NaN if these are few.
-    """
+    """Return a low percentile and the median of a square's known pixels; NaN if few."""
     number = 0
     for row in range(i, i + _PATCH):
         for column in range(j, j + _PATCH):
@@ -250,10 +221,7 @@ def _measure_modes(image: Any, known: Any, downs: Any, acrosses: Any, modes: Any
 
 @numba.njit(cache=True)
 def _mode(values: Any) -> tuple[float, float, float]:
-    """Estimate the mode of sorted values, and after clipping their scatter and skew.
-
-    The skew is the mean less the median, over the scatter.
-    """
+    """Estimate the mode of sorted values, and their scatter and skew after clipping."""
     middle, scatter = np.median(values), values.std()
     for _ in range(_CLIPS):
         first = np.searchsorted(values, middle - _CLIP * scatter, side="left")
@@ -267,11 +235,7 @@ def _mode(values: Any) -> tuple[float, float, float]:
 
 
 def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
-    """Mark glints and other bright things (row, column) that are no particles.
-
-    They are wider than a particle's image or, where the light of a typical particle is known, many
-    times as bright.
-    """
+    """Mark glints (row, column): wider than a particle, or many times as bright if known."""
     shown = np.where(known, image, np.float32(0.0))
     bright = max(float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0, 1e-6)
     square = np.ones((_SPOT, _SPOT), np.uint8)

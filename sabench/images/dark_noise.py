@@ -80,17 +80,12 @@ class DarkNoise:
     step: float
 
     def threshold(self, false_alarms: float = FALSE_ALARMS) -> F32:
-        """Compute grey values (row, column) that noise reaches with a probability.
+        """Compute grey values (row, column) that noise reaches with a probability, 0 to 0.5.
 
         The distribution is a gamma distribution with the noise's skewness (Pearson's type III),
         which is normal without any, rounded to grey values. Local maxima of noise are fewer than
         pixels above the threshold: the probability is an upper bound of false peaks per pixel,
         nearly reached where neighbours are independent.
-
-        Raises
-        ------
-        InputError
-            A probability that is not between 0 and 0.5.
         """
         if not 0.0 < false_alarms < 0.5:
             raise InputError(
@@ -104,65 +99,77 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
     """Measure the dark level and noise of images (frame, row, column) of one camera.
 
     Bright pixels and their surroundings are left out, again and again, as long as darker ones
-    remain. Where particles are too dense for that, the pixels with the darkest surroundings of all
-    are measured, which show noise up to about one particle on two pixels.
-
-    Parameters
-    ----------
-    known : the same shape or (row, column), pixels that count.
+    remain. If particles are too dense for that, the pixels with the darkest surroundings are
+    measured, which show noise up to about one particle on two pixels. Only known pixels, of the
+    same shape or (row, column), count.
     """
+    import cv2  # takes long to load
+
     if images.ndim != 3 or not images.size:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
     counts = np.array(np.broadcast_to(True if known is None else known, images.shape))
     step = _grey_step(images[counts])
-    around = _light_around(images)
+    # each pixel's surroundings without itself, so that independent noise of pixels with dark
+    # surroundings is distributed as that of all
+    grey, size = images.astype(np.float32), (_AROUND_PX, _AROUND_PX)
+    around = np.stack([cv2.boxFilter(one, -1, size, normalize=False) - one for one in grey])
     found = _measure_calm(images, counts, around, step, _CALM)
     dense = _measure_dense(images, counts, around, step, found)
     return _leave_out_bright(images, counts, step, found) if dense is None else dense
 
 
 def _measure_calm(images: U16, counts: Bool, around: F32, step: float, share: float) -> DarkNoise:
-    """Measure the pixels with the darkest surroundings, about as many in each tile."""
     edge = _TILE_PX * (_CALM / share) ** 0.5
-    return _measure(images, _find_calm(around, counts, share, edge), step, _NARROW_Z, edge)
+    calm = counts.copy()
+    for light, marks in zip(around, calm, strict=True):
+        for tile in _tiles(light.shape, edge).values():
+            if marks[tile].any():
+                marks[tile] &= light[tile] <= np.quantile(light[tile][marks[tile]], share)
+    return _measure(images, calm, step, _NARROW_Z, edge)
 
 
 def _measure_dense(
     images: U16, counts: Bool, around: F32, step: float, usual: DarkNoise
 ) -> DarkNoise | None:
-    """Measure as many calm pixels as show no light, where it covers most others.
+    """Measure as many calm pixels as show no light, if it covers most others.
 
-    None where it does not, where it is a background, or where the usual share of the pixels is calm
-    enough. A background may have dark bodies before it, which are calm, too; but its pixels are
-    spread evenly about those around them, while particles are brighter than what is around them.
+    None if it does not, if it is a background, or if the usual share of the pixels is calm enough.
+    A background may have dark, calm bodies before it, but its pixels are spread evenly about those
+    around them, while particles are brighter than what is around them.
     """
     shares = [share for share in _CALMER if share * counts.sum() >= _FEW_CALM]
     if not shares:
         return None
     least = _measure_calm(images, counts, around, step, shares[-1])
     bright = counts & (images > least.threshold())
-    if bright.sum() < _COVERED * counts.sum():
-        return None
-    if not _show_particles(images, around, bright, step):
+    covered = bright.sum() >= _COVERED * counts.sum()
+    if not covered or not _show_particles(images, around, bright, step):
         return None
     more = (_measure_calm(images, counts, around, step, share) for share in shares[:-1])
-    calm = next((one for one in (usual, *more) if _are_alike(one, least)), least)
-    return None if calm is usual else calm
+    far = float(np.median(least.threshold() - least.level))
+    for calm in (usual, *more):
+        reach = float(np.median(calm.threshold() - calm.level))
+        if reach <= _LIGHT * far and far <= _LIGHT * reach:
+            return None if calm is usual else calm
+    return least
 
 
 def _leave_out_bright(images: U16, counts: Bool, step: float, found: DarkNoise) -> DarkNoise:
-    """Measure what is far from bright pixels, which are left out again and again."""
-    dark = counts
+    """Measure pixels far from bright ones, which are left out again and again."""
+    import cv2  # takes long to load
+
+    dark, halo = counts, np.ones((_HALO_PX, _HALO_PX), np.uint8)
     for round_ in range(_ROUNDS):
         limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
-        darker = dark & ~_surroundings(images >= limit)
+        bright = (images >= limit).astype(np.uint8)
+        darker = dark & ~np.stack([cv2.dilate(one, halo) > 0 for one in bright])
         if darker.sum() < _LEAST_SHARE * counts.sum():
             break
-        before, now = found, _measure(images, darker, step, _WIDE_Z)
-        if round_ and np.median(now.threshold()) >= np.median(before.threshold()):
+        now = _measure(images, darker, step, _WIDE_Z)
+        if round_ and np.median(now.threshold()) >= np.median(found.threshold()):
             break
-        found, settled = now, darker.sum() > _SETTLED * dark.sum()
-        if settled:
+        found = now
+        if darker.sum() > _SETTLED * dark.sum():
             break
         dark = darker
     return found
@@ -174,7 +181,7 @@ def _show_particles(images: U16, around: F32, bright: Bool, step: float) -> bool
     Compared with their surroundings, those of particles are skewed (by quartiles: A. L. Bowley,
     Elements of Statistics, 1901), and neighbours often have the same sign (N. Blomqvist, Ann. Math.
     Statist. 21, 593-600, 1950). Photon noise has independent signs, smoothed noise is not skewed.
-    Neither measure minds the tails that edges of bodies make.
+    Tails that edges of bodies make change neither.
     """
     rest = images - around / np.float32(_AROUND_PX**2 - 1)
     values = _dithered(rest[bright], step)
@@ -191,12 +198,6 @@ def _dithered(values: F64 | F32, width: float) -> F64:
     return np.asarray(values + width * (np.modf(_GOLDEN * np.arange(len(values)))[0] - 0.5))
 
 
-def _are_alike(one: DarkNoise, other: DarkNoise) -> bool:
-    """Say whether thresholds are about as far above their levels."""
-    reach, far = (float(np.median(each.threshold() - each.level)) for each in (one, other))
-    return reach <= _LIGHT * far and far <= _LIGHT * reach
-
-
 def _grey_step(values: U16) -> float:
     """Compute the usual difference of neighbouring values of darker pixels."""
     counts = np.bincount(values) if len(values) else np.ones(1, dtype=np.int64)
@@ -204,36 +205,6 @@ def _grey_step(values: U16) -> float:
     share = np.cumsum(counts[levels]) / counts.sum()
     apart = np.diff(levels[: max(int(np.searchsorted(share, 0.9)) + 1, 2)])
     return float(np.median(apart)) if len(apart) else 1.0
-
-
-def _light_around(images: U16) -> F32:
-    """Sum the surroundings of each pixel (frame, row, column).
-
-    A pixel itself is no part of them, so that independent noise of pixels with dark surroundings is
-    distributed as that of all.
-    """
-    import cv2
-
-    grey, size = images.astype(np.float32), (_AROUND_PX, _AROUND_PX)
-    return np.stack([cv2.boxFilter(one, -1, size, normalize=False) - one for one in grey])
-
-
-def _find_calm(around: F32, counts: Bool, share: float, edge: float) -> Bool:
-    """Mark a share of each tile's pixels, those with the darkest surroundings."""
-    calm = counts.copy()
-    for own, marks in zip(around, calm, strict=True):
-        for where in _tiles(own.shape, edge).values():
-            if marks[where].any():
-                marks[where] &= own[where] <= np.quantile(own[where][marks[where]], share)
-    return calm
-
-
-def _surroundings(bright: Bool) -> Bool:
-    """Mark the squares around bright pixels (frame, row, column)."""
-    import cv2  # takes long to load
-
-    square = np.ones((_HALO_PX, _HALO_PX), np.uint8)
-    return np.stack([cv2.dilate(one.astype(np.uint8), square) > 0 for one in bright])
 
 
 def _measure(
@@ -251,15 +222,11 @@ def _measure(
     wide = [_spread(offset, size), np.clip(_spread(noise, size), least, most)]
     shift, scale, skewness = _shape(images, rest, counts, wide[0], wide[1], step)
     deviation = np.maximum(scale * wide[1], _FINEST * step)
-    return DarkNoise(
-        np.maximum(whole + wide[0] + shift * wide[1], -_LOWEST * deviation).astype(np.float32),
-        deviation.astype(np.float32),
-        # few photons: the third moment grows as the variance
-        np.minimum(skewness * float(np.median(deviation)) / deviation, _MOST_SKEW).astype(
-            np.float32
-        ),
-        step,
-    )
+    level = np.maximum(whole + wide[0] + shift * wide[1], -_LOWEST * deviation)
+    # few photons: the third moment grows as the variance
+    skewed = np.minimum(skewness * float(np.median(deviation)) / deviation, _MOST_SKEW)
+    level, deviation, skewed = (one.astype(np.float32) for one in (level, deviation, skewed))
+    return DarkNoise(level, deviation, skewed, step)
 
 
 def _by_tile(
@@ -267,9 +234,11 @@ def _by_tile(
 ) -> tuple[F64, F64]:
     """Measure mean and standard deviation of each tile.
 
-    Tiles in which few pixels count, or with noise of their own, have those of the nearest other
-    one. Black (row, column) is the least of all possible values.
+    Tiles with few pixels, or with unusual noise, get those of the nearest other one. Black (row,
+    column) is the least of all possible values.
     """
+    from scipy.ndimage import median_filter
+
     tiles = _tiles(values.shape[1:], edge)
     mean, deviation = (np.full(np.add(max(tiles), 1), np.nan) for _ in range(2))
     for number, where in tiles.items():
@@ -280,7 +249,9 @@ def _by_tile(
         own = values[counts] if counts.any() else values.ravel()
         mean[:], deviation[:] = _fit_quantiles(own, int(black.max()), span)
     mean, deviation = _fill(mean), _fill(deviation)
-    far = _find_outliers(deviation)
+    around = median_filter(deviation, 3, mode="nearest")
+    far = np.maximum(deviation, around) > _OUTLIER * np.minimum(deviation, around)
+    far &= np.abs(deviation - around) > _FINEST * _OUTLIER
     if not far.all():
         mean[far] = deviation[far] = np.nan
     return _fill(mean), _fill(deviation)
@@ -295,17 +266,7 @@ def _tiles(size: tuple[int, ...], edge: float) -> dict[tuple[int, int], tuple[sl
     return {(i, j): (a, b) for i, a in enumerate(down) for j, b in enumerate(across)}
 
 
-def _find_outliers(noise: F64) -> Bool:
-    """Mark tiles whose noise differs much from that of the tiles around them."""
-    from scipy.ndimage import median_filter
-
-    around = median_filter(noise, 3, mode="nearest")
-    far = np.maximum(noise, around) > _OUTLIER * np.minimum(noise, around)
-    return np.asarray(far & (np.abs(noise - around) > _FINEST * _OUTLIER))
-
-
 def _fill(tiles: F64) -> F64:
-    """Replace NaN by the nearest number."""
     from scipy.ndimage import distance_transform_edt
 
     missing = np.isnan(tiles)
@@ -318,8 +279,8 @@ def _fill(tiles: F64) -> F64:
 def _fit_quantiles(values: I64 | U16, black: int, span: float) -> tuple[float, float]:
     """Fit a normal distribution to the darker part of whole numbers.
 
-    The borders between them are fitted by a line over the normal deviates of the shares below.
-    Where noise is cut at black, borders farther up count, too, and none below it.
+    A line is fitted to the borders between them over the normal deviates of the shares below. Where
+    noise is cut at black, borders farther up count, too, and none below it.
     """
     from scipy.special import ndtri
 
@@ -352,9 +313,9 @@ def _shape(
 
     Quantiles of a skewed distribution follow a parabola over the normal deviates (E. A. Cornish and
     R. A. Fisher, Rev. Inst. Int. Stat. 5, 307-320, 1938); those of the darker part are fitted. A
-    longer tail to the dark counts as one to the bright. Where black cuts the darker part, or where
-    it has been cut and then smoothed, a line through brighter quantiles holds, unless these bend
-    upwards as those of particles do. Pixels are spread over their grey value.
+    longer tail to the dark counts as one to the bright. If black cuts the darker part, or if it was
+    cut and then smoothed, a line through brighter quantiles is used, unless these bend upwards as
+    those of particles do. Pixels are spread over their grey value.
     """
     values = ((rest - offset) / noise)[counts]
     if len(values) < _FEW or np.median(noise) < _SKEW_STEPS * step:
@@ -370,13 +331,10 @@ def _shape(
     options = [(0.0, 1.0, 0.0)] if cut else [(fit[0], max(fit[1], 0.1), min(skewness, _MOST_SKEW))]
     if straight and line[1] < _PARTICLES:
         options.append((line[0], line[1], 0.0))
-    return max(options, key=_far_quantile)
-
-
-def _far_quantile(shape: tuple[float, float, float]) -> float:
-    """Compute what noise of a shift, scale and skewness reaches at 1e-5."""
-    shift, scale, skewness = shape
-    return shift + scale * float(_deviates(np.array([skewness], dtype=np.float32), FALSE_ALARMS)[0])
+    # the one whose noise reaches farthest at the usual probability
+    far = _deviates(np.array([skew for *_, skew in options], dtype=np.float32), FALSE_ALARMS)
+    reach = [shift + scale * float(z) for (shift, scale, _), z in zip(options, far, strict=True)]
+    return options[int(np.argmax(reach))]
 
 
 def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:

@@ -11,10 +11,7 @@ from sabench.utils.vector_units import fill_edges, fill_edges_and_slopes
 
 @numba.njit(cache=True)
 def fill_shares(center: float, sigma: float, first: int, pixels: int, shares: Any) -> None:
-    """Fill in shares of a Gaussian's integral from pixel `first` on, to 1e-8.
-
-    They are (lane,), as `vector_units.whole_lanes` says, and 0 after so many pixels.
-    """
+    """Fill in shares (lane,) of a Gaussian from pixel `first` on, to 1e-8, then zeros."""
     step = 1.0 / (sigma * math.sqrt(2.0))
     fill_edges(shares, (first - 0.5 - center) * step, step, pixels)
 
@@ -43,10 +40,7 @@ def fill_bend(center: float, sigma: float, first: int, bend: Any) -> None:
 
 @numba.njit(cache=True)
 def fill_derivatives(center: float, sigma: float, first: int, derivatives: Any) -> None:
-    """Fill in the second to the fifth derivatives (4, n) of shares by the centre.
-
-    Derivatives of a Gaussian are that times Hermite's polynomials of the distance z to the centre.
-    """
+    """Fill in the second to fifth derivatives (4, n) of shares, by Hermite's polynomials."""
     scale, pixels = -1.0 / (math.sqrt(2.0 * math.pi) * sigma**2), derivatives.shape[1]
     for i in range(pixels + 1):
         z = (first + i - 0.5 - center) / sigma

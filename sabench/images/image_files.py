@@ -19,8 +19,8 @@ RAW = (".raw", ".bin")
 READABLE = (*STILLS, *MOVIES, *RAW)
 _DIGITS = re.compile(r"(\d+)")
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
-_ALONE = "camera"  # name of a camera whose files do not give it one
-_FIELDS = {"camera": r"(?P<camera>[^/]+?)", "frame": r"(?P<frame>\d+)", "*": r"[^/]*?"}
+_UNNAMED = "camera"  # of a camera whose files do not give it a name
+_FIELDS = {"{camera}": r"(?P<camera>[^/]+?)", "{frame}": r"(?P<frame>\d+)", "*": r"[^/]*?"}
 
 Files = dict[str, tuple[Path, ...]]
 
@@ -42,8 +42,8 @@ def find_image_files(folder: Path, cameras: Sequence[str], pattern: str | None =
     Raises
     ------
     InputError
-        No folder there, no images in it, a pattern that is none or that matches nothing, or two
-        files of one frame and camera.
+        No folder, no images in it, an invalid pattern or one that matches nothing, or two files of
+        one frame and camera.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of images, got no folder")
@@ -51,13 +51,29 @@ def find_image_files(folder: Path, cameras: Sequence[str], pattern: str | None =
         return _by_pattern(folder, pattern)
     found = _by_folder(folder, cameras) | _in_one_folder(_images_in(folder), cameras)
     if not found:
-        raise InputError(_none_found(folder))
+        others = Counter(path.suffix.lower() for path in folder.rglob("*") if path.is_file())
+        got = ", ".join(f"{count} x {kind or 'no suffix'}" for kind, count in others.most_common(3))
+        raise InputError(
+            f"{folder}: expected images ({', '.join(READABLE)}) in it or its folders, got "
+            f"{got or 'no files'}"
+        )
     return {name: found[name] for name in sorted(found, key=natural_order)}
 
 
 def natural_order(name: str) -> list[tuple[int, str]]:
     """Give a key that sorts names with their numbers as numbers."""
     return [(int(one), "") if one.isdigit() else (0, one) for one in _DIGITS.split(name.lower())]
+
+
+def camera_name(path: Path) -> str:
+    """Return a file's name without its last number, which is that of the frame."""
+    return _LAST_NUMBER.sub("", path.stem).strip(" ._-") or _UNNAMED
+
+
+def last_number_order(path: Path) -> tuple[str, int, str]:
+    """Give a key that sorts files by their names without the last number, then by this number."""
+    number = _LAST_NUMBER.search(path.stem)
+    return _LAST_NUMBER.sub("", path.stem), int(number.group()) if number else -1, path.name
 
 
 def _by_pattern(folder: Path, pattern: str) -> Files:
@@ -68,7 +84,7 @@ def _by_pattern(folder: Path, pattern: str) -> Files:
         if match is None or not path.is_file():
             continue
         fields = match.groupdict()
-        frames = found.setdefault(fields.get("camera") or _ALONE, {})
+        frames = found.setdefault(fields.get("camera") or _UNNAMED, {})
         number = int(fields.get("frame") or 0)
         if number in frames:
             raise InputError(
@@ -78,37 +94,29 @@ def _by_pattern(folder: Path, pattern: str) -> Files:
         frames[number] = path
     if not found:
         raise InputError(f"{folder}: expected files like {pattern}, got none")
-    ordered = sorted(found, key=natural_order)
-    return {name: tuple(path for _, path in sorted(found[name].items())) for name in ordered}
+    return {
+        name: tuple(path for _, path in sorted(found[name].items()))
+        for name in sorted(found, key=natural_order)
+    }
 
 
 def _compile(pattern: str) -> re.Pattern[str]:
-    """Make a regular expression of a pattern."""
     parts = re.split(r"(\{[^}]*\}|\*)", pattern)
-    fields = [part.strip("{}") for part in parts if part[:1] == "{"]
-    if (
-        "camera" not in fields
-        or not {*fields} <= {"camera", "frame"}
-        or len({*fields}) < len(fields)
-    ):
+    fields = sorted(part.strip("{}") for part in parts if part[:1] == "{")
+    if fields not in (["camera"], ["camera", "frame"]):
         raise InputError(
             "pattern: expected a path with {camera} and, for files of one frame, {frame}, each "
             f"once, got {pattern!r}"
         )
-    return re.compile(
-        "".join(
-            _FIELDS[part.strip("{}")] if part[:1] == "{" or part == "*" else re.escape(part)
-            for part in parts
-        )
-    )
+    return re.compile("".join(_FIELDS.get(part) or re.escape(part) for part in parts))
 
 
 def _by_folder(folder: Path, cameras: Sequence[str]) -> Files:
     """Find folders of cameras, or of frames with a file for each camera."""
-    inner = sorted((one for one in folder.iterdir() if one.is_dir()), key=_order)
-    held = {one.name: files for one in inner if (files := _images_in(one))}
-    of_frames = held and all(_are_cameras(files, cameras) for files in held.values())
-    if not of_frames or set(held) & set(cameras):
+    inner = sorted((path for path in folder.iterdir() if path.is_dir()), key=_natural)
+    held = {path.name: files for path in inner if (files := _images_in(path))}
+    stems = {path.stem for files in held.values() for path in files}
+    if not held or not stems <= set(cameras) or set(held) & set(cameras):
         return held
     found: dict[str, list[Path]] = {name: [] for name in cameras}
     for files in held.values():
@@ -117,29 +125,21 @@ def _by_folder(folder: Path, cameras: Sequence[str]) -> Files:
     return {name: tuple(files) for name, files in found.items()}
 
 
-def _are_cameras(files: Sequence[Path], cameras: Sequence[str]) -> bool:
-    return {path.stem for path in files} <= set(cameras)
-
-
 def _in_one_folder(files: Sequence[Path], cameras: Sequence[str]) -> Files:
     stems = Counter(path.stem for path in files)
     each = len(files) == len(cameras) and len(stems) == len(files)
     found: dict[str, list[Path]] = {}
     for path in files:
         own = each or path.stem in cameras or path.suffix.lower() in MOVIES or _is_numbered(path)
-        name = path.stem if own else _LAST_NUMBER.sub("", path.stem).strip(" ._-") or _ALONE
+        name = path.stem if own else camera_name(path)
         found.setdefault(name, []).append(path)
     return {name: tuple(paths) for name, paths in found.items()}
 
 
 def _images_in(folder: Path) -> tuple[Path, ...]:
-    files = (one for one in folder.iterdir() if _is_readable(one) and one.is_file())
-    shown = (one for one in files if not one.name.startswith("."))
-    return tuple(sorted(shown, key=_order))
-
-
-def _is_readable(path: Path) -> bool:
-    return path.suffix.lower() in READABLE or _is_numbered(path)
+    shown = (path for path in folder.iterdir() if path.is_file() and path.name[:1] != ".")
+    images = (path for path in shown if path.suffix.lower() in READABLE or _is_numbered(path))
+    return tuple(sorted(images, key=_natural))
 
 
 def _is_numbered(path: Path) -> bool:
@@ -147,12 +147,5 @@ def _is_numbered(path: Path) -> bool:
     return path.suffix[1:].isdigit()
 
 
-def _order(path: Path) -> list[tuple[int, str]]:
+def _natural(path: Path) -> list[tuple[int, str]]:
     return natural_order(path.name)
-
-
-def _none_found(folder: Path) -> str:
-    others = Counter(one.suffix.lower() for one in folder.rglob("*") if one.is_file())
-    got = ", ".join(f"{count} x {kind or 'no suffix'}" for kind, count in others.most_common(3))
-    known = ", ".join(READABLE)
-    return f"{folder}: expected images ({known}) in it or its folders, got {got or 'no files'}"

@@ -19,6 +19,7 @@ from sabench.utils.processes.call import read_isolated
 _BATCH = 32  # images that one child process reads
 _EXPANDED = 100  # times a movie's size that its frames may take
 _NEARLY_GREY = 6  # of 255: difference of colours that a movie's compression makes of grey
+_NO_IMAGE = "expected an image of a kind that OpenCV reads, got none"
 _WHITEST = np.uint16(65535)
 _LUMA = (0.114, 0.587, 0.299)  # of blue, green and red, ITU-R BT.601
 
@@ -52,10 +53,9 @@ _RAW_TYPES = {"uint8": "u1", "uint16": "<u2", "uint16-big": ">u2"}
 def read_images(
     files: Sequence[Path], shape: tuple[int, int], raw: RawLayout | None = None
 ) -> Iterator[tuple[Path, U16]]:
-    """Read all images in files, one after the other.
+    """Read all images in files, one after the other, in limited child processes.
 
-    Yields the file and the grey values (row, column) of each. A file may hold several. Limited
-    child processes read them, which the libraries may not survive.
+    Yields the file and the grey values (row, column) of each. A file may hold several.
 
     Parameters
     ----------
@@ -69,42 +69,53 @@ def read_images(
         negative values; a raw file without a layout.
     """
     for kind, group in itertools.groupby(files, key=_kind):
-        own = list(group)
+        paths = list(group)
+        parts: Iterator[Iterator[tuple[Path, U16]]]
         if kind == "raw":
-            images = itertools.chain.from_iterable(_read_raw(one, shape, raw) for one in own)
+            parts = (_read_raw(path, shape, raw) for path in paths)
         elif kind == "movie":
-            images = itertools.chain.from_iterable(_in_child(_store_movie, [one]) for one in own)
+            parts = (_in_child(_store_movie, [path]) for path in paths)
         else:
-            batches = [own[at : at + _BATCH] for at in range(0, len(own), _BATCH)]
-            images = itertools.chain.from_iterable(_read_stills(batch) for batch in batches)
-        for path, image in images:
+            parts = (_read_stills(paths[at : at + _BATCH]) for at in range(0, len(paths), _BATCH))
+        for path, image in itertools.chain.from_iterable(parts):
             yield path, _checked(path, image, shape)
 
 
 def read_page(path: Path, page: int, shape: tuple[int, int], raw: RawLayout | None = None) -> U16:
     """Read one image (row, column) of a file; pages count from 0.
 
-    Raises
-    ------
-    InputError
-        A movie, whose images cannot be read alone; a page that the file does not have; and
-        anything that `read_images` refuses.
+    Movies, whose images cannot be read alone, missing pages, and anything that `read_images`
+    refuses are an InputError.
     """
     kind = _kind(path)
     if kind == "movie":
         raise InputError(f"{path}: expected a file whose images can be read alone, got a movie")
     if kind == "raw":
         return next(itertools.islice(_read_raw(path, shape, raw), page, None))[1]
-    for _, image in _in_child(_store_stills, [path], page, 1):
+    for _, image in read_pages([path], page, 1):
         return _checked(path, image, shape)
     raise InputError(f"{path}: expected image {page} in it, got fewer")
+
+
+def read_pages(paths: Sequence[Path], first: int, count: int) -> Iterator[tuple[Path, U16]]:
+    """Read up to so many images of each file, from number `first` on, whatever their size."""
+    return _in_child(_store_stills, paths, first, count)
+
+
+def read_photographs(paths: Sequence[Path], shape: tuple[int, int]) -> list[U16]:
+    """Read the grey values (rows, columns) of images of that shape; colours become grey.
+
+    Other files, shapes and too large images are an InputError.
+    """
+    images = _in_child(_store_photographs, paths) if paths else ()
+    return [_checked(path, image, shape) for path, image in images]
 
 
 def image_size(path: Path) -> tuple[int, int] | None:
     """Read rows and columns of a file's first image; None for movies and raw."""
     if _kind(path) != "still":
         return None
-    return next((image.shape for _, image in _in_child(_store_stills, [path], 0, 1)), None)
+    return next((image.shape for _, image in read_pages([path], 0, 1)), None)
 
 
 def _kind(path: Path) -> str:
@@ -114,22 +125,19 @@ def _kind(path: Path) -> str:
 
 def _read_stills(paths: Sequence[Path]) -> Iterator[tuple[Path, U16]]:
     """Read the first pages of files, and further ones of those that are full."""
-    first = 0
-    left = list(paths)
+    first, left = 0, list(paths)
     while left:
-        counts = dict.fromkeys(left, 0)
         pages: dict[Path, list[U16]] = {path: [] for path in left}
-        for path, image in _in_child(_store_stills, left, first, _BATCH):
-            counts[path] += 1
+        for path, image in read_pages(left, first, _BATCH):
             pages[path].append(image)
-        if len(left) > 1 and any(count == _BATCH for count in counts.values()):
+        full = [path for path in left if len(pages[path]) == _BATCH]
+        if len(left) > 1 and full:
             # files with many pages: one after the other, in the order of the files
             yield from itertools.chain.from_iterable(_read_stills([path]) for path in left)
             return
         for path in left:
             yield from ((path, image) for image in pages[path])
-        left = [path for path in left if counts[path] == _BATCH]
-        first += _BATCH
+        first, left = first + _BATCH, full
 
 
 def _in_child(store: Any, paths: Sequence[Path], *arguments: Any) -> Iterator[tuple[Path, U16]]:
@@ -141,7 +149,7 @@ def _in_child(store: Any, paths: Sequence[Path], *arguments: Any) -> Iterator[tu
         read_isolated(store, paths[0], tuple(paths), folder, *arguments, size_bytes=size)
         for number, path in enumerate(paths):
             stored = folder.glob(f"{number}-*.npy")
-            for file in sorted(stored, key=lambda one: int(one.stem.partition("-")[2])):
+            for file in sorted(stored, key=lambda file: int(file.stem.partition("-")[2])):
                 yield path, np.load(file, allow_pickle=False)
                 file.unlink()
 
@@ -155,18 +163,28 @@ def _store_stills(_: Path, paths: Sequence[Path], folder: Path, first: int, coun
         except (cv2.error, MemoryError):  # no page is left, or too many pixels
             done, pages = False, ()
         if not done and first == 0:
-            raise InputError(f"{path}: expected an image of a kind that OpenCV reads, got none")
+            raise InputError(f"{path}: {_NO_IMAGE}")
         for page, image in enumerate(pages):
             grey = _grey(path, image)
             light = _WHITEST - grey if _is_negative(path, image) else grey
             np.save(folder / f"{number}-{page}.npy", light)
 
 
-def _is_negative(path: Path, image: Any) -> bool:
-    """Return whether 0 is white in a TIFF of 16 bits.
+def _store_photographs(_: Path, paths: Sequence[Path], folder: Path) -> None:
+    import cv2
 
-    OpenCV inverts those of 8 bits itself, but no others.
-    """
+    for number, path in enumerate(paths):
+        try:
+            image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+        except (cv2.error, MemoryError):  # too many pixels
+            image = None
+        if image is None:
+            raise InputError(f"{path}: {_NO_IMAGE}")
+        np.save(folder / f"{number}-0.npy", _grey(path, image))
+
+
+def _is_negative(path: Path, image: Any) -> bool:
+    """Say whether 0 is white in a TIFF of 16 bits; OpenCV inverts only those of 8 bits."""
     import tifffile
 
     if path.suffix.lower() not in (".tif", ".tiff") or image.dtype != np.uint16:
@@ -179,24 +197,18 @@ def _store_movie(path: Path, _: Sequence[Path], folder: Path) -> None:
     import cv2
 
     movie = cv2.VideoCapture(str(path))
-    page = 0
-    while True:
-        done, image = movie.read()
-        if not done:
+    for page in itertools.count():
+        shown, image = movie.read()
+        if not shown and not page:
+            raise InputError(f"{path}: expected a movie that OpenCV can decode, got none")
+        if not shown:
             break
-        np.save(folder / f"0-{page}.npy", _grey_of_movie(path, np.asarray(image)))
-        page += 1
-    if not page:
-        raise InputError(f"{path}: expected a movie that OpenCV can decode, got none")
-
-
-def _grey_of_movie(path: Path, image: Any) -> U16:
-    if image.ndim == 3:
-        spread = int(np.ptp(image.astype(np.int16), axis=2).max())
-        if spread > _NEARLY_GREY:
-            raise InputError(f"{path}: expected a grey movie, got one with colours; convert it")
-        image = np.rint(image @ np.asarray(_LUMA))
-    return np.asarray(image, dtype=np.uint16)
+        image = np.asarray(image)
+        if image.ndim == 3:
+            if int(np.ptp(image.astype(np.int16), axis=2).max()) > _NEARLY_GREY:
+                raise InputError(f"{path}: expected a grey movie, got one with colours; convert it")
+            image = np.rint(image @ np.asarray(_LUMA))
+        np.save(folder / f"0-{page}.npy", np.asarray(image, dtype=np.uint16))
 
 
 def _grey(path: Path, image: Any) -> U16:

@@ -61,6 +61,10 @@ class GreyValues:
         """Least of 8, 10, 12, 14 and 16 bits that hold all grey values."""
         return next(depth for depth in DEPTHS if self._highest < 1 << depth)
 
+    @property
+    def _highest(self) -> int:
+        return int(np.flatnonzero(self.counts)[-1]) if self.counts.any() else 0
+
     def levels(self, bit_depth: int, *, backlit: bool = False) -> GreyLevels:
         """Estimate the levels of a sensor of so many bits.
 
@@ -74,20 +78,12 @@ class GreyValues:
         saturated = self.counts[int(white) :].sum() / max(self.counts.sum(), 1)
         return GreyLevels(min(black, white - 1.0), white, bit_depth, float(saturated))
 
-    @property
-    def _highest(self) -> int:
-        return int(np.flatnonzero(self.counts)[-1]) if self.counts.any() else 0
-
     def _quantile(self, share: float) -> int:
         up_to = np.cumsum(self.counts)
         return int(np.searchsorted(up_to, share * up_to[-1], side="right"))
 
     def _most_frequent(self) -> float:
-        """Average the values around the most frequent one.
-
-        They reach as far as the darkest ones are from it. Light makes the other side longer, which
-        so does not count.
-        """
+        """Average values around the most frequent one, as far as the darkest are from it."""
         reach = max(int(np.argmax(self.counts)) - self._quantile(_TAIL), 1)
         wide = np.convolve(self.counts, np.ones(reach), mode="same")
         middle = int(np.argmax(wide)) if reach > 2 else int(np.argmax(self.counts))
@@ -100,32 +96,25 @@ class GreyValues:
     def _white(self, largest: int) -> float:
         highest = self._highest
         near = max(1, round(_NEAR * highest))
-        top = self.counts[highest - near + 1 : highest + 1]
-        below = self.counts[max(highest - 2 * near + 1, 0) : highest - near + 1]
+        first = highest - near + 1
+        top, below = self.counts[first : highest + 1], self.counts[max(first - near, 0) : first]
         clipped = top.sum() >= max(_FEWEST, _CLIPPED * below.sum()) and 2 * highest > largest
-        if not clipped:
-            return float(largest)
         middle = np.searchsorted(np.cumsum(top), 0.5 * top.sum())
-        return float(highest - near + 1 + middle)
+        return float(first + middle if clipped else largest)
 
 
 def normalise(images: U16, black_dn: float, unknown: Bool | None = None) -> F32:
-    """Scale images to a bright particle's peak in the same camera.
+    """Scale images to a bright particle's peak in the same camera, `bright_dn`.
 
     Cameras record particles at different scattering angles and so at very different brightness; a
     common scale makes them count alike (the thesis matches histograms to the same end, section
-    2.3). The scale is `bright_dn`, which is the same kind of pixel in a sparse and in a dense
-    image.
+    2.3). Returns (camera, row, column) fractions of the bright level, black level subtracted.
 
     Parameters
     ----------
     images : (camera, row, column) grey values.
     black_dn : grey value without light.
     unknown : (camera, row, column) pixels that do not count for the scale.
-
-    Returns
-    -------
-    (camera, row, column) fractions of the bright level, black level subtracted.
     """
     scaled: F32 = np.empty(images.shape, dtype=np.float32)
     for number, (grey, image) in enumerate(zip(images, scaled, strict=True)):
@@ -138,12 +127,8 @@ def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
     """Compute the bright level of an image: a percentile of its illuminated pixels.
 
     It is the 95th percentile, interpolated linearly, of grey values less black of the pixels that
-    exceed a tenth of the brightest; 0 without any. Pixels brighter than four typical peaks
-    (`repair.peak_light`) count as four: a few of them may be anything.
-
-    Parameters
-    ----------
-    unknown : pixels (row, column) that do not count.
+    exceed a tenth of the brightest, without unknown ones; 0 without any. Pixels brighter than four
+    typical peaks (`repair.peak_light`) count as four: a few of them may be anything.
     """
     from sabench.images.repair import above_background, peak_light  # loads numba
 

@@ -42,10 +42,7 @@ def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
 
 
 def _grid(pixels: F64, reach: float) -> tuple[I64, int, int]:
-    """Assign images (n, 2) to cells at least as wide as the reach; -1 for none.
-
-    Returns the numbers of cells along columns and rows, too.
-    """
+    """Assign images (n, 2) to cells at least as wide as the reach, -1 for none; count these."""
     there = np.isfinite(pixels).all(axis=1)
     if not there.any():
         return np.full(len(pixels), -1), 1, 1

@@ -1,8 +1,7 @@
 """Peaks of images to fractions of a pixel, also those above the noise alone.
 
-The module also has a quick search for peaks near a pixel. Maxima of volumes are found elsewhere,
-since they break ties in other ways: `metrics.local_maxima` joins plateaus, the lattice of
-`particles.candidate_search` keeps the first of equal points.
+Maxima of volumes are found elsewhere, since they break ties in other ways: `metrics.local_maxima`
+joins plateaus, the lattice of `particles.candidate_search` keeps the first of equal points.
 """
 
 from __future__ import annotations
@@ -70,10 +69,7 @@ def keep_peaks(peaks: Peaks, numbers: I64) -> Peaks:
 
 @numba.njit(cache=True)
 def maxima(light: Any, least: Any) -> Any:
-    """Find pixels (2, n) of `least` or more that no neighbour exceeds: rows, columns.
-
-    Borders are left out.
-    """
+    """Find inner pixels (rows, columns) of `least` or more that no neighbour exceeds."""
     rows, columns = light.shape
     found = []
     for r in range(1, rows - 1):
@@ -96,10 +92,7 @@ def maxima(light: Any, least: Any) -> Any:
 
 
 def _vertex(before: F32, here: F32, behind: F32) -> F64:
-    """Compute offsets (n,) of parabolas' vertices from the middle of three values.
-
-    Offsets are at most 0.5.
-    """
+    """Compute offsets (n,), at most 0.5, of parabolas' vertices from the middle values."""
     curvature = 2.0 * (before - 2.0 * here + behind).astype(np.float64)
     return np.clip((before - behind) / np.where(curvature < -1e-6, curvature, -np.inf), -0.5, 0.5)
 
@@ -116,10 +109,7 @@ def sort_peaks(pixels: F64, shape: tuple[int, ...]) -> Peaks:
 
 @numba.njit(cache=True)
 def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
-    """Fill in the numbers of the peaks within a radius of a pixel.
-
-    Returns how many there are. Those beyond the length of `found` are left out.
-    """
+    """Fill in the numbers of peaks within a radius of a pixel, while there is room; count them."""
     count = 0
     left = max(int((pixel[0] - radius) // _CELL_PX), 0)
     right = min(int((pixel[0] + radius) // _CELL_PX), peaks.columns - 1)

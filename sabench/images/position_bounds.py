@@ -54,19 +54,16 @@ class ParticleSpots:
     variance: F64
 
 
-def _where_seen(camera: ParticleSpots) -> F64:
-    """Return the centres (n, 2) of images; NaN where none, or too wide a one, is."""
-    seen = (camera.light > 0.0) & (_REACH * camera.sigma_px + 1.0 < _WIDEST)
-    return np.where(seen[:, None], camera.pixel, np.nan)
-
-
 def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     """Compute the least covariances (k, 3, 3) mm2 of some unbiased positions.
 
-    NaN where the images do not fix the position. Source: Cramer-Rao inequality with the Fisher
+    NaN if the images do not fix the position. Source: Cramer-Rao inequality with the Fisher
     information of normal noise of known variance.
     """
-    pixels = np.stack([_where_seen(camera) for camera in cameras])
+    pixels = np.stack([camera.pixel for camera in cameras])
+    for pixel, camera in zip(pixels, cameras, strict=True):
+        seen = (camera.light > 0.0) & (_REACH * camera.sigma_px + 1.0 < _WIDEST)
+        pixel[~seen] = np.nan
     widest = np.array([float(camera.sigma_px.max(initial=0.0)) for camera in cameras])
     starts, near = near_images(pixels, 2.0 * _OVERLAP * widest)
     own = np.zeros((pixels.shape[1], _UNKNOWNS, _UNKNOWNS))
@@ -105,21 +102,9 @@ def _add_information(
     weight = 1.0 / camera.variance
 
     def add(part: slice) -> None:
-        rows = np.arange(part.start, part.stop)
-        shapes = first, half, grey, change
-        _add_pairs(
-            rows,
-            starts,
-            near,
-            pixel,
-            camera.sigma_px,
-            camera.light,
-            shapes,
-            camera.slope,
-            weight,
-            own,
-            both,
-        )
+        pairs = np.arange(part.start, part.stop), starts, near
+        images = pixel, camera.sigma_px, camera.light, (first, half, grey, change), camera.slope
+        _add_pairs(*pairs, *images, weight, own, both)
 
     share_rows(add, count)
 
@@ -175,10 +160,7 @@ def _add_pairs(
 
 @numba.njit(cache=True)
 def _chain(inner: Any, one: Any, other: Any, block: Any) -> None:  # pragma: no cover
-    """Fill in unknowns' block (4, 4) from derivatives by column, row and light.
-
-    Slopes (2, 3) are those of the centres by the positions.
-    """
+    """Fill in unknowns' block (4, 4) from derivatives by column, row and light."""
     block[0, 0] = inner[2, 2]
     for p in range(3):
         block[0, 1 + p] = inner[2, 0] * other[0, p] + inner[2, 1] * other[1, p]
@@ -193,10 +175,7 @@ def _chain(inner: Any, one: Any, other: Any, block: Any) -> None:  # pragma: no 
 def _overlap(
     i: int, j: int, light: Any, shapes: Any, weight: Any, inner: Any
 ) -> None:  # pragma: no cover
-    """Sum products (3, 3) of two images' derivatives over common pixels.
-
-    The derivatives are those by column, row and logarithm of the light.
-    """
+    """Sum products (3, 3) of two images' derivatives by column, row and ln light."""
     first, half, grey, slope = shapes
     rows, columns = weight.shape
     left = max(first[i, 0], first[j, 0], 0)
@@ -225,19 +204,9 @@ def _overlap(
 
 @numba.njit(cache=True, nogil=True)
 def _invert(
-    starts: Any,
-    near: Any,
-    own: Any,
-    known: Any,
-    inverse: Any,
-    both: Any,
-    rows: Any,
-    out: Any,
+    starts: Any, near: Any, own: Any, known: Any, inverse: Any, both: Any, rows: Any, out: Any
 ) -> None:  # pragma: no cover
-    """Invert the information of positions whose partners are fitted, too.
-
-    Known are own blocks with a little more information, inverse their inverses.
-    """
+    """Invert the information of positions whose partners are fitted, too."""
     slot = np.full(len(own), -1)  # of a particle among the partners of the present one
     for k in range(len(rows)):
         i = rows[k]
@@ -272,20 +241,13 @@ def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: 
 
 @numba.njit(cache=True)
 def _rest(
-    own: Any,
-    shared: Any,
-    alone: Any,
-    inverse: Any,
-    links: Any,
-    places: Any,
-    ends: Any,
-    both: Any,
+    own: Any, shared: Any, alone: Any, inverse: Any, links: Any, places: Any, ends: Any, both: Any
 ) -> Any:  # pragma: no cover
     """Compute a particle's information (4, 4) if its partners are fitted, too.
 
     That is the Schur complement, by conjugate gradients (M. R. Hestenes and E. Stiefel, J. Res.
-    Natl. Bur. Stand. 49, 409-436, 1952) for each unknown, with the partners' own blocks (partner,
-    4, 4) as a preconditioner. Its error is of the second order in that of the solutions.
+    Natl. Bur. Stand. 49, 409-436, 1952) for each unknown, preconditioned by the partners' own
+    blocks (partner, 4, 4). Its error is of second order in that of the solutions.
     """
     shape, k = (len(shared), _UNKNOWNS, _UNKNOWNS), _UNKNOWNS
     right, x = np.ascontiguousarray(shared.transpose(0, 2, 1)), np.zeros(shape)
@@ -321,7 +283,6 @@ def _rest(
 
 @numba.njit(cache=True)
 def _times_blocks(blocks: Any, vectors: Any, out: Any) -> None:  # pragma: no cover
-    """Fill in products of each one's block with its vectors."""
     out[:] = 0.0
     for n in range(len(blocks)):
         add_product(out, n, blocks, n, vectors, n)
@@ -339,7 +300,6 @@ def _add_links(
 
 @numba.njit(cache=True)
 def _product(one: Any, other: Any) -> Any:  # pragma: no cover
-    """Return the scalar products (4,) of vectors."""
     total = np.zeros(_UNKNOWNS)
     for n in range(len(one)):
         for a in range(_UNKNOWNS):

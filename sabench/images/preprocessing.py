@@ -1,7 +1,6 @@
-"""Preprocessing of images for reconstruction.
+"""Preprocessing of images for reconstruction: background and differences of cameras.
 
-The background is taken away and cameras are made alike. The steps of the thesis's section 2.3.2, in
-any order.
+The steps of the thesis's section 2.3.2, in any order.
 """
 
 from __future__ import annotations
@@ -46,10 +45,7 @@ class Gaussian(_Step):
     sigma_px: float = Field(0.5, gt=0.0, description="standard deviation of the Gaussian")
 
     def apply(self, images: F32) -> F32:
-        """Apply the step to images (camera, row, column).
-
-        Beyond the edges they are mirrored.
-        """
+        """Apply the step to images (camera, row, column), mirrored beyond the edges."""
         import cv2
 
         size = 2 * self.reach_px + 1
@@ -57,27 +53,25 @@ class Gaussian(_Step):
 
 
 class MatchHistograms(_Step):
-    """Matching of all cameras' grey values to the one with the highest contrast.
-
-    Rank by rank.
-    """
+    """Matching of all cameras' grey values, by rank, to those of the highest contrast."""
 
     step: Literal["match_histograms"] = Field(description="`match_histograms`")
 
     def apply(self, images: F32) -> F32:
-        """Apply the step to images (camera, row, column).
-
-        Pixels of one value keep one value, the mean over their ranks.
-        """
+        """Apply the step to images (camera, row, column); equal values stay equal."""
         best = np.sort(images[int(np.argmax(images.std(axis=(1, 2))))], axis=None)
-        return np.stack([_match_ranks(image, best) for image in images])
+        sums, out = np.concatenate([[0.0], np.cumsum(best, dtype=np.float64)]), images.copy()
+        for image, matched in zip(images, out, strict=True):
+            levels, rank, count = np.unique(image, return_inverse=True, return_counts=True)
+            ends = np.cumsum(count)
+            means = (sums[ends] - sums[ends - count]) / count
+            if len(levels) > 1:
+                matched[:] = means[rank].reshape(image.shape)
+        return out
 
 
 class Stretch(_Step):
-    """Cut off the darkest and brightest pixels of each camera and stretch the rest.
-
-    It then fills the whole range.
-    """
+    """Cut off each camera's darkest and brightest pixels and stretch the rest to the range."""
 
     step: Literal["stretch"] = Field(description="`stretch`")
     percent: float = Field(
@@ -85,10 +79,7 @@ class Stretch(_Step):
     )
 
     def apply(self, images: F32) -> F32:
-        """Scale images (camera, row, column) to 0 to 1.
-
-        One without contrast becomes black.
-        """
+        """Scale images (camera, row, column) to 0 to 1; one without contrast becomes black."""
         out = np.zeros_like(images)
         for image, stretched in zip(images, out, strict=True):
             low, high = np.percentile(image, [self.percent, 100.0 - self.percent])
@@ -98,10 +89,7 @@ class Stretch(_Step):
 
 
 class TemporalMinimum(_Step):
-    """Subtract the least value of each pixel over all frames: static light.
-
-    It is the first step.
-    """
+    """Subtract the least value of each pixel over all frames, static light, as first step."""
 
     step: Literal["temporal_minimum"] = Field(description="`temporal_minimum`")
 
@@ -135,11 +123,7 @@ def step_faults(steps: Sequence[Step], frames: int) -> Iterator[str]:
 
 
 def preprocess(
-    images: U16,
-    black_dn: float,
-    white_dn: float,
-    steps: Sequence[Step],
-    lowest: U16 | None = None,
+    images: U16, black_dn: float, white_dn: float, steps: Sequence[Step], lowest: U16 | None = None
 ) -> U16:
     """Apply all steps to images (camera, row, column), from 0 to `WHITE`.
 
@@ -162,14 +146,3 @@ def _light(images: U16, black_dn: float, white_dn: float) -> F32:
     """Scale grey values to 0 to 1."""
     light = (images.astype(np.float32) - np.float32(black_dn)) / np.float32(white_dn - black_dn)
     return np.asarray(np.clip(light, 0.0, 1.0))
-
-
-def _match_ranks(image: F32, values: F32) -> F32:
-    """Replace an image's grey values by the sorted ones of the same ranks."""
-    levels, rank, count = np.unique(image, return_inverse=True, return_counts=True)
-    ends = np.cumsum(count)
-    sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
-    means = (sums[ends] - sums[ends - count]) / count
-    return (
-        np.asarray(means[rank].reshape(image.shape), dtype=np.float32) if len(levels) > 1 else image
-    )

@@ -1,27 +1,24 @@
-"""Recordings of other people's cameras: folders of images, in any common format."""
+"""Recordings in folders of image files, in the formats that laboratories use."""
 
 from __future__ import annotations
 
-import re
-import tempfile
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from sabench.images.image_files import camera_name, last_number_order
+from sabench.images.image_reading import read_pages
 from sabench.images.levels import DEPTHS
 from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
-from sabench.utils.processes.call import read_isolated
 from sabench.utils.progress import progress_bar
 
 FORMATS = (".tif", ".tiff", ".png", ".bmp")
-_NUMBER = re.compile(r"\d+(?=\D*$)")  # the last one of a name
 _SMALLEST = 16  # px: side of an image
-_ALONE = "camera"  # name of a camera whose files do not give it one
 
 
 @dataclass(frozen=True)
@@ -43,21 +40,15 @@ class Recording:
 def list_cameras(folder: Path) -> dict[str, list[Path]]:
     """List the image files of each camera in a folder, in the order of their numbers.
 
-    Each folder inside it with images is a camera. Of images that lie in the folder itself, those
-    whose names differ in the last number alone are one camera's.
-
-    Raises
-    ------
-    InputError
-        No folder there, or no images in it.
+    Each folder inside it with images is a camera. Of images in the folder itself, those whose names
+    differ in the last number alone are one camera's. No folder or no images is an InputError.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of images, got no folder")
     cameras: dict[str, list[Path]] = {}
     for path in _images_in(folder):
-        stem = _NUMBER.sub("", path.stem).strip(" ._-") or _ALONE
-        cameras.setdefault(stem, []).append(path)
-    for inner in sorted(one for one in folder.iterdir() if one.is_dir()):
+        cameras.setdefault(camera_name(path), []).append(path)
+    for inner in sorted(path for path in folder.iterdir() if path.is_dir()):
         if files := _images_in(inner):
             cameras[inner.name] = files
     if not cameras:
@@ -67,29 +58,18 @@ def list_cameras(folder: Path) -> dict[str, list[Path]]:
 
 
 def _images_in(folder: Path) -> list[Path]:
-    files = (one for one in folder.iterdir() if one.suffix.lower() in FORMATS and one.is_file())
-    return sorted(files, key=_order)
-
-
-def _order(path: Path) -> tuple[str, int, str]:
-    """Sort by a name without its last number, and then by that number."""
-    number = _NUMBER.search(path.stem)
-    return _NUMBER.sub("", path.stem), int(number.group()) if number else -1, path.name
+    images = (path for path in folder.iterdir() if path.suffix.lower() in FORMATS)
+    return sorted((path for path in images if path.is_file()), key=last_number_order)
 
 
 def read_recordings(folder: Path, most: int, white_dn: float | None = None) -> Iterator[Recording]:
-    """Read the first images of every camera of a folder, camera by camera.
+    """Read the first images of every camera of a folder, camera by camera; faults as `read_frames`.
 
     Parameters
     ----------
     most : number of images of each camera.
-    white_dn : grey value of a saturated pixel; by default that of the bit depth, which is the least
-        of 8, 10, 12, 14 and 16 that all of a camera's grey values fit.
-
-    Raises
-    ------
-    InputError
-        No images, a file that is not an image or shows colours, images of different sizes.
+    white_dn : grey value of a saturated pixel; by default that of the least bit depth of 8, 10, 12,
+        14 and 16 that all of a camera's grey values fit.
     """
     for name, paths in progress_bar(list(list_cameras(folder).items()), "measure recordings"):
         frames = read_frames(paths[:most], most)
@@ -110,27 +90,12 @@ def guess_white(frames: Sequence[U16]) -> float:
 
 
 def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
-    """Read up to so many grey images (row, column) of one size.
+    """Read up to so many grey images (row, column) of one size; a file may hold several.
 
-    A file may hold several.
-
-    A limited child process reads them, which the libraries may not survive.
-
-    Raises
-    ------
-    InputError
-        A file that is not an image or shows colours, or images of different sizes.
+    Other files, colours and different sizes are InputErrors.
     """
-    with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
-        size = sum(path.stat().st_size for path in paths)
-        read_isolated(_store, paths[0], tuple(paths), most, Path(folder), size_bytes=size)
-        files = sorted(Path(folder).glob("*.npy"), key=lambda file: int(file.stem))
-        frames = tuple(np.load(file, allow_pickle=False) for file in files)
-    _check_sizes(paths[0].parent, frames)
-    return frames
-
-
-def _check_sizes(folder: Path, frames: Sequence[U16]) -> None:
+    folder = paths[0].parent
+    frames = tuple(image for _, image in itertools.islice(read_pages(paths, 0, most), most))
     sizes = Counter(frame.shape for frame in frames)
     if len(sizes) > 1:
         got = " and ".join(f"{n} of {rows} x {columns}" for (rows, columns), n in sizes.items())
@@ -138,39 +103,10 @@ def _check_sizes(folder: Path, frames: Sequence[U16]) -> None:
             f"{folder}: expected images of one size from each camera, got {got} pixels (rows x "
             "columns); put each camera's images into a folder of its own"
         )
-    if min(frames[0].shape) < _SMALLEST:
-        got = f"{frames[0].shape[0]} x {frames[0].shape[1]}"
+    rows, columns = frames[0].shape
+    if min(rows, columns) < _SMALLEST:
         raise InputError(
-            f"{folder}: expected images of {_SMALLEST} x {_SMALLEST} pixels or more, got {got}"
+            f"{folder}: expected images of {_SMALLEST} x {_SMALLEST} pixels or more, got "
+            f"{rows} x {columns}"
         )
-
-
-def _store(_: Path, paths: Sequence[Path], most: int, folder: Path) -> None:
-    """Save the grey values of images as files 0.npy, 1.npy, ..."""
-    count = 0
-    for path in paths:
-        for image in _read_pages(path, most - count):
-            np.save(folder / f"{count}.npy", _grey(path, image))
-            count += 1
-
-
-def _read_pages(path: Path, most: int) -> Sequence[Any]:
-    import cv2
-
-    try:
-        done, pages = cv2.imreadmulti(str(path), 0, most, flags=cv2.IMREAD_UNCHANGED)
-    except (cv2.error, MemoryError):  # too many pixels
-        done, pages = False, ()
-    if not done:
-        raise InputError(f"{path}: expected an image, got something else")
-    return tuple(pages)
-
-
-def _grey(path: Path, image: Any) -> U16:
-    if image.dtype.kind not in "ui" or image.dtype.itemsize > 2:
-        raise InputError(f"{path}: expected 8 or 16 bits a pixel, got {image.dtype}")
-    if image.ndim == 3:
-        if (image[..., :3] != image[..., :1]).any():
-            raise InputError(f"{path}: expected a grey image, got one with colours; convert it")
-        image = image[..., 0]
-    return np.asarray(image, dtype=np.uint16)
+    return frames

@@ -1,8 +1,8 @@
 """Repair of images of particles: hot pixels, dead pixels and reflections.
 
-They are found in a single image. A particle's image has a width, and a hot pixel has none: its
-neighbours are darker than those of the image's own peaks. A dead pixel is darker than the light on
-all of its sides. A reflection is a bright area wider than any particle's image.
+They are found in a single image. The neighbours of a hot pixel, which has no width, are darker than
+those of particles' peaks. A dead pixel is darker than the light on all of its sides. A reflection
+is a bright area wider than any particle's image.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from sabench.images.flaws import Flaws, Repaired
 from sabench.images.peaks import maxima
-from sabench.utils.arrays import F32, I64, U16, Bool
+from sabench.utils.arrays import F32, U16, Bool
 from sabench.utils.compiled import numba
 
 _WINDOW = 9  # px: edge of the square whose darkest part is the background
@@ -42,7 +42,10 @@ def repair(images: U16, black_dn: float, white_dn: float) -> Repaired:
     out, flaws = images, Flaws.none(images.shape)
     for number, (grey, points, covered) in enumerate(zip(images, *flaws, strict=True)):
         points[:] = find_points(grey, black_dn)
-        good = _without(points, grey)
+        good = grey
+        if points.any():
+            good = grey.copy()
+            _fill(grey, points, good)
         covered[:] = find_reflections(good, white_dn)
         if points.any() or covered.any():
             out = images.copy() if out is images else out
@@ -51,11 +54,7 @@ def repair(images: U16, black_dn: float, white_dn: float) -> Repaired:
 
 
 def above_background(grey: U16) -> tuple[F32, float]:
-    """Subtract the darkest part around every pixel.
-
-    Single dead pixels do not change it. Returns light (row, column) and the standard deviation of
-    the noise, in grey values.
-    """
+    """Subtract the darkest part, without single dead pixels, and estimate the noise."""
     import cv2  # takes long to load
 
     smooth = cv2.medianBlur(grey, 3)
@@ -65,7 +64,6 @@ def above_background(grey: U16) -> tuple[F32, float]:
 
 
 def _middle(grey: U16) -> int:
-    """Compute the median of many grey values."""
     return int(np.searchsorted(np.cumsum(np.bincount(grey.ravel())), grey.size / 2.0))
 
 
@@ -85,24 +83,17 @@ def find_points(grey: U16, black_dn: float) -> Bool:
     points = np.zeros(light.shape, dtype=np.bool_)
     row, column = maxima(light, np.float32(_CLEAR * noise))
     if len(row):
-        sharpness = _sharpness(light, row, column)
+        # light beside typical peaks, which must be particles', over theirs: 0.2 for Gaussians of
+        # 0.5 px, 0.45 for those of 0.75 px
+        ratios = np.empty(len(row))
+        _measure_ratios(light, row, column, ratios)
+        sharpness = max(float(np.quantile(ratios, 0.6)), 0.0)
         least = max(_CLEAR * noise, _FAINT * float(np.median(light[row, column])))
         margin, hole = _MARGIN * noise, min(_DARK, _HOLE * sharpness)
         if sharpness > _SHARPEST:
             _mark_hot(light, least, _NARROW * sharpness, margin, points)
         points |= _find_dead(grey.astype(np.float32) - np.float32(black_dn), least, hole, margin)
     return points
-
-
-def _sharpness(light: F32, row: I64, column: I64) -> float:
-    """Compute the light beside typical peaks over theirs.
-
-    It is small where images are sharp: 0.2 for Gaussians of 0.5 px, 0.45 for those of 0.75 px. Most
-    peaks must be particles'.
-    """
-    ratios = np.empty(len(row))
-    _measure_ratios(light, row, column, ratios)
-    return max(float(np.quantile(ratios, 0.6)), 0.0)
 
 
 def find_reflections(grey: U16, white_dn: float) -> Bool:
@@ -128,21 +119,9 @@ def find_reflections(grey: U16, white_dn: float) -> Bool:
     return covered.astype(np.bool_)
 
 
-def _without(points: Bool, grey: U16) -> U16:
-    """Replace pixels by their neighbours' mean."""
-    if not points.any():
-        return grey
-    good = grey.copy()
-    _fill(grey, points, good)
-    return good
-
-
 @numba.njit(cache=True)
 def _beside(light: Any, r: int, c: int) -> Any:
-    """Look up the left, right, upper and lower neighbours.
-
-    Beyond the border it is the one on the other side.
-    """
+    """Look up the left, right, upper and lower neighbours, around the border."""
     rows, columns = light.shape
     left, right = c - 1 if c > 0 else c + 1, c + 1 if c < columns - 1 else c - 1
     above, below = r - 1 if r > 0 else r + 1, r + 1 if r < rows - 1 else r - 1
@@ -164,10 +143,7 @@ def _measure_ratios(light: Any, row: Any, column: Any, ratios: Any) -> None:
 
 @numba.njit(cache=True)
 def _mark_hot(light: Any, least: float, narrow: float, margin: float, points: Any) -> None:
-    """Mark pixels too bright for their neighbours.
-
-    They are so alone, or together with the brightest neighbour.
-    """
+    """Mark pixels too bright for their neighbours, alone or with the brightest one."""
     for r in range(light.shape[0]):
         for c in range(light.shape[1]):
             here = light[r, c]
@@ -196,10 +172,7 @@ def _brightest(light: Any, r: int, c: int) -> Any:
 
 
 def _find_dead(light: F32, least: float, dark: float, margin: float) -> Bool:
-    """Mark pixels too dark for the light on all of their sides.
-
-    Light (row, column) is above black.
-    """
+    """Mark pixels of light above black too dark for that on all of their sides."""
     import cv2
 
     wide = cv2.copyMakeBorder(np.maximum(light, 0.0), 1, 1, 1, 1, cv2.BORDER_REFLECT_101)

@@ -15,7 +15,7 @@ import numpy as np
 from sabench.images.peaks import find_peaks
 from sabench.images.repair import above_background, find_points
 from sabench.images.widths import PIXEL
-from sabench.utils.arrays import F32, F64, I64, U16
+from sabench.utils.arrays import F32, F64, U16
 
 # Light and noise:
 SCALED_WHITE = 255.0  # grey value to which a saturated pixel is scaled
@@ -71,15 +71,10 @@ class CameraStatistics:
 
 
 def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
-    """Measure the images (row, column) that one camera took one after the other.
-
-    Parameters
-    ----------
-    white_dn : grey value of a saturated pixel.
-    """
+    """Measure images (row, column) of one camera, one after the other, saturated at `white_dn`."""
     stack = np.stack(frames)
     scale = SCALED_WHITE / white_dn
-    low = np.stack([local_background(frame) for frame in frames])
+    low = [(frame - above_background(frame)[0]).astype(np.uint16) for frame in frames]
     fixed, near, temporal = measure_noise(stack) if len(stack) >= NOISE_FRAMES else [np.nan] * 3
     fits = [fit_particle_images(frame, white_dn) for frame in frames]
     width, flux, height = (
@@ -102,19 +97,8 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
     )
 
 
-def local_background(grey: U16) -> U16:
-    """Compute the darkest part around every pixel (row, column).
-
-    Single dead pixels do not count.
-    """
-    return np.asarray(grey.astype(np.float32) - above_background(grey)[0]).astype(np.uint16)
-
-
 def measure_noise(stack: U16) -> tuple[float, float, float]:
-    """Measure the noise of dim pixels of images (frame, row, column).
-
-    Returns `fixed`, `fixed_near` and `temporal` of `CameraStatistics`, in grey values.
-    """
+    """Measure `fixed`, `fixed_near` and `temporal` noise (`CameraStatistics`) of a stack."""
     import cv2
 
     quarter = len(stack) // 4
@@ -123,19 +107,14 @@ def measure_noise(stack: U16) -> tuple[float, float, float]:
     dim = around <= np.percentile(around, _DIM)
     temporal = _clipped_deviation(np.diff(stack.astype(np.float32), axis=0)[:, dim]) / np.sqrt(2.0)
     rest = _MIDDLE / len(stack) * temporal**2
-    deviations = (
-        float(middle[dim].std(dtype=np.float64)),
-        _clipped_deviation((middle - around)[dim]),
-    )
+    spread = float(middle[dim].std(dtype=np.float64))
+    deviations = spread, _clipped_deviation((middle - around)[dim])
     fixed, fixed_near = (float(np.sqrt(max(one**2 - rest, 0.0))) for one in deviations)
     return fixed, fixed_near, temporal
 
 
 def _clipped_deviation(values: F32) -> float:
-    """Compute the standard deviation of values without the few outliers.
-
-    Those are far from the median. Unlike quantiles, it also tells noise of less than a grey value.
-    """
+    """Compute a standard deviation without outliers, also below one grey value."""
     away = np.abs(values - np.median(values))
     limit = max(float(np.percentile(away, 68.0)), 1.0)
     for _ in range(_ROUNDS):
@@ -175,9 +154,8 @@ def flux_ratio_spread(flux: F64) -> RatioSpread:
     if not ratios:
         return RatioSpread(np.nan, np.nan, 0)
     every = np.concatenate(ratios)
-    return RatioSpread(
-        float(np.std(every)), _FROM_MAD * float(np.median(np.abs(every))), len(every)
-    )
+    robust = _FROM_MAD * float(np.median(np.abs(every)))
+    return RatioSpread(float(np.std(every)), robust, len(every))
 
 
 class FittedImages(NamedTuple):
@@ -203,7 +181,7 @@ def image_noise(grey: U16) -> float:
     """Estimate the noise of an image from its darker half, at least 0.5.
 
     It follows from the median distance to the median of 3 x 3 pixels. A distance of k counts as
-    evenly spread from k - 0.5 to k + 0.5, which also tells noise of less than a grey value.
+    spread evenly from k - 0.5 to k + 0.5, which resolves noise of less than a grey value.
     """
     import cv2
 
@@ -218,23 +196,23 @@ def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
     """Fit a Gaussian at any angle to each peak of an image (row, column).
 
     Peaks exceed all of their 5 x 5 surroundings, and the local background by 8 standard deviations
-    of the noise; hot pixels, saturated peaks and those at the border are left out. A quadratic is
-    fitted to the logarithm of the light, with the light's square as weight (Guo, IEEE Signal
-    Process. Mag. 28 (2011) 134-137): of 3 x 3 pixels, since neighbours overlap, or of 5 x 5 where
-    the image is wider than 1 px.
-
-    Parameters
-    ----------
-    white_dn : grey value of a saturated pixel.
+    of the noise; hot pixels, peaks saturated at `white_dn` and those at the border are left out. A
+    quadratic is fitted to the logarithm of the light, with the light's square as weight (Guo, IEEE
+    Signal Process. Mag. 28 (2011) 134-137): of 3 x 3 pixels, since neighbours overlap, or of 5 x 5
+    where the image is wider than 1 px.
     """
     noise = image_noise(grey)
     light = above_background(grey)[0] - np.float32(noise)  # the least of many values is that low
-    row, column, windows = _windows(light, _CLEAR * noise)
+    column, row = np.rint(find_peaks(light, _CLEAR * noise).pixels).astype(np.int64).T
+    most = np.array(light.shape) - 1 - _HALF
+    inner = (np.minimum(column, row) >= _HALF) & (row <= most[0]) & (column <= most[1])
+    row, column = row[inner], column[inner]
+    around = np.arange(-_HALF, _HALF + 1)
+    near = row[:, None, None] + around[:, None], column[:, None, None] + around
+    windows = light[near].astype(np.float64)
     top = windows[:, _HALF, _HALF] >= windows.max(axis=(1, 2), initial=0.0)
     top &= ~find_points(grey, float(grey.min()))[row, column]
-    around = np.arange(-_HALF, _HALF + 1)
-    values = grey[row[:, None, None] + around[:, None], column[:, None, None] + around]
-    good = np.asarray(top & (values < white_dn).all(axis=(1, 2)))
+    good = np.asarray(top & (grey[near] < white_dn).all(axis=(1, 2)))
     narrow = _fit_gaussians(windows[good][:, 1:-1, 1:-1])
     wide = _fit_gaussians(windows[good])
     fit = np.where(narrow[:, :1] <= _NARROW_PX, narrow, wide)  # NaN is not narrow
@@ -244,26 +222,11 @@ def fit_particle_images(grey: U16, white_dn: float) -> FittedImages:
     return FittedImages(pixel[valid], fit[valid, 0], fit[valid, 1], height[valid], int(top.sum()))
 
 
-def _windows(light: F32, least: float) -> tuple[I64, I64, F64]:
-    """Cut the light (n, 5, 5) around peaks above `least`.
-
-    Returns their rows and columns, too.
-    """
-    peaks = find_peaks(light, least).pixels
-    column, row = np.rint(peaks).astype(np.int64).T
-    most = np.array(light.shape) - 1 - _HALF
-    inner = (np.minimum(column, row) >= _HALF) & (row <= most[0]) & (column <= most[1])
-    row, column = row[inner], column[inner]
-    around = np.arange(-_HALF, _HALF + 1)
-    windows = light[row[:, None, None] + around[:, None], column[:, None, None] + around]
-    return row, column, windows.astype(np.float64)
-
-
 def _fit_gaussians(windows: F64) -> F64:
-    """Fit Gaussians to light (n, row, column).
+    """Fit Gaussians (n, 4) to light (n, row, column).
 
-    Returns (n, 4): width, integral, and the centre's column and row from the window's; NaN where
-    the fit is no ellipse, or its centre is more than a pixel away.
+    Returns width, integral, and the centre's column and row from the window's; NaN where the fit is
+    no ellipse, or its centre is more than a pixel away.
     """
     half = windows.shape[1] // 2
     y, x = (one.ravel().astype(float) for one in np.mgrid[-half : half + 1, -half : half + 1])
@@ -273,14 +236,8 @@ def _fit_gaussians(windows: F64) -> F64:
     weight = np.where(light > floor, light / floor, 0.0) ** 2
     matrix = np.einsum("np,pi,pj->nij", weight, terms, terms) + 1e-6 * np.eye(6)
     right = np.einsum("np,pi->ni", weight * np.log(np.maximum(light, floor)), terms)
-    return _gaussians_of(np.linalg.solve(matrix, right[..., None])[..., 0])
-
-
-def _gaussians_of(c: F64) -> F64:
-    """Turn quadratics into Gaussians (n, 4).
-
-    Coefficients (n, 6) are of 1, x, y, x2, x y and y2.
-    """
+    # coefficients (n, 6) of 1, x, y, x2, x y and y2, turned into Gaussians
+    c = np.linalg.solve(matrix, right[..., None])[..., 0]
     determinant = 4.0 * c[:, 3] * c[:, 5] - c[:, 4] ** 2
     valid = (c[:, 3] < 0.0) & (determinant > 1e-9)
     safe = np.where(valid, determinant, 1.0)
@@ -298,8 +255,7 @@ def _gaussians_of(c: F64) -> F64:
 def flux_near(images: FittedImages, pixels: F64, reach_px: float, apart_px: float) -> F64:
     """Look up the flux (n,) of the particle image nearest to each pixel (n, 2).
 
-    NaN where none is within `reach_px`, where another one is within `apart_px` of the pixel, or
-    another pixel is.
+    NaN if none is within `reach_px`, or if another image or pixel is within `apart_px`.
     """
     from scipy.spatial import cKDTree
 

@@ -21,28 +21,19 @@ _CHANNEL_Y = b"Y\0" + struct.pack("<iB3xii", 2, 0, 1, 1) + b"\0"
 
 
 def write_tiff(path: Path, image: U16) -> None:
-    """Encode grey values (rows, columns) as an uncompressed 16-bit TIFF.
-
-    The bytes are the same for the same image.
-    """
+    """Encode grey values (rows, columns) as an uncompressed 16-bit TIFF, reproducibly."""
     import tifffile
 
-    memory = (
-        io.BytesIO()
-    )  # written in one piece: a full disk is then the system's own error, with its reason
+    # written in one piece: a full disk is then the system's own error, with its reason
+    memory = io.BytesIO()
     tifffile.imwrite(memory, image, photometric="minisblack", metadata=None, software=False)
     path.write_bytes(memory.getvalue())
 
 
 def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
-    """Read the grey values of a 16-bit TIFF of that shape.
+    """Read the grey values of a 16-bit TIFF of that shape; other files are an InputError.
 
     Nothing is decoded unless the tags are those of the format: one uncompressed page in strips.
-
-    Raises
-    ------
-    InputError
-        No such file, another kind of TIFF or image, or a damaged file.
     """
     import tifffile
 
@@ -55,9 +46,7 @@ def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
             image = np.asarray(page.asarray())
     except InputError:
         raise
-    except (
-        Exception
-    ) as error:  # tifffile raises what its parsers raise: struct, index, zlib, value errors
+    except Exception as error:  # what its parsers raise: struct, index, zlib, value errors
         raise InputError(
             f"{path}: expected an intact TIFF file, got {type(error).__name__}: {error}"
         ) from error
@@ -111,13 +100,8 @@ def write_exr_channels(path: Path, channels: Mapping[str, npt.ArrayLike]) -> Non
 def read_exr(path: Path, shape: tuple[int, int]) -> F32:
     """Read the photon radiance of an EXR of that shape.
 
-    Nothing is decoded unless the header is that of the format.
-
-    Raises
-    ------
-    InputError
-        No such file, another kind of EXR or image, a damaged file, or radiance that is negative or
-        not finite.
+    Nothing is decoded unless the header is that of the format. Other or damaged files, and negative
+    or infinite radiance, are an InputError.
     """
     import OpenEXR
 
@@ -160,21 +144,21 @@ def _check_header(path: Path, shape: tuple[int, int]) -> None:
         ("dataWindow", window, f"32-bit values of shape {shape}"),
     )
     for name, value, expected in rules:
-        if header.get(name) != value:
-            raise InputError(
-                f"{path}: expected {expected}, got {name} {_shown(name, header.get(name))}"
-            )
+        got = header.get(name)
+        if got == value:
+            continue
+        shown = "missing" if got is None else repr(got[:40])
+        if got is not None and name == "dataWindow" and len(got) == len(window):
+            left, top, right, bottom = struct.unpack("<4i", got)
+            shown = f"of shape {(bottom - top + 1, right - left + 1)} from {(left, top)}"
+        raise InputError(f"{path}: expected {expected}, got {name} {shown}")
 
 
 def read_exr_header(path: Path) -> dict[str, bytes]:
     """Read the attributes of an EXR file with one part of scan lines, undecoded.
 
-    Source: https://openexr.com/en/latest/OpenEXRFileLayout.html
-
-    Raises
-    ------
-    ValueError, struct.error
-        Another kind of file, or a damaged one.
+    Source: https://openexr.com/en/latest/OpenEXRFileLayout.html. Other and damaged files are a
+    ValueError or a struct.error.
     """
     with path.open("rb") as file:
         data = file.read(_LONGEST_HEADER)
@@ -194,10 +178,3 @@ def read_exr_header(path: Path) -> dict[str, bytes]:
         header[data[at:name].decode("latin-1")] = data[kind + 5 : end]
         at = end
     return header
-
-
-def _shown(name: str, value: bytes | None) -> str:
-    if value is not None and name == "dataWindow" and len(value) == struct.calcsize("<4i"):
-        left, top, right, bottom = struct.unpack("<4i", value)
-        return f"of shape {(bottom - top + 1, right - left + 1)} from {(left, top)}"
-    return "missing" if value is None else repr(value[:40])

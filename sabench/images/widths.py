@@ -45,9 +45,8 @@ _LEAST = 0.012  # as little does not
 def image_widths(images: F32, pixels: list[F64]) -> F64:
     """Estimate standard deviations (camera,) of lone particles' images, px.
 
-    Each estimate uses three values along either axis, about pixels that are not on the border; a
-    peak half a pixel from one is rounded away from it. The lower quartile is returned, since
-    overlaps widen images.
+    Three values along either axis, about pixels not on the border, give each estimate; a peak half
+    a pixel from one is rounded away from it. The lower quartile counts: overlaps widen images.
     """
     out = []
     for image, positions in zip(images, pixels, strict=True):
@@ -106,27 +105,17 @@ def measure_images(images: F64, known: Bool) -> ImageStatistics:
     ----------
     known : the same shape, pixels that count.
     """
-    sigma, tilt, flat, light, noise, shown, number = [], [], [], [], [], [], []
-    for image, there in zip(images, known, strict=True):
-        rest = _without_brightest(image, there)
-        widths, tilted, flattened, own, clear = _measure_image(image, rest)
-        sigma.append(widths)
-        tilt.append(tilted)
-        flat.append(flattened)
-        light.append(own)
-        noise.append(noise_below_black(image[there]))
-        shown.append(clear)
-        if clear:
-            number.append(max(float(image[there].sum()) / own, 1.0))
-    return ImageStatistics(
-        np.array(sigma),
-        np.array(tilt),
-        np.array(flat),
-        np.array(light),
-        np.array(noise),
-        np.array(shown),
-        float(np.median(number)) if number else 0.0,
-    )
+    pixels = [image[used] for image, used in zip(images, known, strict=True)]
+    measured = [
+        _measure_image(image, _without_brightest(image, used))
+        for image, used in zip(images, known, strict=True)
+    ]
+    sigma, tilt, flat, light, shown = map(np.array, zip(*measured, strict=True))
+    noise = np.array([noise_below_black(values) for values in pixels])
+    sums = np.array([float(values.sum()) for values in pixels])
+    number = np.maximum(sums[shown] / light[shown], 1.0)
+    typical = float(np.median(number)) if shown.any() else 0.0
+    return ImageStatistics(sigma, tilt, flat, light, noise, shown, typical)
 
 
 def noise_below_black(values: F64 | F32) -> float:
@@ -136,10 +125,7 @@ def noise_below_black(values: F64 | F32) -> float:
 
 
 def _without_brightest(image: F64, known: Bool) -> Bool:
-    """Leave out what outshines an image's particles, such as a small glint.
-
-    That are squares with more than a tenth of the squared light, unless few peaks are left.
-    """
+    """Leave out squares with over a tenth of the squared light, unless few peaks are left."""
     import cv2  # takes long to load
 
     squares = np.where(known, image, 0.0) ** 2
@@ -150,16 +136,21 @@ def _without_brightest(image: F64, known: Bool) -> Bool:
 
 
 def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, F64, float, bool]:
-    """Measure widths (columns, rows), tilt, `flat`, light, and whether any show.
+    """Measure widths (columns, rows), tilt, `flat`, light, and whether any particles show.
 
     Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12:
-    of tilted images (1 - tilt2) times that, with the tilt as `_measure_tilt` finds it.
-    Those one and two pixels apart give s, that at distance 0 follows without the noise of a pixel,
-    and it is the number of particles times their mean squared light over 4 pi s_x s_y; the mean is
-    the number times their mean light.
+    of tilted images (1 - tilt2) times that. Those one and two pixels apart give s. That at distance
+    0 follows without the noise of a pixel: it is the number of particles times their mean squared
+    light over 4 pi s_x s_y. The mean is the number times their mean light.
     """
+    import cv2  # takes long to load
+
     light, count = np.where(known, image, 0.0), known.astype(np.float64)
-    over = _less_local_mean(light, count)
+    # less the mean of the known pixels around: where more particles are in the middle than at the
+    # borders, products of pixels far apart, which leave out borders, would be larger than others
+    local = {"normalize": False, "borderType": cv2.BORDER_CONSTANT}
+    sums, counts = (cv2.boxFilter(one, -1, (_LOCAL, _LOCAL), **local) for one in (light, count))
+    over = np.asarray(light - count * sums / np.maximum(counts, 1.0))
     apart = [_product(over, count, *step) for d in _FAR for step in ((0, d), (d, 0))]
     far = sum(apart) / len(apart)
     widest = _MOST_SIGMA**2 + PIXEL
@@ -172,7 +163,12 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
         square = min(max(square, _LEAST_SIGMA**2 + PIXEL), widest)
         squares.append(square)
         at_zero.append(max(one, 0.0) * math.exp(0.25 / square))
-    tilt = _measure_tilt(over, count, far) * math.sqrt(squares[0] * squares[1])
+    # products along one diagonal over those along the other: they fall as exp(-d C^-1 d / 4), and
+    # minus the logarithm of their ratio is the element of C^-1 outside its diagonal
+    along = _product(over, count, 1, 1) - far
+    against = _product(over[:, ::-1], count[:, ::-1], 1, 1) - far
+    tilt = math.log(along / against) if min(along, against) > 0.0 else 0.0
+    tilt *= math.sqrt(squares[0] * squares[1])
     seen = abs(tilt) > _LEAST_TILT and min(squares) > LEAST_TILTED**2 + PIXEL
     tilt = min(max(tilt, -_MOST_TILT), _MOST_TILT) if seen else 0.0
     area = 4.0 * math.pi * math.sqrt(squares[0] * squares[1] / (1.0 - tilt * tilt))
@@ -190,37 +186,8 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     return widths, tilt, flat, own if clear else 0.0, clear
 
 
-def _measure_tilt(over: F64, count: F64, far: float) -> float:
-    """Measure how much products along one diagonal exceed those along the other.
-
-    Products of pixels d apart fall as exp(-d C^-1 d / 4), C the covariance of an image: the
-    logarithm of their ratio is minus the element of C^-1 outside its diagonal.
-    """
-    down = _product(over, count, 1, 1) - far
-    up = _product(over[:, ::-1], count[:, ::-1], 1, 1) - far
-    return math.log(down / up) if min(down, up) > 0.0 else 0.0
-
-
-def _less_local_mean(light: F64, count: F64) -> F64:
-    """Subtract the mean of the known pixels around from each known one.
-
-    Where more particles are in the middle than at the borders, products of pixels far apart, which
-    leave out borders, would be larger than those of neighbours.
-    """
-    import cv2  # takes long to load
-
-    sums, counts = (
-        cv2.boxFilter(one, -1, (_LOCAL, _LOCAL), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for one in (light, count)
-    )
-    return np.asarray(light - count * sums / np.maximum(counts, 1.0))
-
-
 def _light_of_peaks(light: F64, noise: float) -> float:
-    """Measure the light around the middle one of an image's peaks.
-
-    It is infinite if they are few.
-    """
+    """Measure the light around the middle one of an image's peaks; infinite if they are few."""
     import cv2  # takes long to load
 
     peaks = _peaks(light, noise)
@@ -231,7 +198,6 @@ def _light_of_peaks(light: F64, noise: float) -> float:
 
 
 def _peaks(light: F64, noise: float) -> Bool:
-    """Mark pixels that are the brightest around and clear of noise."""
     import cv2  # takes long to load
 
     shown = light.astype(np.float32)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from sabench.algorithms.particles import model_moves
 from sabench.algorithms.particles.image_model import (
     UNSEEN,
     WEIGHT,
@@ -33,11 +34,6 @@ from sabench.algorithms.particles.image_model import (
     sum_up,
 )
 from sabench.algorithms.particles.joint_fit import factorise_cholesky, fill_inverse_diagonal
-from sabench.algorithms.particles.model_moves import (
-    measure_light_gains,
-    measure_misfit,
-    measure_split_gains,
-)
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
@@ -51,10 +47,7 @@ Groups = Sequence[I64]
 
 
 def side_by_side(work: Callable[[I64], None], turns: Iterable[Groups]) -> None:
-    """Work on one turn after the other.
-
-    The groups of a turn do not notice each other: all cores share them.
-    """
+    """Work on one turn after the other; all cores share the groups of a turn."""
     threads = numba.get_num_threads()
     with ThreadPoolExecutor(threads) as pool:
         for groups in turns:
@@ -109,10 +102,7 @@ def disjoint_groups(
 
 
 def order_in_memory(maps: VolumePolynomials, position: F64, pixel: float) -> I64:
-    """Return the rows (n,) of many particles cell by cell; of few as they are.
-
-    Each cell's particles and pixels then stay in the processor's cache.
-    """
+    """Return the rows (n,) of many particles cell by cell, for the processor's cache."""
     if len(position) < _FEW:
         return np.arange(len(position))
     return np.argsort(_cells(maps, position, pixel), kind="stable")
@@ -135,9 +125,8 @@ def _ends(
     if neighbours is None:
         pixels = [project_points(maps, camera, position[rows]) for camera in cameras]
         return np.repeat(np.stack(pixels, axis=1)[:, :, None], 2, axis=2)
-    pixels = [project_points(maps, camera, position) for camera in cameras]
-    out = np.zeros((len(rows), len(pixels), 2, 2))
-    stacked = np.stack(pixels, axis=1)
+    stacked = np.stack([project_points(maps, camera, position) for camera in cameras], axis=1)
+    out = np.zeros((len(rows), len(cameras), 2, 2))
     share_rows(lambda part: _fill_ends(stacked, rows[part], *neighbours, out[part]), len(rows))
     return out
 
@@ -193,61 +182,50 @@ def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, si
 
 
 def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure how far squares left around particles exceed those of noise.
-
-    The result (n,) has the standard deviation of their sum as its unit.
-    """
-    out = np.zeros(len(particles.position))
-
-    def measure(rows: slice) -> None:
-        measure_misfit(model, make_room(sigma), some_rows(particles, rows), out[rows])
-
-    share_rows(measure, len(out))
-    return out
+    """Measure (n,) by how many standard deviations squares left exceed those of noise."""
+    return _measure(
+        model_moves.measure_misfit, model, sigma, particles, np.zeros(len(particles.position))
+    )
 
 
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
-    """Measure how much cost a split promises to save.
-
-    The result (n,) is that along the best of some steps (k, 3).
-    """
-    out = np.zeros(len(particles.position))
-
-    def measure(rows: slice) -> None:
-        measure_split_gains(model, make_room(sigma), some_rows(particles, rows), steps, out[rows])
-
-    share_rows(measure, len(out))
-    return out
+    """Measure (n,) how much cost a split along the best of some steps (k, 3) promises to save."""
+    gains = np.zeros(len(particles.position))
+    return _measure(model_moves.measure_split_gains, model, sigma, particles, gains, steps)
 
 
 def light_gains(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure how much cost particles' light saves in each camera (n, camera)."""
-    out = np.zeros(particles.light.shape)
+    """Measure (n, camera) how much cost particles' light saves in each camera."""
+    return _measure(
+        model_moves.measure_light_gains, model, sigma, particles, np.zeros(particles.light.shape)
+    )
 
+
+def _measure(
+    kernel: Callable[..., None],
+    model: ImageModel,
+    sigma: F64,
+    particles: ModelParticles,
+    out: F64,
+    *more: F64,
+) -> F64:
     def measure(rows: slice) -> None:
-        measure_light_gains(model, make_room(sigma), some_rows(particles, rows), out[rows])
+        kernel(model, make_room(sigma), some_rows(particles, rows), *more, out[rows])
 
     share_rows(measure, len(out))
     return out
 
 
 def leverage(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Compute how much of each pixel the fit of particles takes for itself.
-
-    The result (camera, row, column) has margins.
-    """
-    taken = np.zeros((*particles.light.shape, 2))
+    """Compute (camera, row, column) what fits take of each pixel, with margins."""
+    taken = _measure(tell_taken, model, sigma, particles, np.zeros((*particles.light.shape, 2)))
     out = np.zeros(model.images.shape)
-
-    def tell(rows: slice) -> None:
-        tell_taken(model, make_room(sigma), some_rows(particles, rows), taken[rows])
 
     def add(camera: int) -> None:
         one, room = _of_camera(model, sigma, camera)
         own = np.ascontiguousarray(taken[:, camera])
         add_leverage(one, room, _in_camera(particles, camera), own, out[camera])
 
-    share_rows(tell, len(taken))
     for_each(add, len(sigma))
     return out
 
@@ -256,14 +234,8 @@ def _of_camera(model: ImageModel, sigma: F64, camera: int) -> tuple[ImageModel, 
     """Return a view of one camera alone, and room with windows as wide as in all."""
     one = slice(camera, camera + 1)
     maps = model.maps._replace(coefficients=model.maps.coefficients[one])
-    view = model._replace(
-        maps=maps,
-        shapes=model.shapes[one],
-        typical=model.typical[one],
-        images=model.images[one],
-        weight=model.weight[one],
-        left=model.left[one],
-    )
+    arrays = ("shapes", "typical", "images", "weight", "left")
+    view = model._replace(maps=maps, **{name: getattr(model, name)[one] for name in arrays})
     return view, make_room(np.full((1, 2), sigma.max()))
 
 
@@ -304,10 +276,7 @@ def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: Any) -> None:
-    """Add up what particles take of each pixel of the model's one camera.
-
-    Taken (n, 2) is its column of `tell_taken`. Leverage has margins.
-    """
+    """Add up what particles take of pixels of the one camera, with margins, by `tell_taken`."""
     own, by_x, by_y = np.zeros((3, room.window, room.window), dtype=np.float32)
     weights, corner = model.weight[0], room.corner[0]
     for n in range(len(particles.position)):

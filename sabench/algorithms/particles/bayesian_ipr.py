@@ -2,10 +2,10 @@
 
 Iterative particle reconstruction (B. Wieneke, Meas. Sci. Technol. 24, 024008, 2013) with a
 probability in place of its thresholds. A particle has a position, light with a prior that is
-learned from the images, and a penalty. First all candidates share the light, and the darkest go,
-slowly. Then particles that gain less than their penalty go, others are found in what is left, and
-pairs that look like one are split. Widths, light, noise and shifts of the cameras come from the
-images.
+learned from the images, and a penalty. First all candidates are fitted jointly, and the darkest
+are dropped, slowly. Then particles that gain less than their penalty are removed, others are found
+in what is left, and pairs that look like one are split. Widths, light, noise and shifts of the
+cameras come from the images.
 """
 
 from __future__ import annotations
@@ -16,26 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sabench.algorithms.particles.candidate_search import (
-    rig_axes,
-    turn_maps,
-    turn_to_world,
-    volume_shares,
-)
-from sabench.algorithms.particles.learned_model import (
-    align_cameras,
-    learn_light,
-    learn_widths,
-    weigh_pixels,
-)
-from sabench.algorithms.particles.obstacles import (
-    are_doubtful,
-    find_dark_views,
-    find_partly_hidden,
-    keep_hidden,
-    warn_of_tilt,
-    without_wrong_cameras,
-)
+from sabench.algorithms.particles import candidate_search, learned_model, obstacles
 from sabench.algorithms.particles.particle_search import ParticleSearch, joined, no_particles
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
@@ -89,13 +70,13 @@ def reconstruct_most_probable(
     case: Observation, maps: VolumePolynomials, settings: BayesianIprSettings
 ) -> FoundParticles:
     """Reconstruct the particles that make the images most probable."""
-    axes = rig_axes(maps)
-    search = search_frame(case, turn_maps(maps, axes), settings)
+    axes = candidate_search.rig_axes(maps)
+    search = search_frame(case, candidate_search.turn_maps(maps, axes), settings)
     if search is None:
         return no_particles(len(case.cameras))
-    parts = find_partly_hidden(search) if search.unexplained() > _UNEXPLAINED else []
+    parts = obstacles.find_partly_hidden(search) if search.unexplained() > _UNEXPLAINED else []
     found = reduce(joined, (one.found() for one in (search, *parts)))
-    return turn_to_world(found, axes)
+    return candidate_search.turn_to_world(found, axes)
 
 
 def dark_images(case: Observation) -> ClearImages:
@@ -130,26 +111,26 @@ def search_frame(
         return None
     if not frame.deadline.over:
         names = [camera.name for camera in case.cameras]
-        search = without_wrong_cameras(search, names, partial(_find_visible, frame))
-        warn_of_tilt(search, names)
+        search = obstacles.without_wrong_cameras(search, names, partial(_find_visible, frame))
+        obstacles.warn_of_tilt(search, names)
         if search.flat.any():
             _flatten(search)
     for _ in range(settings.splits):
         if frame.deadline.over:
             break
-        weigh_pixels(search, CAPS[1])
+        learned_model.weigh_pixels(search, CAPS[1])
         if split_and_find(search) < _NOTABLE * len(search.position):
             break
-    weigh_pixels(search, CAPS[1])
+    learned_model.weigh_pixels(search, CAPS[1])
     search.refine(2 * settings.fits)
     return search
 
 
 def _flatten(search: ParticleSearch) -> None:
-    """Take images for as flat as they were measured, where less of them is left then.
+    """Use the measured flatness of images if that leaves less of them.
 
-    All particles are tried again: those that are halves of one whose images were taken for
-    Gaussians gain nothing now.
+    All particles are tried again: halves of a particle whose image was taken for a Gaussian gain
+    nothing now.
     """
     plain, before = search.shapes.copy(), search.squares_left()
     search.flatten()
@@ -160,8 +141,8 @@ def _flatten(search: ParticleSearch) -> None:
         search.refine(search.fits)
     if chance.all():
         return
-    weigh_pixels(search, CAPS[1])
-    learn_widths(search)
+    learned_model.weigh_pixels(search, CAPS[1])
+    learned_model.learn_widths(search)
     search.sure[:] = False
     search.remove(lone=True)
 
@@ -177,22 +158,20 @@ class _Frame(NamedTuple):
 
 
 def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
-    """Find most particles without the cameras (all cameras,) that are wrong.
-
-    A dark area does not count if particles that are found without it should be seen there.
-    """
+    """Find particles without wrong cameras (all cameras,) and areas that hide others."""
     search = _find_most(frame, wrong)
     if search is None or frame.deadline.over:
         return search
-    shares = volume_shares(frame.maps, frame.clear.images.shape[1:])
-    dark = find_dark_views(search, frame.clear, shares)
-    if search.unexplained() <= _UNEXPLAINED and dark.any() and not are_doubtful(search, dark):
+    shares = candidate_search.volume_shares(frame.maps, frame.clear.images.shape[1:])
+    dark = obstacles.find_dark_views(search, frame.clear, shares)
+    explained = search.unexplained() <= _UNEXPLAINED
+    if explained and dark.any() and not obstacles.are_doubtful(search, dark):
         return search
     while dark.any():
         without = _find_most(frame, wrong, dark)
         if without is None or frame.deadline.over:
             break
-        hidden = keep_hidden(without, dark)
+        hidden = obstacles.keep_hidden(without, dark)
         if (hidden == dark).all():
             return without
         dark = hidden
@@ -200,10 +179,7 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
 
 
 def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> ParticleSearch | None:
-    """Find all particles but those that look like one with others.
-
-    Areas (camera, row, column) that are hidden do not count.
-    """
+    """Find particles, except pairs that look like one, outside areas that are hidden."""
     clear, maps, settings, deadline, known = frame
     unknown = clear.flaws.unknown if hidden is None else clear.flaws.unknown | hidden
     statistics = measure_images(clear.images.astype(np.float64), ~unknown)
@@ -215,84 +191,74 @@ def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> Partic
         search.hide(hidden)
     search.deadline = deadline
     if known is not None:
-        _put_known(search, known)
-    _share_the_light(search, settings)
+        place = (known.position - maps.middle_mm) / maps.half_mm
+        inside = (np.abs(place) <= 1.0).all(axis=1)
+        light = known.light[inside][:, search.shown]
+        light = np.where(light > 0.0, light, search.typical)
+        search.put(place[inside], light, np.full(len(light), -1))
+    search = _share_the_light(search, settings)
     for number in range(settings.rounds):
         if deadline.over:
             break
         before, along = len(search.position), min((number + 1) / _STEPS, 1.0)
         search.find(FLOORS[0] * (FLOORS[1] / FLOORS[0]) ** along)
         search.refine(settings.fits)
-        weigh_pixels(search, CAPS[0] * (CAPS[1] / CAPS[0]) ** along)
+        learned_model.weigh_pixels(search, CAPS[0] * (CAPS[1] / CAPS[0]) ** along)
         search.remove(lone=number > 0)
-        learn_light(search)
-        align_cameras(search)
+        learned_model.learn_light(search)
+        learned_model.align_cameras(search)
         if along == 1.0 and len(search.position) < _GROWTH * before:
             break
     return search
 
 
-def _put_known(search: ParticleSearch, known: Known) -> None:
-    """Put in the known particles that are in the box."""
-    place = (known.position - search.maps.middle_mm) / search.maps.half_mm
-    inside = (np.abs(place) <= 1.0).all(axis=1)
-    light = known.light[inside][:, search.shown]
-    light = np.where(light > 0.0, light, search.typical)
-    search.put(place[inside], light, np.full(len(light), -1))
-
-
 def split_and_find(search: ParticleSearch) -> int:
-    """Try to split particles, add what is left, and remove what gains too little.
-
-    Returns how many were added.
-    """
+    """Split particles, add what is left, remove what gains too little; count what was added."""
     before = len(search.position)
     search.split()
     search.refine(search.fits)
     search.find(FLOORS[1])
     more = len(search.position) - before
     search.refine(search.fits)
-    weigh_pixels(search, CAPS[1])
+    learned_model.weigh_pixels(search, CAPS[1])
     search.remove(lone=True)
-    learn_light(search)
-    learn_widths(search)
+    learned_model.learn_light(search)
+    learned_model.learn_widths(search)
     return more
 
 
-def _share_the_light(search: ParticleSearch, settings: BayesianIprSettings) -> None:
-    """Let the first candidates share the light, and drop the darkest, slowly.
+def _share_the_light(known: ParticleSearch, settings: BayesianIprSettings) -> ParticleSearch:
+    """Fit the first candidates jointly, and drop the darkest, slowly.
 
-    Particles that are there already keep theirs. Meanwhile saturated pixels have no more light than
-    they show, or candidates would not share it. Images are wider than they are, which keeps
-    candidates together whose images meet by chance. In many cameras few do, but then two particles
-    whose images are wide become one.
+    Known particles keep their light. Images are wider than they are, which keeps candidates
+    together whose images meet by chance. In many cameras few do, but then two particles whose
+    images are wide become one.
     """
-    narrow, saturated, images = search.sigma, search.saturated, search.images.copy()
-    known = search.particles()
-    search.images[:] = search.left
-    search.select(np.zeros(len(known.position), dtype=np.bool_))
-    search.saturated = np.zeros_like(saturated)
+    search = known.rest(np.arange(len(known.typical)))
+    # saturated pixels have no more light than they show, or candidates would not share it
+    search.saturated = np.zeros_like(known.saturated)
     few = min(_FEW_CAMERAS / len(search.typical), 1.0) ** 2
-    search.set_width((1.0 + few * (settings.widening - 1.0)) * narrow)
+    search.set_width((1.0 + few * (settings.widening - 1.0)) * known.sigma)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
-    weigh_pixels(search, CAPS[0])
+    learned_model.weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
     search.refine(settings.fits)
     before = np.inf  # the first time
     for level in _DARKEST:
         if len(search.position) < before:
-            weigh_pixels(search, CAPS[0])
+            learned_model.weigh_pixels(search, CAPS[0])
             search.refine(settings.fits)
         common = search.common_light()
         real, before = common[common > _REAL], _FEWER * len(common)
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))
-    search.saturated = saturated
+    search.saturated = known.saturated
     search.reset_covariance()
-    search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * narrow)
+    search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * known.sigma)
     search.refine(settings.fits)
-    search.images[:] = images
+    search.images[:] = known.images
     search.subtract_all()
     if len(known.position):
         search.put(known.position, known.light, np.full(len(known.position), -1))
         search.refine(settings.fits)
-    learn_light(search)
+    learned_model.learn_light(search)
+    return search

@@ -1,9 +1,9 @@
 """Search of the volume for positions where all cameras see light.
 
-At every point of a lattice the images are looked up where the cameras see it. Local maxima of a
-mean over cameras are candidates for particles. The mean is that of logarithms, so that a particle
-may be dim in one camera, and not more above the darkest camera than particles' scatter explains.
-Where images are crowded, some cameras may be darker: neighbours have taken their light there.
+At every point of a lattice the images are looked up at its projections. Local maxima of a mean over
+cameras are candidates for particles. The mean is that of logarithms, so that a particle may be dim
+in one camera, and not more above the darkest camera than particles' scatter explains. In crowded
+images some cameras may be darker: neighbours have taken their light there.
 
 Lattices, orders of equal candidates and directions of splits follow the axes of the box that is
 searched. Its axes are the world's, but images decide which of them is x, y and z, and in which
@@ -34,19 +34,9 @@ BRIGHTEST = 1.5  # of a typical peak: more light in one camera does not make up 
 _NARROWEST, _ANY = 0.4, 1e-3  # px: widths of images that a lattice of pixels' steps does not miss
 _FLATTEST = 2.0  # pixels: longest step of the lattice, in space
 _DEEPEST = 3.0  # of the longest step along the depth over one across
-_STEPS = np.array(  # across, across and along the depth, in their units
-    [
-        [1.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0],
-        [0.7, 0.7, 0.0],
-        [0.7, -0.7, 0.0],
-        [0.7, 0.0, 0.7],
-        [0.0, 0.7, 0.7],
-        [0.7, 0.0, -0.7],
-        [0.0, 0.7, -0.7],
-    ]
-)
+# across, across and along the depth, in their units
+_DIAGONALS = [[1, 1, 0], [1, -1, 0], [1, 0, 1], [0, 1, 1], [1, 0, -1], [0, 1, -1]]
+_STEPS = np.concatenate([np.eye(3), 0.7 * np.array(_DIAGONALS)])
 _DARK = np.float32(-1e9)
 _FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too often
 
@@ -64,10 +54,7 @@ _NODES, _INSIDE = 17, 0.98  # of the lattice along each axis, and its edge over 
 
 
 def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
-    """Blur images (camera, row, column) of too narrow particles.
-
-    Returns them and the widths (camera, 2) of the particles' images then.
-    """
+    """Blur images (camera, row, column) of too narrow particles; return them and the widths."""
     import cv2  # takes long to load
 
     missing = np.sqrt(np.maximum(_NARROWEST**2 - sigma**2, 0.0))
@@ -81,8 +68,8 @@ def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
 def lattice_shape(maps: VolumePolynomials) -> tuple[int, int, int]:
     """Choose the lattice's points along z, y and x.
 
-    Neighbours are one pixel apart in the camera that resolves their direction best, and no more
-    than two pixels' size in space.
+    Neighbours are one pixel apart in the camera that resolves their direction best, and at most
+    two pixels' size in space.
     """
     slopes = slopes_per_mm(maps)
     finest = 1.0 / np.linalg.norm(slopes, ord=2, axis=(1, 2)).max()
@@ -145,18 +132,13 @@ def find_candidates(
     limits = np.float32(floor), np.float32(spread), np.float32(math.log(BRIGHTEST))
     _bound(logs, limits[2], bounds)
     _sweep(maps, logs, bounds, *limits, dark, means)
-    z, y, x = _local_maxima(means)
+    # points that exceed their 26 neighbours: counted, then listed
+    maxima = np.zeros((_mark_maxima(means, np.zeros((0, 3), dtype=np.int64)), 3), dtype=np.int64)
+    _mark_maxima(means, maxima)
+    z, y, x = maxima.T
     order = np.argsort(-means[z, y, x], kind="stable")
     places = np.stack([x, y, z], axis=1)[order]
     return np.asarray(2.0 * places / (np.array(means.shape[::-1]) - 1.0) - 1.0)
-
-
-def _local_maxima(means: F32) -> tuple[Any, Any, Any]:
-    """Find points (z, y, x) that exceed their 26 neighbours; of equal ones the first."""
-    count = _mark_maxima(means, np.zeros((0, 3), dtype=np.int64))
-    places = np.zeros((count, 3), dtype=np.int64)
-    _mark_maxima(means, places)
-    return places[:, 0], places[:, 1], places[:, 2]
 
 
 @numba.njit(cache=True)
@@ -174,10 +156,7 @@ def _look_up(image: Any, column: float, row: float) -> Any:
 
 @numba.njit(cache=True)
 def _bound(logs: Any, most: Any, bounds: Any) -> None:
-    """Fill in the most (camera, row, column) between pixels and the next ones.
-
-    It is `most` where one of them is unknown. The last row and column are no lower corners.
-    """
+    """Fill in the most between pixels and the next ones, `most` if one is unknown."""
     cameras, rows, columns = logs.shape
     for c in range(cameras):
         for i in range(rows - 1):
@@ -192,10 +171,7 @@ def _bound(logs: Any, most: Any, bounds: Any) -> None:
 def _sweep(
     maps: Any, logs: Any, bounds: Any, floor: Any, spread: Any, most: Any, dark: int, means: Any
 ) -> None:
-    """Fill in the lattice's mean logarithms (z, y, x), `_DARK` below the floor.
-
-    The bounds, of one memory access a camera, spare most points the rest.
-    """
+    """Fill in the lattice's mean logarithms (z, y, x), `_DARK` if the bounds or means are low."""
     slices, rows, columns = means.shape
     cameras, last_row, last_column = len(logs), logs.shape[1] - 1.0, logs.shape[2] - 1.0
     least = floor - spread
@@ -238,10 +214,7 @@ def _sweep(
 
 @numba.njit(cache=True)
 def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any, lows: Any) -> Any:
-    """Average the cameras' logarithms at one point; `_DARK` below the floor.
-
-    `lows` is room for the darkest cameras' logarithms: of those that do not count, and one more.
-    """
+    """Average the cameras' logarithms at one point, with room for the darkest in `lows`."""
     total, count, cameras, last = 0.0, 0, len(logs), len(lows) - 1
     lows[:] = np.inf
     for c in range(cameras):
@@ -305,8 +278,8 @@ def rig_axes(maps: VolumePolynomials) -> F64:
     x = int(np.argmax(np.abs(growth[0])))
     y = int(np.argmax(np.where(np.arange(3) == x, -1.0, np.abs(growth[1]))))
     axes = np.zeros((3, 3))
-    axes[0, x] = 1.0 if growth[0, x] >= 0.0 else -1.0
-    axes[1, y] = 1.0 if growth[1, y] >= 0.0 else -1.0
+    for row, column in enumerate((x, y)):
+        axes[row, column] = 1.0 if growth[row, column] >= 0.0 else -1.0
     axes[2] = np.cross(axes[0], axes[1])
     return axes
 
@@ -334,10 +307,7 @@ def turn_to_world(found: FoundParticles, axes: F64) -> FoundParticles:
 
 
 def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
-    """Compute the shares (camera, row, column) of the maps' box that the pixels show.
-
-    They are counts of points that fill the box evenly, in blocks of pixels, interpolated.
-    """
+    """Compute shares (camera, row, column) of the box that pixels show, by points in blocks."""
     import cv2  # takes long to load
 
     out = np.zeros((len(maps.coefficients), *shape))
@@ -351,11 +321,7 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
 
 
 def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
-    """Mark pixels (camera, row, column) whose part of the box enough cameras see.
-
-    At least `fewest` of them, that one included, see nearly all of it. Pixels that show nothing of
-    the box are marked, too.
-    """
+    """Mark pixels whose part of the box, if any, at least `fewest` cameras see nearly all of."""
     blocks = list(_blocks(maps, shape, _FOR_VIEWS))
     lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
     out = np.zeros((len(blocks), *shape), dtype=np.bool_)
@@ -392,7 +358,7 @@ def _blocks(maps: VolumePolynomials, shape: tuple[int, ...], count: int) -> Iter
 
 
 def find_fault(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
-    """Say why particles cannot be looked for with these cameras; None if they can."""
+    """Say why particles cannot be searched for with these cameras; None if they can."""
     if len(cameras) < _FEWEST:
         return "it needs three cameras"
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)

@@ -31,9 +31,9 @@ def claimed_covariances(
 ) -> F64:
     """Estimate the covariances (n, 3, 3) of the positions' errors, mm2.
 
-    They are the Cramer-Rao bounds with neighbours that are fitted, too, where the noise of pixels
-    is as strong as what is left around particles. The largest is that of a position anywhere in the
-    box. Dark pixels have the noise (camera,).
+    They are the Cramer-Rao bounds with neighbours fitted, too, and the noise of what is left
+    around particles, at most those of a position anywhere in the box. Dark pixels have the noise
+    (camera,).
     """
     maps, taken = model.maps, leverage(model, sigma, particles)
     images, left, weight, taken = (
@@ -58,11 +58,7 @@ def claimed_covariances(
 def _spots(
     model: ImageModel, particles: ModelParticles, camera: int, variance: F64
 ) -> ParticleSpots:
-    """Make the images of the particles in a camera, with the variance of its pixels.
-
-    They are round ones of the same area, whose centres move so much more or less with the position
-    that each particle alone is known as well as from its own image.
-    """
+    """Make round images of the same area, which fix each particle as well as the true ones."""
     pixel, slope = project_with_slopes(model.maps, camera, particles.position)
     terms = np.concatenate([np.ones((len(pixel), 1)), particles.position], axis=1)
     across, down, tilt, flatness = model.shapes[camera] @ terms.T
@@ -93,11 +89,10 @@ def fit_line(total: float, x: float, y: float, xx: float, xy: float) -> tuple[fl
 def fill_noise(
     shown: Any, left: Any, weight: Any, leverage: Any, noise: float, variance: Any
 ) -> None:
-    """Fill in the variance of a camera's pixels around particles.
+    """Fill in the variance (row, column) of a camera's pixels around particles.
 
-    It is estimated from what is left there, and grows with the light. What fits have taken from it,
-    the leverage, is given back. Unknown and saturated pixels tell nothing, and have an infinite
-    variance. All arrays are (row, column).
+    It is a line over the light, fitted to the squares that are left, over what the fits have not
+    taken from them (leverage). Unknown and saturated pixels have an infinite variance.
     """
     rows, columns = shown.shape
     even, slope = noise * noise, 0.0

@@ -17,13 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.matching import (
-    PeakSets,
-    detect_in_cameras,
-    heights_of,
-    select_best,
-    select_rows,
-)
+from sabench.algorithms.particles import matching
 from sabench.api import Camera, FoundParticles, Observation
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
@@ -75,10 +69,7 @@ class Apertures:
         return float(_sides(self.corners_mm).mean())
 
     def superimpose(self, camera: Camera, pixels: F64) -> F64:
-        """Carry a camera's pixels (n, 2) to the common image plane, (n, 2) in px.
-
-        The origin is what the camera sees along the normal: distant points have one image.
-        """
+        """Project a camera's pixels (n, 2) to the common image plane, origin along the normal."""
         ahead = camera.directions(pixels)[0] @ self.axes.T
         return np.asarray(ahead[:, :2] / ahead[:, 2:] * self.focal_px)
 
@@ -141,17 +132,15 @@ def find_by_defocusing(
     Parameters
     ----------
     case : of cameras that `find_unsuitable` accepts.
-    floor : smallest peak that counts as a particle image, over a bright particle's.
-    false_alarms : probability that noise makes a particle image of a pixel; the larger of both
-        thresholds holds.
+    floor, false_alarms : as in `PeakParameters`.
     reach_px : largest distance of an image from the corner of the triangle that fits best.
     """
     cameras = [camera for camera in case.cameras if isinstance(camera, Camera)]
     apertures = Apertures.of(cameras)
-    peaks = detect_in_cameras(case, floor, false_alarms)
+    peaks = matching.detect_in_cameras(case, floor, false_alarms)
     every = match_triangles(apertures, cameras, peaks, case.grid, reach_px)
-    found = select_rows(every, select_best(every, peaks))
-    light = heights_of(found.hit, peaks, case.normalised_images()).mean(axis=1)
+    found = matching.select_rows(every, matching.select_best(every, peaks))
+    light = matching.heights_of(found.hit, peaks, case.normalised_images()).mean(axis=1)
     return FoundParticles(found.position, light)
 
 
@@ -161,7 +150,7 @@ def match_triangles(
     peaks: tuple[Peaks, ...],
     grid: Grid,
     reach_px: float,
-) -> PeakSets:
+) -> matching.PeakSets:
     """Match peaks of three cameras that form triangles of particles in a grid.
 
     The side from the first camera's image to the second's has a known direction, and a length
@@ -170,11 +159,9 @@ def match_triangles(
 
     Returns positions in mm.
     """
-    images = [
-        apertures.superimpose(camera, own.pixels)
-        for camera, own in zip(cameras, peaks, strict=True)
-    ]
-    found = [PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
+    views = zip(cameras, peaks, strict=True)
+    images = [apertures.superimpose(camera, found.pixels) for camera, found in views]
+    found = [matching.PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
     if all(map(len, images)):
         for hit in _triples(apertures, images, apertures.sizes(grid), reach_px):
             triangles = np.stack(
@@ -185,12 +172,8 @@ def match_triangles(
             last = np.asarray(grid.shape[::-1]) - 1.0
             inside = ((voxels >= -_MARGIN) & (voxels <= last + _MARGIN)).all(axis=1)
             good = inside & (off <= reach_px)
-            found.append(PeakSets(position[good], hit[good], off[good]))
-    return PeakSets(
-        np.concatenate([one.position for one in found]),
-        np.concatenate([one.hit for one in found]),
-        np.concatenate([one.error_px for one in found]),
-    )
+            found.append(matching.PeakSets(position[good], hit[good], off[good]))
+    return matching.join_sets(found)
 
 
 def _triples(
@@ -200,9 +183,8 @@ def _triples(
     first, second, third = images
     tree, near = cKDTree(third), _SEARCHED * reach_px
     to_third = (apertures.corners_mm[2] - apertures.corners_mm[0]) / apertures.side_mm
-    order = np.argsort(
-        second[:, 1], kind="stable"
-    )  # sides between the two run along the first axis
+    # sides between the first two images run along the first axis
+    order = np.argsort(second[:, 1], kind="stable")
     down = second[order, 1]
     for start in range(0, len(first), _BATCH):
         own = first[start : start + _BATCH]
@@ -222,7 +204,6 @@ def _triples(
 
 
 def _sides(corners: F64) -> F64:
-    """Compute the lengths (3,) of a triangle's sides."""
     return np.array([np.linalg.norm(a - b) for a, b in itertools.combinations(corners, 2)])
 
 
@@ -230,6 +211,5 @@ def _corners(grid: Grid) -> F64:
     """List the corners (8, 3) of a grid with its margin, mm."""
     low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
     high = low + voxel * (np.asarray(grid.shape[::-1]) - 1)
-    return np.array(
-        list(itertools.product(*np.array([low - _MARGIN * voxel, high + _MARGIN * voxel]).T))
-    )
+    ends = low - _MARGIN * voxel, high + _MARGIN * voxel
+    return np.array(list(itertools.product(*np.transpose(ends))))

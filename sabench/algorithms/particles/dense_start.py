@@ -20,17 +20,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sabench.algorithms.particles import kalman_tracks
 from sabench.algorithms.particles.bayesian_ipr import BayesianIprSettings, Known, search_frame
 from sabench.algorithms.particles.candidate_search import mean_spacing, pixel_mm
-from sabench.algorithms.particles.kalman_tracks import (
-    ANY_SPEED,
-    KalmanTracks,
-    most_probable_motion,
-    start_tracks,
-)
-from sabench.algorithms.particles.linking import assign, link
+from sabench.algorithms.particles.linking import link
 from sabench.algorithms.particles.particle_search import ParticleSearch
-from sabench.api import FoundParticles, Observation
+from sabench.api import Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64
 
@@ -98,7 +93,14 @@ def search_window(
         found = [search.found() for search in searches if search is not None]
         if len(found) < len(cases) or min(len(one.position_mm) for one in found) <= _NEIGHBOURS:
             return list(alone)
-        finds = [_finds(one, time, maps) for one, time in zip(found, times_s, strict=True)]
+        finds = []
+        for frame, time in zip(found, times_s, strict=True):
+            variance = np.asarray(frame.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
+            # the errors are as large as where images overlap
+            usual = np.median(variance, axis=0)
+            usual *= (_ERROR_PX * pixel_mm(maps)) ** 2 / usual.min()
+            errors = np.broadcast_to(usual, variance.shape)
+            finds.append(Finds(time, frame.position_mm, errors, np.asarray(frame.light)))
         count = float(np.mean([len(one.position_mm) for one in found]))
         known = confirm_tracks(finds, mean_spacing(maps, count))
         before, confirmed = confirmed, sum(len(one.position) for one in known)
@@ -114,15 +116,6 @@ def search_window(
             break
     first = [search for search in searches if search is not None]
     return first if len(first) == len(alone) else list(alone)
-
-
-def _finds(found: FoundParticles, time: float, maps: VolumePolynomials) -> Finds:
-    """Write down what a frame shows, with errors as large as where images overlap."""
-    variance = np.asarray(found.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
-    usual = np.median(variance, axis=0)
-    usual *= (_ERROR_PX * pixel_mm(maps)) ** 2 / usual.min()
-    light = np.asarray(found.light)
-    return Finds(time, found.position_mm, np.broadcast_to(usual, variance.shape), light)
 
 
 class Finds(NamedTuple):
@@ -145,22 +138,22 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
     votes = collect_votes([one.position for one in frames], [one.time for one in frames])
     flow = [estimate_velocity(votes, one.position, one.time, spacing) for one in frames]
     least = _LEAST * float(np.sqrt(frames[0].variance.min())) / votes.interval**2
-    tracks = start_tracks(frames[0].position, flow[0][0], votes.longest, least)
+    tracks = kalman_tracks.start_tracks(frames[0].position, flow[0][0], votes.longest, least)
     motion = tracks.acceleration, tracks.jerk
     number = _number_tracks(frames, flow, tracks)
     real = np.flatnonzero(np.bincount(np.concatenate(number)) >= CONFIRMED)
+    values = ((*frame[1:], *moves) for frame, moves in zip(frames, flow, strict=True))
     position, variance, light, velocity, spread = (
-        _table(real, number, values)
-        for values in zip(
-            *((*one[1:], *moves) for one, moves in zip(frames, flow, strict=True)), strict=True
-        )
+        _table(real, number, each) for each in zip(*values, strict=True)
     )
     expected = np.nanmean(velocity, axis=1), np.nanmean(spread, axis=1)
     typical = np.nanmedian(light, axis=1)
     known = []
     for frame in frames:
         times = np.array([one.time - frame.time for one in frames])
-        state, errors = most_probable_motion(times, position, variance, *expected, *motion)
+        state, errors = kalman_tracks.most_probable_motion(
+            times, position, variance, *expected, *motion
+        )
         usual = np.sqrt(np.median(frame.variance, axis=0))
         good = np.median(np.sqrt(errors[:, :, 0, 0]) / usual, axis=1) < _KNOWN
         known.append(Known(state[good, 0], typical[good]))
@@ -177,20 +170,17 @@ def _table(real: I64, number: Sequence[I64], values: Sequence[F64]) -> F64:
 
 
 def _number_tracks(
-    frames: Sequence[Finds], flow: Sequence[tuple[F64, F64]], tracks: KalmanTracks
+    frames: Sequence[Finds], flow: Sequence[tuple[F64, F64]], tracks: kalman_tracks.KalmanTracks
 ) -> list[I64]:
-    """Follow particles through the frames, and return the track (n,) of each.
-
-    Tracks start with the velocities of the flow and their variances. What few of them tell does not
-    change how strongly particles accelerate.
-    """
+    """Follow particles through the frames from the flow's velocities; return tracks (n,)."""
     motion, numbers = (tracks.acceleration, tracks.jerk), []
     born, last = 0, frames[0].time
     for frame, (velocity, spread) in zip(frames, flow, strict=True):
         number = np.full(len(frame.position), -1)
         if len(tracks.number):
             tracks.predict(frame.time - last)
-            rows, seen = _continue(tracks, frame)
+            every = np.arange(len(tracks.number))
+            rows, seen = tracks.pair(every, frame.position, frame.variance, _FEW, _NEAR)
             number[seen] = tracks.number[rows]
             tracks.update(rows, frame.position[seen], frame.variance[seen], frame.light[seen])
             tracks.acceleration, tracks.jerk = motion
@@ -202,18 +192,6 @@ def _number_tracks(
         born, last = born + len(new), frame.time
         numbers.append(number)
     return numbers
-
-
-def _continue(tracks: KalmanTracks, frame: Finds) -> tuple[I64, I64]:
-    """Pair tracks with the particles of a frame."""
-    count = min(_FEW, len(frame.position))
-    if not count:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    _, slot = cKDTree(frame.position).query(tracks.state[:, 0], range(1, count + 1))
-    i, j = np.repeat(np.arange(len(tracks.number)), count), slot.ravel()
-    cost = tracks.off(i, frame.position[j], frame.variance[j]).sum(axis=1)
-    good = cost < _NEAR
-    return assign(i[good], j[good], cost[good], (len(tracks.number), len(frame.position)))
 
 
 class LinkVotes(NamedTuple):
@@ -259,17 +237,14 @@ def estimate_velocity(
     near = np.abs(votes.time - time) <= _FRAMES * votes.longest
     place, velocity = votes.position[near], votes.velocity[near]
     if not len(place):
-        return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
+        return np.zeros_like(position), np.full_like(position, kalman_tracks.ANY_SPEED**2)
     count = min(_NEAREST, len(place))
     _, rows = cKDTree(place).query(position, range(1, count + 1))
     width = _WIDTH * spacing / votes.interval
-    parts = [
-        _fit(velocity[part], (place[part] - here[:, None]) / spacing, width)
-        for part, here in (
-            (rows[first : first + _PORTION], position[first : first + _PORTION])
-            for first in range(0, len(position), _PORTION)
-        )
-    ]
+    parts = []
+    for first in range(0, len(position), _PORTION):
+        part, here = rows[first : first + _PORTION], position[first : first + _PORTION]
+        parts.append(_fit(velocity[part], (place[part] - here[:, None]) / spacing, width))
     none = np.zeros((0, 3))
     means, spreads = zip((none, none), *parts, strict=True)
     return np.concatenate(means), np.maximum(np.concatenate(spreads), (_LEAST_SPREAD * width) ** 2)

@@ -292,7 +292,6 @@ def counting(weight: Any, left: Any) -> Any:
 
 @numba.njit(cache=True, fastmath=_ANY_ORDER)
 def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) -> None:
-    """Add light with a window's profiles to an image."""
     top, start = np.uintp(corner[1]), np.uintp(corner[0])
     for block in range(len(x) // LANES):
         first = np.uintp(block * LANES)
@@ -338,10 +337,7 @@ def paint_all(model: Any, room: Any, particles: Any, sign: float) -> None:
 
 @numba.njit(cache=True)
 def look(model: Any, room: Any, position: Any, light: Any) -> None:
-    """Sum up what the images less all others say of a particle at a position.
-
-    Light (camera,) tells which saturated pixels have enough.
-    """
+    """Sum up what the images less all others say of a particle of this light at a position."""
     place_windows(model, room, position)
     match_here(model, room, light)
 
@@ -367,12 +363,11 @@ def match_here(model: Any, room: Any, light: Any) -> None:
 
 @numba.njit(cache=True)
 def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
-    """Fill in all cameras' sums of weights, of a particle that is subtracted.
+    """Fill in all cameras' sums of weights, of a particle that is subtracted, for light 1.
 
     Squares of its image, products with what is left, squares of the image's derivatives (three),
-    and their products with what is left (two), all for light 1; and what its light (camera,) saves
-    in saturated pixels that have enough with it. The first two and the last fill in what `look`
-    would without the particle.
+    their products with what is left (two), and what its light (camera,) saves in saturated pixels
+    that have enough with it. The first two and the last are those of `look` without the particle.
     """
     place_windows(model, room, position)
     room.given[0] = 0.0

@@ -101,10 +101,7 @@ def guess_light(signal: Any, weight: Any, typical: Any, logs: Any) -> None:
 
 @numba.njit(cache=True)
 def light_cost(signal: Any, weight: Any, typical: Any, precision: Any, logs: Any) -> float:
-    """Compute the cost of lights, minus the logarithm of their probability.
-
-    It is relative to no light, without the constants of the normal distribution.
-    """
+    """Compute the cost of lights relative to no light, without constants."""
     cost = 0.0
     for c in range(len(logs)):
         light = typical[c] * math.exp(logs[c])
@@ -119,15 +116,7 @@ def light_cost(signal: Any, weight: Any, typical: Any, precision: Any, logs: Any
 def find_light(
     signal: Any, weight: Any, typical: Any, precision: Any, logs: Any, slope: Any, bend: Any
 ) -> float:
-    """Improve logarithms (camera,) to the most probable ones by Newton's method.
-
-    Returns their cost.
-
-    Parameters
-    ----------
-    precision : (camera, camera) inverse of the covariance.
-    slope, bend : (camera,) and (camera, camera), room to work in.
-    """
+    """Improve logarithms (camera,) by Newton's method, return their cost; bends are scratch."""
     cameras = len(logs)
     for _ in range(_LIGHT_STEPS):
         for c in range(cameras):
@@ -177,10 +166,7 @@ def log_determinant(factor: Any) -> float:
 
 @numba.njit(cache=True)
 def fill_inverse_diagonal(factor: Any, diagonal: Any, column: Any) -> None:
-    """Fill in the diagonal (n,) of a factorised matrix's inverse.
-
-    The column (n,) is room to work in.
-    """
+    """Fill in the diagonal (n,) of a factorised matrix's inverse; the column is scratch."""
     count = len(factor)
     for k in range(count):
         diagonal[k] = 0.0
@@ -194,7 +180,6 @@ def fill_inverse_diagonal(factor: Any, diagonal: Any, column: Any) -> None:
 
 @numba.njit(cache=True)
 def _substitute(factor: Any, right: Any) -> None:
-    """Replace the right side by the solution of a factorised system."""
     count = len(right)
     for i in range(count):
         value = right[i]
@@ -219,10 +204,7 @@ def cost_of(model: Any, room: Any, light: Any) -> float:
 
 @numba.njit(cache=True)
 def best_light(model: Any, room: Any, light: Any) -> float:
-    """Fill in the most probable light (camera,) after `look`, from `room.logs` on.
-
-    Returns its cost.
-    """
+    """Fill in the most probable light (camera,) after `look`; returns its cost."""
     cost = find_light(
         room.signal, room.weight, model.typical, model.precision, room.logs, room.pull, room.bend
     )
@@ -245,10 +227,7 @@ def _add_to_matrix(matrix: Any, slope: Any, sums: Any, light: float) -> None:
 
 @numba.njit(cache=True)
 def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float:
-    """Fill in sums and normal equations of a particle.
-
-    Returns the largest derivative of a pixel by a coordinate.
-    """
+    """Fill in a particle's equations; returns the largest derivative of a pixel."""
     sum_up(model, room, position, light)
     room.matrix[:], room.right[:], steepest = 0.0, 0.0, 0.0
     for c in range(len(light)):
@@ -264,10 +243,7 @@ def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float
 
 @numba.njit(cache=True)
 def solve_three(matrix: Any, right: Any, step: Any) -> float:
-    """Solve three equations by cofactors.
-
-    Returns the determinant, 0 where it is lost in rounding.
-    """
+    """Solve three equations by cofactors; returns the determinant, 0 if lost in rounding."""
     a = matrix[1, 1] * matrix[2, 2] - matrix[1, 2] * matrix[2, 1]
     b = matrix[1, 2] * matrix[2, 0] - matrix[1, 0] * matrix[2, 2]
     c = matrix[1, 0] * matrix[2, 1] - matrix[1, 1] * matrix[2, 0]
@@ -289,8 +265,8 @@ def solve_three(matrix: Any, right: Any, step: Any) -> float:
 def _fits_already(model: Any, room: Any, light: Any) -> bool:
     """Say whether no step of position or light would lower the cost notably.
 
-    After `_normal_equations`, and with the step of the position in `room.trial`. The prior of light
-    bends the cost at least as much as its widest direction.
+    After `_normal_equations`, with the position's step in `room.trial`. The prior of light bends
+    the cost at least as much as in its widest direction.
     """
     fall = 0.0
     for p in range(3):
@@ -309,10 +285,7 @@ def _fits_already(model: Any, room: Any, light: Any) -> bool:
 
 @numba.njit(cache=True)
 def fit_particle(model: Any, room: Any, particles: Any, n: int) -> float:
-    """Fit a particle to the images less all others; returns the change of the cost.
-
-    A step that raises the cost is not taken, nor one that hardly lowers it.
-    """
+    """Fit a particle to the images less all others, if the cost falls; returns its change."""
     position, light = particles.position[n], particles.light[n]
     steepest = _normal_equations(model, room, position, light)
     solved = solve_three(room.matrix, room.right, room.trial) > 0.0

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from sabench.algorithms.particles.linking import assign
 from sabench.algorithms.particles.particle_search import joined, no_particles
 from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, I64, Bool
@@ -69,17 +70,8 @@ class KalmanTracks:
     def start(acceleration: float, jerk: float) -> KalmanTracks:
         """Begin without tracks, with first guesses of the strengths."""
         none = np.zeros(0, dtype=np.int64)
-        return KalmanTracks(
-            none,
-            np.zeros((0, 3, 3)),
-            np.zeros((0, 3, 3, 3)),
-            np.zeros((0, 0)),
-            none,
-            none,
-            jerk,
-            acceleration,
-            _LEAST * jerk,
-        )
+        tracks = none, np.zeros((0, 3, 3)), np.zeros((0, 3, 3, 3)), np.zeros((0, 0)), none, none
+        return KalmanTracks(*tracks, jerk, acceleration, _LEAST * jerk)
 
     @property
     def variance(self) -> F64:
@@ -95,13 +87,8 @@ class KalmanTracks:
         """Move the states on by a duration in s."""
         d = duration
         step = np.array([[1.0, d, d**2 / 2.0], [0.0, 1.0, d], [0.0, 0.0, 1.0]])
-        noise = np.array(
-            [
-                [d**5 / 20.0, d**4 / 8.0, d**3 / 6.0],
-                [d**4 / 8.0, d**3 / 3.0, d**2 / 2.0],
-                [d**3 / 6.0, d**2 / 2.0, d],
-            ]
-        )
+        rows = [d**5 / 20.0, d**4 / 8.0, d**3 / 6.0], [d**4 / 8.0, d**3 / 3.0, d**2 / 2.0]
+        noise = np.array([*rows, [d**3 / 6.0, d**2 / 2.0, d]])
         self.state = step @ self.state
         self.covariance = step @ self.covariance @ step.T + self.jerk * noise
         self.missed = self.missed + 1
@@ -111,13 +98,36 @@ class KalmanTracks:
         expected = self.covariance[rows][:, :, 0, 0] + variance
         return np.asarray((position - self.state[rows, 0]) ** 2 / expected)
 
-    def update(self, rows: I64, position: F64, variance: F64, light: F64) -> None:
-        """Take positions (n, 3), their variances, and light (n, camera) of tracks.
+    def pair(
+        self, rows: I64, position: F64, variance: F64, few: int, most: float
+    ) -> tuple[I64, I64]:
+        """Pair tracks (rows) with positions, one to one, by misses of a square sum below `most`.
 
-        A track that misses by more than it should does not know its acceleration: its errors grow.
+        Each track has the `few` nearest positions as candidates.
+        """
+        count = min(few, len(position))
+        if not count or not len(rows):
+            return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        _, slot = cKDTree(position).query(self.state[rows, 0], range(1, count + 1))
+        i, j = np.repeat(np.arange(len(rows)), count), slot.ravel()
+        cost = self.off(rows[i], position[j], variance[j]).sum(axis=1)
+        good = cost < most
+        i, j = assign(i[good], j[good], cost[good], (len(rows), len(position)))
+        return rows[i], j
+
+    def update(self, rows: I64, position: F64, variance: F64, light: F64) -> None:
+        """Update tracks by positions (n, 3), their variances, and light (n, camera).
+
+        The strengths of jerk and acceleration follow the misses. The errors of a track that misses
+        by more than expected grow: its acceleration is not known.
         """
         off = self.off(rows, position, variance)
-        self._learn(rows, off)
+        last = self.missed[rows] == 1
+        old, new = self.seen[rows] >= MATURE, self.seen[rows] == MATURE - 1
+        if (last & old).sum() >= _ENOUGH:
+            self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
+        if (last & new).sum() >= _ENOUGH:
+            self.acceleration *= _change(off[last & new])
         known = self.covariance[rows]
         known *= np.maximum(off.sum(axis=1) / _SURPRISE, 1.0)[:, None, None, None]
         gain = known[:, :, :, 0] / (known[:, :, 0, 0] + variance)[:, :, None]
@@ -128,20 +138,8 @@ class KalmanTracks:
         self.seen[rows] += 1
         self.missed[rows] = 0
 
-    def _learn(self, rows: I64, off: F64) -> None:
-        """Learn the strengths from the squares of misses (n, 3) of these tracks."""
-        last = self.missed[rows] == 1
-        old, new = self.seen[rows] >= MATURE, self.seen[rows] == MATURE - 1
-        if (last & old).sum() >= _ENOUGH:
-            self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
-        if (last & new).sum() >= _ENOUGH:
-            self.acceleration *= _change(off[last & new])
-
     def neighbours_velocity(self, position: F64) -> tuple[F64, F64]:
-        """Estimate velocities (n, 3) and their variances from the tracks near.
-
-        Without tracks nearby it is 0 with an error as large.
-        """
+        """Estimate velocities (n, 3) and their variances from the tracks near, if there are any."""
         known = (self.seen >= 2) & (self.missed == 0)
         return velocity_near(position, self.state[known, 0], self.state[known, 1])
 
@@ -155,14 +153,9 @@ class KalmanTracks:
         spread: F64,
         seen: int,
     ) -> None:
-        """Begin tracks.
+        """Begin tracks at positions (n, 3), mm, with velocities, mm/s, and variances of both.
 
-        Parameters
-        ----------
-        number : (n,).
-        position, variance, velocity, spread : (n, 3) mm, mm2, mm/s, mm2/s2.
-        light : (n, camera).
-        seen : how many positions they have.
+        `seen` is how many positions they have.
         """
         count = len(number)
         state = np.stack([position, velocity, np.zeros((count, 3))], axis=1)
@@ -180,8 +173,7 @@ def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -
     """Guess how strongly particles accelerate, and how fast that changes.
 
     An acceleration is as large as (u grad) u, of fluctuations of the velocity and their gradient,
-    but at least `least`.
-    A random jerk changes it as much as that in the longest time between two frames.
+    but at least `least`. A random jerk changes it as much in the longest time between two frames.
     """
     distance, near = cKDTree(position).query(position, _NEAREST + 1)
     apart = np.linalg.norm(velocity[near[:, 1:]] - velocity[:, None], axis=2)
@@ -193,11 +185,7 @@ def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -
 
 
 def velocity_near(position: F64, known: F64, velocity: F64) -> tuple[F64, F64]:
-    """Estimate velocities (n, 3) at positions, and their variances.
-
-    Known ones (m, 3) are those of particles at other or the same positions. Without any, velocities
-    are 0 with a large variance.
-    """
+    """Estimate velocities (n, 3) and variances from known ones (m, 3); 0 without any."""
     if not len(known):
         return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
     count = min(_NEIGHBOURS, len(known))
@@ -261,8 +249,8 @@ def most_probable_motion(
 def _jerk_covariance(times: F64) -> F64:
     """Compute the covariance (m, m) of positions by a jerk of power 1 since time 0.
 
-    Jerks before and after are independent. Between them and a time t the position grows with
-    (t - s)^2 / 2, so that two times on one side share the integral of both such squares.
+    Jerks before and after are independent. Until a time t the position grows with (t - s)^2 / 2:
+    two times on one side share the integral of both such squares.
     """
     one, other = np.abs(times)[:, None], np.abs(times)[None, :]
     least, rest = np.minimum(one, other), np.abs(one - other)
@@ -312,10 +300,7 @@ def no_frame(time: float, cameras: int) -> TrackedFrame:
 def with_motion(
     frames: Sequence[TrackedFrame], frame: TrackedFrame, motion: tuple[float, float] | None
 ) -> FoundParticles:
-    """Add velocities and accelerations to a frame, from it and those around it.
-
-    Particles that were not seen get their positions, too.
-    """
+    """Add velocities and accelerations, and positions where none was seen, to a frame."""
     found = replace(frame.found, trajectory=frame.number)
     if motion is None or not len(frame.number):
         return found
@@ -329,22 +314,14 @@ def with_motion(
     seen = frame.seen[:, None]
     place = np.where(seen, frame.position, state[:, 0])
     error = np.where(seen[:, None], np.asarray(found.covariance_mm2), _diagonal(covariance, 0))
-    return replace(
-        found,
-        position_mm=place,
-        covariance_mm2=error,
-        velocity_mm_s=state[:, 1],
-        velocity_covariance=_diagonal(covariance, 1),
-        acceleration_mm_s2=state[:, 2],
-        acceleration_covariance=_diagonal(covariance, 2),
-    )
+    velocity = {"velocity_mm_s": state[:, 1], "acceleration_mm_s2": state[:, 2]}
+    names = "velocity_covariance", "acceleration_covariance"
+    errors = {name: _diagonal(covariance, order) for order, name in enumerate(names, 1)}
+    return replace(found, position_mm=place, covariance_mm2=error, **velocity, **errors)
 
 
 def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:
-    """Collect places of trajectories in some frames, and variances: (n, frame, 3).
-
-    NaN where they were not seen.
-    """
+    """Collect positions of trajectories, and variances (n, frame, 3), NaN where not seen."""
     position, variance = (np.full((len(number), len(frames), 3), np.nan) for _ in range(2))
     for slot, one in enumerate(frames):
         _, i, j = np.intersect1d(number, one.number[one.seen], return_indices=True)
@@ -354,5 +331,4 @@ def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:
 
 
 def _diagonal(covariance: F64, order: int) -> F64:
-    """Make covariances (n, 3, 3) over axes of one order of the motion."""
     return np.asarray(covariance[:, :, order, order, None] * np.eye(3))

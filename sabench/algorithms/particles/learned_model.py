@@ -65,23 +65,16 @@ _PARTS = 16  # of the particles, whose sums are added up, whatever the number of
 def weigh_pixels(search: ParticleSearch, cap: float) -> None:
     """Estimate the variance of every pixel from what is left.
 
-    It is the noise of dark pixels and a share of the model's light; the part above the dark
-    noise is at most `cap` of a typical peak squared, but not less than what particles leave
-    whose images are a little wider or narrower than others', or what particles that are not
-    found yet leave.
+    It is the noise of dark pixels and a share of the model's light. The part above the dark noise
+    is at most `cap` of a typical peak squared, but not less than what particles leave that are a
+    little wider or narrower than others, or not found yet.
     """
     peaks = search.peaks()
 
     def weigh(camera: int) -> None:
-        fill_variance(
-            search.images[camera],
-            search.left[camera],
-            search.known[camera],
-            search.saturated[camera],
-            float(search.noise[camera]) ** 2,
-            (cap * float(peaks[camera])) ** 2,
-            search.variance[camera],
-        )
+        images = search.images, search.left, search.known, search.saturated
+        dark, most = float(search.noise[camera]) ** 2, (cap * float(peaks[camera])) ** 2
+        fill_variance(*(each[camera] for each in images), dark, most, search.variance[camera])
 
     for_each(weigh, len(peaks))
 
@@ -99,8 +92,8 @@ def learn_light(search: ParticleSearch) -> None:
 def learn_widths(search: ParticleSearch) -> None:
     """Learn the shapes of images, and how they change, from lone particles.
 
-    Half of them count, those that leave least of their images: others may be two. Few must be
-    missing yet, because what they leave makes others wider.
+    The half of them count that leave least of their images: others may be two. Few particles must
+    be missing, because what they leave makes others wider.
     """
     lone = _find_lone(search)
     if len(lone) < _FEW:
@@ -127,10 +120,7 @@ def learn_widths(search: ParticleSearch) -> None:
 
 
 def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
-    """Take tilts out of the equations of cameras whose images have hardly any.
-
-    They would only slow the fits down. Flatness counts where the images had some at first.
-    """
+    """Take tilts, which slow the fits down, out of the equations of nearly upright images."""
     tilts = np.linalg.solve(matrices[:, 8:12, 8:12], right[:, 8:12, None])[:, :, 0]
     farthest = np.abs(tilts).sum(axis=1) / search.sigma.prod(axis=1)
     upright = (search.shapes[:, 2, 0] == 0.0) & (
@@ -144,10 +134,7 @@ def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
 
 
 def align_cameras(search: ParticleSearch) -> None:
-    """Shift each camera's pixels to where it sees the particles.
-
-    A shift that particles take part in, as one of all cameras, cannot be seen.
-    """
+    """Shift each camera's pixels to its particles; a common shift of all cannot be seen."""
     if len(search.position) < _FEW:
         return
     for _ in range(_ALIGNMENTS):
@@ -171,10 +158,7 @@ def _miss(left: float, saturated: bool) -> float:
 
 @numba.njit(cache=True)
 def _modelled(image: float, left: float) -> float:
-    """Return the particles' light in a pixel.
-
-    It is no more than the image shows, or particles that are too bright would hide it.
-    """
+    """Return the particles' light in a pixel, at most what the image shows."""
     return min(max(image - left, 0.0), max(image, 0.0))
 
 
@@ -259,10 +243,7 @@ def _add_overlap(
 
 @numba.njit(cache=True, nogil=True)
 def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
-    """Add up (camera, 5) what each camera alone says of a common shift of its images.
-
-    The columns are the sums xx, xy, yy of the normal equations, and their right sides x and y.
-    """
+    """Add up (camera, 5) the equations xx, xy, yy, x, y of a shift of each camera's images."""
     for n in range(len(particles.position)):
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
@@ -322,11 +303,7 @@ def add_shape_misses(
 
 @numba.njit(cache=True)
 def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
-    """Fill in (shape, row, column) an image's derivatives by its shape.
-
-    They are a plain image's, near enough to step along. A Gaussian's derivative by its
-    width is the second by its centre, times the width.
-    """
+    """Fill in (shape, row, column) an image's derivatives by its shape, as of a plain image."""
     own, width = room.profiles[c], room.width[c]
     higher, first = np.zeros((2, 4, room.window)), room.corner[c] - MARGIN_PX
     for k in range(2):
@@ -344,10 +321,7 @@ def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
 
 
 def camera_misses(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Sum up (camera, 5) what each camera alone says of a common shift of its images.
-
-    The columns are those of `add_camera_misses`.
-    """
+    """Sum up `add_camera_misses` (camera, 5) over particles."""
 
     def add(rows: slice) -> F64:
         sums = np.zeros((len(sigma), 5))

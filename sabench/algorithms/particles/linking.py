@@ -35,19 +35,14 @@ _NEIGHBOURS = 8
 # candidates of one trajectory: several times what is within the radius where bubbles are evenly
 # spread, and a bound where they are not
 _MOST = 100
-_POSITION_ERROR, _SIZE_ERROR = (
-    (0.05, 0.2),
-    (0.03, 0.15),
-)  # least and largest of predictions: in the same unit, and of the logarithm of radii
+# least and largest errors of predictions: in the same unit, and of the logarithm of radii
+_POSITION_ERROR, _SIZE_ERROR = (0.05, 0.2), (0.03, 0.15)
 _ENOUGH = 8  # links by which these errors are measured
 
 
 @dataclass(frozen=True)
 class _Points:
-    """Detections, or the last ones of trajectories.
-
-    Positions (n, 3), logarithms of radii (n,), times (n,), numbers of frames (n,).
-    """
+    """Detections: positions (n, 3), logarithms of radii, times and numbers of frames (n,)."""
 
     position: F64
     size: F64
@@ -57,10 +52,7 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Trajectories(_Points):
-    """Trajectories that may continue.
-
-    Their last detections, numbers (n,) and velocities (n, 3), NaN for those of one detection.
-    """
+    """Trajectories that may continue: last detections, numbers, velocities (n, 3), NaN if new."""
 
     number: I64
     velocity: F64
@@ -70,21 +62,13 @@ class _Trajectories(_Points):
         return np.isnan(self.velocity[:, 0])
 
     def __getitem__(self, chosen: Bool | I64) -> _Trajectories:
-        position, size, time, velocity = (
-            value[chosen] for value in (self.position, self.size, self.time, self.velocity)
-        )
-        return _Trajectories(
-            position, size, time, self.frame[chosen], self.number[chosen], velocity
-        )
+        names = _Trajectories.__dataclass_fields__
+        return _Trajectories(*(getattr(self, name)[chosen] for name in names))
 
 
 @dataclass(frozen=True)
 class _Scale:
-    """Scales of a distance or a difference that counts as small.
-
-    The distance between neighbours, and standard errors of predictions along the axes (3,) and of
-    the logarithm of radii.
-    """
+    """Distance between neighbours, and standard errors of predictions and logarithms of radii."""
 
     spacing: float
     position: F64
@@ -96,37 +80,31 @@ def link(
 ) -> list[I64]:
     """Link the detections of some frames to trajectories.
 
+    Returns numbers (n,) of each frame's trajectories, counted from 0 in the order in which they
+    begin. A detection that joins no other is a trajectory. Times that do not increase are a
+    ValueError.
+
     Parameters
     ----------
     center_mm, radius_mm : (n, 3) and (n,) of each frame.
-    times_s : when each frame was taken.
+    times_s : of the frames.
     gap : number of frames in a row that a trajectory may miss.
-
-    Returns
-    -------
-    Numbers (n,) of each frame's trajectories, counted from 0 in the order in which they begin; a
-    detection that joins no other is a trajectory of its own.
-
-    Raises
-    ------
-    ValueError
-        Times that do not increase.
     """
     if (np.diff(times_s) <= 0.0).any():
         raise ValueError(f"times_s: expected increasing times, got {list(times_s)}")
     spacing = _spacing(center_mm)
     scale = _Scale(spacing, np.full(3, _POSITION_ERROR[1] * spacing), _SIZE_ERROR[1])
-    live, born, out = _none(), 0, []
+    none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    live = _Trajectories(nowhere, np.zeros(0), np.zeros(0), none, none, nowhere)
+    born, out = 0, []
     for frame, (position, radius, time) in enumerate(
         zip(center_mm, radius_mm, times_s, strict=True)
     ):
-        found = _Points(
-            position, np.log(radius), np.full(len(position), time), np.full(len(position), frame)
-        )
+        count = len(position)
+        found = _Points(position, np.log(radius), np.full(count, time), np.full(count, frame))
         live = live[frame - live.frame <= gap + 1]
-        i, j = assign(
-            *_candidates(live, found, time, frame, scale), (len(live.position), len(position))
-        )
+        pairs = _candidates(live, found, time, frame, scale)
+        i, j = assign(*pairs, (len(live.position), count))
         scale = _estimate_scale(scale, live[i], found, j)
         number = np.full(len(position), -1)
         number[j] = live.number[i]
@@ -139,14 +117,12 @@ def link(
 
 
 def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I64, I64]:
-    """Choose pairs of rows and columns, one to one, of the least total cost.
-
-    A row that is in no pair costs `GATE`.
+    """Choose pairs of rows and columns, one to one, of the least total cost; no pair costs `GATE`.
 
     Parameters
     ----------
-    row, column, cost : (n,) each, the pairs that there may be, each once, with costs from 0 on.
-    shape : how many rows and columns there are.
+    row, column, cost : (n,) possible pairs, each once, with costs from 0 on.
+    shape : numbers of rows and columns.
     """
     rows, columns = shape
     alone = np.arange(rows)  # every row has a column of its own, which means none
@@ -161,52 +137,29 @@ def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I6
     return i[linked].astype(np.int64), j[linked].astype(np.int64)
 
 
-def _none() -> _Trajectories:
-    whole = np.zeros(0, dtype=np.int64)
-    return _Trajectories(np.zeros((0, 3)), np.zeros(0), np.zeros(0), whole, whole, np.zeros((0, 3)))
-
-
 def _spacing(center_mm: Sequence[F64]) -> float:
-    """Compute the median distance of nearest neighbours in all frames.
-
-    Without any neighbours, it is far more than the extent of all positions.
-    """
+    """Compute the median distance of nearest neighbours, or more than the whole extent."""
     several = [positions for positions in center_mm if len(positions) > 1]
-    near = (
-        float(
-            np.median(
-                np.concatenate(
-                    [cKDTree(positions).query(positions, 2)[0][:, 1] for positions in several]
-                )
-            )
-        )
-        if several
-        else 0.0
-    )
+    near = [cKDTree(positions).query(positions, 2)[0][:, 1] for positions in several]
+    spacing = float(np.median(np.concatenate(near))) if near else 0.0
     every = np.concatenate([np.zeros((0, 3)), *center_mm])
-    return (
-        near or (10.0 * float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 0.0) or 1.0
-    )
+    extent = float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 0.0
+    return spacing or 10.0 * extent or 1.0
 
 
 def _continue(live: _Trajectories, found: _Points, number: I64, i: I64, j: I64) -> _Trajectories:
-    """Update trajectories by the detections found now, with their velocities."""
     velocity = np.full(found.position.shape, np.nan)
     velocity[j] = (found.position[j] - live.position[i]) / (found.time[j] - live.time[i])[:, None]
     lost = live[np.setdiff1d(np.arange(len(live.position)), i)]
     seen = _Trajectories(found.position, found.size, found.time, found.frame, number, velocity)
-    return _Trajectories(
-        *(
-            np.concatenate([getattr(one, name) for one in (lost, seen)])
-            for name in _Trajectories.__dataclass_fields__
-        )
-    )
+    names = _Trajectories.__dataclass_fields__
+    pairs = ([getattr(part, name) for part in (lost, seen)] for name in names)
+    return _Trajectories(*map(np.concatenate, pairs))
 
 
 def _candidates(
     live: _Trajectories, found: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
-    """List rows of trajectories and detections that may match, and the pairs' costs."""
     parts = [part(live, found, time, frame, scale) for part in (_by_velocity, _by_neighbours)]
     row, column, cost = (np.concatenate(values) for values in zip(*parts, strict=True))
     good = cost < GATE
@@ -224,13 +177,10 @@ def _by_velocity(
     old = np.flatnonzero(~live.young)
     steps = (frame - live.frame[old]).astype(np.float64)
     there = live.position[old] + live.velocity[old] * (time - live.time[old])[:, None]
-    row, column = _near(
-        there / scale.position, found.position / scale.position, float(np.sqrt(GATE)) * steps
-    )
-    error = (
-        np.sum(((there[row] - found.position[column]) / scale.position) ** 2, axis=1)
-        / steps[row] ** 2
-    )
+    radii = float(np.sqrt(GATE)) * steps
+    row, column = _near(there / scale.position, found.position / scale.position, radii)
+    off = (there[row] - found.position[column]) / scale.position
+    error = np.sum(off**2, axis=1) / steps[row] ** 2
     return old[row], column, error + _unlike(live, found, old[row], column, scale)
 
 
@@ -251,27 +201,19 @@ def _by_neighbours(
     duration = time - live.time[young[row]]
     velocity = shift / duration[:, None]
     if len(live.position) - len(young) >= _NEIGHBOURS:
-        apart = _neighbour_differences(live, young[row], velocity) * duration[:, None]
+        # the nearest trajectories whose velocities are known
+        old = np.flatnonzero(~live.young)
+        _, near = cKDTree(live.position[old]).query(live.position[young[row]], _NEIGHBOURS)
+        apart = np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2)
+        apart = apart * duration[:, None]
     else:
         apart = _position_errors(live, found, young[row], velocity, time, scale)
     length = np.linalg.norm(shift, axis=1)
-    nobody = np.repeat(
-        length[:, None], _NEIGHBOURS - apart.shape[1], axis=1
-    )  # where there are few, the others are taken to rest
-    alone = np.minimum(
-        (np.concatenate([apart, nobody], axis=1) / (_ALIKE * scale.spacing)) ** 2, 1.0
-    ).mean(axis=1)
+    # where there are few neighbours, the others are taken to rest
+    resting = np.repeat(length[:, None], _NEIGHBOURS - apart.shape[1], axis=1)
+    apart = np.concatenate([apart, resting], axis=1) / (_ALIKE * scale.spacing)
+    alone = np.minimum(apart**2, 1.0).mean(axis=1)
     return young[row], column, GATE * alone + (length / radii[row]) ** 2 + size
-
-
-def _neighbour_differences(live: _Trajectories, which: I64, velocity: F64) -> F64:
-    """Compute differences (n, k) of velocities from those of the neighbours.
-
-    Velocities are (n, 3), trajectories (n,). Neighbours are the nearest whose velocities are known.
-    """
-    old = np.flatnonzero(~live.young)
-    _, near = cKDTree(live.position[old]).query(live.position[which], _NEIGHBOURS)
-    return np.asarray(np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2))
 
 
 def _position_errors(
@@ -290,23 +232,16 @@ def _position_errors(
     cores = numba.get_num_threads()
     near = cKDTree(live.position).query(live.position, count + 1, workers=cores)[1][which, 1:]
     there = live.position[near] + velocity[:, None] * (time - live.time[near])[..., None]
-    size = (
-        _ALIKE * scale.spacing / (3.0 * scale.size)
-    )  # three standard errors are as bad as positions that say nothing
+    # three standard errors are as bad as positions that say nothing
+    size = _ALIKE * scale.spacing / (3.0 * scale.size)
     tree = cKDTree(np.column_stack([found.position, size * found.size]))
-    distance, _ = tree.query(
-        np.concatenate([there, size * live.size[near][..., None]], axis=2),
-        distance_upper_bound=_ALIKE * scale.spacing,
-        workers=cores,
-    )
+    moved = np.concatenate([there, size * live.size[near][..., None]], axis=2)
+    distance = tree.query(moved, distance_upper_bound=_ALIKE * scale.spacing, workers=cores)[0]
     return np.asarray(distance)
 
 
 def _near(starts: F64, targets: F64, radii: F64) -> tuple[I64, I64]:
-    """Find pairs of rows within the first one's radius.
-
-    Each first row has at most its `_MOST` nearest.
-    """
+    """Find pairs of rows within the first ones' radii, at most the `_MOST` nearest of each."""
     if not len(starts) or not len(targets):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     count = min(_MOST, len(targets))
@@ -322,10 +257,7 @@ def _unlike(live: _Trajectories, found: _Points, row: I64, column: I64, scale: _
 
 
 def _estimate_scale(scale: _Scale, linked: _Trajectories, found: _Points, j: I64) -> _Scale:
-    """Estimate the errors of predictions from these links.
-
-    The estimate is the median magnitude times 1.4826, the standard deviation of normal errors.
-    """
+    """Estimate errors of predictions: the median magnitude, as of normal errors."""
     old = ~linked.young
     if old.sum() < _ENOUGH:
         return scale

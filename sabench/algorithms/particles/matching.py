@@ -4,13 +4,14 @@ The line of sight of a camera's particle image is followed through the volume an
 those of nearby images of a second camera. The other cameras must have an image where they see the
 intersection. Source: Maas, Gruen and Papantoniou, Particle tracking velocimetry in
 three-dimensional flows, Part 1, Exp. Fluids 15, 133-146, 1993. Unlike there, polynomials
-approximate the refracted lines of sight, and there are no pairs of candidate lists. Points whose
-images are known to match are triangulated by `geometry.triangulation`.
+approximate the refracted lines of sight, and there are no pairs of candidate lists. Points with
+known matches are triangulated by `geometry.triangulation`.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -62,23 +63,13 @@ class PeakParameters(Parameters):
 def detect_in_cameras(
     case: Observation, floor: float, false_alarms: float = FALSE_ALARMS
 ) -> tuple[Peaks, ...]:
-    """Detect peaks of particle images in each camera's image.
-
-    Parameters
-    ----------
-    floor : smallest peak, over that of a bright particle.
-    false_alarms : probability that noise makes a peak of a pixel.
-    """
-    good, black = case.repaired, case.black_dn
-    return tuple(
-        detect_particle_peaks(
-            grey,
-            unknown,
-            least_dn=black + floor * bright_dn(grey, black, unknown),
-            false_alarms=false_alarms,
-        )
-        for grey, unknown in zip(good.images, good.flaws.unknown, strict=True)
-    )
+    """Detect peaks of particle images in each camera; thresholds as in `PeakParameters`."""
+    good, black, peaks = case.repaired, case.black_dn, []
+    for grey, unknown in zip(good.images, good.flaws.unknown, strict=True):
+        least = black + floor * bright_dn(grey, black, unknown)
+        found = detect_particle_peaks(grey, unknown, least_dn=least, false_alarms=false_alarms)
+        peaks.append(found)
+    return tuple(peaks)
 
 
 def heights(peaks: Peaks, image: F32) -> F32:
@@ -88,9 +79,7 @@ def heights(peaks: Peaks, image: F32) -> F32:
 
 
 def heights_of(hit: I64, peaks: tuple[Peaks, ...], images: F32) -> F64:
-    """Return the brightest pixels (n, camera) of candidates' particle images.
-
-    0 where a camera shows none.
+    """Return the brightest pixels (n, camera) of candidates' images, 0 where there is none.
 
     Parameters
     ----------
@@ -109,11 +98,9 @@ class TriangulationSettings:
 
     Attributes
     ----------
-    floor : smallest peak that counts as a particle image, over a bright particle's.
-    false_alarms : probability that noise makes a particle image of a pixel; the larger of both
-        thresholds holds.
-    reach_px : largest distance of a particle image from where its camera sees the particle.
-    budget_s : seconds for a frame, after which the particles so far are the result; None is no end.
+    floor, false_alarms : as in `PeakParameters`.
+    reach_px : largest distance of an image from the particle's projection.
+    budget_s : seconds for a frame, after which the particles so far are the result; None: no limit.
     """
 
     floor: float = 0.05
@@ -134,8 +121,8 @@ def triangulate_particles(
 ) -> FoundParticles:
     """Triangulate the particles that particle images agree on, each image used once.
 
-    Bright images come first. A warning says where the time budget leaves some out, and where there
-    are so many that most agree by chance: the brightest of them are used.
+    The brightest images come first. A warning says if the time budget leaves some out, or if so
+    many agree by chance that only the brightest are used.
     """
     deadline = Deadline(settings.budget_s)
     images = case.normalised_images()
@@ -168,9 +155,11 @@ def _thin_out(
     if chance <= _MOST_BY_CHANCE:
         return peaks
     share = (_MOST_BY_CHANCE / chance) ** (1.0 / (len(peaks) - 1))
+    pairs = zip(peaks, images, strict=True)
+    orders = [np.argsort(-heights(*pair), kind="stable") for pair in pairs]
     kept = tuple(
-        keep_peaks(own, _brightest(heights(own, image), share))
-        for own, image in zip(peaks, images, strict=True)
+        keep_peaks(own, np.sort(order[: int(share * len(order))]))
+        for own, order in zip(peaks, orders, strict=True)
     )
     counts = ", ".join(
         f"{len(few.pixels)} of {len(own.pixels)} in {camera.name}"
@@ -183,12 +172,6 @@ def _thin_out(
         stacklevel=1,
     )
     return kept
-
-
-def _brightest(heights: F32, share: float) -> I64:
-    """Select the numbers of the highest peaks, in their order."""
-    count = int(share * len(heights))
-    return np.sort(np.argsort(-heights, kind="stable")[:count])
 
 
 class PeakSets(NamedTuple):
@@ -237,16 +220,17 @@ def find_peak_sets(
         room = _empty(_ROOM * len(own), len(peaks))
         count = _follow(maps, peaks, reach_px, covered, along, steps, own, *room)
         found.append(select_rows(room, np.arange(count)))
-    return PeakSets(
-        np.concatenate([one.position for one in found]),
-        np.concatenate([one.hit for one in found]),
-        np.concatenate([one.error_px for one in found]),
-    )
+    return join_sets(found)
 
 
-def select_rows(found: PeakSets, rows: I64) -> PeakSets:
+def select_rows(found: PeakSets, rows: I64 | Bool) -> PeakSets:
     """Copy some of the candidates."""
-    return PeakSets(found.position[rows], found.hit[rows], found.error_px[rows])
+    return PeakSets(*(values[rows] for values in found))
+
+
+def join_sets(parts: Sequence[PeakSets]) -> PeakSets:
+    """Join candidates in the order of the parts."""
+    return PeakSets(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
 def _empty(count: int, cameras: int) -> PeakSets:
@@ -258,10 +242,7 @@ def _empty(count: int, cameras: int) -> PeakSets:
 def count_by_chance(
     maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float, pixels: int
 ) -> float:
-    """Estimate how many sets that agree by chance contain a peak of the first camera.
-
-    Peaks of the others are taken as spread evenly over images of so many pixels.
-    """
+    """Estimate how many chance sets contain a peak of the first camera, if others are uniform."""
     steps = follow_lines(maps, range(1, 2), reach_px)[1]
     density = np.array([len(own.pixels) / pixels for own in peaks[1:]])
     near = _SEARCHED * reach_px
@@ -270,14 +251,10 @@ def count_by_chance(
 
 
 def select_best(found: PeakSets, peaks: tuple[Peaks, ...]) -> I64:
-    """Select candidates so that each peak belongs to one only.
-
-    Complete sets come before others, and those that fit best first; returns rows.
-    """
+    """Select rows so that each peak is used once: complete sets and best fits come first."""
     order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
-    free = [
-        np.ones(len(one.pixels) + 1, dtype=bool) for one in peaks
-    ]  # the last one is that of a camera that shows none
+    # the last one is that of a camera that shows none
+    free = [np.ones(len(one.pixels) + 1, dtype=bool) for one in peaks]
     kept = []
     for row in order:
         if all(flags[number] for flags, number in zip(free, found.hit[row], strict=True)):
@@ -300,10 +277,7 @@ def _follow(
     hits: Any,
     errors: Any,
 ) -> int:
-    """Fill in the candidates of the first camera's images with these numbers.
-
-    Returns how many there are.
-    """
+    """Fill in the candidates of these images of the first camera, and count them."""
     cameras, count = len(peaks), 0
     position, start, here, slope = np.zeros(3), np.zeros(3), np.zeros(2), np.zeros((2, 3))
     near, tried, chosen = (
@@ -349,10 +323,7 @@ def _follow(
 
 @numba.njit(cache=True)
 def _has(values: Any, count: int, value: int) -> bool:
-    """Say whether a value is among the first ones.
-
-    Loops like this one take less time to compile than expressions of arrays.
-    """
+    """Say whether a value is among the first ones; faster to compile than array expressions."""
     found = False
     for n in range(count):
         found |= values[n] == value
@@ -361,7 +332,6 @@ def _has(values: Any, count: int, value: int) -> bool:
 
 @numba.njit(cache=True)
 def _within(position: Any, bound: float) -> bool:
-    """Say whether no coordinate is beyond a bound."""
     inside = True
     for i in range(3):
         inside &= abs(position[i]) <= bound
@@ -369,18 +339,8 @@ def _within(position: Any, bound: float) -> bool:
 
 
 @numba.njit(cache=True)
-def _others(
-    maps: Any,
-    peaks: Any,
-    chosen: Any,
-    position: Any,
-    radius: float,
-    covered: Any,
-) -> bool:
-    """Choose the image nearest to a position in each camera after the first two.
-
-    Returns False if one shows none and has it on its sensor, uncovered.
-    """
+def _others(maps: Any, peaks: Any, chosen: Any, position: Any, radius: float, covered: Any) -> bool:
+    """Choose the nearest image in each other camera; False if an open one shows none."""
     here, slope, near = np.zeros(2), np.zeros((2, 3)), np.zeros(_NEAR, dtype=np.int64)
     for c in range(2, len(peaks)):
         project_point(maps, c, position, here, slope)
@@ -401,7 +361,6 @@ def _others(
 
 @numba.njit(cache=True)
 def _open(covered: Any, pixel: Any) -> bool:
-    """Say whether a pixel is on the sensor and not covered."""
     rows, columns = covered.shape
     if not (0.0 < pixel[0] < columns - 1.0 and 0.0 < pixel[1] < rows - 1.0):
         return False
@@ -410,10 +369,7 @@ def _open(covered: Any, pixel: Any) -> bool:
 
 @numba.njit(cache=True)
 def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
-    """Move a position to where it fits the chosen images best.
-
-    Returns the largest distance that is left, px.
-    """
+    """Fit a position to the chosen images; returns the largest distance left, px."""
     here, slope, matrix, right, worst = (
         np.zeros(2),
         np.zeros((2, 3)),

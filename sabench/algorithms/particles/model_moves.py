@@ -56,11 +56,7 @@ _DOUBTFUL = 2  # of them, after which a split that does not pay is given up
 
 
 def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
-    """Find particles whose images are near each other in at least one camera.
-
-    Near is a few widths (camera, 2) of images. Returns where each particle's neighbours start in
-    the list (n + 1,), and the list.
-    """
+    """List, as `near_images`, particles a few widths (camera, 2) apart in some camera."""
     pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
     return near_images(np.stack(pixels), _NEAR * sigma.max(axis=1))
 
@@ -136,7 +132,6 @@ def remove_ghosts(
 def _put_back(
     model: Any, room: Any, particles: Any, neighbours: Any, positions: Any, lights: Any
 ) -> None:
-    """Put neighbours that are alive back to where they were before a trial."""
     for k in range(len(neighbours)):
         j = neighbours[k]
         if particles.alive[j]:
@@ -149,8 +144,8 @@ def _put_back(
 def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
     """Compute the least that a particle gains, after `penalty`.
 
-    That is in pixels where others leave hardly any light, so that none of them can take over its
-    own; without the camera in which this is most, and less the cost of its light's prior.
+    It is the gain in pixels in which others leave hardly any light, without that of its best
+    camera, and less the cost of its light's prior.
     """
     most, total, prior = 0.0, 0.0, 0.0
     for c in range(len(light)):
@@ -158,12 +153,7 @@ def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
     for c in range(len(light)):
         fill_image(model, room, c, image)
         gained = _gain_in(
-            model.images[c],
-            model.left[c],
-            model.weight[c],
-            image,
-            room.corner[c],
-            light[c],
+            model.images[c], model.left[c], model.weight[c], image, room.corner[c], light[c]
         )
         most, total = max(most, gained), total + max(gained, 0.0)
         for k in range(len(light)):
@@ -184,7 +174,6 @@ def _gain_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light
 
 @numba.njit(cache=True)
 def _saved(weight: Any, left: Any, own: float) -> float:
-    """Compute the cost that a particle's light saves in a pixel."""
     without, rest = left + own, left
     if weight < 0.0:  # saturated: light beyond what it shows costs nothing
         weight, without, rest = -weight, max(without, 0.0), max(left, 0.0)
@@ -194,10 +183,7 @@ def _saved(weight: Any, left: Any, own: float) -> float:
 def count_meetings(
     maps: VolumePolynomials, sigma: F64, positions: F64, chosen: Bool, starts: I64, near: I64
 ) -> I64:
-    """Count (n,) in how many cameras, in all, images of chosen ones (n,) are near.
-
-    The neighbours are those of `find_neighbours`.
-    """
+    """Count (n,) the cameras in which images of chosen ones (n,) are near, as neighbours."""
     pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
     counts = np.zeros(len(positions), dtype=np.int64)
     _count_meetings(np.stack(pixels), _NEAR * sigma.max(axis=1), chosen, starts, near, counts)
@@ -228,10 +214,7 @@ def _largest_share(room: Any, light: Any) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
-    """Fill in (n,) how far squares left around particles exceed those of noise.
-
-    The unit is the standard deviation of their sum.
-    """
+    """Fill in (n,) by how many standard deviations squares left exceed those of noise."""
     for n in range(len(misfit)):
         squares, count = 0.0, 0
         place_windows(model, room, particles.position[n])
@@ -247,10 +230,7 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> None:
-    """Fill in (n, camera) how much cost a particle's light saves in each camera.
-
-    It is negative where a camera does not show the particle.
-    """
+    """Fill in (n, camera) how much cost light saves; negative if a camera shows none."""
     for n in range(len(gained)):
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
@@ -260,11 +240,7 @@ def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> N
 
 @numba.njit(cache=True, nogil=True)
 def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains: Any) -> None:
-    """Fill in (n,) how much cost a split promises to save.
-
-    It is that along the best of some steps (k, 3). Light is free in each camera, or a peak that is
-    lower than the model's would promise as much.
-    """
+    """Fill in (n,) what the best split along steps (k, 3) promises to save, with free light."""
     cameras, size = len(model.typical), room.window
     bent, pull, square = np.zeros((2, size)), np.zeros((cameras, 3)), np.zeros((cameras, 3, 3))
     image = np.zeros((size, size), dtype=np.float32)
@@ -319,10 +295,7 @@ def _match_bends(
 
 @numba.njit(cache=True)
 def _promise(room: Any, light: Any, step: Any, pull: Any, square: Any) -> float:
-    """Compute how much cost halves save that move a step (3,) apart.
-
-    To the second order of the step.
-    """
+    """Compute how much cost halves that move a step (3,) apart save, to second order."""
     slope, bend, terms = 0.0, 0.0, np.zeros(3)
     for c in range(len(light)):
         x, y = 0.0, 0.0
@@ -387,10 +360,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
 
 @numba.njit(cache=True)
 def _are_apart(model: Any, room: Any, places: Any) -> bool:
-    """Say whether some camera sees two positions apart.
-
-    If not, one particle with a wider image than others looks the same, and is more probable.
-    """
+    """Say whether some camera sees two positions apart; if not, one wide image is likelier."""
     here, slopes = np.zeros((2, 2)), np.zeros((2, 3))
     for c in range(len(model.typical)):
         for k in range(2):
@@ -403,10 +373,7 @@ def _are_apart(model: Any, room: Any, places: Any) -> bool:
 
 @numba.njit(cache=True)
 def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: Any) -> float:
-    """Replace a particle by two of half its light, and fit both.
-
-    Returns the change of the cost.
-    """
+    """Replace a particle by two of half its light, and fit both; returns the cost's change."""
     take_out(model, room, particles.position[n], particles.light[n])
     look(model, room, particles.position[n], particles.light[n])
     cost = -cost_of(model, room, particles.light[n])

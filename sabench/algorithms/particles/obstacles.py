@@ -1,20 +1,19 @@
 """Hidden areas, partly hidden particles, and cameras that contradict the others.
 
-A large dark area of an image, where other cameras' particles should be seen, is hidden by something
-in front of it.
+A large dark area of an image in which other cameras' particles should be seen is hidden by
+something in front of it.
 
 A body hides what is behind it and shows what is in front, so that no area of an image tells which
 particles a camera misses. They are searched for in the light that the others leave: in all cameras
 but one, in all but two, and so on. Of larger sets of cameras, those are tried that contain one
 which hides particles, the most promising first.
 
-A camera whose calibration is wrong by many pixels, or is another camera's, shows little where the
-particles of the others are. What the search leaves of its image tells.
+A camera whose calibration is wrong by many pixels shows little where the particles of the others
+are: the search leaves much of its image.
 """
 
 from __future__ import annotations
 
-import copy
 import math
 import warnings
 from collections.abc import Callable, Sequence
@@ -24,7 +23,7 @@ import numpy as np
 
 from sabench.algorithms.particles.all_particles import light_gains, paint_particles
 from sabench.algorithms.particles.candidate_search import shared_views
-from sabench.algorithms.particles.image_model import ModelParticles, without_margins
+from sabench.algorithms.particles.image_model import without_margins
 from sabench.algorithms.particles.joint_fit import scatter_between
 from sabench.algorithms.particles.particle_search import MOST_TILT, ParticleSearch
 from sabench.images.background import ClearImages
@@ -59,13 +58,7 @@ _Cameras = tuple[int, ...]
 
 
 def find_dark_views(search: ParticleSearch, clear: ClearImages, shares: F64) -> Bool:
-    """Mark large dark areas (camera, row, column) of a search's cameras.
-
-    Parameters
-    ----------
-    clear : images of all cameras, also those that the search leaves out.
-    shares : (camera, row, column) of the volume that pixels show (`volume_shares`).
-    """
+    """Mark large dark areas (camera, row, column) of a search's cameras, by `volume_shares`."""
     dark = find_dark_areas(clear.images, clear.flaws, shares, search.number)
     large = dark.sum(axis=(1, 2)) > _LEAST * (shares > 0.0).sum(axis=(1, 2))
     dark[~(large & search.shown)] = False
@@ -80,8 +73,8 @@ def are_doubtful(search: ParticleSearch, dark: Bool) -> bool:
 def keep_hidden(search: ParticleSearch, dark: Bool) -> Bool:
     """Keep the areas that hide the particles of a search that did without them.
 
-    There are hardly any particles in other dark areas, and what other cameras show of them is seen.
-    None is kept if fewer than three cameras are left: then nothing was lit, or a frame is missing.
+    Other dark areas show few particles, which are seen. None is kept if fewer than three cameras
+    are left: then nothing was lit, or a frame is missing.
     """
     hidden = _seen_shares(search, dark) < _HIDDEN
     few = search.shown.sum() - hidden.sum() < _FEWEST
@@ -91,10 +84,7 @@ def keep_hidden(search: ParticleSearch, dark: Bool) -> Bool:
 def hide_unseen(
     search: ParticleSearch, clear: ClearImages, shares: F64, before: Bool | None
 ) -> None:
-    """Hide dark areas in which a search's particles should be seen, but are not.
-
-    An area that is dark and was hidden `before` is hidden, too.
-    """
+    """Hide dark areas that should show particles, or that were hidden `before`."""
     dark = find_dark_views(search, clear, shares)
     if not dark.any():
         return
@@ -106,11 +96,16 @@ def hide_unseen(
 
 
 def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
-    """Compute the share (camera,) of the light expected in dark areas that is there.
-
-    It is 1 where none is expected.
-    """
-    seen, expected = np.ones(len(dark)), _expected_images(search)
+    """Compute the share (camera,) of the light expected in dark areas that is seen; 1 if none."""
+    # images of the particles with the mean light of all other cameras
+    logs = np.log(search.light / search.typical)
+    others = (logs.sum(axis=1, keepdims=True) - logs) / (logs.shape[1] - 1)
+    particles = search.particles()._replace(light=search.typical * np.exp(others))
+    model = search.model()
+    blank = model._replace(left=np.zeros_like(model.left))
+    paint_particles(blank, search.widest, particles, 1.0)
+    expected = without_margins(blank.left)
+    seen = np.ones(len(dark))
     for own, camera in enumerate(np.flatnonzero(search.shown)):
         area = dark[camera]
         light = expected[own][area].astype(np.float64)
@@ -119,25 +114,11 @@ def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
     return seen
 
 
-def _expected_images(search: ParticleSearch) -> F32:
-    """Render the images that particles have with the mean light of all other cameras."""
-    logs = np.log(search.light / search.typical)
-    others = (logs.sum(axis=1, keepdims=True) - logs) / (logs.shape[1] - 1)
-    light = search.typical * np.exp(others)
-    model = search.model()
-    blank = model._replace(left=np.zeros_like(model.left))
-    alive = np.ones(len(light), dtype=np.bool_)
-    paint_particles(blank, search.widest, ModelParticles(search.position, light, alive), 1.0)
-    expected: F32 = without_margins(blank.left)
-    return expected
-
-
 def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bool:
-    """Mark areas without light in which several particles are expected.
+    """Mark areas (camera, row, column) without light in which several particles are expected.
 
-    They are (camera, row, column). Something may hide the volume there. Each image holds `number`
-    particles, distributed over the pixels as the shares of the volume that these show. Where they
-    show little of it, nothing tells, unless it belongs to a larger area.
+    Each image holds `number` particles, distributed over the pixels as the shares of the volume
+    that these show. Pixels that show little of it count only as part of a larger area.
     """
     dark = np.zeros(images.shape, dtype=np.bool_)
     for camera, share in enumerate(shares):
@@ -166,25 +147,34 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
     """Find particles that up to a third of the cameras, rounded, do not see.
 
     They are found in what a search leaves of the images, or among its particles, and subtracted
-    from its images. Returns one search for the particles that the same cameras see.
+    from its images. Returns a search for each set of cameras that sees some.
     """
     found: list[ParticleSearch] = []
     hidden: dict[_Cameras, int] = {(): 1}  # how many particles sets of cameras hide
     number = len(search.typical)
+    cameras = np.arange(number)
     most = min((number + 1) // 3, number - _FEWEST, _DEEPEST)
     for _ in range(most):
         before, hidden = hidden, {}
         for blind in _promising(number, before):
             if search.deadline.over:
                 break
-            part = _without(search, blind)
+            part = search.rest(np.setdiff1d(cameras, blind))
             if _find(part):
                 found.append(part)
                 _subtract(search, part)
             if len(part.position) > _SOME * search.number:
                 hidden[blind] = len(part.position)
-    for blind, (position, light) in _take_denied(search, most).items():
-        part = _without(search, blind)
+    # particles that up to `most` cameras deny, by these cameras
+    denied = light_gains(search.model(), search.widest, search.particles()) < _DENIED
+    count = denied.sum(axis=1)
+    rows: dict[_Cameras, list[int]] = {}
+    for n in np.flatnonzero((count > 0) & (count <= most)).tolist():
+        rows.setdefault(tuple(np.flatnonzero(denied[n]).tolist()), []).append(n)
+    taken = {blind: (search.position[those], search.light[those]) for blind, those in rows.items()}
+    search.keep((count == 0) | (count > most))
+    for blind, (position, light) in taken.items():
+        part = search.rest(np.setdiff1d(cameras, blind))
         part.put(position, np.delete(light, blind, axis=1), np.full(len(light), -1))
         part.refine(part.fits)
         part.remove(lone=True)
@@ -196,10 +186,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
 
 
 def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
-    """List sets of cameras that contain one which hides particles.
-
-    Those come first whose smaller sets hide most; no more than can be tried.
-    """
+    """List sets of cameras to try, supersets of those that hide particles, most first."""
     promise: dict[_Cameras, int] = {}
     for smaller, many in before.items():
         for camera in set(range(number)).difference(smaller):
@@ -208,44 +195,7 @@ def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
     return sorted(promise, key=lambda blind: (-promise[blind], blind))[:_TRIED]
 
 
-def _take_denied(search: ParticleSearch, most: int) -> dict[_Cameras, tuple[F64, F64]]:
-    """Take out particles that up to `most` cameras deny.
-
-    Returns positions (n, 3) and light (n, camera) of those that the same cameras deny.
-    """
-    denied = light_gains(search.model(), search.widest, search.particles()) < _DENIED
-    count = denied.sum(axis=1)
-    rows: dict[_Cameras, list[int]] = {}
-    for n in np.flatnonzero((count > 0) & (count <= most)).tolist():
-        rows.setdefault(tuple(np.flatnonzero(denied[n]).tolist()), []).append(n)
-    out = {blind: (search.position[own], search.light[own]) for blind, own in rows.items()}
-    search.keep((count == 0) | (count > most))
-    return out
-
-
-def _without(search: ParticleSearch, blind: _Cameras) -> ParticleSearch:
-    """Make a search without particles of what is left in all cameras but some."""
-    part = copy.copy(search)
-    seeing = np.setdiff1d(np.arange(len(search.typical)), blind)
-    part.shown = np.zeros_like(search.shown)
-    part.shown[np.flatnonzero(search.shown)[seeing]] = True
-    part.maps = search.maps._replace(coefficients=search.maps.coefficients[seeing])
-    part.number = search.number * _HIDDEN_SHARE ** len(blind)
-    part.covariance = search.covariance[np.ix_(seeing, seeing)]
-    for name in (
-        *("noise", "typical", "variance", "known", "covered", "saturated"),
-        *("tilt", "flat", "shapes", "first_shapes", "framed_left"),
-    ):
-        setattr(part, name, getattr(search, name)[seeing])
-    part.framed = part.framed_left.copy()
-    part.images, part.left = without_margins(part.framed), without_margins(part.framed_left)
-    part.light = search.light[:, seeing]
-    part.select(np.zeros(len(search.position), dtype=np.bool_))
-    return part
-
-
 def _find(part: ParticleSearch) -> bool:
-    """Find particles, and tell whether there are any."""
     for floor in _FLOORS:
         part.find(floor)
         part.refine(part.fits)
@@ -257,7 +207,6 @@ def _find(part: ParticleSearch) -> bool:
 
 
 def _subtract(search: ParticleSearch, part: ParticleSearch) -> None:
-    """Take the light of particles out of the images of another search."""
     seeing = np.flatnonzero(part.shown[search.shown])
     search.framed[seeing] -= part.framed - part.framed_left
     search.framed_left[seeing] = part.framed_left
@@ -268,15 +217,10 @@ def without_wrong_cameras(
     names: Sequence[str],
     search_without: Callable[[Bool], ParticleSearch | None],
 ) -> ParticleSearch:
-    """Search again without the cameras that contradict the others.
+    """Search again without the cameras that contradict the others, and warn of each.
 
-    A warning names each. If no choice of cameras explains the images, one warning says so, and the
-    search stays.
-
-    Parameters
-    ----------
-    names : of all cameras.
-    search_without : searches the frame without the cameras (all cameras,) that are marked.
+    If no choice of cameras explains the images, one warning says so, and the search stays.
+    `search_without` searches the frame without the cameras (all cameras,) that are marked.
     """
     wrong = np.zeros(len(search.shown), dtype=np.bool_)
     now: ParticleSearch | None = search
@@ -305,10 +249,7 @@ def without_wrong_cameras(
 
 
 def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
-    """Warn of cameras whose particle images are longer streaks than the model's.
-
-    Few particles tell nothing.
-    """
+    """Warn of cameras whose images are longer streaks than the model's, given enough particles."""
     if search.number < _MANY:
         return
     for camera, tilt in zip(np.flatnonzero(search.shown).tolist(), search.tilt, strict=True):
@@ -332,14 +273,16 @@ def explains(search: ParticleSearch) -> bool:
 def left_of_images(search: ParticleSearch) -> F64:
     """Compute the share (camera,) of each image's squared light that is left.
 
-    Light that is not clear of noise does not count, nor that of a pixel alone, which may be hot.
-    Where much is left, pixels count alone of whose part of the box enough cameras see all. Without
-    particles, noise is the scatter of all pixels about their median, as a background may have
-    passed for light.
+    Light that is not clear of noise does not count, nor that of a single pixel, which may be hot.
+    If much is left, only pixels count whose part of the box enough cameras see. Without particles,
+    noise is the scatter of all pixels about their median, as a background may look like light.
     """
     if not len(search.position):
-        seen = zip(search.images, search.known, strict=True)
-        return np.array([_stands_out(image[known]) for image, known in seen])
+        lights = [image[known] for image, known in zip(search.images, search.known, strict=True)]
+        away = [light - np.median(light) for light in lights]
+        return np.array(
+            [float((off > 1.4826 * _CLEAR * np.median(np.abs(off))).any()) for off in away]
+        )
     shares = _left_where(search, search.known)
     if shares.max() < _LITTLE:
         return shares
@@ -348,7 +291,6 @@ def left_of_images(search: ParticleSearch) -> F64:
 
 
 def _left_where(search: ParticleSearch, counts: Bool) -> F64:
-    """Compute what is left of squared light (camera,) in the pixels that count."""
     shares = []
     for camera, (image, known, noise) in enumerate(
         zip(search.images, counts, search.noise, strict=True)
@@ -359,12 +301,6 @@ def _left_where(search: ParticleSearch, counts: Bool) -> F64:
     return np.array(shares)
 
 
-def _stands_out(light: F32) -> float:
-    """Return 1 if pixels stand out from the others, else 0."""
-    off = light - np.median(light)
-    return float((off > 1.4826 * _CLEAR * np.median(np.abs(off))).any())
-
-
 def _squares(light: F32, floor: float) -> float:
     """Add up squares of light above a floor, where a neighbour is above it, too."""
     above = np.abs(light) > floor
@@ -373,5 +309,4 @@ def _squares(light: F32, floor: float) -> float:
 
 
 def _worst(search: ParticleSearch) -> int:
-    """Return the camera, among all, of whose image most is left."""
     return int(np.flatnonzero(search.shown)[np.argmax(left_of_images(search))])

@@ -1,32 +1,19 @@
 """Search for the most probable particles of one frame: its state and its moves.
 
-The state is the images of the frame, what the particles so far leave of them, and what is known of
-cameras, light and noise. A particle has a position, light with a prior that is learned from the
-images, and a penalty.
+The state is the images of the frame, what the particles so far leave of them, and the learned
+cameras, light and noise.
 """
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Callable
 
 import numpy as np
 
-from sabench.algorithms.particles.all_particles import (
-    disjoint_groups,
-    order_in_memory,
-    paint_particles,
-    side_by_side,
-    split_gains,
-)
-from sabench.algorithms.particles.candidate_search import (
-    BRIGHTEST,
-    find_candidates,
-    pixel_mm,
-    split_directions,
-    wide_enough,
-)
+from sabench.algorithms.particles import all_particles, candidate_search, joint_fit, model_moves
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
 from sabench.algorithms.particles.image_model import (
     MOST_FLAT,
@@ -38,18 +25,6 @@ from sabench.algorithms.particles.image_model import (
     make_room,
     with_margins,
     without_margins,
-)
-from sabench.algorithms.particles.joint_fit import (
-    even_covariance,
-    fit_particles,
-    scatter_between,
-    start_light,
-)
-from sabench.algorithms.particles.model_moves import (
-    count_meetings,
-    find_neighbours,
-    remove_ghosts,
-    split_pairs,
 )
 from sabench.api import FoundParticles
 from sabench.geometry.volume_polynomials import VolumePolynomials, points_in_mm
@@ -83,25 +58,28 @@ _APART = 1.1  # widths: distance of the two of a split from their middle
 
 def no_particles(cameras: int) -> FoundParticles:
     """Return no particles, with all that a search tells of them."""
-    none = np.zeros(0)
-    return FoundParticles(
-        np.zeros((0, 3)),
-        none,
-        light=np.zeros((0, cameras)),
-        covariance_mm2=np.zeros((0, 3, 3)),
-        probability=none,
-    )
+    none, light = np.zeros(0), np.zeros((0, cameras))
+    known = {"light": light, "covariance_mm2": np.zeros((0, 3, 3)), "probability": none}
+    return FoundParticles(np.zeros((0, 3)), none, **known)
 
 
 def joined(one: FoundParticles, other: FoundParticles) -> FoundParticles:
     """Join particles of which the same is known."""
     more = {declared.name: value for declared, value in other.arrays()}
-    return FoundParticles(
-        **{
-            declared.name: np.concatenate([value, more[declared.name]])
-            for declared, value in one.arrays()
-        }
-    )
+    pairs = {declared.name: (value, more[declared.name]) for declared, value in one.arrays()}
+    return FoundParticles(**{name: np.concatenate(pair) for name, pair in pairs.items()})
+
+
+# arrays of a search that have one row for each particle, with the values of a new one
+_BY_PARTICLE = {
+    **{"position": 0.0, "light": 0.0, "sure": False, "trusted": False},
+    **{"tag": -1, "odds": 0.0},
+}
+# arrays of a search that have one row for each of its cameras
+_BY_CAMERA = (
+    *("noise", "typical", "tilt", "flat", "shapes", "first_shapes"),
+    *("variance", "known", "covered", "saturated", "framed_left"),
+)
 
 
 class ParticleSearch:
@@ -138,18 +116,15 @@ class ParticleSearch:
     deadline: Deadline = Deadline()
 
     def __init__(
-        self,
-        clear: ClearImages,
-        maps: VolumePolynomials,
-        statistics: ImageStatistics,
-        fits: int,
+        self, clear: ClearImages, maps: VolumePolynomials, statistics: ImageStatistics, fits: int
     ) -> None:
         """Start without particles; all are fitted `fits` times before removals, at most."""
-        self.shown, self.fits = statistics.shown, fits
+        self.shown, self.fits, self.number = statistics.shown, fits, statistics.number
         self.maps = maps._replace(coefficients=maps.coefficients[self.shown])
-        self.number, self.noise = statistics.number, statistics.noise[self.shown]
-        self.typical, self.tilt = statistics.light[self.shown], statistics.tilt[self.shown]
-        self.flat = statistics.flat[self.shown]
+        self.noise, self.typical, self.tilt, self.flat = (
+            values[self.shown]
+            for values in (statistics.noise, statistics.light, statistics.tilt, statistics.flat)
+        )
         self.hidden: Bool | None = None
         self.reset_covariance()
         self.show(clear)
@@ -167,8 +142,7 @@ class ParticleSearch:
         self.left, self.variance = without_margins(self.framed_left), np.ones_like(self.images)
         self.position, self.light = np.zeros((0, 3)), np.zeros((0, len(self.images)))
         self.sure, self.trusted = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
-        self.tag = np.zeros(0, dtype=np.int64)
-        self.odds = np.zeros(0)
+        self.tag, self.odds = np.zeros(0, dtype=np.int64), np.zeros(0)
 
     def hide(self, areas: Bool) -> None:
         """Hide areas (all cameras, row, column) of the images."""
@@ -177,10 +151,7 @@ class ParticleSearch:
         self.known &= ~areas[self.shown]
 
     def set_width(self, sigma: F64) -> None:
-        """Set the widths (camera, 2) of the particles' images, the same everywhere.
-
-        With the tilt that was measured, or the most that the model has, and as Gaussians.
-        """
+        """Set Gaussians of widths (camera, 2), the same everywhere, with the measured tilt."""
         tilt = np.clip(self.tilt, -MOST_TILT, MOST_TILT)
         shapes = np.zeros((len(sigma), SHAPES, 4))
         shapes[:, :2, 0], shapes[:, 2, 0] = sigma, tilt * sigma.prod(axis=1)
@@ -192,10 +163,7 @@ class ParticleSearch:
         self.subtract_all()
 
     def flatten(self) -> None:
-        """Give the images of cameras where they are flat that shape, as it was measured.
-
-        Not before most particles are found: flat images tell less of what is missing.
-        """
+        """Give images that were measured as flat that shape, once most particles are found."""
         shapes = self.shapes.copy()
         for camera in np.flatnonzero(self.flat[:, 2]):
             sigma, shape = self.flat[camera, :2], shapes[camera]
@@ -220,22 +188,18 @@ class ParticleSearch:
 
     def reset_covariance(self, between: float = _BETWEEN, common: float = _COMMON) -> None:
         """Forget the covariance of light that was learned."""
-        self.covariance = even_covariance(len(self.typical), between, common)
+        self.covariance = joint_fit.even_covariance(len(self.typical), between, common)
 
     def found(self) -> FoundParticles:
         """Return the particles."""
         brightness = self._lowered() * peak_brightness(self.light, self.sigma.mean(axis=1))
         light = np.zeros((len(self.light), len(self.shown)))
         light[:, self.shown] = self.light
-        return FoundParticles(
-            points_in_mm(self.maps, self.position),
-            brightness.mean(axis=1),
-            light=light,
-            covariance_mm2=claimed_covariances(
-                self.model(), self.widest, self.particles(), self.noise
-            ),
-            probability=1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN))),
-        )
+        position = points_in_mm(self.maps, self.position)
+        errors = claimed_covariances(self.model(), self.widest, self.particles(), self.noise)
+        probability = 1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN)))
+        known = {"light": light, "covariance_mm2": errors, "probability": probability}
+        return FoundParticles(position, brightness.mean(axis=1), **known)
 
     def put(self, position: F64, light: F64, tag: I64) -> None:
         """Put in particles, whatever the images show."""
@@ -260,33 +224,24 @@ class ParticleSearch:
             fill_weights(known, saturated, self.variance[camera], weight[camera])
 
         for_each(fill, len(weight))
-        return ImageModel(
-            self.maps,
-            self.shapes,
-            self.typical,
-            precision,
-            float(np.linalg.slogdet(precision)[1]),
-            float(np.linalg.eigvalsh(precision)[0]),
-            self.framed,
-            weight,
-            self.framed_left,
-            math.log(self.number / _BOX),
-        )
+        cameras = self.maps, self.shapes, self.typical, precision
+        determinant = float(np.linalg.slogdet(precision)[1])
+        least = float(np.linalg.eigvalsh(precision)[0])
+        images, log_rate = (self.framed, weight, self.framed_left), math.log(self.number / _BOX)
+        return ImageModel(*cameras, determinant, least, *images, log_rate)
 
     def particles(self) -> ModelParticles:
         """Make the kernels' view of the particles, all alive."""
-        return ModelParticles(
-            self.position, self.light, np.ones(len(self.position), dtype=np.bool_)
-        )
+        alive = np.ones(len(self.position), dtype=np.bool_)
+        return ModelParticles(self.position, self.light, alive)
 
     def squares_left(self) -> F64:
         """Sum up the squares (camera,) of what is left of the images, over the variance."""
-        return np.array(
-            [
-                float((self.miss(camera)[known] ** 2 / self.variance[camera][known]).sum())
-                for camera, known in enumerate(self.known)
-            ]
-        )
+        sums = []
+        for camera, known in enumerate(self.known):
+            squares = self.miss(camera)[known] ** 2 / self.variance[camera][known]
+            sums.append(float(squares.sum()))
+        return np.array(sums)
 
     def unexplained(self) -> float:
         """Compute the share of the light that is left; the median over the cameras."""
@@ -301,18 +256,12 @@ class ParticleSearch:
         return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
 
     def overlap(self) -> float:
-        """Estimate how many particles' images share a pixel.
-
-        An image's area is 4 pi times its squared width.
-        """
+        """Estimate how many images, 4 pi times their squared width in area, share a pixel."""
         area = 4.0 * math.pi * float(np.median(self.sigma.prod(axis=1)))
         return float(self.number * area / self.images[0].size)
 
     def peaks(self, sigma: F64 | None = None) -> F64:
-        """Compute the brightest pixel (camera,) of a typical particle.
-
-        With the present widths (camera, 2) of images, or others.
-        """
+        """Compute the brightest pixel (camera,) of a typical particle, of given widths."""
         widths = self.sigma if sigma is None else sigma
         erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in widths])
         return np.asarray(self.typical * erf.prod(axis=1) * self._lowered())
@@ -325,40 +274,49 @@ class ParticleSearch:
     def subtract_all(self) -> None:
         """Compute anew what all particles leave of the images."""
         self.framed_left[:] = self.framed
-        paint_particles(self.model(), self.widest, self.particles(), -1.0)
+        all_particles.paint_particles(self.model(), self.widest, self.particles(), -1.0)
 
     def keep(self, good: Bool) -> None:
-        """Drop the other particles, and give their light back."""
+        """Drop the other particles, and add their light to what is left."""
         dropped = ModelParticles(self.position[~good], self.light[~good], ~good[~good])
-        paint_particles(self.model(), self.widest, dropped, 1.0)
+        all_particles.paint_particles(self.model(), self.widest, dropped, 1.0)
         self.select(good)
 
     def select(self, good: Bool | I64) -> None:
         """Keep these rows, in this order, whatever the images show."""
-        self.position, self.light = self.position[good], self.light[good]
-        self.sure, self.tag, self.odds = self.sure[good], self.tag[good], self.odds[good]
-        self.trusted = self.trusted[good]
+        for name in _BY_PARTICLE:
+            setattr(self, name, getattr(self, name)[good])
+
+    def rest(self, seeing: I64) -> ParticleSearch:
+        """Copy the search for some cameras, without particles: what they leave are its images."""
+        part = copy.copy(self)
+        part.shown = np.zeros_like(self.shown)
+        part.shown[np.flatnonzero(self.shown)[seeing]] = True
+        part.maps = self.maps._replace(coefficients=self.maps.coefficients[seeing])
+        part.covariance = self.covariance[np.ix_(seeing, seeing)]
+        for name in _BY_CAMERA:
+            setattr(part, name, getattr(self, name)[seeing])
+        part.framed = part.framed_left.copy()
+        part.images, part.left = without_margins(part.framed), without_margins(part.framed_left)
+        part.light = self.light[:, seeing]
+        part.select(np.zeros(len(self.position), dtype=np.bool_))
+        return part
 
     def append(self, count: int, light: float) -> None:
         """Add rows for new particles."""
-        self.position = np.concatenate([self.position, np.zeros((count, 3))])
-        self.light = np.concatenate([self.light, np.full((count, self.light.shape[1]), light)])
-        self.sure = np.concatenate([self.sure, np.zeros(count, dtype=np.bool_)])
-        self.trusted = np.concatenate([self.trusted, np.zeros(count, dtype=np.bool_)])
-        self.tag = np.concatenate([self.tag, np.full(count, -1)])
-        self.odds = np.concatenate([self.odds, np.zeros(count)])
+        for name, value in (_BY_PARTICLE | {"light": light}).items():
+            rows = getattr(self, name)
+            new = np.full((count, *rows.shape[1:]), value, rows.dtype)
+            setattr(self, name, np.concatenate([rows, new]))
 
     def refine(self, rounds: int) -> None:
-        """Fit all particles, one after the other, in several rounds, as time allows.
-
-        A round that hardly lowers the cost is the last one.
-        """
+        """Fit all particles in several rounds, until one hardly lowers the cost or time is over."""
         model, particles = self.model(), self.particles()
         rows, changes = np.arange(len(self.position)), [0.0]
         turns = self._turns(rows, portions=1)
 
         def fit(some: I64) -> None:
-            changes.append(fit_particles(model, self.room, particles, some))
+            changes.append(joint_fit.fit_particles(model, self.room, particles, some))
 
         for _ in range(rounds):
             changes.clear()
@@ -369,38 +327,34 @@ class ParticleSearch:
     def _turns(
         self, rows: I64, neighbours: tuple[I64, I64] | None = None, portions: int = _PORTIONS
     ) -> list[list[I64]]:
-        """List the groups of rows that share no pixel, turn by turn.
-
-        Neighbours, if given, are changed, too. Rows of one portion come before those of the next.
-        """
-        window, pixel = make_room(self.widest).profiles.shape[2], pixel_mm(self.maps)
-        return disjoint_groups(self.maps, self.position, rows, window, pixel, portions, neighbours)
+        window = make_room(self.widest).profiles.shape[2]
+        pixel = candidate_search.pixel_mm(self.maps)
+        each = self.maps, self.position, rows, window, pixel
+        return all_particles.disjoint_groups(*each, portions, neighbours)
 
     def _work(self, work: Callable[[I64], None], turns: list[list[I64]]) -> None:
-        """Work on one turn after the other, as time allows."""
-        side_by_side(work, itertools.takewhile(lambda _: not self.deadline.over, turns))
+        in_time = itertools.takewhile(lambda _: not self.deadline.over, turns)
+        all_particles.side_by_side(work, in_time)
 
     def find(self, floor: float) -> None:
-        """Add candidates from what is left of the images, the brightest.
-
-        Many at once would take each other's light, and that of particles.
-        """
+        """Add the brightest candidates from what is left, not too many together."""
         if self.deadline.over:
             return
-        left, sigma = wide_enough(self.left, self.sigma)
+        left, sigma = candidate_search.wide_enough(self.left, self.sigma)
         peaks = self.peaks(sigma)[:, None, None]
         dark = np.maximum(self.noise[:, None, None] / peaks, _DIMMEST)
-        logs = np.log(np.clip(left / peaks, dark, BRIGHTEST))
+        logs = np.log(np.clip(left / peaks, dark, candidate_search.BRIGHTEST))
         enough = self.saturated & (self.left <= 0.0)
         logs = np.where(self.covered | enough, np.nan, logs).astype(np.float32)
         cameras = len(logs)
-        spread = (math.sqrt(2.0 * math.log(cameras)) + 0.5) * scatter_between(self.covariance)
+        scatter = joint_fit.scatter_between(self.covariance)
+        spread = (math.sqrt(2.0 * math.log(cameras)) + 0.5) * scatter
         noise = float(dark.max())
         least = max(floor, min(_FLOOR * noise, max(_LEAST_FLOOR * noise, _FAINT)))
         first = len(self.position)
         crowded = self.overlap() > max(_CROWDED, _EACH * cameras)
         taken = int(_TAKEN * cameras) if first and crowded else 0
-        found = find_candidates(self.maps, logs, math.log(least), spread, taken)
+        found = candidate_search.find_candidates(self.maps, logs, math.log(least), spread, taken)
         share = max(_MANY / cameras, _FIRST)  # the more cameras, the fewer meet by chance
         most = _MORE * max(first, self.number) if first else share * self.number
         found = found[: int(most)]
@@ -409,48 +363,46 @@ class ParticleSearch:
         model, particles = self.model(), self.particles()
 
         def start(rows: I64) -> None:
-            start_light(model, self.room, particles, rows)
+            joint_fit.start_light(model, self.room, particles, rows)
 
         self._work(start, self._turns(np.arange(first, len(self.position)), portions=1))
         self.select(np.all(self.light > 0.0, axis=1))  # all, unless time was over
-        self.select(order_in_memory(self.maps, self.position, pixel_mm(self.maps)))
+        pixel = candidate_search.pixel_mm(self.maps)
+        self.select(all_particles.order_in_memory(self.maps, self.position, pixel))
 
     def remove(self, lone: bool) -> None:
         """Remove particles that gain less than their penalty, the darkest first.
 
         All are fitted before, or what neighbours gain by their own fits would count against a
         particle that is taken out. Those that gain several times their penalty are tried again only
-        where others that newly do meet them in a share of the cameras: what they share with fewer
-        is not all that they gain.
+        if others that newly do so meet them in several cameras, and share what they gain.
         """
         self.refine(self.fits)
-        starts, near = find_neighbours(self.maps, self.sigma, self.position)
+        starts, near = model_moves.find_neighbours(self.maps, self.sigma, self.position)
         particles, model = self.particles(), self.model()
         tried = ~self.sure & ~self.trusted
 
         def remove(rows: I64) -> None:
             each = self.room, particles, rows, starts, near
-            remove_ghosts(model, *each, _TRIAL_FITS, lone, self.sure, self.odds)
+            model_moves.remove_ghosts(model, *each, _TRIAL_FITS, lone, self.sure, self.odds)
 
         for _ in range(2):
             rows = np.flatnonzero(tried)
             order = rows[np.argsort(self.common_light()[rows], kind="stable")]
             self._work(remove, self._turns(order, (starts, near)))
             promoted = tried & self.sure & particles.alive
-            meetings = count_meetings(self.maps, self.sigma, self.position, promoted, starts, near)
+            where = self.maps, self.sigma, self.position
+            meetings = model_moves.count_meetings(*where, promoted, starts, near)
             tried = ~tried & ~self.trusted & (meetings >= _CONTESTED * len(self.sigma))
         self.select(particles.alive)
         self.refine(1)
 
     def split(self) -> None:
-        """Replace particles by two where that is more probable.
-
-        What is left of the images tells where it may be.
-        """
+        """Replace particles by two if that is more probable; what is left tells which to try."""
         count, model = len(self.position), self.model()
         width = float(self.sigma.max())
-        steps = _APART * width / self.maps.half_mm * split_directions(self.maps)
-        gains = split_gains(model, self.widest, self.particles(), steps)
+        steps = _APART * width / self.maps.half_mm * candidate_search.split_directions(self.maps)
+        gains = all_particles.split_gains(model, self.widest, self.particles(), steps)
         least = _PROMISING + _TYPICAL * float(np.median(gains)) if count else 0.0
         order = np.argsort(-gains, kind="stable")
         order = order[gains[order] > least]
@@ -462,7 +414,7 @@ class ParticleSearch:
         particles.alive[count:] = False
 
         def split(rows: I64) -> None:
-            split_pairs(model, self.room, particles, rows, spare, steps)
+            model_moves.split_pairs(model, self.room, particles, rows, spare, steps)
 
         self._work(split, self._turns(order, portions=1))
         self.select(particles.alive)

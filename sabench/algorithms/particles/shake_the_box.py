@@ -2,9 +2,9 @@
 
 Shake-The-Box (D. Schanz, S. Gesemann and A. Schroeder, Exp. Fluids 57, 70, 2016) with the fits and
 penalties of `bayesian_ipr`. The first two frames are searched on their own and linked. From then on
-known particles start where a Kalman filter expects them and are fitted to the images, so that few
-are left to be found. What is seen once only, where it had to be seen before or afterwards, is a
-ghost; where a track misses a frame between others, its position is interpolated.
+known particles start at a Kalman filter's predictions and are fitted to the images, so that few are
+left to be found. Particles that appear in a single frame, inside the box, are ghosts; if a track
+misses frames between others, its positions there are interpolated.
 """
 
 from __future__ import annotations
@@ -13,24 +13,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.bayesian_ipr import (
-    CAPS,
-    FLOORS,
-    BayesianIprSettings,
-    dark_images,
-    search_frame,
-    split_and_find,
-)
-from sabench.algorithms.particles.candidate_search import (
-    mean_spacing,
-    pixel_mm,
-    rig_axes,
-    turn_maps,
-    turn_to_world,
-    volume_shares,
-)
+from sabench.algorithms.particles import bayesian_ipr, candidate_search
 from sabench.algorithms.particles.dense_start import (
     CONFIRMED,
     WINDOW_FRAMES,
@@ -46,13 +30,12 @@ from sabench.algorithms.particles.kalman_tracks import (
     with_motion,
 )
 from sabench.algorithms.particles.learned_model import align_cameras, weigh_pixels
-from sabench.algorithms.particles.linking import GATE, assign, link
+from sabench.algorithms.particles.linking import GATE, link
 from sabench.algorithms.particles.obstacles import hide_unseen
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
-from sabench.images.background import ClearImages
-from sabench.utils.arrays import F64, I64, Bool
+from sabench.utils.arrays import F64, I64
 from sabench.utils.threads import Deadline
 
 _SHAKES = 3  # rounds of fits of the predicted particles before others are looked for
@@ -78,7 +61,7 @@ class ShakeTheBoxSettings:
     gap : frames in a row that a track may miss.
     """
 
-    first: BayesianIprSettings
+    first: bayesian_ipr.BayesianIprSettings
     searches: int = 2
     splits: int = 1
     gap: int = 2
@@ -92,18 +75,18 @@ def track_particles(
 ) -> Iterator[FoundParticles]:
     """Follow the particles of a sequence, and yield them frame after frame.
 
-    A frame's are yielded once later frames change them no more. The images of one frame, and the
-    particles of some, are held at a time.
+    A frame's are yielded once later frames no longer change them. Memory holds the images of one
+    frame and the particles of some.
     """
-    axes = rig_axes(maps)
+    axes = candidate_search.rig_axes(maps)
     longest = float(np.diff(times_s).max(initial=0.0))
-    tracker = _Tracker(turn_maps(maps, axes), settings, longest)
+    tracker = _Tracker(candidate_search.turn_maps(maps, axes), settings, longest)
     for number, (case, time) in enumerate(zip(frames, times_s, strict=True)):
         tracker.take(case, time, len(times_s) - number - 1)
         while tracker.later >= _LAG + max(settings.gap, 1):
-            yield turn_to_world(tracker.give(), axes)
+            yield candidate_search.turn_to_world(tracker.give(), axes)
     while tracker.later >= 0:
-        yield turn_to_world(tracker.give(), axes)
+        yield candidate_search.turn_to_world(tracker.give(), axes)
 
 
 class _Tracker:
@@ -153,11 +136,9 @@ class _Tracker:
             self._begin(case, time, coming)
 
     def _begin(self, case: Observation, time: float, coming: int) -> None:
-        """Search a frame without predictions, and link it to the one before.
-
-        If the links are mostly wrong, both are held until several frames can be searched together.
-        """
-        last, self.search = self.search, search_frame(case, self.maps, self.settings.first)
+        """Search a frame without predictions; hold it if links to the last are mostly wrong."""
+        last = self.search
+        self.search = bayesian_ipr.search_frame(case, self.maps, self.settings.first)
         frame = self._join(last, time)
         held = self.doubtful and coming + 2 >= CONFIRMED
         if held and last is not None and self.search is not None and self.before is not None:
@@ -168,7 +149,6 @@ class _Tracker:
             self._go_on(case, frame)
 
     def _begin_together(self) -> None:
-        """Search the frames that are held, and follow their particles."""
         held, self.held = self.held, []
         cases, times = zip(*held, strict=True)
         first, self.search = search_window(cases, times, self.maps, self.settings.first, self.alone)
@@ -185,37 +165,36 @@ class _Tracker:
             return no_frame(time, len(self.maps.coefficients))
         frame = self._write(self.search, time)
         if last is not None:
-            light = _light_in(self.search, last)
+            light = last.light
+            if (last.shown != self.search.shown).any():  # cameras left out get the typical light
+                every = np.zeros((len(light), len(last.shown)))
+                every[:, last.shown] = light
+                light = every[:, self.search.shown]
+                light = np.where(light > 0.0, light, self.search.typical)
             self.tracks = self._link_first(light, self.frames[-1], frame)
         return frame
 
     def _go_on(self, case: Observation, frame: TrackedFrame) -> None:
-        """Follow the first tracks to a frame; without any, keep its particles."""
         if self.tracks is not None and self.search is not None:
             self._follow(case, frame.time, self.tracks, self.search)
         else:
             self.frames.append(frame)
 
     def _write(self, search: ParticleSearch, time: float) -> TrackedFrame:
-        """Write down what a frame shows, as new trajectories."""
         found = search.found()
         numbers = self.born + np.arange(len(found.position_mm))
         self.born += len(numbers)
         return TrackedFrame(time, found, numbers, np.ones(len(numbers), dtype=np.bool_))
 
     def _variance(self, frame: TrackedFrame) -> F64:
-        """Estimate the variances (n, 3) of a frame's positions, mm2."""
-        return frame.variance + (_LEAST_ERROR_PX * pixel_mm(self.maps)) ** 2
+        return frame.variance + (_LEAST_ERROR_PX * candidate_search.pixel_mm(self.maps)) ** 2
 
     def _link_first(
         self, light: F64, first: TrackedFrame, second: TrackedFrame
     ) -> KalmanTracks | None:
-        """Begin tracks at the first of two frames if enough can be linked."""
-        earlier, later = link(
-            [first.position, second.position],
-            [np.ones(len(first.position)), np.ones(len(second.position))],
-            [first.time, second.time],
-        )
+        positions = first.position, second.position
+        sizes = [np.ones(len(position)) for position in positions]
+        earlier, later = link(positions, sizes, [first.time, second.time])
         _, i, j = np.intersect1d(earlier, later, return_indices=True)
         if len(i) < _FEWEST:
             return None
@@ -223,20 +202,16 @@ class _Tracker:
         duration = second.time - first.time
         variance = self._variance(first)
         velocity = (second.position[j] - first.position[i]) / duration
-        least = _LEAST_ERROR_PX * pixel_mm(self.maps) / duration  # particles may stand still
+        # particles may stand still
+        least = _LEAST_ERROR_PX * candidate_search.pixel_mm(self.maps) / duration
         tracks = start_tracks(first.position[i], velocity, self.longest_s, least / duration)
         errors = 2.0 * variance[i] / duration**2 + tracks.acceleration * duration**2
-        place = first.position
-        tracks.add(first.number[i], place[i], variance[i], light[i], velocity, errors, 2)
+        position = first.position[i]
+        tracks.add(first.number[i], position, variance[i], light[i], velocity, errors, 2)
         alone = np.setdiff1d(np.arange(len(first.number)), i)
         self._begin_tracks(tracks, first, alone, light)
         tracks.seen[:] = 1
         return tracks
-
-    def _inside(self, position: F64, error: F64) -> Bool:
-        """Mark positions (n, 3) mm that are surely in the box, with errors (n, 3)."""
-        aside = np.abs(position - self.maps.middle_mm) + _NEAR * error
-        return np.asarray((aside <= self.maps.half_mm).all(axis=1))
 
     def _begin_tracks(
         self, tracks: KalmanTracks, frame: TrackedFrame, rows: I64, light: F64
@@ -249,7 +224,6 @@ class _Tracker:
     def _follow(
         self, case: Observation, time: float, tracks: KalmanTracks, search: ParticleSearch
     ) -> None:
-        """Find a frame's particles from where they are expected."""
         tracks.predict(time - self.frames[-1].time)
         self._shake(case, tracks, search)
         frame = self._write(search, time)
@@ -269,37 +243,33 @@ class _Tracker:
         """Fit the predicted particles, and search what they leave of the images."""
         settings, error = self.settings, np.sqrt(tracks.variance)
         place = (tracks.state[:, 0] - self.maps.middle_mm) / self.maps.half_mm
-        known = np.median(error, axis=1) < _KNOWN_PX * pixel_mm(self.maps)
+        known = np.median(error, axis=1) < _KNOWN_PX * candidate_search.pixel_mm(self.maps)
         rows = np.flatnonzero(known & (np.abs(place) <= 1.0).all(axis=1))
         search.deadline = Deadline(settings.first.budget_s)
-        clear = dark_images(case)
+        clear = bayesian_ipr.dark_images(case)
         before, search.hidden = search.hidden, None
         search.show(clear)
         search.put(place[rows], tracks.light[rows], rows)
-        hide_unseen(search, clear, self._shares(clear), before)
-        weigh_pixels(search, CAPS[0])
+        if self.shares is None:
+            self.shares = candidate_search.volume_shares(self.maps, clear.images.shape[1:])
+        hide_unseen(search, clear, self.shares, before)
+        weigh_pixels(search, bayesian_ipr.CAPS[0])
         search.refine(_SHAKES)
-        weigh_pixels(search, CAPS[1])
+        weigh_pixels(search, bayesian_ipr.CAPS[1])
         search.refine(_SHAKES)
         bright = search.light.sum(axis=1) > _FADED * tracks.light[search.tag].sum(axis=1)
         search.trusted = bright & (tracks.seen[search.tag] >= MATURE)
         search.remove(lone=True)
         for number in range(settings.searches):
-            search.find(FLOORS[min(number, 1)])
+            search.find(bayesian_ipr.FLOORS[min(number, 1)])
             search.refine(search.fits)
-            weigh_pixels(search, CAPS[1])
+            weigh_pixels(search, bayesian_ipr.CAPS[1])
             search.remove(lone=True)
         align_cameras(search)
         for _ in range(settings.splits):
-            split_and_find(search)
-        weigh_pixels(search, CAPS[1])
+            bayesian_ipr.split_and_find(search)
+        weigh_pixels(search, bayesian_ipr.CAPS[1])
         search.refine(search.fits)
-
-    def _shares(self, clear: ClearImages) -> F64:
-        """Return the shares of the volume that pixels show."""
-        if self.shares is None:
-            self.shares = volume_shares(self.maps, clear.images.shape[1:])
-        return self.shares
 
     def _recognise(
         self, tracks: KalmanTracks, search: ParticleSearch, position: F64, variance: F64
@@ -307,19 +277,13 @@ class _Tracker:
         """Return the track (n,) of each particle found, -1 for new ones."""
         row = search.tag.copy()
         known = np.flatnonzero(row >= 0)
-        slack = (_SLACK * mean_spacing(self.maps, len(position))) ** 2
+        slack = (_SLACK * candidate_search.mean_spacing(self.maps, len(position))) ** 2
         off = tracks.off(row[known], position[known], variance[known] + slack)
         row[known[off.sum(axis=1) > GATE]] = -1
         lost = np.setdiff1d(np.arange(len(tracks.number)), row)
         new = np.flatnonzero(row < 0)
-        if len(lost) and len(new):
-            count = min(_NEIGHBOURS, len(new))
-            _, slot = cKDTree(position[new]).query(tracks.state[lost, 0], range(1, count + 1))
-            i, j = np.repeat(np.arange(len(lost)), count), slot.ravel()
-            cost = tracks.off(lost[i], position[new[j]], variance[new[j]] + slack).sum(axis=1)
-            good = cost < GATE
-            i, j = assign(i[good], j[good], cost[good], (len(lost), len(new)))
-            row[new[j]] = lost[i]
+        again, j = tracks.pair(lost, position[new], variance[new] + slack, _NEIGHBOURS, GATE)
+        row[new[j]] = again
         return row
 
     def _fill_gaps(self, tracks: KalmanTracks, rows: I64, found: FoundParticles) -> None:
@@ -332,35 +296,16 @@ class _Tracker:
             back = frame.time - self.frames[-1].time
             terms = np.array([1.0, back, back**2 / 2.0])
             position = np.einsum("o,noa->na", terms, tracks.state[rows])
-            position = np.clip(
-                position,
-                self.maps.middle_mm - self.maps.half_mm,
-                self.maps.middle_mm + self.maps.half_mm,
-            )
+            low, high = (self.maps.middle_mm + sign * self.maps.half_mm for sign in (-1.0, 1.0))
+            position = np.clip(position, low, high)
             frame.add(replace(found, position_mm=position), numbers)
 
     def _end_tracks(self, tracks: KalmanTracks) -> None:
-        """End the tracks that have left, or were missed too often.
-
-        What was seen in the frame before alone is a ghost there.
-        """
+        """End tracks that left or were missed too often, and drop particles that were seen once."""
         missed = tracks.missed > 0
-        inside = self._inside(tracks.state[:, 0], np.sqrt(tracks.variance))
-        once = missed & inside & (tracks.seen == 1)
-        self.frames[-2].drop(tracks.number[once])
-        outside = (np.abs(tracks.state[:, 0] - self.maps.middle_mm) > self.maps.half_mm).any(axis=1)
+        aside = np.abs(tracks.state[:, 0] - self.maps.middle_mm)
+        inside = (aside + _NEAR * np.sqrt(tracks.variance) <= self.maps.half_mm).all(axis=1)
+        self.frames[-2].drop(tracks.number[missed & inside & (tracks.seen == 1)])
+        outside = (aside > self.maps.half_mm).any(axis=1)
         over = (tracks.seen < MATURE) | (tracks.missed > self.settings.gap) | outside
         tracks.select(~(missed & over))
-
-
-def _light_in(search: ParticleSearch, last: ParticleSearch) -> F64:
-    """Return a frame's light (n, camera) in the cameras of the next search.
-
-    A search may leave cameras out. Those that the last one left out get the typical light.
-    """
-    if (last.shown == search.shown).all():
-        return last.light
-    light = np.zeros((len(last.light), len(last.shown)))
-    light[:, last.shown] = last.light
-    own = light[:, search.shown]
-    return np.where(own > 0.0, own, search.typical)

@@ -1,8 +1,7 @@
 """Refocusing on the CPU.
 
-Rectified images are read contiguously, tile by tile, with all planes of a slab inside the tile.
-
-A gather of four pixels per sample costs ten times as much as reading along a row. Inside a tile the
+Rectified images are read contiguously, tile by tile, with all planes of a slab inside the tile: a
+gather of four pixels per sample takes ten times as long as reading along a row. Inside a tile the
 map onto a rectified image is affine and close to a shift, so that long stretches of a row of
 voxels fall between the same two rows of pixels, one pixel further per voxel.
 """
@@ -17,35 +16,23 @@ import numpy as np
 from sabench.algorithms.refocus.rectification import LINEAR, weights
 from sabench.utils.compiled import numba
 
-TILE_ROWS, TILE_COLUMNS = (
-    16,
-    512,
-)  # a tile's accumulators and the pixels that it reads stay in the first two caches
+# a tile's accumulators and the pixels that it reads stay in the first two caches
+TILE_ROWS, TILE_COLUMNS = 16, 512
 # columns per row: four rows whose columns drift by less are taken for in line, which misses by 1.5
 # times this at most
 _SHEAR = 3e-4
 _DECADES = 30.0  # a product's range before its logarithm is taken: inside float32's
 
 
-def _log2_rest() -> tuple[np.float32, ...]:
-    """Fit coefficients of (log2(1 + t) - t) / (t (1 - t)) in powers of t, 0 < t < 1."""
-    t = 0.5 - 0.5 * np.cos(np.pi * (np.arange(64) + 0.5) / 64)
-    return tuple(
-        np.polynomial.polynomial.polyfit(t, (np.log2(1.0 + t) - t) / (t * (1.0 - t)), 5).astype(
-            np.float32
-        )
-    )
-
-
-_LOG2_REST = _log2_rest()
+# coefficients of (log2(1 + t) - t) / (t (1 - t)) in powers of t, 0 < t < 1
+_T = 0.5 - 0.5 * np.cos(np.pi * (np.arange(64) + 0.5) / 64)
+_REST = np.polynomial.polynomial.polyfit(_T, (np.log2(1.0 + _T) - _T) / (_T * (1.0 - _T)), 5)
+_LOG2_REST = tuple(_REST.astype(np.float32))
 
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
-    """Find the voxel at which a position enters another pixel.
-
-    The position starts at `fraction` and moves by `step` per voxel.
-    """
+    """Find the voxel at which a position, moving by `step` per voxel, enters another pixel."""
     room = 1.0 - fraction if step > 0.0 else fraction
     if room >= abs(step) * (count - first):
         return count
@@ -55,11 +42,7 @@ def _stretch(fraction: float, step: float, first: int, count: int) -> int:
 
 @numba.njit(cache=True, fastmath=True, forceinline=True)
 def _fold(total: Any, sample: Any, fold: Any) -> Any:
-    """Add a sample to a total or multiply it in.
-
-    The result is total + sample for a `fold` of one number, total * max(sample, fold[0]) for one of
-    two. The length of `fold` is part of its type, so no branch is left at run time.
-    """
+    """Return total + sample or, by the type of `fold`, total * max(sample, fold[0])."""
     return total + sample if len(fold) == 1 else total * max(sample, fold[0])
 
 
@@ -67,10 +50,7 @@ def _fold(total: Any, sample: Any, fold: Any) -> Any:
 def _fold_row(
     image: Any, spline: Any, affine: Any, row: int, begin: int, outside: Any, fold: Any, target: Any
 ) -> None:
-    """Fold samples into the target, a part of one row of a tile.
-
-    The part begins at column `begin`.
-    """
+    """Fold samples into the target, a row of a tile from column `begin` on."""
     padding = 0 if len(spline) == 1 else 2
     height, width = image.shape[0] - padding, image.shape[1] - padding
     column_start, column_step = affine[0] + affine[2] * row + affine[1] * begin, affine[1] - 1.0
@@ -107,10 +87,7 @@ def _fold_row(
 def _interpolate(
     image: Any, spline: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any
 ) -> None:
-    """Fold samples between the same rows of an image, from `corner`, into the target.
-
-    The position inside a pixel moves by `step`.
-    """
+    """Fold samples between two rows of an image from `corner` into the target."""
     (left, top), (right, down), (right_step, down_step) = corner, start, step
     upper, lower = image[top, left:], image[top + 1, left:]
     if len(spline) == 1:
@@ -140,10 +117,7 @@ def _interpolate(
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
-    """Fold one camera's samples into a tile.
-
-    The tile's rows lie TILE_COLUMNS apart in `total`. `size` is its rows and columns.
-    """
+    """Fold one camera's samples into a tile, whose rows lie TILE_COLUMNS apart in `total`."""
     rows, columns = size
     flat, fours = image.ravel(), 0
     if len(spline) == 1 and abs(affine[2]) <= _SHEAR:
@@ -167,10 +141,7 @@ def _fold_four(
     total: Any,
     columns: int,
 ) -> None:
-    """Fold samples into four rows of a tile simultaneously.
-
-    They share five rows of pixels and the positions between columns.
-    """
+    """Fold samples into four rows of a tile, which share rows of pixels and positions."""
     column_step, row_step = affine[1] - 1.0, affine[4]
     first = 0
     while first < columns:
@@ -233,10 +204,7 @@ def _fold_four(
 def _interpolate_four(
     flat: Any, pitch: Any, corner: Any, start: Any, step: Any, fold: Any, target: Any, count: int
 ) -> None:
-    """Fold samples between five rows of an image into four rows of a tile.
-
-    `step` is per column, then per row.
-    """
+    """Fold samples between five rows of an image into four; `step` by column, by row."""
     (right, below), (right_step, down_step, row_step) = start, step
     width = count + 1
     k1, k2, k3, k4 = (
@@ -277,8 +245,8 @@ def _interpolate_four(
 def _add_log2(product: Any, total: Any) -> None:
     """Add log2(product) to total and set product to 1; within 5e-6.
 
-    Read as an integer, a float is its exponent and, linear in between, its mantissa 1 + t: 2^23
-    (127 + e + t). What is missing is log2(1 + t) - t.
+    Read as an integer, a float is its exponent and its mantissa 1 + t: 2^23 (127 + e + t). What is
+    missing is log2(1 + t) - t.
     """
     bits = product.view(np.int32)
     mantissa = np.empty(len(product), dtype=np.float32)

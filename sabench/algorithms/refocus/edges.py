@@ -1,8 +1,8 @@
 """Edges in refocused planes, and the depths at which they are sharpest.
 
-An edge of an opaque object is in focus on the plane of its depth: there the images of all cameras
-coincide. On other planes they are displaced against each other and the edge is blurred. Source: J.
-Belden's thesis, chapter 6 (figure 6-6), which shows edges without their depths.
+On the plane of an opaque object's depth the images of all cameras coincide: its edge is in focus.
+On other planes they are displaced against each other and the edge is blurred. Source: J. Belden's
+thesis, chapter 6 (figure 6-6), which shows edges without their depths.
 """
 
 from __future__ import annotations
@@ -76,10 +76,7 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
 
 
 def gradient(planes: F32) -> tuple[F32, F32]:
-    """Differentiate planes (z, y, x) along x and y by Gaussian derivatives.
-
-    The unit is the height of a step: a sharp edge of height 1 gives 1.
-    """
+    """Differentiate planes (z, y, x) along x and y; a sharp edge of height 1 gives 1."""
     at = np.arange(-_REACH, _REACH + 1) / _WIDTH
     bell = np.exp(-0.5 * at**2)
     slope = at * bell
@@ -103,10 +100,7 @@ def _directions(stack: F32, z: I64, y: I64, x: I64) -> F64:
 
 
 def _refine_across(height: F32, z: I64, y: I64, x: I64, normal: F64) -> tuple[F64, Bool]:
-    """Find how far (n,) the maximum along the normal is from a voxel.
-
-    Also returns which voxels have it within themselves.
-    """
+    """Find how far (n,) the maximum along the normal is, and whether it is in the voxel."""
     before, after = (
         map_coordinates(height, [z, y + sign * normal[:, 1], x + sign * normal[:, 0]], order=1)
         for sign in (-1.0, 1.0)
@@ -120,8 +114,8 @@ def _refine_across(height: F32, z: I64, y: I64, x: I64, normal: F64) -> tuple[F6
 def _refine_depth(height: F32, z: I64, y: I64, x: I64, planes: int) -> F64:
     """Refine the depths (n,) of the sharpest planes, in planes.
 
-    A parabola is fitted to the logarithms of the heights on the planes around, weighed by their
-    squares, since noise is the same for all heights.
+    A parabola is fitted to the logarithms of the heights around, weighted by their squares, since
+    noise is the same for all heights.
     """
     offsets = np.arange(-planes, planes + 1)
     at = z[:, None] + offsets

@@ -17,34 +17,24 @@ from sabench.utils.arrays import F32
 from sabench.utils.compiled import numba
 
 _AT_ONCE = 1 << 24  # voxels computed at once: bounds the device's memory
-Fold = Callable[
-    [Any, Sequence[Any]], Any
-]  # (drjit, one array of samples per camera) -> the plane's voxels
+# (drjit, one array of samples per camera) -> the plane's voxels
+Fold = Callable[[Any, Sequence[Any]], Any]
 
 
 def sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
-    """Sum images as `cpu_kernels.sum_planes`, with exact maps.
-
-    The exact maps replace the tiles' affine ones.
-    """
+    """Sum images as `cpu_kernels.sum_planes`, with exact maps in place of affine ones."""
     _sweep(rectified, slab, grid, outside, lambda dr, samples: sum(samples), out)
 
 
 def multiply_planes(
     rectified: F32, slab: Slab, grid: Grid, outside: float, floor: float, out: F32
 ) -> None:
-    """Multiply images as `cpu_kernels.multiply_planes`, with exact maps.
+    """Multiply images as `cpu_kernels.multiply_planes`, with exact maps."""
 
-    The exact maps replace the tiles' affine ones.
-    """
-    _sweep(
-        rectified,
-        slab,
-        grid,
-        outside,
-        lambda dr, samples: sum(dr.log2(dr.maximum(sample, floor)) for sample in samples),
-        out,
-    )
+    def fold(dr: Any, samples: Sequence[Any]) -> Any:
+        return sum(dr.log2(dr.maximum(sample, floor)) for sample in samples)
+
+    _sweep(rectified, slab, grid, outside, fold, out)
 
 
 def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, out: F32) -> None:
@@ -76,10 +66,7 @@ def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, o
 
 @numba.njit(parallel=True, cache=True)
 def _keep(values: Any, out: Any) -> None:  # pragma: no cover
-    """Copy rows with all cores.
-
-    One core takes longer for a volume than the device.
-    """
+    """Copy rows with all cores: one core takes longer for a volume than the device."""
     for row in numba.prange(len(out)):
         for column in range(out.shape[1]):
             out[row, column] = values[row, column]
@@ -92,17 +79,12 @@ def _unit(index: Any, count: int) -> Any:
 def _sample(
     dr: Any, types: Any, image: Any, shape: tuple[int, int], position: Sequence[Any], outside: float
 ) -> Any:
-    """Sample one image bilinearly at positions (column, row).
-
-    The result is `outside` beyond its pixel centres.
-    """
+    """Sample an image bilinearly at positions (column, row); `outside` beyond its centres."""
     rows, columns = shape
     column, row = position
     inside = (column >= 0.0) & (row >= 0.0) & (column <= columns - 1.0) & (row <= rows - 1.0)
-    left, top = (
-        dr.minimum(types.Int32(dr.floor(column)), columns - 2),
-        dr.minimum(types.Int32(dr.floor(row)), rows - 2),
-    )
+    left = dr.minimum(types.Int32(dr.floor(column)), columns - 2)
+    top = dr.minimum(types.Int32(dr.floor(row)), rows - 2)
     right_share, bottom_share = column - types.Float(left), row - types.Float(top)
     corner = types.UInt32(top * columns + left)
     values = [
@@ -115,10 +97,7 @@ def _sample(
 
 
 def _polynomial(dr: Any, types: Any, table: Any, start: Any, degree: int, u: Any, v: Any) -> Any:
-    """Evaluate bivariate polynomials of a total degree.
-
-    Their terms start at places (n,) of a table.
-    """
+    """Evaluate bivariate polynomials whose terms start at places (n,) of a table."""
     result, place = None, (degree + 1) * (degree + 2) // 2
     for power_v in range(degree, -1, -1):
         line = None

@@ -1,7 +1,4 @@
-"""Rectification: images resampled once onto a plane of the world.
-
-Afterwards other planes need shifts and scales only.
-"""
+"""Rectification: images resampled once onto a plane; others need shifts and scales only."""
 
 from __future__ import annotations
 
@@ -14,24 +11,17 @@ import numpy.typing as npt
 from sabench.utils.arrays import F32
 from sabench.utils.compiled import numba
 
-LINEAR, CUBIC = (
-    (1,),
-    (1, 1, 1),
-    # the degree of a spline as a tuple's length: part of its type, so that kernels are compiled for
-    # each
-)
-_POLE = (
-    math.sqrt(3.0) - 2.0
-)  # of the cubic B-spline's inverse filter: Unser, IEEE Signal Process. Mag. 16 (1999) 22-38
+# degrees of splines as lengths of tuples, which are part of their types: kernels are compiled for
+# each
+LINEAR, CUBIC = (1,), (1, 1, 1)
+# of the cubic B-spline's inverse filter: Unser, IEEE Signal Process. Mag. 16 (1999) 22-38
+_POLE = math.sqrt(3.0) - 2.0
 _SETTLED = 12  # terms after which the pole's powers are below single precision
 _LINES = 64  # lines filtered side by side, so that the recursion runs over contiguous numbers
 
 
 def coefficients_of(images: F32, spline: tuple[int, ...]) -> F32:
-    """Compute the coefficients of the B-spline through all pixels.
-
-    Returns (n, rows + 3, columns + 3), mirrored one pixel before and two behind.
-    """
+    """Compute coefficients (n, rows + 3, columns + 3) of the B-spline, mirrored at borders."""
     if spline == LINEAR:
         return np.pad(images, ((0, 0), (1, 2), (1, 2)), mode="reflect")
     count, rows, columns = images.shape
@@ -145,10 +135,7 @@ def _along_row(polynomial: Any, degree: int, v: float) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _evaluate(line: Any, out: Any) -> None:
-    """Evaluate a polynomial in u at evenly spaced u from -1 to 1.
-
-    Powers are added one after the other, so that the loop runs on vectors.
-    """
+    """Evaluate a polynomial at evenly spaced u from -1 to 1, by vectors of sums of powers."""
     step, start = 2.0 / max(len(out) - 1, 1), 1.0 if len(out) > 1 else 0.0
     value = np.full(len(out), line[-1])
     for k in range(len(line) - 2, -1, -1):
@@ -161,10 +148,7 @@ def _evaluate(line: Any, out: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any, out: Any) -> None:
-    """Interpolate with four by four weights around every position.
-
-    Weights and sums are separate loops: weights can then run on vectors, which loads cannot.
-    """
+    """Interpolate with four by four weights; in separate loops weights run on vectors."""
     last_row, last_column, pitch = (
         np.float32(padded.shape[0] - 4),
         np.float32(padded.shape[1] - 4),

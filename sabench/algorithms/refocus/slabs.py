@@ -9,20 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from sabench.algorithms.refocus.cpu_kernels import TILE_COLUMNS, TILE_ROWS
+from sabench.geometry import plane_polynomials as polynomials
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.geometry.plane_polynomials import (
-    Smooth,
-    fit,
-    lowest_degree,
-    plane_points,
-    slopes,
-    terms,
-)
 from sabench.utils.arrays import F64, I64
 
 # largest distance, in a camera's pixels, between the tiles' affine maps and the exact lines of
@@ -59,37 +53,24 @@ class Slab:
     degree: int
 
     def tiles(self, grid: Grid) -> F64:
-        """Compute affine maps (tile, plane, camera, 6) from the tiles' centres.
-
-        They are for `sum_planes`.
-        """
+        """Compute affine maps (tile, plane, camera, 6) from the tiles' centres."""
         top, left = tile_origins(grid)
         origin = np.column_stack([left, top]).astype(np.float64)
         middle = origin + (tile_sizes(grid) - 1) / 2.0
         half = np.maximum(np.asarray(grid.shape[:0:-1]) - 1.0, 1.0) / 2.0
         unit = (middle - (np.asarray(grid.shape[:0:-1]) - 1) / 2.0) / half
-        along_u, along_v = slopes(unit, self.degree)
-        value, along_x, along_y = (
-            self._evaluate(basis)
-            for basis in (terms(unit, self.degree), along_u / half[0], along_v / half[1])
-        )
+        along_u, along_v = polynomials.slopes(unit, self.degree)
+        bases = polynomials.terms(unit, self.degree), along_u / half[0], along_v / half[1]
+        value, along_x, along_y = (self._evaluate(basis) for basis in bases)
         along_x[..., 0] += 1.0
         along_y[..., 1] += 1.0
         back = (origin - middle)[:, None, None]
-        start = (
-            value
-            + middle[:, None, None]
-            - self.corners
-            + along_x * back[..., :1]
-            + along_y * back[..., 1:]
-        )
+        start = value + middle[:, None, None] - self.corners
+        start = start + along_x * back[..., :1] + along_y * back[..., 1:]
         return np.stack([start, along_x, along_y], axis=-1).reshape(*start.shape[:3], 6)
 
     def positions(self, grid: Grid) -> F64:
-        """Fit polynomials of positions in the rectified images.
-
-        Returns (camera, plane, 2, terms): displacements plus the voxels' own positions.
-        """
+        """Fit positions (camera, plane, 2, terms) in the rectified images as polynomials."""
         maps = self.displacement.copy()
         for axis, (count, linear) in enumerate(
             zip(grid.shape[:0:-1], (1, self.degree + 1), strict=True)
@@ -101,7 +82,7 @@ class Slab:
 
     @property
     def middle_shifts(self) -> F64:
-        """The displacement at the grid's middle: (camera, plane, 2)."""
+        """Displacements (camera, plane, 2) at the grid's middle."""
         return self.displacement[..., 0]  # the constant terms
 
     def _evaluate(self, basis: F64) -> F64:
@@ -112,9 +93,7 @@ class Slab:
 
 
 def slabs(cameras: Sequence[CameraModel], grid: Grid) -> list[Slab]:
-    """Cut the grid into as few slabs as keep affine maps accurate.
-
-    Accurate means within `DEVIATION_PX` of the exact lines of sight.
+    """Cut the grid into as few slabs as keep affine maps within `DEVIATION_PX`.
 
     Raises
     ------
@@ -126,96 +105,87 @@ def slabs(cameras: Sequence[CameraModel], grid: Grid) -> list[Slab]:
     while waiting:
         first, count = waiting.pop()
         slab = make_slab(cameras, grid, first, count)
-        if (
-            deviation_px(slab, cameras, grid) <= DEVIATION_PX or count == 1
-        ):  # a single plane is its own middle: nothing deviates
+        # a single plane is its own middle: nothing deviates
+        if deviation_px(slab, cameras, grid) <= DEVIATION_PX or count == 1:
             done.append(slab)
         else:
             waiting += [(first + count // 2, count - count // 2), (first, count // 2)]
     return done
 
 
-def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, count: int) -> Slab:
+def make_slab(cameras: Sequence[CameraModel], grid: Grid, first: int, planes: int) -> Slab:
     """Make a slab of the given planes, whatever its deviation is."""
-    depths = grid.axes_mm[2][first : first + count]
+    depths = grid.axes_mm[2][first : first + planes]
     z_mm = float(depths[0] + depths[-1]) / 2.0
-    nodes, interpolation = _depth_nodes(depths)
+    # displacements are computed at Chebyshev nodes, and interpolated between them: (plane, node)
+    count = min(_NODES, len(depths))
+    nodes, interpolation = depths, np.ones((1, 1))
+    if count > 1:
+        half, vander = (depths[-1] - depths[0]) / 2.0, np.polynomial.chebyshev.chebvander
+        unit = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+        nodes, inverse = z_mm + half * unit, np.linalg.inv(vander(unit, count - 1))
+        interpolation = vander((depths - z_mm) / half, count - 1) @ inverse
     functions = [_displacement(camera, grid, nodes, z_mm) for camera in cameras]
-    degree = max(lowest_degree(function) for function in functions)
+    degree = max(polynomials.lowest_degree(function) for function in functions)
     at_nodes = np.stack(
-        [fit(function, degree)[0].reshape(len(nodes), 2, -1) for function in functions]
+        [polynomials.fit(function, degree)[0].reshape(len(nodes), 2, -1) for function in functions]
     )
     displacement = np.einsum("pn,cnik->cpik", interpolation, at_nodes)
     corners, shape = _boxes(cameras, grid, z_mm, displacement, degree)
-    return Slab(first, count, z_mm, corners, shape, displacement, degree)
+    return Slab(first, planes, z_mm, corners, shape, displacement, degree)
 
 
 def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> float:
     """Measure the largest distance of affine maps from the exact lines of sight, px.
 
     Only voxels that a camera sees count. Random voxels are tried, every other one in a corner of
-    its tile and most on the slab's outer planes, since the deviation grows towards both.
+    its tile and most on the slab's outer planes: the deviation grows towards both.
     """
     rng = np.random.default_rng(0)
     top, left = tile_origins(grid)
     maps, tile = slab.tiles(grid), rng.integers(len(top), size=_PROBES)
-    plane = np.where(
-        np.arange(_PROBES) % 4,
-        rng.choice([0, slab.count - 1], size=_PROBES),
-        rng.integers(slab.count, size=_PROBES),
-    )
-    share = np.where(
-        np.arange(_PROBES)[:, None] % 2,
-        rng.random((_PROBES, 2)),
-        rng.integers(2, size=(_PROBES, 2)),
-    )
+    number = np.arange(_PROBES)
+    outer = rng.choice([0, slab.count - 1], size=_PROBES)
+    plane = np.where(number % 4, outer, rng.integers(slab.count, size=_PROBES))
+    inner = rng.random((_PROBES, 2))
+    share = np.where(number[:, None] % 2, inner, rng.integers(2, size=(_PROBES, 2)))
     column, row = np.rint(share * (tile_sizes(grid)[tile] - 1)).astype(int).T
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     exact = low + step * np.column_stack([left[tile] + column, top[tile] + row, slab.first + plane])
     worst = 0.0
-    for number, camera in enumerate(cameras):
-        affine = maps[tile, plane, number]
-        mapped = (
-            affine[:, [0, 3]]
-            + affine[:, [1, 4]] * column[:, None]
-            + affine[:, [2, 5]] * row[:, None]
-            + slab.corners[number]
-        )
+    for camera, own, corner in zip(cameras, np.moveaxis(maps, 2, 0), slab.corners, strict=True):
+        affine = own[tile, plane]
+        mapped = affine[:, [0, 3]] + affine[:, [1, 4]] * column[:, None]
+        mapped = mapped + affine[:, [2, 5]] * row[:, None] + corner
+        on_plane = np.column_stack([low[:2] + step[:2] * mapped, np.full(_PROBES, slab.z_mm)])
         pixel = camera.project(exact)[0]
-        there = camera.project(
-            np.column_stack([low[:2] + step[:2] * mapped, np.full(_PROBES, slab.z_mm)])
-        )[0]
-        seen = camera.contains(pixel)
-        worst = max(worst, float(np.linalg.norm(pixel - there, axis=1)[seen].max(initial=0.0)))
+        distance = np.linalg.norm(pixel - camera.project(on_plane)[0], axis=1)
+        worst = max(worst, float(distance[camera.contains(pixel)].max(initial=0.0)))
     return worst
 
 
 def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> tuple[F64, int]:
-    """Fit pixel positions over rectified images as polynomials (camera, 2, terms).
-
-    Also returns their degree.
-    """
+    """Fit pixels over rectified images as polynomials (camera, 2, terms), and their degree."""
     height, width = slab.shape
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     functions = []
     for camera, (left, top) in zip(cameras, slab.corners, strict=True):
-        box = Grid(
-            (low[0] + step[0] * left, low[1] + step[1] * top, slab.z_mm),
-            grid.voxel_mm,
-            (1, height, width),
-        )
-        functions.append(_pixels(camera, box, slab.z_mm))
-    degree = max(lowest_degree(function) for function in functions)
-    return np.stack([fit(function, degree)[0] for function in functions]), degree
+        corner = (low[0] + step[0] * left, low[1] + step[1] * top, slab.z_mm)
+        box = Grid(corner, grid.voxel_mm, (1, height, width))
+        functions.append(partial(_pixels, camera, box, slab.z_mm))
+    degree = max(polynomials.lowest_degree(function) for function in functions)
+    return np.stack([polynomials.fit(function, degree)[0] for function in functions]), degree
+
+
+def _pixels(camera: CameraModel, box: Grid, z_mm: float, unit: F64) -> F64:
+    return camera.project(polynomials.plane_points(box, z_mm, unit))[0]
 
 
 def tile_origins(grid: Grid) -> tuple[I64, I64]:
     """List first row and first column of every tile, in the order of the kernels."""
-    top, left = np.meshgrid(
-        np.arange(0, grid.shape[1], TILE_ROWS),
-        np.arange(0, grid.shape[2], TILE_COLUMNS),
-        indexing="ij",
-    )
+    _, rows, columns = grid.shape
+    starts = np.arange(0, rows, TILE_ROWS), np.arange(0, columns, TILE_COLUMNS)
+    top, left = np.meshgrid(*starts, indexing="ij")
     return top.ravel(), left.ravel()
 
 
@@ -227,68 +197,33 @@ def tile_sizes(grid: Grid) -> I64:
     )
 
 
-def _depth_nodes(depths: F64) -> tuple[F64, F64]:
-    """Choose the depths of computed displacements, and their interpolation matrix.
+def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> polynomials.Smooth:
+    """Make the function of shifts (n, 2 planes) along the line of sight to `z_mm`, in voxels."""
 
-    The matrix is (plane, node).
-    """
-    count = min(_NODES, len(depths))
-    if count == 1:
-        return depths, np.ones((1, 1))
-    middle, half = (depths[0] + depths[-1]) / 2.0, (depths[-1] - depths[0]) / 2.0
-    nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    matrix = np.polynomial.chebyshev.chebvander(
-        (depths - middle) / half, count - 1
-    ) @ np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, count - 1))
-    return middle + half * nodes, np.asarray(matrix)
-
-
-def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> Smooth:
-    """Make the function of shifts along the line of sight to `z_mm`.
-
-    Its values are shifts from each plane in voxels: (n, 2 planes).
-    """
-
-    def ways(unit: F64) -> F64:
+    def shifts(unit: F64) -> F64:
         parts = []
         for z in depths:
-            points = plane_points(grid, float(z), unit)
-            parts.append(
-                (_carry(camera, points, z_mm) - points[:, :2]) / np.asarray(grid.voxel_mm)[:2]
-            )
+            points = polynomials.plane_points(grid, float(z), unit)
+            carried = camera.carry(points, z_mm)
+            if not np.isfinite(carried).all():
+                raise ValueError(
+                    f"{camera.name}: expected a light path to every voxel, but the plane z = "
+                    f"{z:g} mm has points without one"
+                )
+            parts.append((carried - points[:, :2]) / np.asarray(grid.voxel_mm)[:2])
         return np.column_stack(parts)
 
-    return ways
-
-
-def _carry(camera: CameraModel, points: F64, z_mm: float) -> F64:
-    there = camera.carry(points, z_mm)
-    if not np.isfinite(there).all():
-        raise ValueError(
-            f"{camera.name}: expected a light path to every voxel, but the plane z = "
-            f"{points[0, 2]:g} mm has points without one"
-        )
-    return there
-
-
-def _pixels(camera: CameraModel, box: Grid, z_mm: float) -> Smooth:
-    def pixels(unit: F64) -> F64:
-        return camera.project(plane_points(box, z_mm, unit))[0]
-
-    return pixels
+    return shifts
 
 
 def _boxes(
     cameras: Sequence[CameraModel], grid: Grid, z_mm: float, displacement: F64, degree: int
 ) -> tuple[F64, tuple[int, int]]:
-    """Find first pixels (camera, 2) and common shape of the rectified images.
-
-    They cover the parts of the cameras' views that the slab's planes need.
-    """
+    """Find first pixels (camera, 2) and common shape of the rectified images."""
     axis = np.linspace(-1.0, 1.0, 9)
     unit = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     voxels = (unit + 1.0) / 2.0 * (np.asarray(grid.shape[:0:-1]) - 1)
-    ways = np.einsum("nk,cpik->cpni", terms(unit, degree), displacement[:, [0, -1]])
+    ways = np.einsum("nk,cpik->cpni", polynomials.terms(unit, degree), displacement[:, [0, -1]])
     needed = (voxels + ways).reshape(len(cameras), -1, 2)
     low, high = needed.min(axis=1), needed.max(axis=1)
     for number, camera in enumerate(cameras):
@@ -301,25 +236,17 @@ def _boxes(
 
 
 def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
-    """Project the border of an image to a plane, in voxels (n, 2).
-
-    Returns an infinite box if some of the border has no line of sight.
-    """
+    """Project the border of an image to a plane, in voxels (n, 2); infinite without a path."""
     along = np.linspace(-0.5, 0.5, 33)
     sides = [
         np.column_stack(pair)
         for end in (-0.5, 0.5)
         for pair in ((along, np.full(33, end)), (np.full(33, end), along))
     ]
-    pixels = (
-        np.vstack(sides) * [camera.columns, camera.rows]
-        + np.asarray([camera.columns - 1, camera.rows - 1]) / 2.0
-    )
+    size = np.array([camera.columns, camera.rows])
+    pixels = np.vstack(sides) * size + (size - 1) / 2.0
     rays = camera.back_project(pixels)
     if not rays.valid.all() or (rays.directions[:, 2] <= 0.0).any():
         return np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
     distance = (z_mm - rays.origins_mm[:, 2:]) / rays.directions[:, 2:]
-    return np.asarray(
-        (rays.origins_mm + distance * rays.directions - np.asarray(grid.low_mm))[:, :2]
-        / np.asarray(grid.voxel_mm)[:2]
-    )
+    return grid.to_voxels(rays.origins_mm + distance * rays.directions)[:, :2]

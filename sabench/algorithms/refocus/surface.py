@@ -1,8 +1,4 @@
-"""Cameras that see planes of constant Z edge-on.
-
-plane_view: Cameras that see planes of constant Z edge-on.
-
-surface: Refocusing on surfaces of any shape.
+"""Refocusing on surfaces of any shape, and a check for cameras that see planes edge-on.
 
 Every point of the surface is projected into every camera, through the wall, and the images' values
 there are joined.
@@ -28,9 +24,8 @@ _FLATTEST_DEGREES = 15.0  # between a line of sight and the planes
 def find_edge_on(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
     """Say which camera sees a grid's planes edge-on; None if none does.
 
-    The angle is that of a distant camera which shortens directions in the plane as much, in the
-    middle of the grid: the ratio of the singular values of pixels' derivatives by X and Y is its
-    sine.
+    In the middle of the grid, the ratio of the singular values of pixels' derivatives by X and Y is
+    the sine of the angle: that of a distant camera that shortens directions as much.
     """
     middle = np.array([(axis[0] + axis[-1]) / 2.0 for axis in grid.axes_mm])
     step = 0.5 * float(np.min(grid.voxel_mm))
@@ -78,10 +73,8 @@ def refocus_on_surface(
     """Join the cameras' images at every point of a surface.
 
     A camera counts where its image shows the point and where it looks at the surface's front. A
-    surface that hides parts of itself otherwise, as hills do, is taken as transparent.
-
-    Source: thesis, section 2.2.2 ("a focal surface, planar or otherwise"); equations 3.3 and 3.4
-    for planes.
+    surface that otherwise hides parts of itself, as hills do, is taken as transparent. Source:
+    thesis, section 2.2.2 ("a focal surface, planar or otherwise"); equations 3.3 and 3.4.
 
     Parameters
     ----------
@@ -99,11 +92,10 @@ def refocus_on_surface(
     step = max(1, _AT_ONCE // len(images))
     for first in progress_bar(range(0, len(points), step), f"refocus, {len(cameras)} cameras"):
         part = slice(first, first + step)
+        place = points[part], normals[part]
+        views_of = zip(splines, cameras, hidden, strict=True)
         samples = np.stack(
-            [
-                _sample(spline, camera, points[part], normals[part], mask)
-                for spline, camera, mask in zip(splines, cameras, hidden, strict=True)
-            ]
+            [_sample(spline, camera, *place, mask) for spline, camera, mask in views_of]
         )
         views[part] = np.isfinite(samples).sum(axis=0)
         seen = views[part] > 0
@@ -135,7 +127,6 @@ def _sample(
 
 
 def _product(samples: F32) -> F32:
-    """Compute the geometric mean over the views, (n,)."""
     return np.asarray(np.exp(np.nanmean(np.log(np.maximum(samples, _FLOOR)), axis=0)))
 
 

@@ -1,8 +1,4 @@
-"""Synthetic aperture refocusing.
-
-All cameras' views of every voxel are added or multiplied, by numba on the CPU or by Dr.Jit on a
-GPU.
-"""
+"""Synthetic aperture refocusing: all cameras' views of voxels are added or multiplied."""
 
 from __future__ import annotations
 
@@ -29,20 +25,11 @@ _AT_ONCE = 16  # planes that are shifted before they are resampled: bounds memor
 def refocus_sum(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, *, outside: float = 0.0
 ) -> F32:
-    """Sum the cameras' images at every voxel: (z, y, x).
+    """Sum the cameras' images (camera, row, column) at every voxel: (z, y, x).
 
-    Parameters
-    ----------
-    images : (camera, row, column).
-    outside : value of a camera's image at voxels that it does not see.
-
-    Source: thesis, equation 3.3, times N. Images are resampled once per slab by cubic B-splines,
-    then bilinearly: at most `slabs.DEVIATION_PX` from exact positions.
-
-    Raises
-    ------
-    ValueError
-        Some of the grid has no light path to a camera.
+    A camera that does not see a voxel counts as `outside` there. Source: thesis, equation 3.3,
+    times N. Images are resampled once per slab by cubic B-splines, then bilinearly: at most
+    `slabs.DEVIATION_PX` from exact positions. A grid without light paths is a ValueError.
     """
     volume = np.empty(grid.shape, dtype=np.float32)
     for view, rectified, part in _parts(images, cameras, grid, outside, volume):
@@ -54,11 +41,7 @@ def refocus_sum(
 
 
 def typical_where_covered(case: Observation) -> F32:
-    """Normalise images, with the camera's mean light under reflections.
-
-    The images are (camera, row, column). In an average over cameras, a reflection then neither
-    makes voxels bright nor dark.
-    """
+    """Normalise images, with the camera's mean light under reflections, for averages."""
     images = case.normalised_images()
     for image, covered in zip(images, case.repaired.flaws.covered, strict=True):
         image[covered] = image[~covered].mean() if covered.any() and not covered.all() else 0.0
@@ -68,7 +51,7 @@ def typical_where_covered(case: Observation) -> F32:
 def count_views(case: Observation, *, seen_only: bool) -> F32 | float:
     """Count the cameras that show something at each voxel: (z, y, x), 1 at least.
 
-    A camera shows nothing where a reflection covers its image. One that does not see the voxel
+    A camera shows nothing where a reflection covers its image. If it does not see the voxel, it
     shows it dark, unless `seen_only` is set.
     """
     covered = case.repaired.flaws.covered
@@ -81,15 +64,13 @@ def count_views(case: Observation, *, seen_only: bool) -> F32 | float:
 def refocus_log2(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, floor: float, *, outside: float = 0.0
 ) -> F32:
-    """Sum log2 of the cameras' images at every voxel.
+    """Sum log2 of the cameras' images at every voxel; arguments as for `refocus_sum`.
 
-    Samples below `floor` are raised to it. Returns (z, y, x); arguments are as for `refocus_sum`.
-    Two to the power of n times the result is the product of equation 3.4 of the thesis.
+    Samples below `floor` are raised to it. Two to the power of n times the result is the product
+    of equation 3.4 of the thesis.
     """
-    volume, largest = (
-        np.empty(grid.shape, dtype=np.float32),
-        float(max(images.max(initial=0.0), outside, 1.0)),
-    )
+    volume = np.empty(grid.shape, dtype=np.float32)
+    largest = float(max(images.max(initial=0.0), outside, 1.0))
     for view, rectified, part in _parts(images, cameras, grid, outside, volume):
         if _on_device():
             gpu_kernels.multiply_planes(rectified, view.slab, grid, outside, floor, part)
@@ -99,55 +80,42 @@ def refocus_log2(
 
 
 def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -> F32:
-    """Average whole-pixel shifts of the cameras' images.
-
-    The images are mapped to the grid's middle plane. Returns (z, y, x).
+    """Average whole-pixel shifts of the cameras' images: (z, y, x).
 
     Source: thesis, equations 2.1 to 2.3, the map-shift-average of cameras on one plane. Images are
-    mapped bilinearly. A plane is refocused as the camera nearest to the array's centre sees it,
-    which needs only shifts, and then resampled to the grid's voxels by a cubic spline. Its
-    coefficients are shifted instead of the pixels: filtering before or after a shift is the same.
-    Next to bright particles the spline is below zero.
+    mapped bilinearly to the grid's middle plane. A plane is refocused as the camera nearest to the
+    array's centre sees it, which needs only shifts, and then resampled to the grid's voxels by a
+    cubic spline, which is below zero next to bright particles. Its coefficients are shifted instead
+    of the pixels: filtering before or after a shift is the same.
     """
     view = _whole(tuple(cameras), grid)
     slab, mapped = view.slab, np.empty((len(images), *view.slab.shape), dtype=np.float32)
     resample(coefficients_of(images, LINEAR), LINEAR, view.maps, view.degree, 0.0, mapped)
     mapped /= len(cameras)
     coefficients = coefficients_of(mapped, CUBIC)
-    nearest = _innermost(cameras)
-    shifts = (
-        np.rint(slab.middle_shifts - slab.middle_shifts[nearest])
-        - (slab.corners - slab.corners[nearest])[:, None]
-    )
+    # of several cameras nearest to the array's centre, the one with the smallest coordinates
+    centers = np.asarray([camera.center_mm for camera in cameras])
+    distance = np.linalg.norm(centers - centers.mean(axis=0), axis=1).round(6)
+    nearest = int(np.lexsort((*centers.T, distance))[0])
+    shifts = np.rint(slab.middle_shifts - slab.middle_shifts[nearest])
+    shifts = shifts - (slab.corners - slab.corners[nearest])[:, None]
     maps = np.ascontiguousarray(view.tiles[:, :, nearest : nearest + 1])
     low, shape = _find_reached(maps)
     maps[..., [0, 3]] -= low
     whole = (shifts + low).astype(np.int64).transpose(1, 0, 2)
-    volume, focused = (
-        np.empty(grid.shape, dtype=np.float32),
-        np.empty((_AT_ONCE, *shape), dtype=np.float32),
-    )
+    volume = np.empty(grid.shape, dtype=np.float32)
+    focused = np.empty((_AT_ONCE, *shape), dtype=np.float32)
     for first in progress_bar(range(0, grid.shape[0], _AT_ONCE), f"shift {len(cameras)} cameras"):
-        cpu_kernels.sum_shifted(
-            coefficients, whole[first : first + _AT_ONCE], focused[: grid.shape[0] - first]
-        )
-        for plane in range(first, min(first + _AT_ONCE, grid.shape[0])):
-            cpu_kernels.sum_planes(
-                focused[plane - first][None],
-                CUBIC,
-                np.ascontiguousarray(maps[:, plane : plane + 1]),  # one type, one compilation
-                0.0,
-                volume[plane : plane + 1],
-            )
+        some = whole[first : first + _AT_ONCE]
+        cpu_kernels.sum_shifted(coefficients, some, focused[: grid.shape[0] - first])
+        for plane, image in enumerate(focused[: len(some)], first):
+            own = np.ascontiguousarray(maps[:, plane : plane + 1])  # one type, one compilation
+            cpu_kernels.sum_planes(image[None], CUBIC, own, 0.0, volume[plane : plane + 1])
     return volume
 
 
 def _find_reached(maps: F64) -> tuple[F64, tuple[int, int]]:
-    """Find the part of the rectified images that tiles' maps reach.
-
-    The maps are (tile, plane, 1, 6). Returns the part's first column and row, and its padded
-    shape.
-    """
+    """Find first column and row, and padded shape, that maps (tile, plane, 1, 6) reach."""
     size = np.array([TILE_COLUMNS, TILE_ROWS])
     starts = maps[..., [0, 3]]
     ends = starts + maps[..., [1, 4]] * size[0] + maps[..., [2, 5]] * size[1]
@@ -156,21 +124,8 @@ def _find_reached(maps: F64) -> tuple[F64, tuple[int, int]]:
     return low, (int(height), int(width))
 
 
-def _innermost(cameras: Sequence[CameraModel]) -> int:
-    """Find the camera nearest to the array's centre.
-
-    Of several, it is the one with the smallest coordinates, independently of their order.
-    """
-    centers = np.asarray([camera.center_mm for camera in cameras])
-    distance = np.linalg.norm(centers - centers.mean(axis=0), axis=1).round(6)
-    return int(np.lexsort((*centers.T, distance))[0])
-
-
 def shift_maps(grid: Grid, shifts: F64) -> F64:
-    """Make affine maps (tile, plane, camera, 6) that shift whole planes.
-
-    Shifts (plane, camera, 2) are of columns and rows; the maps are for `cpu_kernels.sum_planes`.
-    """
+    """Make affine maps (tile, plane, camera, 6) of shifts (plane, camera, 2) of whole planes."""
     top, left = tile_origins(grid)
     maps = np.zeros((len(top), *shifts.shape[:2], 6))
     maps[..., 0], maps[..., 1] = left[:, None, None] + shifts[..., 0], 1.0
@@ -194,42 +149,32 @@ class _View:
     degree: int
     tiles: F64
 
-    @classmethod
-    def from_slab(cls, slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> _View:
-        """Make the view of a slab of the grid."""
-        return cls(slab, *rectifying_maps(slab, cameras, grid), slab.tiles(grid))
-
 
 def _parts(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, outside: float, volume: F32
 ) -> Iterator[tuple[_View, F32, F32]]:
-    """Yield every slab with its rectified images and its part of the volume.
-
-    The images are (camera, height, width).
-    """
+    """Yield every slab with its rectified images (camera, height, width) and its planes."""
     for view in progress_bar(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
         rectified = np.empty((len(images), *view.slab.shape), dtype=np.float32)
         for number in range(len(images)):  # one at a time: its coefficients stay in the cache
             this = slice(number, number + 1)
-            resample(
-                coefficients_of(images[this], CUBIC),
-                CUBIC,
-                view.maps[this],
-                view.degree,
-                outside,
-                rectified[this],
-            )
+            coefficients, maps = coefficients_of(images[this], CUBIC), view.maps[this]
+            resample(coefficients, CUBIC, maps, view.degree, outside, rectified[this])
         yield view, rectified, volume[view.slab.first : view.slab.first + view.slab.count]
 
 
 @functools.lru_cache(maxsize=2)
 def _views(cameras: tuple[CameraModel, ...], grid: Grid) -> list[_View]:
-    return [_View.from_slab(slab, cameras, grid) for slab in slabs(cameras, grid)]
+    return [_view(slab, cameras, grid) for slab in slabs(cameras, grid)]
 
 
 @functools.lru_cache(maxsize=2)
 def _whole(cameras: tuple[CameraModel, ...], grid: Grid) -> _View:
-    return _View.from_slab(make_slab(cameras, grid, 0, grid.shape[0]), cameras, grid)
+    return _view(make_slab(cameras, grid, 0, grid.shape[0]), cameras, grid)
+
+
+def _view(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> _View:
+    return _View(slab, *rectifying_maps(slab, cameras, grid), slab.tiles(grid))
 
 
 def _on_device() -> bool:

@@ -1,7 +1,4 @@
-"""Thresholding of refocused planes.
-
-Images are first brought to one scale; particles are then extracted from refocused planes.
-"""
+"""Thresholding of refocused planes, and extraction of particles from them."""
 
 from __future__ import annotations
 
@@ -12,15 +9,12 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from sabench.api import Observation, Parameters
-from sabench.geometry.grid import Grid
 from sabench.images.gaussians import effective_width
-from sabench.utils.arrays import F32, F64, U16, Bool
+from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 
-_SHARE = {
-    "reduced": 0.85,
-    "whole": 0.65,
-}  # of the particles' occupancy that a field should have: tuned on seeds 101 and 102
+# of the particles' occupancy that a field should have: tuned on seeds 101 and 102
+_SHARE = {"reduced": 0.85, "whole": 0.65}
 _STEP, _BINS = 0.01, 4096  # levels of k that are tried, up to 41
 _FLAT = 1e-30
 
@@ -47,10 +41,7 @@ class ExtractionParameters(Parameters):
 
 
 def extract_particles(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
-    """Extract particles by `extract` as the parameters say.
-
-    If they do not give k, `auto_k` chooses it. Works in place on (z, y, x) and returns it.
-    """
+    """Extract particles in place; if the parameters do not give k, `auto_k` chooses it."""
     k = auto_k(volume, occupancy(case), parameters.keep) if parameters.k == "auto" else parameters.k
     return extract(volume, k, parameters.keep)
 
@@ -80,34 +71,29 @@ def occupancy(case: Observation) -> float:
     wide in voxels as in pixels, as E_s has them. The median camera counts.
     """
     good = case.repaired
-    both = zip(good.images, good.flaws.covered, strict=True)
-    shares = [_fill_share(image, float(case.black_dn), case.grid, own) for image, own in both]
+    shares = []
+    for image, covered in zip(good.images, good.flaws.covered, strict=True):
+        mean, known = float(image[~covered].mean()), image.size - int(covered.sum())
+        light = mean - float(case.black_dn)
+        products = _products(np.where(covered, mean, image), mean)
+        square, across, down = (product * image.size / known for product in products)
+        variance = square / image.size
+        if not variance > 0.0:
+            shares.append(0.0)
+            continue
+        rows, columns = image.shape
+        pairs = across / (rows * (columns - 1)) + down / ((rows - 1) * columns)
+        beside = min(max(pairs / (2.0 * variance), 1e-3), 0.999)
+        # of a Gaussian averaged over pixels
+        sigma_px = math.sqrt(max(-0.25 / math.log(beside) - 1.0 / 12.0, 0.01))
+        depth = effective_width(sigma_px * case.grid.voxel_mm[0] / case.grid.voxel_mm[2])
+        shares.append(float(light**2 / variance * image.size * depth / math.prod(case.grid.shape)))
     return float(np.median(shares))
-
-
-def _fill_share(image: U16, black_dn: float, grid: Grid, covered: Bool) -> float:
-    mean, known = float(image[~covered].mean()), image.size - int(covered.sum())
-    light = mean - black_dn
-    square, across, down = _products(np.where(covered, mean, image), mean)
-    square, across, down = (one * image.size / known for one in (square, across, down))
-    variance = square / image.size
-    if not variance > 0.0:
-        return 0.0
-    rows, columns = image.shape
-    beside = (across / (rows * (columns - 1)) + down / ((rows - 1) * columns)) / (2.0 * variance)
-    sigma_px = math.sqrt(
-        max(-0.25 / math.log(min(max(beside, 1e-3), 0.999)) - 1.0 / 12.0, 0.01)
-    )  # of a Gaussian averaged over pixels
-    depth = effective_width(sigma_px * grid.voxel_mm[0] / grid.voxel_mm[2])
-    return float(light**2 / variance * image.size * depth / math.prod(grid.shape))
 
 
 @numba.njit(cache=True)
 def _products(image: Any, mean: float) -> Any:
-    """Sum products over an image less its mean.
-
-    Products are squares, and products with the pixels to the right and below.
-    """
+    """Sum squares of an image less its mean, and products with pixels right and below."""
     square = across = down = 0.0
     for row in range(image.shape[0]):
         line, below = image[row], image[min(row + 1, image.shape[0] - 1)]
@@ -134,9 +120,8 @@ def auto_k(volume: F32, share: float, keep: Keep) -> float:
     means, spreads = plane_statistics(volume)
     sums = np.zeros((len(volume), _BINS, 3))
     _sum_bins(volume, means, 1.0 / (_STEP * np.maximum(spreads, _FLAT)), sums)
-    count, light, square = np.moveaxis(
-        np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0
-    )  # of all that lies above each level
+    # of all that lies above each level
+    count, light, square = np.moveaxis(np.cumsum(sums[:, ::-1], axis=1)[:, ::-1], 2, 0)
     levels = _STEP * np.arange(_BINS)
     base = means[:, None] + levels * spreads[:, None] if keep == "reduced" else np.zeros_like(light)
     left = (light - base * count).sum(axis=0)
@@ -168,7 +153,6 @@ def _sum_squares(volume: Any, sums: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _cut(volume: Any, thresholds: Any, bases: Any) -> None:
-    """Subtract a plane's base above its threshold, and set the rest to zero."""
     for plane in numba.prange(len(volume)):
         for row in volume[plane]:
             for i in range(len(row)):
@@ -179,7 +163,7 @@ def _cut(volume: Any, thresholds: Any, bases: Any) -> None:
 def _sum_bins(volume: Any, means: Any, scales: Any, sums: Any) -> None:
     """Fill in sums[plane, i]: number, sum and sum of squares of voxels in bins of k.
 
-    Bin i holds those that lie i to i + 1 steps of k above the mean, the last bin all above.
+    Bin i begins i steps of k above the mean; the last bin holds all above.
     """
     last = sums.shape[1] - 1
     for plane in numba.prange(len(volume)):

@@ -1,40 +1,6 @@
-"""Tomographic reconstruction.
+"""Tomographic reconstruction: first guesses and algebraic (ART) updates of a volume."""
 
-The package holds first guesses and algebraic (ART) updates of a volume.
-"""
+import lazy_loader
 
-from sabench.algorithms.tomography.art_updates import (
-    Iterate,
-    RecordedLight,
-    block_mart,
-    iterate,
-    mart,
-    sart,
-    smart,
-)
-from sabench.algorithms.tomography.motion_tracking import (
-    Displacement,
-    Exposure,
-    enhanced_guesses,
-)
-from sabench.algorithms.tomography.problem import (
-    SparseParameters,
-    TomographyParameters,
-    TomographyProblem,
-)
-
-__all__ = [
-    "Displacement",
-    "Exposure",
-    "Iterate",
-    "RecordedLight",
-    "SparseParameters",
-    "TomographyParameters",
-    "TomographyProblem",
-    "block_mart",
-    "enhanced_guesses",
-    "iterate",
-    "mart",
-    "sart",
-    "smart",
-]
+# names and homes stand in the stub __init__.pyi, for type checkers too
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

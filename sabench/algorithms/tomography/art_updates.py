@@ -71,30 +71,19 @@ class RecordedLight:
         """Give the light (camera, row, column); a bright particle's where it is unknown."""
         return np.where(self.unknown(), np.float32(1.0), self.light)
 
-    def select_camera(self, camera: int) -> RecordedLight:
-        """Select one camera."""
-        return RecordedLight(self.light[camera : camera + 1], self.saturated[camera : camera + 1])
-
     def missing(self, projection: F32) -> float:
         """Turn a projection W I into P - W I, in place; returns the sum of squares."""
         return self._compare(projection, _missing)
 
     def log_ratio(self, projection: F32) -> float:
-        """Turn a projection W I into log2(P / W I), in place.
-
-        Returns the sum of squares of P - W I.
-        """
+        """Turn W I into log2(P / W I), in place; returns the sum of squares of P - W I."""
         return self._compare(projection, _log_ratio)
 
     def _compare(self, projection: F32, kernel: Callable[..., None]) -> float:
         rows = projection.shape[0] * projection.shape[1]
         squares = np.empty(rows)
-        kernel(
-            self.light.reshape(rows, -1),
-            self.saturated.reshape(rows, -1),
-            projection.reshape(rows, -1),
-            squares,
-        )
+        arrays = self.light, self.saturated, projection
+        kernel(*(array.reshape(rows, -1) for array in arrays), squares)
         return float(squares.sum())
 
 
@@ -151,9 +140,8 @@ def sart(state: Iterate, measured: RecordedLight, lengths: F32, relaxation: floa
     missed = measured.missing(images)
     correction = state.lines.adjoint(np.divide(images, lengths, out=images, where=lengths > 0.0))
     correction *= np.float32(relaxation) / state.seen
-    np.maximum(
-        np.add(state.values, correction, out=state.values), np.float32(0.0), out=state.values
-    )
+    state.values[:] += correction
+    np.maximum(state.values, np.float32(0.0), out=state.values)
     return missed
 
 
@@ -167,18 +155,19 @@ def block_mart(state: Iterate, measured: RecordedLight, relaxation: float) -> fl
     missed = 0.0
     for camera in state.lines.cameras:
         image = state.lines.forward(state.values, [camera])
-        missed += measured.select_camera(camera).log_ratio(image)
+        part = slice(camera, camera + 1)
+        own = RecordedLight(measured.light[part], measured.saturated[part])
+        missed += own.log_ratio(image)
         multiply(state.values, state.lines.adjoint(image, [camera]), np.float32(relaxation))
     return missed
 
 
 def mart(state: Iterate, measured: RecordedLight, relaxation: float) -> float:
     """Update by one camera after the other, pixel by pixel: see `mart_sweep`."""
-    images = enumerate(zip(measured.light, measured.saturated, strict=True))
-    return sum(
-        mart_sweep(state.lines, state.values, camera, light, saturated, relaxation)
-        for camera, (light, saturated) in images
-    )
+    missed = 0.0
+    for camera, image in enumerate(zip(measured.light, measured.saturated, strict=True)):
+        missed += mart_sweep(state.lines, state.values, camera, *image, relaxation)
+    return missed
 
 
 def iterate(

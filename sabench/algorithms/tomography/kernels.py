@@ -90,10 +90,7 @@ def locate(geometry: Any, camera: int, row: int, x: Any, work: Any) -> Any:
 
 @numba.njit(cache=True)
 def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> None:
-    """Evaluate a plane's polynomial in u and v at one v, as a polynomial in u.
-
-    Its value is the position plus `shift`, in steps.
-    """
+    """Evaluate a plane's polynomials in steps, shifted by `shift`, at one v."""
     total[:] = 0.0
     total[0] = STEPS * shift
     first, power = 0, float(STEPS)
@@ -106,10 +103,7 @@ def _collapse(plane: Any, degree: int, shift: float, v: float, total: Any) -> No
 
 @numba.njit(cache=True)
 def _evaluate(line: Any, x: Any, width: int, position: Any) -> None:
-    """Evaluate polynomials by Horner's rule with the voxels in the inner loop.
-
-    Fills in u, column and row in `position`.
-    """
+    """Fill in u, column and row by Horner's rule, with the voxels in the inner loop."""
     u, column, row = position[0], position[1], position[2]
     step, half = np.float32(2.0 / max(width - 1, 1)), np.float32(1.0 if width > 1 else 0.0)
     last = line.shape[1] - 1
@@ -126,7 +120,6 @@ def _evaluate(line: Any, x: Any, width: int, position: Any) -> None:
 
 @numba.njit(cache=True)
 def _fix(position: Any, count: int, geometry: Any, base: Any, across: Any, down: Any) -> None:
-    """Convert positions to pixels and steps."""
     column, row = position[1], position[2]
     low, mask, stride = (
         np.float32(geometry.margin) * _ONE,
@@ -209,10 +202,7 @@ def project(
 def back_project(
     geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
 ) -> None:
-    """Add the images, bilinearly interpolated, to voxels out (n,).
-
-    The images are (n, rows * columns). Other arguments are as for `project`.
-    """
+    """Add images (n, rows * columns), interpolated bilinearly, to voxels; see `project`."""
     for part in numba.prange(len(parts) - 1):
         work = scratch(geometry)
         for number in range(len(cameras)):
@@ -229,10 +219,7 @@ def back_project(
 
 @numba.njit(cache=True, fastmath=True)
 def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
-    """Add an image (flat), bilinearly interpolated, to voxels.
-
-    It is the transpose of `_scatter`.
-    """
+    """Add an image (flat), bilinearly interpolated, to voxels: transposed `_scatter`."""
     base, across, down = places
     for i in range(len(out)):
         if base[i] >= 0:
@@ -241,10 +228,7 @@ def _collect(image: Any, columns: int, places: Any, out: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def exp2(exponent: Any) -> Any:
-    """Compute 2^x within 2e-7 of its value.
-
-    The compiler uses vector registers where the caller's loop is simple. X is clipped to +-60.
-    """
+    """Compute 2^x within 2e-7 of its value, x clipped to +-60, in vector registers."""
     x = min(max(exponent, -_LARGEST_EXPONENT), _LARGEST_EXPONENT)
     whole = np.int32(x + np.float32(256.5)) - np.int32(256)  # rounded
     t = x - np.float32(whole)

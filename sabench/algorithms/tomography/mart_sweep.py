@@ -21,9 +21,8 @@ from sabench.algorithms.tomography.projection_operator import ProjectionOperator
 from sabench.utils.arrays import F32, I64, Bool
 from sabench.utils.compiled import numba
 
-STRIP = (
-    16  # rows of pixels, more than a footprint has: every other strip shares no voxel with this one
-)
+# rows of pixels, more than a footprint has: every other strip shares no voxel with this one
+STRIP = 16
 # of the volume, sorted by themselves; a fixed number, so that the order does not depend on how many
 # threads there are
 _PARTS = 16
@@ -73,39 +72,28 @@ def mart_sweep(
     Source: thesis, equation 3.9: I_j <- I_j (P_i / sum_j W_ij I_j)^(mu W_ij) for one pixel i after
     the other.
     """
-    buckets = _sort_by_part(lines, values, camera)
+    geometry, support = lines.geometry, lines.support
+    parts = support.parts(_PARTS)
+    # sorted by counting, stable and in parallel
+    slots = np.zeros((_PARTS, geometry.rows * geometry.columns), dtype=np.int32)
+    first = np.empty(geometry.rows * geometry.columns + 1, dtype=np.int64)
+    _count(geometry, camera, parts, support.start, support.x, slots)
+    _number(slots, first)
+    seen = int(first[-1])
+    voxel = np.empty(seen, dtype=np.int32)
+    across, down, light = (np.empty(seen, dtype=np.float32) for _ in range(3))
+    spread, taps = np.float32(lines.footprint.spread), 2 + 2 * geometry.margin
+    buckets = Buckets(spread, taps, geometry.columns, first, voxel, across, down, light)
+    _fill(geometry, camera, parts, support.start, support.x, values, slots, buckets)
     missed = np.zeros(math.ceil(len(image) / STRIP))
     _sweep(buckets, image, saturated, np.float32(relaxation), missed)
     _put_back(buckets.voxel, buckets.light, values)
     return float(missed.sum())
 
 
-def _sort_by_part(lines: ProjectionOperator, values: F32, camera: int) -> Buckets:
-    """Sort by counting, stable and in parallel."""
-    geometry, support = lines.geometry, lines.support
-    parts = support.parts(_PARTS)
-    slots, first = (
-        np.zeros((_PARTS, geometry.rows * geometry.columns), dtype=np.int32),
-        np.empty(geometry.rows * geometry.columns + 1, dtype=np.int64),
-    )
-    _count(geometry, camera, parts, support.start, support.x, slots)
-    _number(slots, first)
-    seen = int(first[-1])
-    across, down, light = (np.empty(seen, dtype=np.float32) for _ in range(3))
-    spread, taps = np.float32(lines.footprint.spread), 2 + 2 * geometry.margin
-    buckets = Buckets(
-        spread, taps, geometry.columns, first, np.empty(seen, dtype=np.int32), across, down, light
-    )
-    _fill(geometry, camera, parts, support.start, support.x, values, slots, buckets)
-    return buckets
-
-
 @numba.njit(cache=True, parallel=True)
 def _count(geometry: Any, camera: int, parts: Any, start: Any, x: Any, slots: Any) -> None:
-    """Count the voxels of every part on every pixel.
-
-    Counts go into slots (part, pixel), which are zero on entry.
-    """
+    """Count the voxels of every part on every pixel into zero slots (part, pixel)."""
     for part in numba.prange(len(parts) - 1):
         work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
         for row in range(parts[part], parts[part + 1]):
@@ -157,10 +145,7 @@ def _fill_part(
     slots: Any,
     buckets: Any,
 ) -> None:
-    """Put the voxels of some rows into their pixels.
-
-    `slots` advances with every voxel.
-    """
+    """Put the voxels of some rows into their pixels; `slots` advances with each."""
     work, corner = scratch(geometry), geometry.margin * (geometry.columns + 1)
     for row in range(begin, end):
         base, across, down = locate(geometry, camera, row, x[start[row] : start[row + 1]], work)
@@ -186,10 +171,7 @@ def _put_back(voxel: Any, light: Any, values: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _sweep(buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: Any) -> None:
-    """Update by all pixels of one camera.
-
-    Fills in `missed` (strip,), the sums of the squares of P_i - sum_j W_ij I_j.
-    """
+    """Update by all pixels of one camera, and sum squared residuals (strip,) into `missed`."""
     for parity in range(2):
         for pair in numba.prange((len(missed) - parity + 1) // 2):
             missed[2 * pair + parity] = _sweep_strip(
@@ -250,10 +232,7 @@ def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
 
 @numba.njit(cache=True)
 def _stretch(buckets: Any, row: int, column: int) -> Any:
-    """List rows, columns and light of the voxels that reach a pixel.
-
-    Their footprints begin in a row of pixels and reach a column.
-    """
+    """List rows, columns and light of the voxels whose footprints reach a pixel."""
     left, line = max(column - buckets.taps + 1, 0), row * buckets.columns
     here = slice(buckets.first[line + left], buckets.first[line + column + 1])
     return buckets.down[here], buckets.across[here], buckets.light[here]
@@ -279,10 +258,7 @@ def _multiply(
 
 @numba.njit(cache=True, fastmath=True)
 def _share(distance: Any, spread: Any) -> Any:
-    """Compute the part of a voxel's light that a pixel gets along one axis.
-
-    The part depends on their distance. See `Footprint`.
-    """
+    """Compute the part of a voxel's light a pixel gets along one axis, see `Footprint`."""
     one, none = np.float32(1.0), np.float32(0.0)
     own = max(one - abs(distance), none)
     given = max(one - abs(distance - one), none) + max(one - abs(distance + one), none)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -41,13 +42,8 @@ class Exposure:
     def correct(self, parameters: SparseParameters, iterations: int, doing: str) -> None:
         """Correct the voxels by `block_mart`, in place."""
         measured = self.problem.measured
-        for _ in iterate(
-            lambda: block_mart(self.state, measured, parameters.relaxation),
-            measured,
-            iterations,
-            parameters.tolerance,
-            doing,
-        ):
+        step = partial(block_mart, self.state, measured, parameters.relaxation)
+        for _ in iterate(step, measured, iterations, parameters.tolerance, doing):
             pass  # every iteration changes the voxels in place
 
     def volume(self, floor: float) -> F32:
@@ -77,12 +73,8 @@ class Displacement:
     @classmethod
     def of(cls, field: Field, splits: Splits) -> Displacement:
         """Convert a field in voxels, of which each is split into fine ones."""
-        z, y, x = (
-            ((start + 0.5) * count - 0.5, float(step * count))
-            for start, step, count in zip(
-                field.windows.origin, field.windows.step, splits[::-1], strict=True
-            )
-        )
+        axes = zip(field.windows.origin, field.windows.step, splits[::-1], strict=True)
+        z, y, x = (((start + 0.5) * n - 0.5, float(step * n)) for start, step, n in axes)
         return cls(field.shift * np.asarray(splits), (z[0], y[0], x[0]), (z[1], y[1], x[1]))
 
     def at_end(self, share: float) -> F64:
@@ -96,11 +88,9 @@ class Displacement:
         for _ in range(_FIXED_POINT):
             away = moved[..., ::-1] / np.asarray(self.step)
             places = nodes + share * np.moveaxis(away, -1, 0)
-            axes = [
-                map_coordinates(self.shift[..., n], places, order=1, mode="nearest")
-                for n in range(3)
-            ]
-            moved = np.stack(axes, axis=-1)
+            axes = np.moveaxis(self.shift, -1, 0)
+            read = [map_coordinates(axis, places, order=1, mode="nearest") for axis in axes]
+            moved = np.stack(read, axis=-1)
         return moved
 
     def bring(self, volume: F32, own: F32, direction: int) -> F32:
@@ -111,15 +101,8 @@ class Displacement:
         own : the neighbour's volume, which is kept where nothing is known of the other.
         direction : 1 moves the second volume to the time of the first, -1 the first to the second.
         """
-        out = own.copy()
-        deform(
-            spline_coefficients(volume),
-            self.at_end(0.5 * direction),
-            self.origin,
-            self.step,
-            float(direction),
-            out,
-        )
+        out, field = own.copy(), (self.at_end(0.5 * direction), self.origin, self.step)
+        deform(spline_coefficients(volume), *field, float(direction), out)
         return out
 
 

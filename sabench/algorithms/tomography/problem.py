@@ -1,8 +1,6 @@
-"""First guesses of the voxels that can hold light, and of their light.
+"""Prepared cases of the tomographic solvers, their parameters, and first guesses.
 
-first_guess: First guesses of the voxels that can hold light, and of their light.
-
-problem: Parameters and prepared cases of the tomographic solvers.
+A first guess finds the voxels that can hold light, and their light.
 """
 
 from __future__ import annotations
@@ -14,18 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from sabench.algorithms.tomography import supersampling
+from sabench.algorithms.tomography import projection_operator as operators, supersampling
 from sabench.algorithms.tomography.art_updates import Iterate, RecordedLight
 from sabench.algorithms.tomography.kernels import KernelGeometry, locate, sample, scratch
-from sabench.algorithms.tomography.projection_operator import (
-    BILINEAR,
-    Footprint,
-    ProjectionOperator,
-    Support,
-    gaussian,
-    image_sigma_px,
-    make_geometry,
-)
 from sabench.api import Observation, Parameters
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, I64
@@ -38,19 +27,20 @@ _SLAB = 8_000_000  # voxels whose memory is taken at a time
 _ROWS = 32
 
 
-def product_guess(geometry: KernelGeometry, images: F32, threshold: float) -> tuple[Support, F32]:
+def product_guess(
+    geometry: KernelGeometry, images: F32, threshold: float
+) -> tuple[operators.Support, F32]:
     """Find the voxels where every camera that sees them has light, and their product.
 
-    The product of these cameras' values is raised to one over their number.
+    The product is raised to one over the number of these cameras. Voxels that no camera sees are
+    left out. Sources: Atkinson and Soria (2009) for MLOS, Worth and Nickels (2008) for MFG; thesis
+    section 3.2.
 
     Parameters
     ----------
     geometry : its interpolation samples the images: linear gives MLOS, the nearest pixel MFG.
     images : (camera, row, column).
     threshold : darker pixels are black.
-
-    Sources: Atkinson and Soria (2009) for MLOS, Worth and Nickels (2008) for MFG; thesis section
-    3.2. Voxels that no camera sees are left out.
     """
     planes, shape = geometry.maps.shape[1], (geometry.height, geometry.width)
     step = max(1, _SLAB // (shape[0] * shape[1]))
@@ -60,18 +50,16 @@ def product_guess(geometry: KernelGeometry, images: F32, threshold: float) -> tu
         for first in progress_bar(range(0, planes, step), "first guess")
     ]
     counts, x, values = (np.concatenate(part) for part in zip(*kept, strict=True))
-    return Support((planes, *shape), np.concatenate([[0], np.cumsum(counts)]), x), values
+    return operators.Support((planes, *shape), np.concatenate([[0], np.cumsum(counts)]), x), values
 
 
-def every_voxel(geometry: KernelGeometry) -> tuple[Support, F32]:
+def every_voxel(geometry: KernelGeometry) -> tuple[operators.Support, F32]:
     """Return all voxels, all equally bright."""
-    rows = geometry.maps.shape[1] * geometry.height
-    x = np.tile(np.arange(geometry.width, dtype=_index_type(geometry.width)), rows)
-    return Support(
-        (geometry.maps.shape[1], geometry.height, geometry.width),
-        np.arange(rows + 1) * geometry.width,
-        x,
-    ), np.ones(len(x), dtype=np.float32)
+    shape = geometry.maps.shape[1], geometry.height, geometry.width
+    rows = shape[0] * shape[1]
+    x = np.tile(np.arange(shape[2], dtype=_index_type(shape[2])), rows)
+    support = operators.Support(shape, np.arange(rows + 1) * shape[2], x)
+    return support, np.ones(len(x), dtype=np.float32)
 
 
 def _index_type(width: int) -> type[np.signedinteger]:
@@ -81,15 +69,10 @@ def _index_type(width: int) -> type[np.signedinteger]:
 def _slab(
     geometry: KernelGeometry, images: F32, threshold: float, first: int, planes: int
 ) -> tuple[I64, npt.NDArray[np.signedinteger], F32]:
-    """List the voxels of some planes.
-
-    Returns their number in each row, their x indices and their values.
-    """
+    """List the voxels of some planes: their number in each row, x indices and values."""
     rows = planes * geometry.height
-    x, values = (
-        np.empty((rows, geometry.width), dtype=_index_type(geometry.width)),
-        np.empty((rows, geometry.width), dtype=np.float32),
-    )
+    x = np.empty((rows, geometry.width), dtype=_index_type(geometry.width))
+    values = np.empty(x.shape, dtype=np.float32)
     counts = np.empty(rows, dtype=np.int64)
     _multiply_rows(geometry, images, threshold, first * geometry.height, x, values, counts)
     start = np.concatenate([[0], np.cumsum(counts)])
@@ -110,10 +93,7 @@ def _pack(start: Any, x: Any, values: Any, packed_x: Any, packed_values: Any) ->
 def _multiply_rows(
     geometry: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
-    """Multiply rows, and move survivors to the beginning.
-
-    Also fills in the survivors' number in every row.
-    """
+    """Multiply rows, move survivors to the beginning, and count them in every row."""
     for block in numba.prange((len(x) + _ROWS - 1) // _ROWS):
         top, end = block * _ROWS, min((block + 1) * _ROWS, len(x))
         _multiply_block(
@@ -163,10 +143,7 @@ def _multiply_camera(
     product: Any,
     seen: Any,
 ) -> int:
-    """Multiply one camera's samples to the first `left` voxels.
-
-    Voxels that the camera sees black are removed. Returns the number of the others.
-    """
+    """Multiply one camera's samples, remove black voxels, and count the others."""
     base, across, down = locate(geometry, camera, row, x[:left], work)
     kept = 0
     for i in range(left):
@@ -185,10 +162,7 @@ def _multiply_camera(
 
 @numba.njit(cache=True)
 def _take_root(left: int, x: Any, product: Any, seen: Any, values: Any) -> int:
-    """Take the root of the product for the voxels that any camera sees.
-
-    Returns their number.
-    """
+    """Take the root of the product for the voxels that any camera sees, and count them."""
     kept = 0
     for i in range(left):
         if seen[i] > 0:
@@ -264,17 +238,20 @@ class TomographyProblem:
     splits: supersampling.Splits
     sigma_mm: float
     geometry: KernelGeometry
-    footprint: Footprint
+    footprint: operators.Footprint
 
     @classmethod
     def from_case(cls, case: Observation, parameters: TomographyParameters) -> TomographyProblem:
         """Scale the images, split the grid's voxels where needed, choose the footprint."""
         light, unknown = case.normalised_images(), case.repaired.flaws.unknown
         scale = supersampling.scale_of(case.cameras, case.grid)
-        splits, (footprint, sigma_px) = supersampling.splits(scale), _footprint(light, parameters)
-        geometry = make_geometry(
-            case.cameras, supersampling.split(case.grid, splits), footprint.margin
-        )
+        splits, footprint, sigma_px = supersampling.splits(scale), operators.BILINEAR, 0.0
+        if parameters.footprint == "gaussian":
+            estimate = np.clip(_BLOB * (operators.image_sigma_px(light) or 0.0), *_SIGMA_PX)
+            sigma_px = parameters.sigma_px or float(estimate)
+            footprint = operators.gaussian(sigma_px)
+        fine = supersampling.split(case.grid, splits)
+        geometry = operators.make_geometry(case.cameras, fine, footprint.margin)
         measured = RecordedLight.of(light, case.images >= case.white_dn, unknown)
         return cls(measured, case.grid, splits, sigma_px / scale.px_per_mm, geometry, footprint)
 
@@ -284,50 +261,33 @@ class TomographyProblem:
 
     def mfg(self, threshold: float) -> Iterate:
         """Make the multiplicative first guess (MFG): the cameras' nearest pixels."""
-        return self._start(
-            *product_guess(
-                self.geometry._replace(shift=0.5, mask=0), self.measured.possible(), threshold
-            )
-        )
+        nearest = self.geometry._replace(shift=0.5, mask=0)
+        return self._start(*product_guess(nearest, self.measured.possible(), threshold))
 
     def uniform(self) -> Iterate:
         """Make all voxels alike, as bright as the images on the mean."""
         state = self._start(*every_voxel(self.geometry))
-        state.values[:] *= self.measured.light.sum() / max(
-            float(state.lines.forward(state.values).sum()), 1e-30
-        )
+        projected = float(state.lines.forward(state.values).sum())
+        state.values[:] *= self.measured.light.sum() / max(projected, 1e-30)
         return state
 
     def volume(self, state: Iterate, floor: float) -> F32:
         """Return the volume (z, y, x) on the grid that was asked for."""
-        return supersampling.clear_dark(
-            supersampling.gather(
-                state.lines.support, state.values, self.grid, self.splits, self.sigma_mm
-            ),
-            floor,
-        )
+        light = state.lines.support, state.values
+        volume = supersampling.gather(*light, self.grid, self.splits, self.sigma_mm)
+        return supersampling.clear_dark(volume, floor)
 
     def blobs(self, state: Iterate) -> F32:
         """Return the volume (z, y, x) of the fine voxels' blobs on the fine grid."""
         fine = supersampling.split(self.grid, self.splits)
-        return supersampling.gather(
-            state.lines.support, state.values, fine, (1, 1, 1), self.sigma_mm
-        )
+        light = state.lines.support, state.values
+        return supersampling.gather(*light, fine, (1, 1, 1), self.sigma_mm)
 
-    def _start(self, support: Support, values: F32) -> Iterate:
-        lines = ProjectionOperator(self.geometry, support, self.footprint)
+    def _start(self, support: operators.Support, values: F32) -> Iterate:
+        lines = operators.ProjectionOperator(self.geometry, support, self.footprint)
         seen = np.rint(lines.adjoint(np.ones_like(self.measured.light)))
         values[seen == 0.0] = 0.0
         unknown = self.measured.unknown()
         if unknown.any():
             seen -= lines.adjoint(unknown.astype(np.float32))
         return Iterate(lines, values, np.maximum(seen, np.float32(1.0)))
-
-
-def _footprint(light: F32, parameters: TomographyParameters) -> tuple[Footprint, float]:
-    if parameters.footprint == "bilinear":
-        return BILINEAR, 0.0
-    sigma = parameters.sigma_px or float(
-        np.clip(_BLOB * (image_sigma_px(light) or 0.0), *_SIGMA_PX)
-    )
-    return gaussian(sigma), sigma

@@ -1,13 +1,12 @@
-"""Spread of one voxel's light over the pixels around its projection.
+"""Projection operator W from a sparse volume to its images.
 
-footprint: Spread of one voxel's light over the pixels around its projection.
-
-projection_operator: Projection operator W from a sparse volume to its images.
+The footprint is the spread of one voxel's light over the pixels around its projection.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -19,7 +18,7 @@ from sabench.algorithms.tomography.kernels import KernelGeometry, back_project, 
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.geometry.plane_polynomials import plane_maps
-from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.arrays import F32, I64
 
 _BRIGHT = 0.3  # of a bright particle's peak: dimmer local maxima are not measured
 
@@ -46,29 +45,20 @@ class Footprint:
         return 1 if self.spread else 0
 
     def smooth(self, images: F32) -> F32:
-        """Smooth images (camera, row, column) by giving light to neighbouring pixels.
-
-        The operator is symmetric; images are dark beyond the borders.
-        """
+        """Spread light of images (camera, row, column), dark beyond borders, symmetrically."""
         if not self.spread:
             return images
         kernel = np.array([self.spread, 1.0 - 2.0 * self.spread, self.spread])
-        return np.stack(
-            [
-                cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
-                for image in images
-            ]
-        )
+        filters = -1, kernel, kernel
+        border = cv2.BORDER_CONSTANT
+        return np.stack([cv2.sepFilter2D(one, *filters, borderType=border) for one in images])
 
 
 BILINEAR = Footprint(0.0)
 
 
 def gaussian(sigma_px: float) -> Footprint:
-    """Make the footprint of a Gaussian over pixels, 0.29 <= sigma_px <= 0.86.
-
-    It has the same variance: sigma^2 + 1/12 = 2 spread + 1/6 on the mean.
-    """
+    """Make the footprint of a Gaussian's variance: sigma^2 + 1/12 = 2 spread + 1/6."""
     return Footprint((sigma_px**2 - 1.0 / 12.0) / 2.0)
 
 
@@ -76,29 +66,25 @@ def image_sigma_px(images: F32) -> float | None:
     """Estimate the standard deviation of the particles' images, pixel included.
 
     The images (camera, row, column) are scaled by `normalise`. Returns None without any particle.
-
     A Gaussian through three pixels of a local maximum has sigma^2 = 1 / (2 ln m - ln l - ln r).
     Particles that overlap look larger and none looks smaller, so the lower quartile is returned.
     """
-    found = np.concatenate([sigma for image in images for sigma in _peak_sigmas(image)])
+    sigmas = []
+    for image in images:
+        peak = (image == maximum_filter(image, 5)) & (image > _BRIGHT)
+        peak[[0, -1]] = peak[:, [0, -1]] = False
+        row, column = np.nonzero(peak)
+        for down, right in ((0, 1), (1, 0)):  # along rows and columns
+            light = np.stack([image[row + k * down, column + k * right] for k in (-1, 0, 1)])
+            before, middle, after = np.log(np.maximum(light.astype(np.float64), 1e-6))
+            curvature = 2.0 * middle - before - after
+            sigmas.append(1.0 / np.sqrt(curvature[curvature > 0.0]))
+    found = np.concatenate(sigmas)
     return float(np.percentile(found, 25.0)) if len(found) else None
 
 
-def _peak_sigmas(image: F32) -> Iterator[F64]:
-    """Yield widths of every bright local maximum along columns and along rows."""
-    peak = (image == maximum_filter(image, 5)) & (image > _BRIGHT)
-    peak[[0, -1]] = peak[:, [0, -1]] = False
-    row, column = np.nonzero(peak)
-    for down, right in ((0, 1), (1, 0)):
-        light = [image[row + k * down, column + k * right].astype(np.float64) for k in (-1, 0, 1)]
-        before, middle, after = np.log(np.maximum(light, 1e-6))
-        curvature = 2.0 * middle - before - after
-        yield 1.0 / np.sqrt(curvature[curvature > 0.0])
-
-
-_BLOCK = (
-    1 << 16
-)  # voxels whose values stay in the cache while one camera after the other is looked up
+# voxels whose values stay in the cache while one camera after the other is looked up
+_BLOCK = 1 << 16
 # images that are added up by themselves; a fixed number, so that sums do not depend on how many
 # threads there are
 _TASKS = 32
@@ -149,18 +135,9 @@ def make_geometry(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Ke
         Some of the grid has no light path to a camera.
     """
     planes = plane_maps(cameras, grid)
-    maps = np.stack(
-        [[plane[number].coefficients for plane in planes] for number in range(len(cameras))]
-    )
-    return KernelGeometry(
-        maps,
-        planes[0][0].degree,
-        grid.shape[1],
-        grid.shape[2],
-        cameras[0].rows,
-        cameras[0].columns,
-        margin,
-    )
+    maps = np.stack([[one.coefficients for one in maps] for maps in zip(*planes, strict=True)])
+    image = cameras[0].rows, cameras[0].columns
+    return KernelGeometry(maps, planes[0][0].degree, *grid.shape[1:], *image, margin)
 
 
 @dataclass(frozen=True)
@@ -187,40 +164,21 @@ class ProjectionOperator:
         return range(len(self.geometry.maps))
 
     def forward(self, values: F32, cameras: Sequence[int] | None = None) -> F32:
-        """Project voxels (n,) to images of all or the given cameras.
-
-        Returns (camera, row, column).
-        """
+        """Project voxels (n,) to images (camera, row, column) of all or the given cameras."""
         chosen = self._numbers(cameras)
         parts = self.support.parts(max(1, _TASKS // len(chosen)))
-        images = np.zeros(
-            (len(chosen), len(parts) - 1, self.geometry.rows * self.geometry.columns),
-            dtype=np.float32,
-        )
+        size = self.geometry.rows, self.geometry.columns
+        images = np.zeros((len(chosen), len(parts) - 1, math.prod(size)), dtype=np.float32)
         project(self.geometry, chosen, parts, self.support.start, self.support.x, values, images)
-        return self.footprint.smooth(
-            images.sum(axis=1).reshape(-1, self.geometry.rows, self.geometry.columns)
-        )
+        return self.footprint.smooth(images.sum(axis=1).reshape(-1, *size))
 
     def adjoint(self, images: F32, cameras: Sequence[int] | None = None) -> F32:
-        """Compute sum_i W_ij images_i for every voxel (n,).
-
-        The images (camera, row, column) are those of all cameras, or of the given ones.
-        """
-        flat, out = (
-            self.footprint.smooth(images).reshape(len(images), -1),
-            np.zeros(len(self.support), dtype=np.float32),
-        )
-        parts = self.support.parts(len(out) // _BLOCK + 1)
-        back_project(
-            self.geometry,
-            self._numbers(cameras),
-            parts,
-            self.support.start,
-            self.support.x,
-            flat,
-            out,
-        )
+        """Compute sum_i W_ij images_i for every voxel (n,), over all or the given cameras."""
+        flat = self.footprint.smooth(images).reshape(len(images), -1)
+        chosen, support = self._numbers(cameras), self.support
+        out = np.zeros(len(support), dtype=np.float32)
+        parts = support.parts(len(out) // _BLOCK + 1)
+        back_project(self.geometry, chosen, parts, support.start, support.x, flat, out)
         return out
 
     def _numbers(self, cameras: Sequence[int] | None) -> I64:

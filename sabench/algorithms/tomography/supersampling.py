@@ -1,9 +1,8 @@
-"""Finer grid on which lines of sight are followed.
+"""Finer grid on which lines of sight are followed, from and to the requested grid.
 
-The module converts from and to the requested grid. The footprint of a voxel is that of a point.
-Along an axis where one step moves the projection by more than about a pixel, voxels are split. In
-the result, each fine voxel is a blob of light whose projection is the footprint, and the volume
-holds the light of all blobs in each voxel.
+The footprint of a voxel is that of a point. Along an axis where one step moves the projection by
+more than about a pixel, voxels are split. In the result, each fine voxel is a blob of light whose
+projection is the footprint, and the volume holds the light of all blobs in each voxel.
 """
 
 from __future__ import annotations
@@ -57,23 +56,18 @@ def scale_of(cameras: Sequence[CameraModel], grid: Grid) -> Scale:
     """
     middle = np.array([(axis[0] + axis[-1]) / 2.0 for axis in grid.axes_mm])
     ends = middle + np.concatenate([np.eye(3), -np.eye(3)]) * np.asarray(grid.voxel_mm) / 2.0
-    pixels = np.stack([_visible(camera, ends) for camera in cameras])
+    projections = [camera.project(ends) for camera in cameras]
+    for camera, (_, valid) in zip(cameras, projections, strict=True):
+        if not valid.all():
+            raise ValueError(
+                f"{camera.name}: expected a light path to every voxel, but the middle of the grid "
+                "has none"
+            )
+    pixels = np.stack([pixels for pixels, _ in projections])
     steps = pixels[:, :3] - pixels[:, 3:]
     by_mm = steps / np.asarray(grid.voxel_mm)[:, None]
-    return Scale(
-        triple(np.linalg.norm(steps, axis=2).max(axis=0)),
-        float(np.linalg.svd(by_mm, compute_uv=False)[:, 0].mean()),
-    )
-
-
-def _visible(camera: CameraModel, points: F64) -> F64:
-    pixels, valid = camera.project(points)
-    if not valid.all():
-        raise ValueError(
-            f"{camera.name}: expected a light path to every voxel, but the middle of the grid "
-            "has none"
-        )
-    return pixels
+    magnification = float(np.linalg.svd(by_mm, compute_uv=False)[:, 0].mean())
+    return Scale(triple(np.linalg.norm(steps, axis=2).max(axis=0)), magnification)
 
 
 def splits(scale: Scale) -> Splits:
@@ -91,10 +85,7 @@ def split(grid: Grid, count: Splits) -> Grid:
 
 
 def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
-    """Return the volume (z, y, x) on `grid`.
-
-    Each fine voxel is a Gaussian blob of `sigma_mm`, or a point if that is zero.
-    """
+    """Return the volume (z, y, x) on `grid` of Gaussian blobs of `sigma_mm`, or points if 0."""
     x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
     volume = np.zeros(grid.shape, dtype=np.float32)
     _gather(support.start, support.x, values, support.shape[1], support.shape[2], x, y, z, volume)
@@ -102,11 +93,9 @@ def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: f
 
 
 def _profile(count: int, sigma: float) -> F32:
-    """Compute shares of a blob's light in the voxels around its own.
+    """Compute shares (count, 2 radius + 1) of a blob's light in the voxels around its own.
 
-    Returns (count, 2 radius + 1), by the blob's position among the fine voxels there.
-
-    `sigma` is in voxels of the grid.
+    The rows are its positions among the fine voxels there; `sigma` is in voxels of the grid.
     """
     centre = (np.arange(count) + 0.5) / count - 0.5
     if sigma == 0.0:
@@ -129,11 +118,7 @@ def _gather(
     along_z: Any,
     volume: Any,
 ) -> None:
-    """Sum fine voxels into rows of the volume.
-
-    The fine rows within the radius are added up, then every fine voxel of the sum is spread along
-    x.
-    """
+    """Sum fine rows within the radius, and spread every fine voxel of the sum along x."""
     planes, rows, _ = volume.shape
     (count_y, width_y), (count_z, width_z) = along_y.shape, along_z.shape
     for task in numba.prange(planes * rows):
@@ -167,17 +152,14 @@ def _spread(total: Any, along: Any, out: Any) -> None:
 def clear_dark(volume: F32, floor: float) -> F32:
     """Zero, in place, voxels darker than `floor` times a bright voxel.
 
-    A bright voxel is the 95th percentile of those that reach a tenth of the brightest; a few voxels
-    brighter than `_MOST` typical ones count as that bright.
-
-    One is a bright particle's peak in the images, whose light fills dozens of voxels: a bright
-    voxel is at least `_FAINTEST`.
+    A bright voxel is the 95th percentile of those that reach a tenth of the brightest, of which
+    the brightest count as `_MOST` typical ones. It is at least `_FAINTEST`: a bright particle's
+    peak in the images is 1, and its light fills dozens of voxels.
     """
     brightest = min(float(volume.max(initial=0.0)), _MOST * _typical(volume))
     bright_voxels = volume[volume > _LIT * brightest]
-    bright = max(
-        float(np.percentile(bright_voxels, _BRIGHT)) if len(bright_voxels) else 0.0, _FAINTEST
-    )
+    level = float(np.percentile(bright_voxels, _BRIGHT)) if len(bright_voxels) else 0.0
+    bright = max(level, _FAINTEST)
     volume[volume < floor * bright] = 0.0
     return volume
 

@@ -1,19 +1,6 @@
 """Velocimetry: window correlation of volumes, and of images of a light sheet."""
 
-from sabench.algorithms.velocimetry.multipass import Plan, evaluate, evaluate_once
-from sabench.algorithms.velocimetry.parameters import (
-    CorrelationParameters,
-    VolumeCorrelationParameters,
-)
-from sabench.algorithms.velocimetry.sheet import Sheet, find_sheet, light_in_sheet
+import lazy_loader
 
-__all__ = [
-    "CorrelationParameters",
-    "Plan",
-    "Sheet",
-    "VolumeCorrelationParameters",
-    "evaluate",
-    "evaluate_once",
-    "find_sheet",
-    "light_in_sheet",
-]
+# names and homes stand in the stub __init__.pyi, for type checkers too
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

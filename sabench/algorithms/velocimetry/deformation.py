@@ -1,7 +1,4 @@
-"""Deformation of volumes by a displacement field on the CPU.
-
-Cubic B-splines interpolate between the voxels.
-"""
+"""Deformation of volumes by a displacement field on the CPU, by cubic B-splines."""
 
 from __future__ import annotations
 
@@ -64,7 +61,6 @@ def _filter_line(line: Any, pole: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _filter_rows(plane: Any, pole: Any) -> None:
-    """Filter along the first axis, all columns simultaneously."""
     count, width = plane.shape
     if count < 2:
         return
@@ -92,10 +88,7 @@ def _filter_rows(plane: Any, pole: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _cubic(part: Any) -> Any:
-    """Compute weights of the four nearest coefficients.
-
-    The position is a fraction between the second and third.
-    """
+    """Compute weights of the four nearest coefficients, at a fraction from the second."""
     rest = np.float32(1.0) - part
     sixth = np.float32(1.0 / 6.0)
     outer, inner = rest * rest * rest * sixth, part * part * part * sixth
@@ -195,7 +188,6 @@ def _read_row(
 def _read_edge(
     coefficients: Any, positions: Any, corners: Any, first: int, end: int, out: Any, beyond: Any
 ) -> None:
-    """Read voxels near a face of the volume."""
     depth, height, width = coefficients.shape
     for x in range(first, end):
         i, j, k = x + corners[0, x], corners[1, x], corners[2, x]
@@ -221,11 +213,7 @@ def _is_beyond(voxel: int, part: Any, count: int) -> bool:
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
-    """Find the point at which each voxel of a row is read.
-
-    Fills in the voxel before it (x relative to its own, y, z), and the part of the distance to the
-    next.
-    """
+    """Find the voxel (x relative to its own, y, z) and fraction at which each one is read."""
     last = len(row) - 1
     for x in range(positions.shape[1]):
         at = (x - origin) / step
@@ -277,8 +265,7 @@ def _across(flat: Any, at: Any, width: Any, w: Any, v: Any) -> Any:
 def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -> Any:
     """Interpolate between a voxel and the next ones, out of 4 x 4 rows.
 
-    Positions are unsigned: an index that may be negative would be checked twice, and loops over it
-    would not be vectorised.
+    Positions are unsigned: signed indices would be checked twice, and loops not vectorised.
     """
     w, v, u = _cubic(x), _cubic(y), _cubic(z)
     return (
@@ -293,10 +280,7 @@ def _value(flat: Any, at: Any, width: Any, plane: Any, x: Any, y: Any, z: Any) -
 def _stretch(
     flat: Any, at: int, width: int, plane: int, positions: Any, first: int, end: int, out: Any
 ) -> None:
-    """Read adjacent voxels of a row, `at` + x for each of them.
-
-    All rows are parts of one array, so that the loop is vectorised.
-    """
+    """Read adjacent voxels of a row, `at` + x; rows in one array let the loop vectorise."""
     row, deep, start = np.uint64(width), np.uint64(plane), np.uint64(at + first)
     for n in range(np.uint64(end - first)):
         x = np.uint64(first) + n

@@ -16,51 +16,37 @@ _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and S
 
 
 def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
-    """Mark vectors (z, y, x, 3) near the mean of all valid ones.
-
-    Near means within so many standard deviations, component by component.
-    """
+    """Mark vectors (z, y, x, 3) whose components are so near the mean of all valid ones."""
     if not valid.any():
         return valid
     known = shift[valid]
-    return np.asarray(
-        valid
-        & (np.abs(shift - known.mean(axis=0)) <= deviations * known.std(axis=0) + _FLOOR).all(
-            axis=-1
-        )
-    )
+    near = np.abs(shift - known.mean(axis=0)) <= deviations * known.std(axis=0) + _FLOOR
+    return np.asarray(valid & near.all(axis=-1))
 
 
 def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
     """Mark vectors near the median of their 26 neighbours.
 
-    Near means not farther than `times` the median of these neighbours' own distances from it.
-
-    Beyond the edges fields are extrapolated linearly; otherwise the median of an edge's neighbours
-    would be biased inwards.
-
+    Near means at most `times` the median of these neighbours' own distances from it. Beyond the
+    edges fields are extrapolated linearly; otherwise the median would be biased inwards there.
     Source: J. Westerweel and F. Scarano, Universal outlier detection for PIV data, Exp. Fluids 39,
     1096-1100, 2005, in three dimensions.
     """
     around = np.where(valid[..., None], shift, np.nan)
     padding = [(min(1, count - 1),) * 2 for count in shift.shape[:3]]
     padded = np.pad(around, [*padding, (0, 0)], mode="reflect", reflect_type="odd")
-    padded = np.pad(
-        padded, [(1 - before,) * 2 for before, _ in padding] + [(0, 0)], constant_values=np.nan
-    )
+    margin = [*((1 - before,) * 2 for before, _ in padding), (0, 0)]
+    padded = np.pad(padded, margin, constant_values=np.nan)
     middle, spread = np.empty_like(shift), np.empty_like(shift)
     medians(padded, middle, spread)
-    far = np.linalg.norm(shift - middle, axis=-1) > times * (
-        np.linalg.norm(spread, axis=-1) + _FLOOR
-    )  # never, where there are no neighbours
+    # never far, where there are no neighbours
+    usual = np.linalg.norm(spread, axis=-1) + _FLOOR
+    far = np.linalg.norm(shift - middle, axis=-1) > times * usual
     return np.asarray(valid & ~far)
 
 
 def fill_invalid(shift: F64, valid: Bool) -> F64:
-    """Replace invalid vectors by means of their valid neighbours.
-
-    Returns zero if none is valid. Gaps are filled from their edges inwards.
-    """
+    """Replace invalid vectors by means of valid neighbours, from the edges in; 0 if none is."""
     out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
     if not known.any():
         return out
@@ -75,42 +61,27 @@ def fill_invalid(shift: F64, valid: Bool) -> F64:
 def _around(values: F64) -> F64:
     """Sum over the 3 x 3 x 3 nearest, with zeros beyond the edges."""
     for axis in range(3):
-        padded = np.pad(values, [(1, 1) if own == axis else (0, 0) for own in range(values.ndim)])
+        padded = np.pad(values, [(int(n == axis),) * 2 for n in range(values.ndim)])
         count = values.shape[axis]
-        values = sum(
-            np.take(padded, range(n, n + count), axis=axis) for n in range(1, 3)
-        ) + np.take(padded, range(count), axis=axis)
+        before, own, after = (np.take(padded, range(n, n + count), axis) for n in range(3))
+        values = own + after + before
     return values
 
 
 def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
-    """Smooth vectors by a Gaussian of standard deviations (z, y, x) in vectors.
-
-    Beyond the edges fields are extrapolated linearly.
-    """
+    """Smooth vectors by a Gaussian (z, y, x) in vectors, extrapolated linearly at edges."""
     radii = [math.ceil(_REACH * own) for own in sigma]
-    padding = [
-        (min(own, count - 1),) * 2 for own, count in zip(radii, shift.shape[:3], strict=True)
-    ]
-    wide = np.pad(shift, [*padding, (0, 0)], mode="reflect", reflect_type="odd")
-    inner = tuple(
-        slice(before, before + count)
-        for (before, _), count in zip(padding, shift.shape[:3], strict=True)
-    )
-    return np.stack(
-        [
-            gaussian_filter(wide[..., axis], sigma, mode="nearest", radius=radii)[inner]
-            for axis in range(3)
-        ],
-        axis=-1,
-    )
+    counts = shift.shape[:3]
+    margins = [min(radius, count - 1) for radius, count in zip(radii, counts, strict=True)]
+    padding = [*((margin, margin) for margin in margins), (0, 0)]
+    wide = np.moveaxis(np.pad(shift, padding, mode="reflect", reflect_type="odd"), -1, 0)
+    inner = tuple(slice(margin, margin + n) for margin, n in zip(margins, counts, strict=True))
+    smooth = [gaussian_filter(axis, sigma, mode="nearest", radius=radii)[inner] for axis in wide]
+    return np.stack(smooth, axis=-1)
 
 
 def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
-    """Mark vectors near the median of their 3 x 3 x 3 neighbourhood.
-
-    Near means within so many of its standard deviations; thesis, section 2.3.3.
-    """
+    """Mark vectors near their 3 x 3 x 3 median, in its deviations; thesis, section 2.3.3."""
     ok = valid.copy()
     for axis in range(3):
         own = shift[..., axis]

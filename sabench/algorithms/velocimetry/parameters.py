@@ -57,19 +57,9 @@ class CorrelationParameters(Parameters):
         z, y, x = (
             min(own, max(1, 2 * (there // 2))) for own, there in zip(first, shape, strict=True)
         )
-        return Plan(
-            (z, y, x),
-            last,
-            self.overlap,
-            self.passes,
-            search,
-            self.least_ratio,
-            self.least_height,
-            self.median,
-            self.smoothing,
-            self.width,
-            self.taper,
-        )
+        least = self.least_ratio, self.least_height
+        settings = self.median, self.smoothing, self.width, self.taper
+        return Plan((z, y, x), last, self.overlap, self.passes, search, *least, *settings)
 
 
 class VolumeCorrelationParameters(CorrelationParameters):

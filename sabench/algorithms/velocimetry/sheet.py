@@ -51,17 +51,12 @@ class Sheet:
         _, down, across = field.windows.step
         _, rows, columns = field.windows.counts
         low = self.origin_mm + self.pixel_mm * (np.array([column, row]) @ self.axes[:2])
-        at_rows, at_columns = (
-            np.rint(first + step * np.arange(count)).astype(np.int64)
-            for first, step, count in ((row, down, rows), (column, across, columns))
-        )
-        return Velocity(
-            triple(low),
-            (across * self.pixel_mm, down * self.pixel_mm, self.depth_mm),
-            field.shift[..., :2] @ self.axes[:2] * self.pixel_mm / interval_s,
-            field.valid & self.seen[np.ix_(at_rows, at_columns)],
-            self.axes[:2].copy(),
-        )
+        axes = (row, down, rows), (column, across, columns)
+        middles = [np.rint(first + step * np.arange(n)).astype(np.int64) for first, step, n in axes]
+        spacing = across * self.pixel_mm, down * self.pixel_mm, self.depth_mm
+        velocity = field.shift[..., :2] @ self.axes[:2] * self.pixel_mm / interval_s
+        seen = field.valid & self.seen[np.ix_(*middles)]
+        return Velocity(triple(low), spacing, velocity, seen, self.axes[:2].copy())
 
 
 def find_sheet(
@@ -94,9 +89,11 @@ def find_sheet(
     through = middle if point_mm is None else np.asarray(point_mm, dtype=np.float64)
     across = _thinnest(grid) if normal is None else np.asarray(normal) / np.linalg.norm(normal)
     points = _probe(grid, through, across)
-    views = [
-        _View.of(number, cameras[number], points, across) for number in _candidates(cameras, camera)
-    ]
+    names = [one.name for one in cameras]
+    if camera is not None and camera not in names:
+        raise InputError(f"camera: expected one of {', '.join(names)}, got {camera}")
+    numbers = range(len(cameras)) if camera is None else [names.index(camera)]
+    views = [_View.of(number, cameras[number], points, across) for number in numbers]
     best = max(views, key=lambda view: view.angle)
     best.check(len(views))
     return _lay(best, cameras[best.camera], grid, points, across)
@@ -106,10 +103,10 @@ def _thinnest(grid: Grid) -> F64:
     """Return the unit vector across a grid of one plane, or along its shortest edge."""
     single = np.asarray(grid.shape[::-1]) == 1
     if single.sum() == 1:
-        return np.asarray(single.astype(np.float64))
+        return single.astype(np.float64)
     edges = np.asarray(grid.voxel_mm) * grid.shape[::-1]
-    shortest, next_one = np.sort(edges)[:2]
-    if next_one - shortest < 1e-6 * shortest:
+    shortest, second = np.sort(edges)[:2]
+    if second - shortest < 1e-6 * shortest:
         raise InputError(
             "normal: expected that of the light sheet, since the grid of "
             f"{edges[0]:g} x {edges[1]:g} x {edges[2]:g} mm has no shortest edge, got none"
@@ -140,15 +137,6 @@ def _probe(grid: Grid, point_mm: F64, normal: F64) -> F64:
     return np.asarray(points[_in_box(grid, points)])
 
 
-def _candidates(cameras: Sequence[CameraModel], name: str | None) -> list[int]:
-    names = [one.name for one in cameras]
-    if name is None:
-        return list(range(len(cameras)))
-    if name not in names:
-        raise InputError(f"camera: expected one of {', '.join(names)}, got {name}")
-    return [names.index(name)]
-
-
 @dataclass(frozen=True)
 class _View:
     """A camera's view of a plane.
@@ -170,8 +158,8 @@ class _View:
     def of(cls, number: int, camera: CameraModel, points_mm: F64, normal: F64) -> _View:
         """Find which points a camera sees, and how it sees the plane at their middle.
 
-        The angle is that of a distant camera that shortens directions in the plane as much: the
-        ratio of the singular values of the derivatives is its sine.
+        The angle is that of a distant camera that shortens directions in the plane as much: its
+        sine is the ratio of the singular values of the derivatives.
         """
         pixels, valid = camera.project(points_mm)
         seen = points_mm[valid & camera.contains(pixels)]
@@ -187,7 +175,6 @@ class _View:
         return cls(number, camera.name, seen, slopes @ basis, round(angle, 6))
 
     def check(self, count: int) -> None:
-        """Raise a DeclinedError for a view of nothing, or along the plane."""
         if self.angle < 0.0:
             who = self.name if count == 1 else f"none of {count} cameras"
             what = "no point" if count == 1 else "a point"
@@ -198,11 +185,6 @@ class _View:
                 f"{who} sees the light sheet edge-on, at {self.angle:.0f} degrees (at least "
                 f"{_FLATTEST_DEGREES:.0f})"
             )
-
-    @property
-    def pixel_mm(self) -> float:
-        """Edge of a square in the plane as large as one pixel."""
-        return float(np.prod(np.linalg.svd(self.slopes, compute_uv=False)) ** -0.5)
 
     def axes(self, normal: F64) -> F64:
         """Choose the plane's columns, rows and normal (3, 3) as the image shows them."""
@@ -220,7 +202,9 @@ class _View:
 
 def _lay(view: _View, camera: CameraModel, grid: Grid, points_mm: F64, normal: F64) -> Sheet:
     """Lay pixels over all that a camera sees of a plane; `points_mm` fill it."""
-    axes, edge = view.axes(normal), view.pixel_mm
+    axes = view.axes(normal)
+    # of a square in the plane as large as one pixel
+    edge = float(np.prod(np.linalg.svd(view.slopes, compute_uv=False)) ** -0.5)
     every, some = points_mm @ axes.T, view.points_mm @ axes.T
     spacing = np.ptp(every, axis=0).max() / (_PROBES - 1)
     low = np.maximum(every.min(axis=0), some.min(axis=0) - spacing)
@@ -233,27 +217,17 @@ def _lay(view: _View, camera: CameraModel, grid: Grid, points_mm: F64, normal: F
     points = (start + steps).reshape(-1, 3) @ axes
     pixels, valid = camera.project(points)
     seen = valid & camera.contains(pixels) & _in_box(grid, points)
-    return Sheet(
-        view.camera,
-        start @ axes,
-        axes,
-        edge,
-        float(np.abs(normal) @ np.asarray(grid.voxel_mm)),
-        pixels.reshape(rows, columns, 2),
-        seen.reshape(rows, columns),
-    )
+    depth = float(np.abs(normal) @ np.asarray(grid.voxel_mm))
+    images = pixels.reshape(rows, columns, 2), seen.reshape(rows, columns)
+    return Sheet(view.camera, start @ axes, axes, edge, depth, *images)
 
 
 def light_in_sheet(case: Observation, sheet: Sheet, around_px: int) -> F32:
     """Resample the camera's image at the sheet's pixels: (1, row, column).
 
     The mean of the `around_px` x `around_px` pixels around is subtracted, because a background that
-    does not move would correlate with itself. Pixels that are not seen are zero.
-
-    Raises
-    ------
-    InputError
-        An image that shows nothing in the sheet.
+    does not move would correlate with itself. Pixels that are not seen are zero. An image that
+    shows nothing in the sheet is an InputError.
     """
     image, seen = case.normalised_images()[sheet.camera], sheet.seen
     places = np.where(seen[..., None], sheet.pixels, 0.0)

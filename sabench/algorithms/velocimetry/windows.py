@@ -1,17 +1,12 @@
-"""Correlation of windows and its peaks, on the CPU.
-
-correlation_kernels: Correlation of windows and its peaks, on the CPU.
+"""Windows of a volume, their correlation, and its peaks, on the CPU.
 
 Overlapping windows share their voxels. A volume is cut into blocks whose edges are the windows'
 spacing. The products of one volume with the other, shifted, are summed over each block once, and a
-window is a sum of blocks: its cost does not depend on the overlap.
-
-windows: Windows of a volume, their correlation, and its peaks.
+window is a sum of blocks: the time does not depend on the overlap.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -20,7 +15,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from sabench.utils.arrays import F32, F64, I64
+from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
@@ -70,10 +65,7 @@ def block_sums(
 
 @numba.njit(cache=True, fastmath=True)
 def _add_rows(one: Any, other: Any, search: int, rows: Any) -> None:
-    """Add the products of two rows for all shifts along them.
-
-    Also adds the second row's squares. The second begins `search` voxels further right.
-    """
+    """Add products of rows, the second `search` voxels further right, and its squares."""
     count = len(one)
     for n in range(2 * search + 1):
         dx = n - search
@@ -131,10 +123,7 @@ def _add(weight: Any, values: Any, total: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _normalise(sums: Any, floor: float, curve: Any) -> None:
-    """Compute the correlation over shifts, the mean of both directions.
-
-    Opposite shifts stand at opposite ends.
-    """
+    """Compute the correlation over shifts, the mean of opposite ones at opposite ends."""
     count = len(curve)
     rest = sums[2, count // 2], sums[3, count // 2]
     for n in range(count):
@@ -146,10 +135,7 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _highest(curve: Any, search: Any, shift: Any) -> Any:
-    """Fill in the position (x, y, z) of the best of small shifts; return its height.
-
-    It is accurate to fractions of a voxel where its neighbours were computed.
-    """
+    """Fill in the position (x, y, z) of the best of small shifts, refined; return its height."""
     top = 0
     for n in range(len(curve)):
         if curve[n] > curve[top]:
@@ -176,10 +162,7 @@ def _highest(curve: Any, search: Any, shift: Any) -> Any:
 
 @numba.njit(cache=True, fastmath=True)
 def _vertex(before: float, here: float, after: float) -> float:
-    """Locate the peak of the Gaussian through three values, from the middle one.
-
-    A parabola replaces the Gaussian where not all values are positive.
-    """
+    """Locate the peak of the Gaussian, or of a parabola, through three values."""
     if min(before, here, after) > 0.0:
         before, here, after = math.log(before), math.log(here), math.log(after)
     bend = before - 2.0 * here + after
@@ -188,10 +171,7 @@ def _vertex(before: float, here: float, after: float) -> float:
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
-    """Fill in windows (n, z, y, x) of a volume less their means.
-
-    The windows begin at corners (n, 3). Also fills in the sums of their squares (n,).
-    """
+    """Fill in windows (n, z, y, x) at corners (n, 3) less their means, and sums of squares."""
     _, deep, high, wide = out.shape
     for n in range(len(corners)):
         z, y, x = corners[n]
@@ -213,8 +193,8 @@ def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
 def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
     """Fill in the highest peaks of circular correlations (n, z, y, x).
 
-    Displacements (n, 3) as x, y, z, the heights, and their ratios to the highest
-    values elsewhere. The surroundings of the peaks are set to zero.
+    Displacements (n, 3) as x, y, z, heights, and their ratios to the highest values elsewhere; the
+    surroundings of the peaks are set to zero.
     """
     count, deep, high, wide = planes.shape
     for n in range(count):
@@ -241,10 +221,7 @@ def circular_peaks(planes: Any, shift: Any, height: Any, ratio: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _largest(values: Any) -> int:
-    """Find the first of the largest values.
-
-    The largest is found without branches, then its position.
-    """
+    """Find the first of the largest values, which is found without branches."""
     most = values[0]
     for n in range(len(values)):
         most = max(most, values[n])
@@ -256,7 +233,6 @@ def _largest(values: Any) -> int:
 
 @numba.njit(cache=True)
 def _to_displacement(position: int, count: int) -> int:
-    """Turn a circular shift into a displacement."""
     return position - count if position > count // 2 else position
 
 
@@ -283,7 +259,7 @@ class Windows:
     counts: Size
 
     @classmethod
-    def over(cls, shape: Size, size: Size, overlap: float) -> Windows:
+    def over(cls, shape: tuple[int, ...], size: Size, overlap: float) -> Windows:
         """Make as many windows as fit; those of one voxel do not overlap along its axis.
 
         Raises
@@ -317,14 +293,12 @@ class Windows:
     @property
     def blocks(self) -> Size:
         """Blocks (z, y, x) of one step each that the windows cover."""
-        z, y, x = (
-            n - 1 + own // part
-            for n, own, part in zip(self.counts, self.size, self.step, strict=True)
-        )
+        axes = zip(self.counts, self.size, self.step, strict=True)
+        z, y, x = (count - 1 + size // step for count, size, step in axes)
         return z, y, x
 
 
-def _xyz(values: Size) -> str:
+def _xyz(values: tuple[int, ...]) -> str:
     return " x ".join(str(value) for value in values[::-1])
 
 
@@ -350,9 +324,9 @@ def by_shifts(
 ) -> CorrelationPeaks:
     """Compute the normalised correlation at all shifts up to `search` (z, y, x).
 
-    The correlation is computed through sums over blocks. The second volume is shifted against the
-    window, and the first one in the opposite direction; the mean of both is taken. Two equal
-    volumes then have equal correlations at opposite shifts, whatever the window's faces cut.
+    The second volume is shifted against the window, and the first one in the opposite direction;
+    the mean of both is taken. Two equal volumes then have equal correlations at opposite shifts,
+    whatever the window's faces cut.
 
     Parameters
     ----------
@@ -369,12 +343,8 @@ def by_shifts(
         _weights(own // part, taper) for own, part in zip(windows.size, windows.step, strict=True)
     )
     energies = [float(np.mean(part[..., shape[3] // 2])) for part in squares]
-    floor = (
-        _EMPTY
-        * math.sqrt(energies[0] * energies[1])
-        * math.prod(float(line.sum()) for line in weights)
-        + 1e-30
-    )
+    weight = math.prod(float(line.sum()) for line in weights)
+    floor = _EMPTY * math.sqrt(energies[0] * energies[1]) * weight + 1e-30
     shift, height = np.empty((*windows.counts, 3)), np.empty(windows.counts)
     small_peaks(products, squares, weights, search, floor, shift, height)
     return CorrelationPeaks(shift, height, None)
@@ -383,64 +353,37 @@ def by_shifts(
 def _weights(blocks: int, taper: float | None) -> F32:
     """Compute the weights of a window's blocks along one axis."""
     middles = (np.arange(blocks) + 0.5) / blocks - 0.5
-    return np.asarray(
-        np.ones(blocks) if taper is None else np.exp(-0.5 * (middles / taper) ** 2),
-        dtype=np.float32,
-    )
+    weights = np.ones(blocks) if taper is None else np.exp(-0.5 * (middles / taper) ** 2)
+    return weights.astype(np.float32)
 
 
 def by_spectra(first: F32, second: F32, windows: Windows) -> CorrelationPeaks:
-    """Correlate windows circularly by their Fourier transforms.
-
-    This finds displacements up to half a window.
-    """
-    corners = np.array(
-        list(
-            itertools.product(
-                *(
-                    part * np.arange(count)
-                    for part, count in zip(windows.step, windows.counts, strict=True)
-                )
-            )
-        )
-    )
-    shift, height, ratio = (
-        np.zeros((len(corners), 3)),
-        np.zeros(len(corners)),
-        np.zeros(len(corners)),
-    )
+    """Correlate windows circularly by spectra, for displacements up to half a window."""
+    corners = np.ascontiguousarray(np.indices(windows.counts).reshape(3, -1).T * windows.step)
+    shift, (height, ratio) = np.zeros(corners.shape), np.zeros((2, len(corners)))
     batch = max(1, _AT_ONCE // math.prod(windows.size))
 
     def correlate(start: int) -> None:
         part = slice(start, start + batch)
-        planes, scale = _correlate(first, second, corners[part], windows.size)
+        spectra, energies = [], []
+        for volume in (first, second):
+            cut = np.empty((len(corners[part]), *windows.size), dtype=np.float32)
+            energy = np.empty(len(cut))
+            cut_windows(volume, corners[part], cut, energy)
+            spectra.append(scipy.fft.rfftn(cut, axes=(1, 2, 3)))
+            energies.append(energy)
+        product = np.conjugate(spectra[0], out=spectra[0])
+        product *= spectra[1]
+        planes = scipy.fft.irfftn(product, s=windows.size, axes=(1, 2, 3), overwrite_x=True)
+        scale = np.sqrt(energies[0] * energies[1])
         circular_peaks(planes, shift[part], height[part], ratio[part])
         height[part] /= np.where(scale > 0.0, scale, np.inf)
 
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for done in progress_bar(
-            [pool.submit(correlate, start) for start in range(0, len(corners), batch)],
-            "correlate by spectra",
-        ):
-            done.result()
+        jobs = [pool.submit(correlate, start) for start in range(0, len(corners), batch)]
+        for job in progress_bar(jobs, "correlate by spectra"):
+            job.result()
     textured = height > 0.0
-    return CorrelationPeaks(
-        (shift * textured[:, None]).reshape(*windows.counts, 3),
-        height.reshape(windows.counts),
-        (ratio * textured).reshape(windows.counts),
-    )
-
-
-def _correlate(first: F32, second: F32, corners: I64, size: Size) -> tuple[F32, F64]:
-    """Correlate windows (n, z, y, x) circularly and multiply their norms."""
-    spectra, energies = [], []
-    for volume in (first, second):
-        cut, energy = np.empty((len(corners), *size), dtype=np.float32), np.empty(len(corners))
-        cut_windows(volume, corners, cut, energy)
-        spectra.append(scipy.fft.rfftn(cut, axes=(1, 2, 3)))
-        energies.append(energy)
-    product = np.conjugate(spectra[0], out=spectra[0])
-    product *= spectra[1]
-    return scipy.fft.irfftn(product, s=size, axes=(1, 2, 3), overwrite_x=True), np.sqrt(
-        energies[0] * energies[1]
-    )
+    shift = (shift * textured[:, None]).reshape(*windows.counts, 3)
+    heights, ratios = (one.reshape(windows.counts) for one in (height, ratio * textured))
+    return CorrelationPeaks(shift, heights, ratios)

@@ -33,7 +33,7 @@ from sabench.apps.own_calibration.points import (
 from sabench.dataset.cameras import read_calibrated
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens import UPRIGHT, Distortion
-from sabench.images.photographs import read_photographs
+from sabench.images.image_reading import read_photographs
 from sabench.scenes.cameras import DistortionSpec
 from sabench.scenes.tank import build_walls, wall_towards
 from sabench.scenes.wall import CylinderSpec, WallTable, wall_tables

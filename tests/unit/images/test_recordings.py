@@ -101,9 +101,9 @@ def test_what_is_no_folder_of_images_is_refused_in_a_sentence(tmp_path: Path) ->
     expected = ": expected images (.tif, .tiff, .png, .bmp) in it or its folders, got none"
     assert sentence(tmp_path) == expected
     (tmp_path / "a.tif").write_bytes(b"no image at all")
-    assert sentence(tmp_path) == "/a.tif: expected an image, got something else"
+    assert sentence(tmp_path) == "/a.tif: expected an image of a kind that OpenCV reads, got none"
     (tmp_path / "a.tif").write_bytes(b"")
-    assert sentence(tmp_path) == "/a.tif: expected an image, got something else"
+    assert sentence(tmp_path) == "/a.tif: expected an image of a kind that OpenCV reads, got none"
 
 
 def test_images_that_do_not_belong_together_are_refused_in_a_sentence(tmp_path: Path) -> None:
@@ -118,8 +118,11 @@ def test_colours_and_floats_are_refused_in_a_sentence(tmp_path: Path) -> None:
     assert cv2.imwrite(str(tmp_path / "a.png"), colours)
     assert "/a.png: expected a grey image, got one with colours" in sentence(tmp_path)
     (tmp_path / "a.png").unlink()
-    assert cv2.imwrite(str(tmp_path / "a.tif"), colours[..., 0].astype(np.float32))
-    assert sentence(tmp_path) == "/a.tif: expected 8 or 16 bits a pixel, got float32"
+    assert cv2.imwrite(str(tmp_path / "a.tif"), colours[..., 0].astype(np.float32) + 0.5)
+    assert (
+        sentence(tmp_path)
+        == "/a.tif: expected whole grey values of 8 or 16 bits, got float32; convert it to 16 bits"
+    )
 
 
 def test_tiny_images_are_refused_in_a_sentence(tmp_path: Path) -> None:
