@@ -84,7 +84,6 @@ def score(
             autocompletion=complete_task,
         ),
     ] = None,
-    track: Annotated[str | None, typer.Option(hidden=True, help="Former name of --task.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Score a result against the truth."""
@@ -96,7 +95,7 @@ def score(
     probe_dataset(dataset)
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
-    scores = scores_of(dataset, result, task or track)
+    scores = scores_of(dataset, result, task)
     if as_json:
         say_json(scores)
     else:

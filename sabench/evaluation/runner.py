@@ -206,11 +206,7 @@ def _generated(case: SceneCase, work: Path, fresh: bool, jobs: int) -> Dataset:
 
 def _made_by() -> dict[str, str]:
     """List the versions that the content of a data set depends on."""
-    return {
-        "sabench": __version__,
-        "simulation": SIMULATION,
-        "mitsuba": version_of("mitsuba"),
-    }
+    return {"sabench": __version__, "simulation": SIMULATION, "mitsuba": version_of("mitsuba")}
 
 
 def _rank(

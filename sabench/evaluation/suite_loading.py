@@ -217,11 +217,7 @@ def _resolve_solver(solver: SolverEntry, file: Path) -> SolverEntry:
     if not solver.is_program:
         if any(
             value is not None
-            for value in (
-                solver.task,
-                solver.time_limit_s,
-                solver.memory_limit_mb,
-            )
+            for value in (solver.task, solver.time_limit_s, solver.memory_limit_mb)
         ):
             raise InputError(
                 f"{file}: solver {solver.name}: expected task, time_limit_s and memory_limit_mb "

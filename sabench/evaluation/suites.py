@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sabench import plugins
 from sabench.api.solvers import TaskName
@@ -53,11 +53,7 @@ class SolverEntry(_Table):
     name: str = Field(description="of a solver, or the path of a program next to the suite")
     parameters: dict[str, Any] = {}
     label: Name | None = Field(None, description="shown in place of the name")
-    task: TaskName | None = Field(
-        None,
-        validation_alias=AliasChoices("task", "track"),
-        description="of a program: task of its results",
-    )
+    task: TaskName | None = Field(None, description="of a program: task of its results")
     time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
     memory_limit_mb: float | None = Field(
         None, gt=0, description="of a program's processes together"

@@ -61,9 +61,7 @@ def _work(table: Any) -> float:
 
 # Where many solvers are run, it pays to load all that one of them may need.
 preload(
-    "sabench.evaluation.timed_solving",
-    "tifffile",
-    *(f"sabench.tasks.{name}" for name in NAMES),
+    "sabench.evaluation.timed_solving", "tifffile", *(f"sabench.tasks.{name}" for name in NAMES)
 )
 
 

@@ -178,13 +178,7 @@ def _check_file(result: Path, name: str) -> None:
         raise InputError(f"{name}: expected its result at {result}, found {found} there")
 
 
-def adopt(
-    path: Path,
-    root: Path,
-    out: Path,
-    account: Account | None,
-    overwrite: bool,
-) -> None:
+def adopt(path: Path, root: Path, out: Path, account: Account | None, overwrite: bool) -> None:
     """Read every value of a foreign result under all checks, and write it anew.
 
     Nothing else of the foreign file is kept.

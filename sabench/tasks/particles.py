@@ -36,6 +36,8 @@ from sabench.tasks.particles_over_time import (
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.solver_call import SolverClock, image_sequence
 from sabench.tasks.task import (
+    ANY,
+    SHARE,
     Captions,
     Figures,
     Gate,
@@ -66,12 +68,12 @@ class ParticlesTask(Task):
     # fmt: off
     scores = (
         Score("f1", "F1", "", "larger", 3,
-              "harmonic mean of precision and recall", counted=True),
+              "harmonic mean of precision and recall", counted=True, range=SHARE),
         Score("precision", "precision", "", "larger", 3,
               "share of the detections that are true, closer than 1 voxel along every axis, "
-              "one to one", counted=True),
+              "one to one", counted=True, range=SHARE),
         Score("recall", "recall", "", "larger", 3,
-              "share of the true particles that were found", counted=True),
+              "share of the true particles that were found", counted=True, range=SHARE),
         Score("ghost_percent", "ghost %", "%", "smaller", 1,
               "false detections, relative to the true ones", counted=True),
         Score("rms_px", "rms px", "px", "smaller", 3,
@@ -81,7 +83,7 @@ class ParticlesTask(Task):
               "root mean square distance between them in space"),
         Score("f1_area", "F1 area", "", "larger", 3,
               "mean of F1 over matching distances of .1, .2 ... 1 voxel", counted=True,
-              hidden=True),
+              hidden=True, range=SHARE),
         Score("duplicate_percent", "duplicate %", "%", "smaller", 2,
               "further detections closer than 1 voxel to a particle that was found, relative to "
               "the particles found; they are ghosts, too", counted=True, hidden=True),
@@ -90,25 +92,27 @@ class ParticlesTask(Task):
               "its images, with noise and neighbours; 1 at the bound", hidden=True),
         Score("coverage_68", "coverage 68", "", "unity", 2,
               "share of the found particles whose distance is within the claimed 68 % ellipsoid, "
-              "over .68", counted=True, hidden=True),
+              "over .68", counted=True, hidden=True, range=ANY),
         Score("coverage_95", "coverage 95", "", "unity", 2,
-              "the same for 95 %", counted=True, hidden=True),
+              "the same for 95 %", counted=True, hidden=True, range=ANY),
         Score("brier", "Brier", "", "smaller", 4,
               "mean square of claimed probabilities less 1 for true detections, 0 for ghosts",
               hidden=True),
         Score("link_recall", "link recall", "", "larger", 3,
               "share of the particles found in two consecutive frames that one trajectory "
-              "joins", counted=True),
+              "joins", counted=True, range=SHARE),
         Score("link_precision", "link precision", "", "larger", 3,
-              "share of the links between such frames that join the same particle", counted=True),
+              "share of the links between such frames that join the same particle", counted=True,
+              range=SHARE),
         Score("vector_recall", "vector recall", "", "larger", 3,
               "share of the true displacements between consecutive frames that a trajectory has; "
-              "particles that were not found count as missed", counted=True, hidden=True),
+              "particles that were not found count as missed", counted=True, hidden=True,
+              range=SHARE),
         Score("displacement_mm", "displacement mm", "mm", "smaller", 4,
               "root mean square error of these displacements", hidden=True),
         Score("effectiveness", "effectiveness", "", "larger", 3,
               "share of a particle's frames in which its longest trajectory has it, mean over "
-              "the particles", counted=True),
+              "the particles", counted=True, range=SHARE),
         Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 3,
               "median error of velocities: claimed ones of found particles against the true "
               "ones; without claims those of correct links, against the true mean velocity "
@@ -121,10 +125,10 @@ class ParticlesTask(Task):
         Score("hota", "HOTA", "", "larger", 3,
               "higher order tracking accuracy: geometric mean of the quality of detections and "
               "of identities, averaged over matching distances up to 1 voxel", counted=True,
-              hidden=True),
+              hidden=True, range=SHARE),
         Score("complete", "complete", "", "larger", 3,
               "share of the true trajectories that one estimated trajectory has in all frames",
-              counted=True, hidden=True),
+              counted=True, hidden=True, range=SHARE),
         Score("switch_percent", "switches %", "%", "smaller", 2,
               "changes of the estimated trajectory of a true particle, relative to true links",
               counted=True, hidden=True),

@@ -42,7 +42,17 @@ from sabench.plotting.drawing import draw
 from sabench.simulation.rendering.laser_sheet import enter_fluid
 from sabench.tasks import reconstruction
 from sabench.tasks.solver_call import SolverClock, call_solver
-from sabench.tasks.task import Captions, Figures, Gate, Score, Source, Task, check_estimate
+from sabench.tasks.task import (
+    ANY,
+    PERCENT,
+    Captions,
+    Figures,
+    Gate,
+    Score,
+    Source,
+    Task,
+    check_estimate,
+)
 from sabench.tasks.velocity_figures import field_figure
 from sabench.utils import memory
 from sabench.utils.arrays import F64, Bool, triple
@@ -132,11 +142,12 @@ class VelocimetryTask(Task):
         Score("w_p90_voxel", "w 90 % voxel", "voxel", "smaller", 3,
               "the same along Z"),
         Score("bias_voxel", "bias voxel", "voxel", "smaller", 4,
-              "length of the mean error"),
+              "length of the mean error", range=ANY),
         Score("yield_percent", "yield %", "%", "larger", 1,
-              "share of the evaluation nodes at which the velocity was measured", counted=True),
+              "share of the evaluation nodes at which the velocity was measured", counted=True,
+              range=PERCENT),
         Score("response", "response", "", "unity", 3,
-              "the part of the true field's variation that is found"),
+              "the part of the true field's variation that is found", range=ANY),
         Score("divergence_1_s", "divergence 1/s", "1/s", "smaller", 3,
               "root mean square error of the divergence, by central differences"),
         Score("vorticity_percent", "vorticity %", "%", "smaller", 1,
@@ -144,11 +155,11 @@ class VelocimetryTask(Task):
         Score("reconstruction_s", "reconstruction s", "s", "smaller", 2,
               "time of the reconstruction of one frame"),
         Score("u_bias_voxel", "u bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along X", hidden=True),
+              "mean error of the displacement along X", hidden=True, range=ANY),
         Score("v_bias_voxel", "v bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along Y", hidden=True),
+              "mean error of the displacement along Y", hidden=True, range=ANY),
         Score("w_bias_voxel", "w bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along Z", hidden=True),
+              "mean error of the displacement along Z", hidden=True, range=ANY),
         Score("u_rms_voxel", "u rms voxel", "voxel", "smaller", 4,
               "root mean square error of the displacement along X", hidden=True),
         Score("v_rms_voxel", "v rms voxel", "voxel", "smaller", 4,

@@ -135,8 +135,7 @@ class Configuration(Table):
         "`array` and `cameras`: only the wall and the target are unknown",
     )
     target_mm: Vector | None = Field(
-        None,
-        description="initial guess of the target's position; by default the mean of aim_mm",
+        None, description="initial guess of the target's position; by default the mean of aim_mm"
     )
     known: tuple[KnownSpec, ...] = ()
     unknown: tuple[Unknown, ...] = Field(

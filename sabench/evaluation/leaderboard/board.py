@@ -22,6 +22,7 @@ from sabench.evaluation.leaderboard.standings import front_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.plotting.page import escape_code, inline_code, inline_json, render_page
+from sabench.tasks.task import LARGEST
 from sabench.utils.confidence import mean_of
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, inside
@@ -164,7 +165,6 @@ _ENTRY = (
     "machine",
     "submission",
 )
-_LARGEST = 1e15  # no meaningful score is beyond it, and its digits would fill the page
 
 
 def over_seeds(records: list[Record]) -> list[Record]:
@@ -219,7 +219,8 @@ def _merge(group: list[Record]) -> Record:
 def _number(value: object) -> float | None:
     if not isinstance(value, (int, float)) or isinstance(value, bool):
         return None
-    return float(value) if -_LARGEST < value < _LARGEST else None
+    # the digits of larger values would fill the page
+    return float(value) if -LARGEST < value < LARGEST else None
 
 
 def build_page(records: list[Record], pictures: Path, out: Path) -> None:

@@ -228,10 +228,7 @@ def fill_column(
 
 
 def _with_ranks(
-    task: Task,
-    cases: list[ComparedCase],
-    cells: dict[str, Cell],
-    names: dict[str, Hashable],
+    task: Task, cases: list[ComparedCase], cells: dict[str, Cell], names: dict[str, Hashable]
 ) -> dict[str, Cell]:
     """Rank the complete cells and mark the best mean."""
     ranked = [entry for entry, cell in cells.items() if not cell.note]

@@ -163,9 +163,7 @@ def _columns(cases: dict[int, list[Result]]) -> list[tuple[str, list[int]]]:
 
 
 def _lines(
-    results: list[Result],
-    cells: Sequence[dict[str, Cell]],
-    names: Sequence[dict[str, Hashable]],
+    results: list[Result], cells: Sequence[dict[str, Cell]], names: Sequence[dict[str, Hashable]]
 ) -> Iterator[Line]:
     """Make the lines; a result that was sent again shares the line of the first one."""
     last = [_distinct(own, name) for own, name in zip(cells, names, strict=True)]
