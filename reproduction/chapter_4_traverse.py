@@ -274,7 +274,12 @@ def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 positions = calibrate(solver, step, seed).points_mm
                 first = positions if first is None else first
                 found.setdefault((name, test), []).append(
-                    np.stack([np.diff(positions[..., 2], axis=0).mean(axis=1), _scatter(positions)])
+                    np.stack(
+                        [
+                            np.diff(positions[..., 2], axis=0).mean(axis=1),
+                            np.asarray(np.diff(positions[..., 2], axis=0).std(axis=1)),
+                        ]
+                    )
                 )
                 turns.setdefault((name, test), []).append(_turn_deg(positions, first))
     for (name, test), draws in found.items():
@@ -306,10 +311,6 @@ def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             "thesis, figure 4-26: seen, without a number",
         )
     yield _figure(found)
-
-
-def _scatter(positions: F64) -> F64:
-    return np.asarray(np.diff(positions[..., 2], axis=0).std(axis=1))
 
 
 def _turn_deg(positions: F64, reference: F64) -> float:
@@ -493,7 +494,12 @@ def _differences(tests: Tests, pair: tuple[str, str]) -> tuple[F64, F64, F64]:
 
 def _measure_differences(draws: Sequence[Tests], pair: tuple[str, str]) -> F64:
     """Measure root mean squares, mm: (seed, before / after / best motion, axis)."""
-    return np.array([[_rms(part) for part in _differences(own, pair)] for own in draws])
+    return np.array(
+        [
+            [np.asarray(np.sqrt(np.mean(part**2, axis=0))) for part in _differences(own, pair)]
+            for own in draws
+        ]
+    )
 
 
 def _difference_rows(head: str, draws: Sequence[Tests], pair: tuple[str, str]) -> Iterator[Item]:
@@ -528,10 +534,6 @@ def _difference_claims(head: str, draws: Sequence[Tests], pair: tuple[str, str])
         bool(rest.max() < 0.1),
         "holds below a tenth",
     )
-
-
-def _rms(errors: F64) -> F64:
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
 def _difference_figure(tests: Tests) -> Figure:

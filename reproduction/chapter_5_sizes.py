@@ -37,7 +37,16 @@ def fig_5_15(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """
     panels = []
     for jet in detect_jets(seeds, pixels):
-        panels.append(_panel(jet))
+        edges = _edges(jet)
+        middle = list((edges[1:] + edges[:-1]) / 2.0)
+        curves = []
+        for name, every in (("found", jet.found), ("true", jet.true)):
+            means = counts_per_frame(_radii(every), edges)
+            spread = [mean.half_width or 0.0 for mean in means] if name == "found" else None
+            curves.append(Curve(name, middle, [mean.mean for mean in means], spread))
+        panels.append(
+            Panel(f"h = {jet.height} mm", "radius, mm", "bubbles per frame", tuple(curves))
+        )
         yield from _scores(jet)
         yield from _ranges(jet)
         yield _small(jet)
@@ -118,17 +127,6 @@ def _intervals(jet: JetFrames) -> Item:
         f"{len(held)} bins, {len(jet.found)} frames",
     )
     return replace(row, seeds=len(jet.found))
-
-
-def _panel(jet: JetFrames) -> Panel:
-    edges = _edges(jet)
-    middle = list((edges[1:] + edges[:-1]) / 2.0)
-    curves = []
-    for name, every in (("found", jet.found), ("true", jet.true)):
-        means = counts_per_frame(_radii(every), edges)
-        spread = [mean.half_width or 0.0 for mean in means] if name == "found" else None
-        curves.append(Curve(name, middle, [mean.mean for mean in means], spread))
-    return Panel(f"h = {jet.height} mm", "radius, mm", "bubbles per frame", tuple(curves))
 
 
 _WATER = Liquid()

@@ -86,7 +86,14 @@ def _measure(scene: Scene, seed: int, shots: tuple[Shot, ...]) -> Figures:
         seen = _Seen(cases, shots, times, tuple(_hidden(shot, chosen) for shot in shots))
         out[count, "all", "hidden views, %"] = 100.0 * float(seen.hidden[0].mean())
         for solver in _SOLVERS:
-            for what, value in _particles(solver, seen).items():
+            # find the particles of the first frame; recall and ghosts in percent
+            hit, scored, ghosts = _match(
+                solver, seen.cases[0], seen.times_s[0], seen.shots[0].particles
+            )
+            figures = {"recall, %": _percent(hit[scored])}
+            for name, inside in _classes(seen.hidden[0]):
+                figures[f"recall, hidden from {name}, %"] = _percent(hit[scored & inside])
+            for what, value in (figures | {"ghosts, %": ghosts}).items():
                 out[count, solver, what] = value
         for what, value in _velocities(scene, seed, seen).items():
             out[count, _FIELD, what] = value
@@ -109,15 +116,6 @@ def _classes(hidden: F64) -> Iterator[tuple[str, Bool]]:
     for name, (low, high) in _HIDDEN.items():
         inside = hidden <= high if high == 0.0 else (hidden > low) & (hidden <= high)
         yield name, np.asarray(inside)
-
-
-def _particles(solver: str, seen: _Seen) -> dict[str, float]:
-    """Find the particles of the first frame; recall and ghosts in percent."""
-    hit, scored, ghosts = _match(solver, seen.cases[0], seen.times_s[0], seen.shots[0].particles)
-    figures = {"recall, %": _percent(hit[scored])}
-    for name, inside in _classes(seen.hidden[0]):
-        figures[f"recall, hidden from {name}, %"] = _percent(hit[scored & inside])
-    return figures | {"ghosts, %": ghosts}
 
 
 def _match(
@@ -250,7 +248,15 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     found: list[dict[str, float]] = []
     for seed in seeds:
         shot = _record(scene, seed)
-        found.append(_bubbles(shot) | _tracers(shot) | _body(shot))
+        visible = np.mean([sight.visible for sight in shot.sights], axis=0)
+        out: dict[str, float] = {}
+        for name in _BUBBLES:
+            scores = detection_scores(run(name, shot.case), shot.bubbles, visible)
+            out |= {f"bubbles, {name}: {key}": scores[key] for key in _KEYS}
+        # compare the body's pixels with those that show it: intersection over union
+        body = separate_phases(shot.case, image_diameter_px(shot.case, _LARGEST_MM)).body
+        true = np.stack([sight.number <= BODY for sight in shot.sights])
+        found.append(out | _tracers(shot) | {"body: intersection over union": overlap(body, true)})
         report(f"three phases, seed {seed}: measured")
         if seed == seeds[0]:
             yield _phases_figure(shot.case)
@@ -270,15 +276,6 @@ def _record(scene: Scene, seed: int) -> _Shot:
     return _Shot(case, frame.bubbles, frame.tracers.particles, seen > 0.5, sights)
 
 
-def _bubbles(shot: _Shot) -> dict[str, float]:
-    visible = np.mean([sight.visible for sight in shot.sights], axis=0)
-    out: dict[str, float] = {}
-    for name in _BUBBLES:
-        scores = detection_scores(run(name, shot.case), shot.bubbles, visible)
-        out |= {f"bubbles, {name}: {key}": scores[key] for key in _KEYS}
-    return out
-
-
 def _tracers(shot: _Shot) -> dict[str, float]:
     """Compute recall of all tracers and of those seen by most, and ghosts."""
     out: dict[str, float] = {}
@@ -290,13 +287,6 @@ def _tracers(shot: _Shot) -> dict[str, float]:
             f"tracers, {name}: ghosts, %": ghosts,
         }
     return out
-
-
-def _body(shot: _Shot) -> dict[str, float]:
-    """Compare the body's pixels with those that show it: intersection over union."""
-    body = separate_phases(shot.case, image_diameter_px(shot.case, _LARGEST_MM)).body
-    true = np.stack([sight.number <= BODY for sight in shot.sights])
-    return {"body: intersection over union": overlap(body, true)}
 
 
 def overlap(found: Bool, true: Bool) -> float:

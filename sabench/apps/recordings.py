@@ -21,7 +21,7 @@ from sabench.images.statistics import (
     flux_ratio_spread,
     measure_camera,
 )
-from sabench.utils.arrays import F64, U16
+from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
@@ -150,14 +150,15 @@ def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
         images = [dataset.raw_image(number, frame) for number in range(len(seen))]
         yield np.stack(
             [
-                _flux_at(image, pixels, _white(dataset, number))
+                flux_near(
+                    fit_particle_images(image, _white(dataset, number)),
+                    pixels,
+                    _REACH_PX,
+                    _APART_PX,
+                )
                 for number, (image, pixels) in enumerate(zip(images, seen, strict=True))
             ]
         )
-
-
-def _flux_at(image: U16, pixels: F64, white_dn: float) -> F64:
-    return flux_near(fit_particle_images(image, white_dn), pixels, _REACH_PX, _APART_PX)
 
 
 def _pixels(dataset: Dataset, frame: int) -> list[F64]:

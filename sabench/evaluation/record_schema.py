@@ -233,7 +233,14 @@ def parse(line: bytes) -> Record:
     )
     if not isinstance(value, dict):
         raise ValueError(f"a {type(value).__name__}")
-    if _depth(value) > _DEEPEST:
+    # count tables and lists within each other, without recursion
+    depth, level = 0, [value]
+    while level := [one for one in level if isinstance(one, dict | list)]:
+        depth += 1
+        level = [
+            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
+        ]
+    if depth > _DEEPEST:
         raise ValueError(f"more than {_DEEPEST} tables and lists within each other")
     try:
         return Head.model_validate(value).model_dump()
@@ -288,14 +295,3 @@ def _make_table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
         raise ValueError(f"the key {printable(twice)!r} twice")
     return table
-
-
-def _depth(value: Any) -> int:
-    """Count tables and lists within each other, without recursion."""
-    depth, level = 0, [value]
-    while level := [one for one in level if isinstance(one, dict | list)]:
-        depth += 1
-        level = [
-            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
-        ]
-    return depth

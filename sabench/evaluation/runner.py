@@ -189,7 +189,15 @@ def _generated(case: SceneCase, work: Path, fresh: bool, jobs: int) -> Dataset:
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
         made = dataset.manifest.versions
-        if all(made.get(name) == version for name, version in _made_by().items()):
+        # list the versions that the content of a data set depends on
+        if all(
+            made.get(name) == version
+            for name, version in {
+                "sabench": __version__,
+                "simulation": SIMULATION,
+                "mitsuba": version_of("mitsuba"),
+            }.items()
+        ):
             console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
@@ -202,11 +210,6 @@ def _generated(case: SceneCase, work: Path, fresh: bool, jobs: int) -> Dataset:
         overwrite=True,
         jobs=jobs,
     )
-
-
-def _made_by() -> dict[str, str]:
-    """List the versions that the content of a data set depends on."""
-    return {"sabench": __version__, "simulation": SIMULATION, "mitsuba": version_of("mitsuba")}
 
 
 def _rank(
@@ -225,7 +228,11 @@ def _rank(
     public = case.number is None
     folder = leaderboard / "pictures" / case.file_name if pictured and public else None
     if folder:
-        _picture_case(folder, dataset)
+        # draw the images of the cameras and, if it is known, the truth
+        task = tasks.of_data(dataset)
+        _draw(folder / "images.png", task.images(dataset))
+        if dataset.has_truth:
+            _draw(folder / "truth.png", task.picture(dataset, "truth"))
     for solver_entry, head in solver_entries:
         record = (
             head
@@ -263,14 +270,6 @@ def _checked(scores: dict[str, Any], head: Record) -> dict[str, Any]:
     if faults := list(score_faults(head["task"], scores)):
         raise InputError.from_faults(f"solver {head['solver']}", faults)
     return {key: value for key, value in scores.items() if key not in head}
-
-
-def _picture_case(folder: Path, dataset: Dataset) -> None:
-    """Draw the images of the cameras and, if it is known, the truth."""
-    task = tasks.of_data(dataset)
-    _draw(folder / "images.png", task.images(dataset))
-    if dataset.has_truth:
-        _draw(folder / "truth.png", task.picture(dataset, "truth"))
 
 
 def _picture_result(
@@ -311,21 +310,17 @@ def _describe(case: Case, solver_entry: SolverEntry, suite: str) -> Record:
     }
     judged_by = [case.quality.model_dump()] if isinstance(case, RecordedCase) else []
     run_hash = digest([*(head[key] for key in _RUN), *judged_by])
+    # list the words of the command that makes a record again
+    seed = [] if isinstance(case, RecordedCase) else ["--seed", str(case.shown_seed)]
+    more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
+    words = ["sabench", "run", suite, "--case", case.name, *seed]
     return {
         **head,
         "versions": versions(),
         "machine": machine(),
         "run_hash": run_hash,
-        "command": shlex.join(_command(case, solver_entry, suite)),
+        "command": shlex.join([*words, "--solver", solver_entry.shown, *more]),
     }
-
-
-def _command(case: Case, solver_entry: SolverEntry, suite: str) -> list[str]:
-    """List the words of the command that makes a record again."""
-    seed = [] if isinstance(case, RecordedCase) else ["--seed", str(case.shown_seed)]
-    more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
-    words = ["sabench", "run", suite, "--case", case.name, *seed]
-    return [*words, "--solver", solver_entry.shown, *more]
 
 
 def _blank(task: str) -> dict[str, Any]:

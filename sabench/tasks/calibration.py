@@ -255,7 +255,17 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
     noise_px = detection_noise(case.pixels, exact, good)
     motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
     aligned = target_alignment(target_points(answer, case), truth_mm, motion)
-    held_out = _held_out(data, noise_px)
+    # draw random points (n, 3) of the volume, with noisy pixels (camera, n, 2). The true cameras
+    # project the points
+    volume, rng = data.scene.volume, stream(data.manifest.seed, "held out")
+    aside = (rng.random((_HELD_OUT, 3)) - 0.5) * np.asarray(volume.size_mm)
+    points_mm = np.asarray(volume.center_mm) + aside
+    pixels = np.full((len(data.true_cameras), _HELD_OUT, 2), np.nan)
+    for number, camera in enumerate(data.true_cameras):
+        there, valid = camera.project(points_mm)
+        seen = valid & camera.contains(there)
+        pixels[number, seen] = there[seen] + noise_px * rng.standard_normal((int(seen.sum()), 2))
+    held_out = points_mm, pixels
     others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
     return scores | others
 
@@ -334,22 +344,6 @@ def _particles(data: Dataset) -> tuple[F64, F64]:
     truth_mm = truth_mm[order[:_PARTICLES]]
     exact = [exact_pixels(camera, truth_mm[None])[0] for camera in data.true_cameras]
     return truth_mm, np.stack(exact)
-
-
-def _held_out(data: Dataset, noise_px: float) -> tuple[F64, F64]:
-    """Draw random points (n, 3) of the volume, with noisy pixels (camera, n, 2).
-
-    The true cameras project the points.
-    """
-    volume, rng = data.scene.volume, stream(data.manifest.seed, "held out")
-    aside = (rng.random((_HELD_OUT, 3)) - 0.5) * np.asarray(volume.size_mm)
-    points_mm = np.asarray(volume.center_mm) + aside
-    pixels = np.full((len(data.true_cameras), _HELD_OUT, 2), np.nan)
-    for number, camera in enumerate(data.true_cameras):
-        there, valid = camera.project(points_mm)
-        seen = valid & camera.contains(there)
-        pixels[number, seen] = there[seen] + noise_px * rng.standard_normal((int(seen.sum()), 2))
-    return points_mm, pixels
 
 
 TASK = CalibrationTask()

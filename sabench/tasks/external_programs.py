@@ -93,8 +93,17 @@ def run_program(
         sees = "; sees its folder and SABENCH_VISIBLE" if desk.confined else "; not confined"
         said = f"{path.name}: at most {limits.time_s:g} s{sees}"
         console.print(said, markup=False, highlight=False)
+        # format parameters as name=value: strings as they are, all else as JSON
         cost = run_limited(
-            [str(path), str(desk.observation), str(desk.result), *_words(parameters or {})],
+            [
+                str(path),
+                str(desk.observation),
+                str(desk.result),
+                *[
+                    f"{name}={value if isinstance(value, str) else json.dumps(value)}"
+                    for name, value in (parameters or {}).items()
+                ],
+            ],
             desk.scratch,
             limits,
             path.name,
@@ -146,7 +155,10 @@ def adopt_from(
 
     `name` is that of the solver in errors.
     """
-    _check_file(desk.result, name)
+    result = desk.result
+    if result.is_symlink() or not result.is_file():
+        found = "a link" if result.is_symlink() else "no file"
+        raise InputError(f"{name}: expected its result at {result}, found {found} there")
     try:
         probe(desk.result)
         known = account(open_result(desk.result, dataset))
@@ -162,20 +174,6 @@ def adopt_from(
         )
     finally:
         clear_abandoned(out.absolute())
-
-
-def _words(parameters: dict[str, Any]) -> list[str]:
-    """Format parameters as name=value: strings as they are, all else as JSON."""
-    return [
-        f"{name}={value if isinstance(value, str) else json.dumps(value)}"
-        for name, value in parameters.items()
-    ]
-
-
-def _check_file(result: Path, name: str) -> None:
-    if result.is_symlink() or not result.is_file():
-        found = "a link" if result.is_symlink() else "no file"
-        raise InputError(f"{name}: expected its result at {result}, found {found} there")
 
 
 def adopt(path: Path, root: Path, out: Path, account: Account | None, overwrite: bool) -> None:

@@ -55,7 +55,7 @@ from sabench.tasks.task import (
 )
 from sabench.tasks.velocity_figures import field_figure
 from sabench.utils import memory
-from sabench.utils.arrays import F64, Bool, triple
+from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
@@ -235,7 +235,12 @@ class VelocimetryTask(Task):
     def truth(self, data: Dataset, frame: int) -> Velocity:
         """Make the true velocity at the evaluation nodes."""
         lattice = self.empty(data, frame)
-        return replace(lattice, velocity_mm_s=truth_at(data, _pair(data, frame), lattice))
+        return replace(
+            lattice,
+            velocity_mm_s=truth_at(
+                data, next(pair for pair in data.setup.pairs() if pair[0] == frame), lattice
+            ),
+        )
 
     def empty(self, data: Dataset, frame: int) -> Velocity:
         """Make a field at rest: what an estimate that sees no motion returns."""
@@ -317,10 +322,6 @@ def interval_s(data: Dataset, pair: tuple[int, int]) -> float:
     return data.setup.time_s(pair[1]) - data.setup.time_s(pair[0])
 
 
-def _pair(data: Dataset, first: int) -> tuple[int, int]:
-    return next(pair for pair in data.setup.pairs() if pair[0] == first)
-
-
 def evaluation_nodes(data: Dataset) -> Velocity:
     """Make the nodes at which fields are scored: in the light sheet, if there is one."""
     grid, sheet = data.setup.grid, light_sheet(data)
@@ -337,25 +338,21 @@ def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[st
     nodes = evaluation_nodes(data)
     sampled, measured = sample_velocity(field, nodes.positions_mm.reshape(-1, 3))
     counted = nodes.components(sampled.reshape(nodes.velocity_mm_s.shape))
-    return velocity_scores(
-        counted,
-        nodes.components(truth_at(data, pair, nodes)),
-        measured.reshape(nodes.valid.shape),
-        _in_fluid(data, pair, nodes) & nodes.valid,
-        nodes.step_mm,
-        interval_s(data, pair),
-        triple(lengths_along(nodes.axes, data.setup.grid.voxel_mm)),
-    )
-
-
-def _in_fluid(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> Bool:
-    """Mark the nodes (z, y, x) that no body contains in either frame of a pair."""
-    points = lattice.positions_mm.reshape(-1, 3)
+    # mark the nodes (z, y, x) that no body contains in either frame of a pair
+    points = nodes.positions_mm.reshape(-1, 3)
     fluid = np.ones(len(points), dtype=np.bool_)
     for frame in pair if data.scene.solids else ():
         for body in data.solids(frame):
             fluid &= ~contains(body, points)
-    return fluid.reshape(lattice.valid.shape)
+    return velocity_scores(
+        counted,
+        nodes.components(truth_at(data, pair, nodes)),
+        measured.reshape(nodes.valid.shape),
+        fluid.reshape(nodes.valid.shape) & nodes.valid,
+        nodes.step_mm,
+        interval_s(data, pair),
+        triple(lengths_along(nodes.axes, data.setup.grid.voxel_mm)),
+    )
 
 
 def truth_at(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> F64:

@@ -124,16 +124,12 @@ def view_of_import(solver: str) -> View:
     """
     python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
     own = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
-    kernels = [_PACKAGE, *own, *_import_paths(), *_kernel_folders()]
+    # list the folders of compiled kernels, of numba and Dr.Jit
+    kernels = [_PACKAGE, *own, *_import_paths(), *[kernel_folder(), Path.home() / ".drjit"]]
     view = View(readable=_words(python), hidden=_words(_find_secret([*python, *kernels])))
     if plugins.is_bundled("solvers", solver):
         return replace(view, writable=_words(kernels), home=str(Path.home()))
     return replace(view, changeable=_words(kernels))
-
-
-def _kernel_folders() -> list[Path]:
-    """List the folders of compiled kernels, of numba and Dr.Jit."""
-    return [kernel_folder(), Path.home() / ".drjit"]
 
 
 def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:

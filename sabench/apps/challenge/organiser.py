@@ -31,8 +31,7 @@ from sabench.evaluation.leaderboard.page_content import gate_text
 from sabench.evaluation.runner import dataset_of
 from sabench.evaluation.solver_card import CARD, SolverCard
 from sabench.evaluation.suite_loading import load_suite, read_secret
-from sabench.evaluation.suites import Case, Suite
-from sabench.tasks.task import Score
+from sabench.evaluation.suites import Case
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, zip_folder
 from sabench.utils.progress import console
@@ -163,12 +162,8 @@ def _quoted(text: str) -> str:
 def _columns(challenge: Challenge) -> Iterator[str]:
     scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
     for number, one in enumerate(scores):
-        yield _column(number, one.key, one.heading, _sorting(one))
+        yield _column(number, one.key, one.heading, "asc" if one.better == "smaller" else "desc")
     yield _column(len(scores), ADMITTED, "admitted", "desc")
-
-
-def _sorting(score: Score) -> str:
-    return "asc" if score.better == "smaller" else "desc"
 
 
 def _column(number: int, key: str, title: str, sorting: str) -> str:
@@ -212,7 +207,8 @@ def make_challenge(
     # by hash, so that the order tells no case
     made = sorted(_data_sets(wanted, out / "private", jobs), key=lambda one: one.content_hash)
     named = {f"data_{number:03d}": data for number, data in enumerate(made)}
-    challenge = _describe(loaded, chosen, named)
+    hashes = {name: data.content_hash for name, data in named.items()}
+    challenge = Challenge(title=loaded.title, task=chosen, sabench=__version__, data_sets=hashes)
     with tempfile.TemporaryDirectory(prefix="sabench-", dir=out) as scratch:
         folder = Path(scratch) / "participant"
         _write_participant(challenge, named, folder)
@@ -245,11 +241,6 @@ def _data_sets(cases: list[Case], work: Path, jobs: int) -> Iterator[Dataset]:
         text = f"data set {number} of {len(cases)}: {case.name}, {case.words}"
         console.print(text, markup=False, highlight=False)
         yield dataset_of(case, work, False, jobs)
-
-
-def _describe(suite: Suite, task: TaskName, named: dict[str, Dataset]) -> Challenge:
-    hashes = {name: data.content_hash for name, data in named.items()}
-    return Challenge(title=suite.title, task=task, sabench=__version__, data_sets=hashes)
 
 
 def _write_participant(challenge: Challenge, named: dict[str, Dataset], folder: Path) -> None:

@@ -180,7 +180,11 @@ def read_case(folder: Path) -> Recording:
     else:
         cameras = _known_cameras(configuration, folder)
     target = _target(configuration, folder)
-    plain = target.points_mm @ upright_axes(cameras).T + np.asarray(_middle(configuration))
+    # guess where the target is: as configured, or where cameras are aimed
+    aims = [camera.aim_mm for camera in configuration.cameras]
+    plain = target.points_mm @ upright_axes(cameras).T + np.asarray(
+        configuration.target_mm or triple(np.mean(aims, axis=0))
+    )
     names = [camera.name for camera in cameras]
     if len(plain) == 1 and target.pattern == "points":
         seen = read_loose_points(folder / POINTS, names)
@@ -220,12 +224,6 @@ def _target(configuration: Configuration, folder: Path) -> Target:
     if points is not None:
         return Target.from_places(read_target(inside(folder, points)))
     return Target.from_places(((0.0, 0.0, 0.0),))
-
-
-def _middle(configuration: Configuration) -> Vector:
-    """Guess where the target is: as configured, or where cameras are aimed."""
-    aims = [camera.aim_mm for camera in configuration.cameras]
-    return configuration.target_mm or triple(np.mean(aims, axis=0))
 
 
 def _check_lengths(configuration: Configuration, source: str) -> None:

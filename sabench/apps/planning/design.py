@@ -67,7 +67,13 @@ def design_scene(base: Scene, wanted: Wanted) -> Scene:
     viewing = view(base, build_rig(base, base.title))
     start = _with_volume(base, viewing, wanted)
     values = _move_cameras(start, viewing, wanted, base)
-    values["cameras"]["f_number"] = _f_number(_scene(values), wanted)
+    # choose the f-number with the wanted depth of field, or the base's. The depth of field grows
+    # with its square
+    scene = _scene(values)
+    field = _figure(scene, "depth_of_field_mm")
+    values["cameras"]["f_number"] = scene.cameras.f_number * max(
+        1.0, math.sqrt(wanted.depth_mm / field)
+    )
     values["illumination"]["pulse_energy_mj"] *= electrons / _figure(_scene(values), "peak_e")
     return _scene(_with_crop(values, viewing, wanted))
 
@@ -157,15 +163,6 @@ def _scaled(values: Values, base: Scene, middle: F64, place: F64, scale: float) 
     if base.cameras.focus_mm is not None:
         moved["cameras"]["focus_mm"] = base.cameras.focus_mm * scale
     return moved
-
-
-def _f_number(scene: Scene, wanted: Wanted) -> float:
-    """Choose the f-number with the wanted depth of field, or the base's.
-
-    The depth of field grows with its square.
-    """
-    field = _figure(scene, "depth_of_field_mm")
-    return scene.cameras.f_number * max(1.0, math.sqrt(wanted.depth_mm / field))
 
 
 def _with_crop(values: Values, viewing: Viewing, wanted: Wanted) -> Values:

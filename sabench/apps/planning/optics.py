@@ -51,7 +51,11 @@ def plan_view(scene: Scene, view: Viewing) -> Section:
         Quantity("pixel_back_mm", view.pixel_mm(1.0), "pixel dX at the back face", "(2.5)"),
         Quantity("pixel_coarsest_mm", view.pixels_mm.max(), "of the farthest camera", "(2.5)"),
         Quantity(
-            "voxel_over_pixel", max(_across(scene, view)) / pixel, "voxel width / dX", "grid, (2.5)"
+            "voxel_over_pixel",
+            max([size for edge, size in enumerate(scene.grid.voxel_mm) if edge != view.axis])
+            / pixel,
+            "voxel width / dX",
+            "grid, (2.5)",
         ),
         Quantity(
             "voxel_length",
@@ -68,10 +72,6 @@ def plan_view(scene: Scene, view: Viewing) -> Section:
         Quantity("least_share", float(shares.min()), "share that the worst camera sees", "traced"),
     )
     return Section("view", quantities, tuple(_advise_view(scene, view, shares, quantities)))
-
-
-def _across(scene: Scene, view: Viewing) -> list[float]:
-    return [size for edge, size in enumerate(scene.grid.voxel_mm) if edge != view.axis]
 
 
 def _advise_view(

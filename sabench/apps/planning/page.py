@@ -79,7 +79,12 @@ def _outlines(
     scene: Scene, view: Viewing, plane: tuple[int, int], low: F64, high: F64
 ) -> Iterator[Outline]:
     yield Outline("volume", _corners(view, plane), closed=True)
-    section = _section(view, plane, low, high)
+    # make points (row, column, 3) of the plane through the volume's middle
+    points = np.tile(view.center_mm, (_NODES, _NODES, 1))
+    steps = np.linspace(low, high, _NODES)
+    points[..., plane[0]] = steps[None, :, 0]
+    points[..., plane[1]] = steps[:, None, 1]
+    section = points
     walls = list(dict.fromkeys(one.wall for one in view.rig.cameras if one.wall is not None))
     for wall in walls:
         for depth in _faces(wall):
@@ -93,15 +98,6 @@ def _outlines(
         for ray in _rays(camera, view, plane):
             yield Outline("ray", ray)
         yield Outline("camera", _symbol(camera, plane, _CAMERA * (high - low).max()), closed=True)
-
-
-def _section(view: Viewing, plane: tuple[int, int], low: F64, high: F64) -> F64:
-    """Make points (row, column, 3) of the plane through the volume's middle."""
-    points = np.tile(view.center_mm, (_NODES, _NODES, 1))
-    steps = np.linspace(low, high, _NODES)
-    points[..., plane[0]] = steps[None, :, 0]
-    points[..., plane[1]] = steps[:, None, 1]
-    return points
 
 
 def _faces(wall: WallRecord) -> list[float]:

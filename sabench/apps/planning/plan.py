@@ -86,7 +86,9 @@ def plan_recording(
     scene: Scene, view: Viewing, recorder: Recorder, sample: Sample | None
 ) -> Section:
     """Compute data rates and times; a single frame and a target have none."""
-    frame_mb = scene.cameras.rows * scene.cameras.columns * _bytes_per_pixel(scene) / 1e6
+    frame_mb = (
+        scene.cameras.rows * scene.cameras.columns * (1 if scene.sensor.bit_depth <= 8 else 2) / 1e6
+    )
     data = Quantity("frame_mb", frame_mb, "data of a frame, MB", "8 or 16 bits a pixel")
     if scene.timing is None and (scene.frames == 1 or scene.targets is not None):
         return Section("recording", (data,))
@@ -129,10 +131,6 @@ def shortest_step_s(scene: Scene) -> float:
     if scene.timing is None or len(scene.timing.pulses_s) < 2:
         return 1.0 / frames_per_s(scene)
     return float(np.diff(scene.timing.pulses_s).min())
-
-
-def _bytes_per_pixel(scene: Scene) -> int:
-    return 1 if scene.sensor.bit_depth <= 8 else 2
 
 
 def _straddling(scene: Scene, recorder: Recorder) -> list[Quantity]:

@@ -80,7 +80,11 @@ def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
     particles = [one.particles for one in near]
     share = shown_share(particles)
     if share < 1.0:
-        notes.append(_thinned(particles, share))
+        count = sum(len(one) for one in particles)
+        notes.append(
+            f"Particles are thinned: about {share * count:.0f} of {count} are drawn, "
+            f"{100.0 * share:.3g} % of each kind; counts are of all."
+        )
     packer = Packer()
     values = {
         "title": contents.title,
@@ -114,14 +118,6 @@ def _leave_out_far(contents: Contents) -> tuple[list[Frame], list[str]]:
         frames.append(Frame(one.number, one.time_s, own, one.bubbles, one.solids))
     text = f"{dropped} particles farther outside the volume than its size are left out."
     return frames, [text] if dropped else []
-
-
-def _thinned(clouds: Sequence[Cloud], share: float) -> str:
-    count = sum(len(one) for one in clouds)
-    return (
-        f"Particles are thinned: about {share * count:.0f} of {count} are drawn, "
-        f"{100.0 * share:.3g} % of each kind; counts are of all."
-    )
 
 
 def _frames(frames: Sequence[Frame], shown: Sequence[Cloud], packer: Packer) -> dict[str, Any]:

@@ -239,13 +239,9 @@ def thin(clouds: Sequence[Cloud], share: float) -> list[Cloud]:
 def _chosen(cloud: Cloud, frame: int, share: float) -> Bool:
     """Choose objects by their trajectories; those without one at random."""
     draws = stream(0, "view", frame).random(len(cloud))
-    return np.where(cloud.trajectory >= 0, _hash(cloud.trajectory), draws) < share
-
-
-def _hash(numbers: I64) -> F64:
-    """Scatter numbers (n,) over 0 to 1."""
-    spread = (numbers % _SPAN).astype(np.uint64) * np.uint64(_PRIME) % np.uint64(_SPAN)
-    return np.asarray(spread / _SPAN)
+    # scatter numbers (n,) over 0 to 1
+    spread = (cloud.trajectory % _SPAN).astype(np.uint64) * np.uint64(_PRIME) % np.uint64(_SPAN)
+    return np.where(cloud.trajectory >= 0, np.asarray(spread / _SPAN), draws) < share
 
 
 class Estimates:

@@ -211,7 +211,16 @@ def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
     packed, total, names, every = path.stat().st_size, 0, set(), []
     for member in itertools.islice(members, _MEMBERS + 1):
         total += member.bytes
-        _check_name(path, member.name)
+        name = member.name
+        parts = name.replace("\\", "/").split("/")
+        if (
+            name.startswith(("/", "\\"))
+            or ".." in parts
+            or ":" in parts[0]
+            or "\0" in name
+            or not name
+        ):
+            raise InputError(f"{path}: expected names inside the archive, got {printable(name)!r}")
         if member.name in names:
             raise InputError(
                 f"{path}: expected different names, got {printable(member.name)} twice"
@@ -230,12 +239,6 @@ def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
 
 def _is_wanted(name: str) -> bool:
     return name.endswith((_ENDING, CARD)) and not name.startswith(".")
-
-
-def _check_name(path: Path, name: str) -> None:
-    parts = name.replace("\\", "/").split("/")
-    if name.startswith(("/", "\\")) or ".." in parts or ":" in parts[0] or "\0" in name or not name:
-        raise InputError(f"{path}: expected names inside the archive, got {printable(name)!r}")
 
 
 def _copy(archive: Any, member: Member, target: Path, path: Path) -> Path:
@@ -279,7 +282,9 @@ def pack_results(
     """
     check_name(out)
     known = read_cards(files.cards, cards)
-    check_solvers(known, _solvers(files))
+    for _, file in files.results:
+        probe(file)
+    check_solvers(known, [read_solver(file) for _, file in files.results])
     with (
         complete_or_nothing(out, overwrite=overwrite) as partial,
         tempfile.TemporaryDirectory(prefix="sabench-") as folder,
@@ -293,12 +298,6 @@ def check_name(out: Path) -> None:
     """Refuse a name that is not one of a zip archive."""
     if out.suffix != ".zip":
         raise InputError(f"{out}: expected a name that ends in .zip for an archive of results")
-
-
-def _solvers(files: Submitted) -> list[str]:
-    for _, file in files.results:
-        probe(file)
-    return [read_solver(file) for _, file in files.results]
 
 
 def _copy_results(files: Submitted, cards: list[SolverCard], folder: Path) -> None:

@@ -77,7 +77,11 @@ def _pictures(
             continue
         rank = seen[place] = seen.get(place, 0) + 1
         stem = stem_of(run)
-        wanted = [(0, "images", "images")] + ([(0, "truth", "truth")] if _shows_truth(row) else [])
+        wanted = [(0, "images", "images")] + (
+            [(0, "truth", "truth")]
+            if (not row["recorded"] and tasks.of(row["task"]).captions.truth)
+            else []
+        )
         # a failed run may have left a figure of an earlier success, which is not this record's
         if not run.get("error"):
             wanted += [
@@ -90,10 +94,6 @@ def _pictures(
             path = _there(pictures, f"{own}.png") or _there(small, f"{own}.webp")
             if path:
                 yield order, place, name, path
-
-
-def _shows_truth(row: Record) -> bool:
-    return not row["recorded"] and tasks.of(row["task"]).captions.truth
 
 
 def _there(pictures: Path, name: str) -> Path | None:

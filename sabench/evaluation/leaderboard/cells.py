@@ -111,14 +111,13 @@ class ComparedCase:
     def runs(self, entry: str) -> dict[int, Record]:
         """Select the runs of an entry on the compared data, without failed ones, by seed."""
         if entry not in self._runs:
-            self._runs[entry] = self._select(entry)
+            result = self.results.get(entry)
+            runs = _runs_by_data(result.row) if result else {}
+            there = {seed: runs.get(data) for seed, data in self.data.items()}
+            self._runs[entry] = {
+                seed: run for seed, run in there.items() if run and not run.get("error")
+            }
         return self._runs[entry]
-
-    def _select(self, entry: str) -> dict[int, Record]:
-        result = self.results.get(entry)
-        runs = _runs_by_data(result.row) if result else {}
-        there = {seed: runs.get(data) for seed, data in self.data.items()}
-        return {seed: run for seed, run in there.items() if run and not run.get("error")}
 
 
 def compare(results: Sequence[Result]) -> ComparedCase:
@@ -129,12 +128,17 @@ def compare(results: Sequence[Result]) -> ComparedCase:
     with as many, the data that most entries have count, then the newest.
     """
     own = [one for one in results if not one.row.get("submission")] or results
-    sets = [frozenset(_data_of(one.row).items()) for one in own]
+    sets = [
+        frozenset({run["seed"]: _data_key(run) for run in one.row["runs"]}.items()) for one in own
+    ]
     counts, dates = Counter(sets), [newest(one.row) for one in own]
     keys = [(len(data), counts[data], date) for data, date in zip(sets, dates, strict=True)]
     data = dict(sorted(sets[keys.index(max(keys))]))
     chosen: dict[str, Result] = {}
-    for one in sorted(results, key=lambda one: (_common(one.row, data), newest(one.row))):
+    for one in sorted(
+        results,
+        key=lambda one: (len(_runs_by_data(one.row).keys() & set(data.values())), newest(one.row)),
+    ):
         chosen[one.entry] = one
     return ComparedCase(data, chosen)
 
@@ -167,14 +171,6 @@ def _digits(value: float | None) -> str:
 def newest(row: Record) -> str:
     """Return the date of the newest run of a row; "" without any."""
     return max((run.get("date") or "" for run in row["runs"]), default="")
-
-
-def _common(row: Record, data: dict[int, str]) -> int:
-    return len(_runs_by_data(row).keys() & set(data.values()))
-
-
-def _data_of(row: Record) -> dict[int, str]:
-    return {run["seed"]: _data_key(run) for run in row["runs"]}
 
 
 def _runs_by_data(row: Record) -> dict[str, Record]:
@@ -246,10 +242,6 @@ def _with_ranks(
     return cells | marked
 
 
-def _mean(cell: Cell) -> float | None:
-    return cell.score.mean if cell.score else None
-
-
 def _values(task: Task, cases: list[ComparedCase], entry: str) -> list[float]:
     """Average the first score of a complete entry over the cases, for each seed.
 
@@ -317,7 +309,7 @@ def _with_speed(task: Task, cells: dict[str, Cell]) -> dict[str, Cell]:
     larger, least = task.columns[0].better == "larger", task.sufficient
     enough = {
         entry: cell.rank is not None
-        and (mean_ := _mean(cell)) is not None
+        and (mean_ := (cell.score.mean if cell.score else None)) is not None
         and (mean_ >= least if larger else mean_ <= least)
         for entry, cell in cells.items()
     }

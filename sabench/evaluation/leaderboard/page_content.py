@@ -84,12 +84,14 @@ def cases_of(rows: Sequence[Record]) -> list[list[Record]]:
 def content_of(cases: Sequence[Sequence[Record]]) -> dict[str, Any]:
     """Describe cases and their rows for the page."""
     pool, shown = _Pool(), {table_of(row).name for case in cases for row in case}
+    # compute Student's quantiles for 1, 2, ... degrees of freedom. The page uses them for intervals
+    # of differences, as `sabench.utils.confidence` does
     return {
         "tasks": {table.name: _table(table) for table in every_table() if table.name in shown},
         "cases": [_case(case) for case in cases],
         "rows": [_row(row, number, pool) for number, case in enumerate(cases) for row in case],
         "texts": pool.texts,
-        "quantiles": _quantiles(),
+        "quantiles": [short(quantile(degree + 1)) for degree in range(1, _DEGREES + 1)],
     }
 
 
@@ -113,19 +115,16 @@ def _order(row: Record) -> tuple[Any, ...]:
     Tasks are in their fixed order, recordings last, cases by name with numbers as numbers.
     """
     rest = (row["case"], row["scene_hash"], row["renderer"], row["split"])
+    name = row["case"]
+    parts = re.split(r"(\d+(?:\.\d+)?)", name)
     return (
         tasks.NAMES.index(row["task"]),
         bool(row.get("recorded")),
-        _natural(row["case"]),
+        [(float(part), "") if number % 2 else (-1.0, part) for number, part in enumerate(parts)],
         rest,
         rank_of(row),
         key_of(row, _ENTRY),
     )
-
-
-def _natural(name: str) -> list[tuple[float, str]]:
-    parts = re.split(r"(\d+(?:\.\d+)?)", name)
-    return [(float(part), "") if number % 2 else (-1.0, part) for number, part in enumerate(parts)]
 
 
 def rank_of(row: Record) -> tuple[bool, bool, float]:
@@ -215,6 +214,10 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     keys = [score.key for score in table_of(row).columns]
     several = len(runs) > 1
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
+    # return the card of a submission, and the entry whose estimates it repeats
+    known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
+    # return seconds and first score after iterations of the first run that has them
+    found = next((run["iterations"] for run in runs if run.get("iterations")), None)
     return {
         "id": hashlib.sha256(key_of(row, _ENTRY).encode()).hexdigest()[:10],
         "case": case,
@@ -229,8 +232,8 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "machineAll": pool(text_of(row["machine"])),
         "versions": pool(text_of(row["versions"])),
         "submission": row.get("submission"),
-        **_provenance(row),
-        **_iterations(runs),
+        **{key: one for key, one in known.items() if one},
+        **({"iterations": [[short(value) for value in one] for one in found]} if found else {}),
         "commands": [pool(text) for text in commands(runs)],
         "seeds": [run["seed"] for run in runs],
         "datasets": [pool(run.get("identity") or run["dataset"]) for run in runs],
@@ -252,18 +255,6 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "declined": bool(row["error"])
         and all(run.get("declined") for run in runs if run.get("error")),
     }
-
-
-def _provenance(row: Record) -> dict[str, Any]:
-    """Return the card of a submission, and the entry whose estimates it repeats."""
-    known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
-    return {key: one for key, one in known.items() if one}
-
-
-def _iterations(runs: Sequence[Record]) -> dict[str, Any]:
-    """Return seconds and first score after iterations of the first run that has them."""
-    found = next((run["iterations"] for run in runs if run.get("iterations")), None)
-    return {"iterations": [[short(value) for value in one] for one in found]} if found else {}
 
 
 def _curve(row: Record) -> list[list[float] | None] | None:
@@ -320,11 +311,3 @@ def text_of(values: Record) -> str:
         f"{key} {value if isinstance(value, str) else json.dumps(value)}"
         for key, value in values.items()
     )
-
-
-def _quantiles() -> list[float]:
-    """Compute Student's quantiles for 1, 2, ... degrees of freedom.
-
-    The page uses them for intervals of differences, as `sabench.utils.confidence` does.
-    """
-    return [short(quantile(degree + 1)) for degree in range(1, _DEGREES + 1)]

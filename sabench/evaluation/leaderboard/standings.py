@@ -102,16 +102,19 @@ def boards_of(cases: Sequence[Sequence[Record]]) -> list[Board]:
     ]
     scored = sorted((one for one in results if not table_of(one.row).recorded), key=_group)
     boards = [_board(list(group)) for _, group in groupby(scored, key=_group)]
-    return sorted(boards, key=lambda one: (_grades(one) == 0, -len(one.lines), one.suite))
+    return sorted(
+        boards,
+        key=lambda one: (
+            sum(column.name in DIFFICULTIES for column in one.columns) == 0,
+            -len(one.lines),
+            one.suite,
+        ),
+    )
 
 
 def _group(one: Result) -> tuple[str, ...]:
     row = one.row
     return row["task"], row.get("suite") or row["scene"], row["renderer"], row["split"]
-
-
-def _grades(board: Board) -> int:
-    return sum(column.name in DIFFICULTIES for column in board.columns)
 
 
 def _board(results: list[Result]) -> Board:
@@ -166,7 +169,11 @@ def _lines(
     results: list[Result], cells: Sequence[dict[str, Cell]], names: Sequence[dict[str, Hashable]]
 ) -> Iterator[Line]:
     """Make the lines; a result that was sent again shares the line of the first one."""
-    last = [_distinct(own, name) for own, name in zip(cells, names, strict=True)]
+    # count the different results of a column that have a rank
+    last = [
+        len({name[entry] for entry, cell in own.items() if cell.rank})
+        for own, name in zip(cells, names, strict=True)
+    ]
     same: dict[Hashable, list[Line]] = {}
     entries: dict[str, Result] = {}
     for one in sorted(results, key=_seniority):
@@ -178,11 +185,6 @@ def _lines(
             same.setdefault(tuple(name.get(entry) for name in names), []).append(line)
     for first, *others in same.values():
         yield replace(first, also=tuple(other.result.row for other in others))
-
-
-def _distinct(cells: dict[str, Cell], names: dict[str, Hashable]) -> int:
-    """Count the different results of a column that have a rank."""
-    return len({names[entry] for entry, cell in cells.items() if cell.rank})
 
 
 def _seniority(one: Result) -> tuple[bool, str, str, str]:
@@ -233,6 +235,9 @@ def _describe(board: Board) -> dict[str, Any]:
     lines = board.lines[:_MOST_LINES]
     tied = [_tied([line.cells[n] for line in board.lines]) for n in range(len(board.columns))]
     names = _names([line.result.row for line in lines])
+    task = board.task
+    first = task.columns[0]
+    words = "or more" if first.better == "larger" else "or less"
     return {
         "task": board.task.name,
         "title": _title(board),
@@ -240,7 +245,7 @@ def _describe(board: Board) -> dict[str, Any]:
             {"name": one.name, "cases": list(one.cases), "seeds": one.seeds}
             for one in board.columns
         ],
-        "sufficient": _sufficient(board.task),
+        "sufficient": (f"{first.heading} of {task.sufficient:g} {words}"),
         "more": len(board.lines) - len(lines),
         "lines": [
             {
@@ -285,12 +290,6 @@ def _title(board: Board) -> str:
     return f"suite {board.suite}, renderer {board.renderer}{private}"
 
 
-def _sufficient(task: Task) -> str:
-    first = task.columns[0]
-    words = "or more" if first.better == "larger" else "or less"
-    return f"{first.heading} of {task.sufficient:g} {words}"
-
-
 def _sender(row: Record) -> str:
     by = f" by {row['submission']['name']}" if row.get("submission") else ""
     return f"{row.get('label') or row['solver']}{by}"
@@ -325,6 +324,7 @@ def _static(boards: Sequence[Board]) -> Iterator[dict[str, Any]]:
         lines = board.lines[: max(left, 0)]
         left -= len(lines)
         if lines:
+            # mark a solver that could have read the truth
             yield {
                 "task": board.task.name.replace("_", " "),
                 "title": _plain(_title(board)),
@@ -335,18 +335,18 @@ def _static(boards: Sequence[Board]) -> Iterator[dict[str, Any]]:
                 "lines": [
                     {
                         "place": line.place or "-",
-                        "name": _plain(_sender(line.result.row)) + _mark(line.result.row),
+                        "name": _plain(_sender(line.result.row))
+                        + (
+                            " (not isolated)"
+                            if any(run.get("isolated") is False for run in line.result.row["runs"])
+                            else ""
+                        ),
                         "rank": f"{line.mean_rank:.2f}",
                         "cells": [_words(board.task, cell) for cell in line.cells],
                     }
                     for line in lines
                 ],
             }
-
-
-def _mark(row: Record) -> str:
-    """Mark a solver that could have read the truth."""
-    return " (not isolated)" if any(run.get("isolated") is False for run in row["runs"]) else ""
 
 
 def _plain(text: str) -> str:

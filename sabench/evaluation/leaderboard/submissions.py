@@ -20,7 +20,6 @@ from pathlib import Path
 
 from sabench import plugins, tasks
 from sabench.dataset.reader import Dataset
-from sabench.dataset.schema import Manifest
 from sabench.evaluation.leaderboard.archives import submitted_files
 from sabench.evaluation.leaderboard.cells import distinct
 from sabench.evaluation.leaderboard.foreign_results import match_data_sets, score_safely
@@ -62,7 +61,13 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
     if twin:
         return {key: twin.get(key) for key in _CASE if key in twin}
     manifest = data.manifest
-    if not _is_public(manifest, runs):
+    # check whether a data set's scene and seed are public already
+    recorded = any(
+        (one["scene_hash"], one["seed"], one["split"])
+        == (manifest.scene_hash, manifest.seed, "public")
+        for one in runs
+    )
+    if not (recorded or is_public(manifest.scene_hash, manifest.seed)):
         return _undisclosed(data)
     return {
         "case": manifest.scene,
@@ -73,16 +78,6 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
         "split": "public",
         "renderer": manifest.renderer,
     }
-
-
-def _is_public(manifest: Manifest, runs: list[Record]) -> bool:
-    """Check whether a data set's scene and seed are public already."""
-    recorded = any(
-        (one["scene_hash"], one["seed"], one["split"])
-        == (manifest.scene_hash, manifest.seed, "public")
-        for one in runs
-    )
-    return recorded or is_public(manifest.scene_hash, manifest.seed)
 
 
 def _undisclosed(data: Dataset) -> Record:
