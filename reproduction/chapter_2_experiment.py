@@ -309,8 +309,7 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for seed in seeds:
         first, second = (simulate(sheet, seed=seed, frame=frame).observation for frame in range(2))
         pair = ImagePair(first, second, sheet.time_s(1) - sheet.time_s(0))
-        made: Velocity = run("piv2d", pair, **_WINDOWS)
-        flat = made
+        flat: Velocity = run("piv2d", pair, **_WINDOWS)
         planar.append(_look_at_planes(sheet, flat, beside_mm))
         exact.append(_look_at_planes(sheet, at_nodes(sheet, flat), beside_mm))
         shots = [simulate(volume, seed=seed, frame=frame) for frame in range(2)]

@@ -188,16 +188,13 @@ def _generated(case: SceneCase, work: Path, fresh: bool, jobs: int) -> Dataset:
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
-        made = dataset.manifest.versions
-        # list the versions that the content of a data set depends on
-        if all(
-            made.get(name) == version
-            for name, version in {
-                "sabench": __version__,
-                "simulation": SIMULATION,
-                "mitsuba": version_of("mitsuba"),
-            }.items()
-        ):
+        # the versions that the content of a data set depends on
+        made_by = {
+            "sabench": __version__,
+            "simulation": SIMULATION,
+            "mitsuba": version_of("mitsuba"),
+        }
+        if made_by.items() <= dataset.manifest.versions.items():
             console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"

@@ -1,9 +1,4 @@
-"""Suites: scenes with changes, recordings, seeds and solvers, and their cases.
-
-suites: Suites: scenes with changes, recordings, seeds and solvers, and their cases.
-
-selection: Selection of a part of a suite.
-"""
+"""Suites: scenes with changes, recordings, seeds and solvers, their cases and parts of them."""
 
 from __future__ import annotations
 

@@ -1,10 +1,6 @@
-"""Reference kernel, whose time measures the current speed of this machine.
+"""Solvers timed next to a reference kernel, which measures the current speed of this machine.
 
-reference_kernel: Reference kernel, whose time measures the current speed of this machine.
-
-Times of solvers are compared as multiples of it.
-
-timed_solving: Solvers timed next to the reference kernel.
+Times of solvers are compared as multiples of its time.
 """
 
 from __future__ import annotations

@@ -1,12 +1,6 @@
-"""Figures of bubbles from the front and from the side.
+"""Task `bubbles`: bubbles of one observation, frame by frame.
 
-bubbles: Figures of bubbles from the front and from the side.
-
-They follow figures 5-18 to 5-20 of the thesis.
-
-bubbles: Task `bubbles`: solvers find the bubbles of one observation, frame by frame.
-
-The bubbles of all frames are linked afterwards.
+The bubbles of all frames are linked afterwards. Figures follow 5-18 to 5-20 of the thesis.
 """
 
 from __future__ import annotations

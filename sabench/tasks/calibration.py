@@ -31,7 +31,7 @@ from sabench.metrics.calibration_error import (
 )
 from sabench.plotting import pictures
 from sabench.tasks.solver_call import call_solver
-from sabench.tasks.task import ANY, PERCENT, Captions, Figures, Score, Source, Task
+from sabench.tasks.task import ANY, ERROR, PERCENT, Captions, Figures, Score, Source, Task
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
@@ -106,42 +106,18 @@ class CalibrationTask(Task):
               "mean error along X", hidden=True, range=ANY),
         Score("y_mean_mm", "y mean mm", "mm", "smaller", 4,
               "mean error along Y", hidden=True, range=ANY),
-        Score("raw_x_std_mm", "raw x std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along X without alignment", hidden=True),
-        Score("raw_x_mean_mm", "raw x mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along X without alignment", hidden=True, range=ANY),
-        Score("raw_y_std_mm", "raw y std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Y without alignment", hidden=True),
-        Score("raw_y_mean_mm", "raw y mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Y without alignment", hidden=True, range=ANY),
-        Score("raw_z_std_mm", "raw z std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Z without alignment", hidden=True),
-        Score("raw_z_mean_mm", "raw z mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Z without alignment", hidden=True, range=ANY),
-        Score("shift_x_std_mm", "shift x std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along X after a shift", hidden=True),
-        Score("shift_x_mean_mm", "shift x mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along X after a shift", hidden=True, range=ANY),
-        Score("shift_y_std_mm", "shift y std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Y after a shift", hidden=True),
-        Score("shift_y_mean_mm", "shift y mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Y after a shift", hidden=True, range=ANY),
-        Score("shift_z_std_mm", "shift z std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Z after a shift", hidden=True),
-        Score("shift_z_mean_mm", "shift z mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Z after a shift", hidden=True, range=ANY),
-        Score("rigid_x_std_mm", "rigid x std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along X after a rigid motion", hidden=True),
-        Score("rigid_x_mean_mm", "rigid x mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along X after a rigid motion", hidden=True, range=ANY),
-        Score("rigid_y_std_mm", "rigid y std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Y after a rigid motion", hidden=True),
-        Score("rigid_y_mean_mm", "rigid y mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Y after a rigid motion", hidden=True, range=ANY),
-        Score("rigid_z_std_mm", "rigid z std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Z after a rigid motion", hidden=True),
-        Score("rigid_z_mean_mm", "rigid z mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Z after a rigid motion", hidden=True, range=ANY),
+        *(
+            Score(f"{kind}_{axis}_{moment}_mm", f"{kind} {axis} {moment} mm", "mm", "smaller", 4,
+                  f"{word} of the points' errors along {axis.upper()} {alignment}", hidden=True,
+                  range=limits)
+            for kind, alignment in (
+                ("raw", "without alignment"),
+                ("shift", "after a shift"),
+                ("rigid", "after a rigid motion"),
+            )
+            for axis in "xyz"
+            for moment, word, limits in (("std", "scatter", ERROR), ("mean", "mean", ANY))
+        ),
     )
     # fmt: on
     sufficient = 0.1  # px

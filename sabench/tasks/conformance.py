@@ -1,16 +1,11 @@
-"""Laws that every solver obeys, bundled or not.
+"""Laws that every solver obeys, bundled or not, and compilation ahead of time.
 
-conformance: Laws that every solver obeys, bundled or not.
+`check_solver` tests the laws on a small data set of the solver's task, generated from
+`scenes/conformance/`. `sabench conform` and the fixture `sabench_conform` of the pytest plug-in
+call it.
 
-`check_solver` tries them on a small data set of the solver's task, which it generates from
-`scenes/conformance/`. The command `sabench conform` and the fixture `sabench_conform` of the pytest
-plug-in call it.
-
-warm_up: Kernels compiled in advance, so that no later command has to.
-
-Each solver is called on the small data set of its task, and its result scored: that makes, compiles
-and stores all that `generate`, `solve` and `score` call. Images of containers and nodes of clusters
-begin with their kernels then.
+`warm_up` calls each solver on that data set and scores its result, which compiles and stores all
+kernels that `generate`, `solve` and `score` call, e.g. when a container image is built.
 """
 
 from __future__ import annotations

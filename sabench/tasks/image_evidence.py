@@ -1,8 +1,7 @@
-"""Evidence of a frame's images for or against what has been found in it.
+"""Evidence of a frame's images for or against a result.
 
-image_evidence: Evidence of a frame's images for or against what has been found in it.
-
-reduced_data: Copies of a data set's observation side with a camera taken out or scrambled.
+Data sets are also copied without one camera, or with the images of one camera shifted, so that a
+solver can run again on them.
 """
 
 from __future__ import annotations

@@ -31,7 +31,8 @@ Figures = dict[str, float | None]
 _TIMES, _SPARE = 100, 10_000  # detections of a frame that are scored: per true one, and more
 
 LARGEST = 1e15  # no meaningful score is beyond it
-ANY, SHARE, PERCENT = (-LARGEST, LARGEST), (0.0, 1.0), (0.0, 100.0)  # ranges of scores
+# ranges of scores
+ANY, ERROR, SHARE, PERCENT = (-LARGEST, LARGEST), (0.0, LARGEST), (0.0, 1.0), (0.0, 100.0)
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Score:
     meaning: str
     counted: bool = False
     hidden: bool = False
-    range: tuple[float, float] = (0.0, LARGEST)
+    range: tuple[float, float] = ERROR
 
 
 @dataclass(frozen=True)

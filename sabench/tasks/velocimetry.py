@@ -1,10 +1,7 @@
-"""Light sheets of data sets, in which velocities are scored.
+"""Task `velocimetry`: velocity fields from two frames.
 
-light_sheet: Light sheets of data sets, in which velocities are scored.
-
-velocimetry: Task `velocimetry`: solvers turn two frames into a velocity field.
-
-Some solvers take the images, others volumes that are reconstructed from them.
+Some solvers take the images, others volumes that are reconstructed from them. Fields are scored at
+nodes of the grid or, where a thin laser sheet lights the particles, in its plane.
 """
 
 from __future__ import annotations
@@ -44,6 +41,7 @@ from sabench.tasks import reconstruction
 from sabench.tasks.solver_call import SolverClock, call_solver
 from sabench.tasks.task import (
     ANY,
+    ERROR,
     PERCENT,
     Captions,
     Figures,
@@ -154,18 +152,15 @@ class VelocimetryTask(Task):
               "root mean square error of the vorticity over its own root mean square"),
         Score("reconstruction_s", "reconstruction s", "s", "smaller", 2,
               "time of the reconstruction of one frame"),
-        Score("u_bias_voxel", "u bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along X", hidden=True, range=ANY),
-        Score("v_bias_voxel", "v bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along Y", hidden=True, range=ANY),
-        Score("w_bias_voxel", "w bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along Z", hidden=True, range=ANY),
-        Score("u_rms_voxel", "u rms voxel", "voxel", "smaller", 4,
-              "root mean square error of the displacement along X", hidden=True),
-        Score("v_rms_voxel", "v rms voxel", "voxel", "smaller", 4,
-              "root mean square error of the displacement along Y", hidden=True),
-        Score("w_rms_voxel", "w rms voxel", "voxel", "smaller", 4,
-              "root mean square error of the displacement along Z", hidden=True),
+        *(
+            Score(f"{name}_{kind}_voxel", f"{name} {kind} voxel", "voxel", "smaller", 4,
+                  f"{word} of the displacement along {axis}", hidden=True, range=limits)
+            for kind, word, limits in (
+                ("bias", "mean error", ANY),
+                ("rms", "root mean square error", ERROR),
+            )
+            for name, axis in zip("uvw", "XYZ", strict=True)
+        ),
     )
     # fmt: on
     sufficient = 0.25  # voxel
@@ -235,12 +230,8 @@ class VelocimetryTask(Task):
     def truth(self, data: Dataset, frame: int) -> Velocity:
         """Make the true velocity at the evaluation nodes."""
         lattice = self.empty(data, frame)
-        return replace(
-            lattice,
-            velocity_mm_s=truth_at(
-                data, next(pair for pair in data.setup.pairs() if pair[0] == frame), lattice
-            ),
-        )
+        pair = next(pair for pair in data.setup.pairs() if pair[0] == frame)
+        return replace(lattice, velocity_mm_s=truth_at(data, pair, lattice))
 
     def empty(self, data: Dataset, frame: int) -> Velocity:
         """Make a field at rest: what an estimate that sees no motion returns."""

@@ -52,8 +52,7 @@ def plan_view(scene: Scene, view: Viewing) -> Section:
         Quantity("pixel_coarsest_mm", view.pixels_mm.max(), "of the farthest camera", "(2.5)"),
         Quantity(
             "voxel_over_pixel",
-            max([size for edge, size in enumerate(scene.grid.voxel_mm) if edge != view.axis])
-            / pixel,
+            max(size for edge, size in enumerate(scene.grid.voxel_mm) if edge != view.axis) / pixel,
             "voxel width / dX",
             "grid, (2.5)",
         ),

@@ -147,13 +147,8 @@ def volume_stack(volume: F32, grid: Grid) -> Stack:
     place = Planes(corner, (high - low) * _X, (high - low) * _Y, step * _Z)
     # find the value shown as white; few voxels may be bright at all
     bright = joined[joined > 0.0]
-    return Stack(
-        "reconstruction",
-        place,
-        _grey(
-            joined, 0.0, (float(np.percentile(bright, _BRIGHTEST)) if bright.size else 1.0), _GAMMA
-        ),
-    )
+    white = float(np.percentile(bright, _BRIGHTEST)) if bright.size else 1.0
+    return Stack("reconstruction", place, _grey(joined, 0.0, white, _GAMMA))
 
 
 def _viewing_axis(case: Observation) -> tuple[int, int]:

@@ -1,8 +1,6 @@
 """Regression gates: run a suite again and compare it with a baseline.
 
-comparison: Regression gates: run a suite again and compare it with a baseline.
-
-junit: Reports of gates as JUnit XML, which GitHub, GitLab and Jenkins show.
+Reports can be written as JUnit XML, which GitHub, GitLab and Jenkins show.
 """
 
 from __future__ import annotations

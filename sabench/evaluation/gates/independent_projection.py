@@ -1,20 +1,13 @@
-"""Independent light paths through coaxial cylinders.
+"""Independent projection of points, to find errors in the main projection.
 
-independent_snell: Independent light paths through coaxial cylinders.
+It is a copy of `geometry.camera` and `geometry.refraction` with other equations, and takes nothing
+from `sabench.geometry`: the wall's numbers come from the scene as its author wrote them, the path
+from bisection for the invariant n sin(angle) that all its angles share, the lens from the formula
+in docs/formats/dataset.md. Behind coaxial cylinders, rays are followed in the world's frame: each
+meets the cylinder x^2 + y^2 = r^2 about the axis by a quadratic equation and is refracted by
+Snell's law for vectors; Newton's steps with differences find the direction towards a point.
 
-They find errors in the main projection: nothing is taken from `sabench.geometry`. Rays are followed
-in the world's frame: each meets the cylinder x^2 + y^2 = r^2 about the axis where a quadratic
-equation says, and turns there by Snell's law for vectors. The direction towards a point is found by
-Newton's steps with differences.
-
-independent_projection: Independent projection of points, to find errors in the main projection.
-
-It is a copy of `geometry.camera` and `geometry.refraction` with other equations, for the sake of
-independence. The test test_comparison.py::test_two_implementations_of_a_camera_agree compares both.
-
-It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote
-them, the path from bisection for the invariant n sin(angle) that all its angles share (behind a
-cylinder from `independent_snell`), the lens from the formula in docs/formats/dataset.md.
+The test test_comparison.py::test_two_implementations_of_a_camera_agree compares both.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
 """Result files and solver cards of a submission: a file, a folder or an archive.
 
-archives: Result files and solver cards of a submission: a file, a folder or an archive.
-
-None of it is trusted.
-
-result_packs: Archives of results with the cards of their solvers, for `sabench submit`.
+None of it is trusted. `pack_results` makes such an archive for `sabench submit`.
 """
 
 from __future__ import annotations

@@ -1,12 +1,6 @@
-"""Figures of the leaderboard page, as many as it may hold.
-
-page_figures: Figures of the leaderboard page, as many as it may hold.
-
-page: Page of the leaderboard: its rows as one self-contained HTML file.
+"""Page of the leaderboard: one row for each case, solver and machine, in one HTML file.
 
 Users sort, filter, plot and compare the rows in their browser.
-
-rows: Rows of the leaderboard, from records, and its static HTML page.
 """
 
 from __future__ import annotations
@@ -77,11 +71,9 @@ def _pictures(
             continue
         rank = seen[place] = seen.get(place, 0) + 1
         stem = stem_of(run)
-        wanted = [(0, "images", "images")] + (
-            [(0, "truth", "truth")]
-            if (not row["recorded"] and tasks.of(row["task"]).captions.truth)
-            else []
-        )
+        wanted = [(0, "images", "images")]
+        if not row["recorded"] and tasks.of(row["task"]).captions.truth:
+            wanted.append((0, "truth", "truth"))
         # a failed run may have left a figure of an earlier success, which is not this record's
         if not run.get("error"):
             wanted += [

@@ -1,11 +1,4 @@
-"""Ranks of entries by their scores over the same data sets.
-
-ranking: Ranks of entries by their scores over the same data sets.
-
-comparison: Results of one case that are compared: one for each entry, on the same data.
-
-cells: Cells of the standings: results of entries in the cases of one column.
-"""
+"""Cells of the standings: ranks of entries by their scores on the same data sets."""
 
 from __future__ import annotations
 
@@ -309,8 +302,8 @@ def _with_speed(task: Task, cells: dict[str, Cell]) -> dict[str, Cell]:
     larger, least = task.columns[0].better == "larger", task.sufficient
     enough = {
         entry: cell.rank is not None
-        and (mean_ := (cell.score.mean if cell.score else None)) is not None
-        and (mean_ >= least if larger else mean_ <= least)
+        and cell.score is not None
+        and (cell.score.mean >= least if larger else cell.score.mean <= least)
         for entry, cell in cells.items()
     }
     times = {

@@ -1,10 +1,6 @@
-"""Tables of the leaderboard: rows of one table have the same columns.
+"""Content of the leaderboard page: tasks, cases and rows as values of JSON.
 
-score_columns: Tables of the leaderboard: rows of one table have the same columns.
-
-Results of recorded data sets have tables of their own, without scores and without ranks.
-
-page_content: Content of the leaderboard page: tasks, cases and rows as values of JSON.
+Results of recorded data sets have separate tables, without scores and without ranks.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Standings of a task: solvers against easy, standard and hard cases, with ranks.
 
-standings: Standings of a task: solvers against easy, standard and hard cases, with ranks.
-
-page_standings: Standings and curves for the page: values of JSON, and plain tables.
+The page has them as values of JSON, and as plain tables for browsers without scripts.
 """
 
 from __future__ import annotations
@@ -235,8 +233,7 @@ def _describe(board: Board) -> dict[str, Any]:
     lines = board.lines[:_MOST_LINES]
     tied = [_tied([line.cells[n] for line in board.lines]) for n in range(len(board.columns))]
     names = _names([line.result.row for line in lines])
-    task = board.task
-    first = task.columns[0]
+    task, first = board.task, board.task.columns[0]
     words = "or more" if first.better == "larger" else "or less"
     return {
         "task": board.task.name,
@@ -245,7 +242,7 @@ def _describe(board: Board) -> dict[str, Any]:
             {"name": one.name, "cases": list(one.cases), "seeds": one.seeds}
             for one in board.columns
         ],
-        "sufficient": (f"{first.heading} of {task.sufficient:g} {words}"),
+        "sufficient": f"{first.heading} of {task.sufficient:g} {words}",
         "more": len(board.lines) - len(lines),
         "lines": [
             {
@@ -324,7 +321,6 @@ def _static(boards: Sequence[Board]) -> Iterator[dict[str, Any]]:
         lines = board.lines[: max(left, 0)]
         left -= len(lines)
         if lines:
-            # mark a solver that could have read the truth
             yield {
                 "task": board.task.name.replace("_", " "),
                 "title": _plain(_title(board)),
@@ -335,18 +331,18 @@ def _static(boards: Sequence[Board]) -> Iterator[dict[str, Any]]:
                 "lines": [
                     {
                         "place": line.place or "-",
-                        "name": _plain(_sender(line.result.row))
-                        + (
-                            " (not isolated)"
-                            if any(run.get("isolated") is False for run in line.result.row["runs"])
-                            else ""
-                        ),
+                        "name": _plain(_sender(line.result.row)) + _mark(line.result.row),
                         "rank": f"{line.mean_rank:.2f}",
                         "cells": [_words(board.task, cell) for cell in line.cells],
                     }
                     for line in lines
                 ],
             }
+
+
+def _mark(row: Record) -> str:
+    """Mark a solver that could have read the truth."""
+    return " (not isolated)" if any(run.get("isolated") is False for run in row["runs"]) else ""
 
 
 def _plain(text: str) -> str:

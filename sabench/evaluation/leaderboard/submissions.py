@@ -1,14 +1,7 @@
-"""Description of a data set in the record of a submission.
+"""Submitted results: checked, matched to data sets, scored and ranked.
 
-disclosure: Description of a data set in the record of a submission.
-
-It discloses neither scene nor seed of a private test set: its content hash identifies it.
-
-recognition: Submitted estimates that are those of an earlier record under another name.
-
-submissions: Submitted results: checked, matched to data sets, scored and ranked.
-
-Submissions are data only: sabench executes nothing of them.
+Submissions are data only: sabench executes nothing of them. A record discloses neither scene nor
+seed of a private test set, and names the earlier record whose estimates a submission repeats.
 """
 
 from __future__ import annotations
