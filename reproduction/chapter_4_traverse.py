@@ -178,7 +178,6 @@ def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
 def _bars(
     means: dict[tuple[str, str], list[F64]], scatters: dict[tuple[str, str], list[F64]]
 ) -> Figure:
-    """Draw figure 4-23, mean over the seeds."""
     numbers = range(1, len(means["joint", "test 1"][0]) + 1)
     panels = [
         Panel(
@@ -230,7 +229,6 @@ def _points(camera: int, plane: int, seed: int) -> dict[str, F64]:
 
 
 def _overlay(title: str, image: U16, points: dict[str, F64]) -> Panel:
-    """Show a whole image with all points."""
     clouds = (Cloud(name, *own.T) for name, own in points.items() if name != "true")
     rows, columns = image.shape
     seen = Picture(image.astype(np.float64), (0.0, 0.0), (columns - 1.0, rows - 1.0))

@@ -54,7 +54,6 @@ def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _planes_figure(case: Observation) -> Figure:
-    """Draw one view, and the refocused planes."""
     volume, (x, y, z) = darkness(case), case.grid.axes_mm
     panels = [image_panel("one view", case.images[len(case.images) // 2])]
     for depth in _DEPTHS_MM:

@@ -285,7 +285,6 @@ def example(task: Task, sees: str, folder: Path) -> Dataset:
 
 
 def _arrays(case: Any) -> list[Any]:
-    """List all arrays of a case."""
     if isinstance(case, ImageSequence):
         return [frame.images for frame in case]
     if isinstance(case, Observation):
@@ -298,12 +297,10 @@ def _arrays(case: Any) -> list[Any]:
 
 
 def _image_sequence(like: ImageSequence, frames: list[Observation]) -> ImageSequence:
-    """Make a sequence of frames in memory."""
     return ImageSequence(frames[0].cameras, like.grid, like.times_s, frames.__getitem__)
 
 
 def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
-    """Change the images of a case, frame by frame."""
     if isinstance(case, ImageSequence):
         frames = [_with_images(frame, change) for frame in case]
         return _image_sequence(case, frames)
@@ -316,7 +313,6 @@ def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
 
 
 def _reverse_cameras(case: Any) -> Any:
-    """Reverse the cameras of a case."""
     if isinstance(case, ImageSequence):
         frames = [_reverse_cameras(frame) for frame in case]
         return _image_sequence(case, frames)

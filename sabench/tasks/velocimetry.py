@@ -303,7 +303,6 @@ class _Volumes:
 
 
 def _images(data: Dataset, pair: tuple[int, int]) -> ImagePair:
-    """Read the frames of a pair."""
     first, second = (data.observation(frame) for frame in pair)
     return ImagePair(first, second, interval_s(data, pair))
 

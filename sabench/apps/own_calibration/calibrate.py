@@ -110,7 +110,6 @@ def parse_unknowns(text: str) -> tuple[Unknown, ...]:
 
 
 def _solver_of(solver: str, parameters: dict[str, Any], case: CalibrationCase) -> Any:
-    """Make a solver that can take a case."""
     algorithm: Any = make_algorithm(solver, parameters)
     if getattr(algorithm, "sees", "") != "target":
         raise InputError(f"solver {solver}: expected one that calibrates by a target")

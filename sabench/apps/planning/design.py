@@ -99,7 +99,6 @@ def _scene(values: Mapping[str, Any]) -> Scene:
 
 
 def _figure(scene: Scene, key: str) -> float:
-    """Return a figure of a scene's plan that has one."""
     figures = {one.key: one.value for part in plan(scene).sections for one in part.quantities}
     value = figures.get(key)
     if not value:

@@ -121,7 +121,6 @@ def _leave_out_far(contents: Contents) -> tuple[list[Frame], list[str]]:
 
 
 def _frames(frames: Sequence[Frame], shown: Sequence[Cloud], packer: Packer) -> dict[str, Any]:
-    """Describe the objects of all frames."""
     if not frames:
         return {"frames": []}
     every = [*shown, *(one.bubbles for one in frames)]

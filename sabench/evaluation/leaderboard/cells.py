@@ -280,7 +280,6 @@ def _average(values: list[float | None]) -> float | None:
 
 
 def _note(cases: list[ComparedCase], entry: str) -> str:
-    """Say why an entry has no rank in these cases; "" for one that has."""
     results = [case.results.get(entry) for case in cases]
     there = [one.row for one in results if one]
     if len(there) < len(cases):

@@ -186,7 +186,6 @@ def details_of(rows: Sequence[Record]) -> Record:
 
 
 def _case(rows: Sequence[Record]) -> dict[str, Any]:
-    """Describe a case for the page."""
     first = rows[0]
     hidden = "-hidden" if first["split"] == "hidden" else ""
     details = details_of(rows)

@@ -146,7 +146,6 @@ def _newest_cases(results: list[Result]) -> dict[int, list[Result]]:
 
 
 def _columns(cases: dict[int, list[Result]]) -> list[tuple[str, list[int]]]:
-    """Make columns of the difficulties, or else of all cases."""
     heads = {number: own[0].row for number, own in cases.items()}
     graded = {
         level: [
@@ -305,7 +304,6 @@ def _names(rows: Sequence[Record]) -> list[str]:
 
 
 def _difference(own: Record, all_: Sequence[Record]) -> str:
-    """Format the parameters that are not the same in all of them."""
     differ = {
         key: value
         for key, value in own.items()
