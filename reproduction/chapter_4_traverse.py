@@ -27,16 +27,7 @@ from sabench.utils.arrays import F64, U16
 from sabench.utils.progress import progress_bar
 from sabench.worlds.calibration_targets import place
 
-from .chapter_4 import (
-    Board,
-    by_camera,
-    draw,
-    photograph,
-    places_of,
-    reprojection,
-    solve_case,
-    with_points,
-)
+from . import chapter_4
 from .common import AGREES, claim, make_row
 
 SOLVERS = {"randomised": "refractive_autocal_randomised", "joint": "refractive_autocal"}
@@ -59,7 +50,7 @@ class Traversed:
     answer, points_mm : what a solver returns: cameras, and points (plane, point, 3).
     """
 
-    given: Board
+    given: chapter_4.Board
     answer: Calibration
     points_mm: F64
 
@@ -102,12 +93,12 @@ def make_traverse() -> Scene:
 @functools.cache
 def calibrate(solver: str, step_mm: float, seed: int) -> Traversed:
     """Solve from a nominal distance of the planes, once for all figures."""
-    given = draw(make_traverse(), seed)
+    given = chapter_4.draw(make_traverse(), seed)
     nominal = given.points_mm.copy()
     nominal[..., 2] = MIDDLE_MM + step_mm * (np.arange(PLANES) - MIDDLE)[:, None]
-    start = with_points(given, nominal)
-    answer = solve_case(solver, start)
-    return Traversed(start, answer, places_of(answer, start))
+    start = chapter_4.with_points(given, nominal)
+    answer = chapter_4.solve_case(solver, start)
+    return Traversed(start, answer, chapter_4.places_of(answer, start))
 
 
 _SMALL_PX = 0.4  # error of the mapping from which refocusing suffers, as chapter 4 says
@@ -134,7 +125,7 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for name, solver in SOLVERS.items():
             for test, step in STEPS.items():
                 errors = _errors(calibrate(solver, step, seed))
-                means.setdefault((name, test), []).append(by_camera(errors))
+                means.setdefault((name, test), []).append(chapter_4.by_camera(errors))
                 scatters.setdefault((name, test), []).append(np.nanstd(errors, axis=(1, 2)))
     for (name, test), draws in means.items():
         spread = float(np.mean([own.mean() for own in scatters[name, test]]))
@@ -151,7 +142,7 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _errors(done: Traversed) -> F64:
-    return reprojection(done.answer, done.given, done.given.case.pixels)
+    return chapter_4.reprojection(done.answer, done.given, done.given.case.pixels)
 
 
 def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
@@ -202,7 +193,7 @@ def _images(seed: int) -> Iterator[Item]:
     target = place(scene, seed).target
     panels: list[Panel] = []
     for letter, (camera, plane) in zip("ab", _SHOWN, strict=True):
-        image = photograph(scene, plane, camera - 1, seed)
+        image = chapter_4.photograph(scene, plane, camera - 1, seed)
         points = _points(camera - 1, plane, seed)
         title = f"({letter}) camera {camera}, plane {plane + 1}"
         panels += [_overlay(title, image, points), *_detail(title, image, points)]
@@ -402,9 +393,9 @@ def _refit(tests: Tests, name: str) -> Refit:
     answer = replace(problem.answer(fit.state), points_mm=other.points_mm)
     measured = other.given.case.pixels
     return Refit(
-        by_camera(reprojection(answer, other.given, true)),
-        by_camera(reprojection(answer, other.given, measured)),
-        by_camera(reprojection(other.answer, other.given, measured)),
+        chapter_4.by_camera(chapter_4.reprojection(answer, other.given, true)),
+        chapter_4.by_camera(chapter_4.reprojection(answer, other.given, measured)),
+        chapter_4.by_camera(chapter_4.reprojection(other.answer, other.given, measured)),
     )
 
 

@@ -24,16 +24,7 @@ from sabench.utils.confidence import mean_of
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.overlaps import contains
 
-from .common import (
-    coarsen,
-    exact_displacements,
-    finite_row,
-    image_panel,
-    reconstruct,
-    report,
-    run,
-    settings,
-)
+from . import common
 
 _SCENES = {"reef": "flow-behind-reef", "propeller": "flow-behind-propeller"}
 _SOLVERS = ("ray_triangulation", "bayesian_ipr")
@@ -64,17 +55,17 @@ def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Ite
     a particle, and over the number of cameras.
     """
     for body, name in _SCENES.items():
-        scene = coarsen(load_scene(name), pixels)
+        scene = common.coarsen(load_scene(name), pixels)
         found: list[Figures] = []
         for seed in seeds:
             shots = tuple(simulate_sequence(scene, seed=seed, backend="mitsuba"))
             found.append(_measure(scene, seed, shots))
-            report(f"{body}, seed {seed}: measured")
+            common.report(f"{body}, seed {seed}: measured")
             if seed == seeds[0]:
                 yield _view(body, shots[0].observation)
         for cameras, solver, what in found[0]:
             values = [one[cameras, solver, what] for one in found]
-            yield finite_row(f"{body}, {cameras} cameras, {solver}: {what}", values)
+            yield common.finite_row(f"{body}, {cameras} cameras, {solver}: {what}", values)
         yield _flow_figure(body, found)
 
 
@@ -128,7 +119,7 @@ def _match(
     """
     grid = case.grid
     sequence = ImageSequence(case.cameras, grid, (time_s,), lambda _: case)
-    found: FoundParticles = next(iter(run(solver, sequence)))
+    found: FoundParticles = next(iter(common.run(solver, sequence)))
     places, true = grid.to_voxels(found.position_mm), grid.to_voxels(particles.position_mm)
     i, j = challenge_pairs(places, true)
     hit, ghost = np.zeros(len(true), dtype=np.bool_), np.ones(len(places), dtype=np.bool_)
@@ -148,13 +139,13 @@ def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
 
     grid = seen.cases[0].grid
     start, end = seen.times_s
-    pair = reconstruct("msa", seen.cases, end - start)
-    field = run("piv3d", pair, **settings("piv3d", _WINDOW, _OVERLAP, grid))
+    pair = common.reconstruct("msa", seen.cases, end - start)
+    field = common.run("piv3d", pair, **common.settings("piv3d", _WINDOW, _OVERLAP, grid))
     points = evaluation_lattice(grid).positions_mm.reshape(-1, 3)
     for body, _ in Phases(scene, seed).bodies(0):
         points = points[~contains(body, points)]
     velocity, measured = sample_velocity(field, points)
-    exact = exact_displacements(scene, points, start, end, seed)
+    exact = common.exact_displacements(scene, points, start, end, seed)
     error = np.linalg.norm((velocity * (end - start) - exact) / np.asarray(grid.voxel_mm), axis=1)
     near = cKDTree(seen.shots[0].particles.position_mm).query(points, k=_NEAR)[1]
     hidden = seen.hidden[0][near].mean(axis=1)
@@ -171,7 +162,7 @@ def _rms(error: F64) -> float:
 def _view(body: str, case: Observation) -> Figure:
     """Draw the middle camera's image, its brightest pixels cut."""
     view = case.images[len(case.images) // 2].astype(np.float64)
-    panels = (image_panel("", np.minimum(view, np.percentile(view, 99.0))),)
+    panels = (common.image_panel("", np.minimum(view, np.percentile(view, 99.0))),)
     return Figure(f"flow-behind-{body}", f"tracers around a {body}", panels, inch=(5.5, 4.4))
 
 
@@ -244,24 +235,24 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     The images are separated by phase, and each phase is scored: bubbles, tracers, and the outline
     of the body. The same solvers on the raw images show what separation gains.
     """
-    scene = coarsen(load_scene("three-phases"), pixels)
+    scene = common.coarsen(load_scene("three-phases"), pixels)
     found: list[dict[str, float]] = []
     for seed in seeds:
         shot = _record(scene, seed)
         visible = np.mean([sight.visible for sight in shot.sights], axis=0)
         out: dict[str, float] = {}
         for name in _BUBBLES:
-            scores = detection_scores(run(name, shot.case), shot.bubbles, visible)
+            scores = detection_scores(common.run(name, shot.case), shot.bubbles, visible)
             out |= {f"bubbles, {name}: {key}": scores[key] for key in _KEYS}
         # compare the body's pixels with those that show it: intersection over union
         body = separate_phases(shot.case, image_diameter_px(shot.case, _LARGEST_MM)).body
         true = np.stack([sight.number <= BODY for sight in shot.sights])
         found.append(out | _tracers(shot) | {"body: intersection over union": overlap(body, true)})
-        report(f"three phases, seed {seed}: measured")
+        common.report(f"three phases, seed {seed}: measured")
         if seed == seeds[0]:
             yield _phases_figure(shot.case)
     for what in found[0]:
-        yield finite_row(what, [one[what] for one in found])
+        yield common.finite_row(what, [one[what] for one in found])
 
 
 def _record(scene: Scene, seed: int) -> _Shot:
@@ -305,5 +296,5 @@ def _phases_figure(case: Observation) -> Figure:
         "tracers": parts.tracers.images[middle],
         "body": parts.body[middle],
     }
-    panels = tuple(image_panel(name, image) for name, image in shown.items())
+    panels = tuple(common.image_panel(name, image) for name, image in shown.items())
     return Figure("three-phases", "three phases", panels, across=2, inch=(4.6, 3.6))

@@ -16,23 +16,11 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
 from sabench.geometry.grid import synthesise
+from sabench.metrics import particle_detection
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
 from sabench.metrics.particle_bounds import brier_score, coverage, rms_over_bound
-from sabench.metrics.particle_detection import (
-    MATCHING_DISTANCES,
-    challenge_pairs,
-    count_challenge,
-    count_duplicates,
-    f1_over_distance,
-)
 from sabench.plotting import pictures
-from sabench.tasks.particles_over_time import (
-    TrajectoryNumbers,
-    find_in_each_frame,
-    link_frames,
-    link_sequence,
-    score_over_time,
-)
+from sabench.tasks import particles_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.solver_call import SolverClock, image_sequence
 from sabench.tasks.task import (
@@ -56,7 +44,7 @@ from sabench.utils.progress import progress_bar
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
 # share of the particles found with the cameras in another order, and how near, in voxels
 _ALIKE, _NEAR_VOXELS = 0.9, 0.2
-_TOLERANCE = Tolerance("f1", "F1", "voxel", MATCHING_DISTANCES)
+_TOLERANCE = Tolerance("f1", "F1", "voxel", particle_detection.MATCHING_DISTANCES)
 
 
 class ParticlesTask(Task):
@@ -157,17 +145,19 @@ class ParticlesTask(Task):
 
         The time for reading images does not count.
         """
-        seconds, numbers = list[float](), TrajectoryNumbers()
+        seconds, numbers = list[float](), particles_over_time.TrajectoryNumbers()
         for frames in progress_bar(data.setup.sequences(), f"particles by {name}"):
             sequence, reader = image_sequence(data, frames)
             clock, waiting = SolverClock(), list[FoundParticles]()
-            found = find_in_each_frame(algorithm, name, sequence, frames, clock)
+            found = particles_over_time.find_in_each_frame(algorithm, name, sequence, frames, clock)
             for frame, one in zip(frames, found, strict=True):
                 if one.trajectory is None:
                     waiting.append(one)
                 else:
                     writer.add(numbers.assign(one), frame)
-            for frame, one in zip(frames, link_sequence(waiting, sequence.times_s), strict=False):
+            for frame, one in zip(
+                frames, particles_over_time.link_sequence(waiting, sequence.times_s), strict=False
+            ):
                 writer.add(numbers.assign(one), frame)
             numbers.begin_sequence()
             seconds += [max(clock.seconds - reader.seconds, 0.0) / len(frames)] * len(frames)
@@ -217,7 +207,7 @@ class ParticlesTask(Task):
                 self.frames(data), progress_bar(pairs, "score"), strict=True
             )
         ]
-        return mean_of_each(frames) | score_over_time(data, found, truth)
+        return mean_of_each(frames) | particles_over_time.score_over_time(data, found, truth)
 
     def _all(
         self, data: Dataset, source: Source, truth: Sequence[Particles] = ()
@@ -237,7 +227,7 @@ class ParticlesTask(Task):
                 f"{source.path}: {frame_group(missing[0])}/particles/track: "
                 "expected one in every frame or in none, found none here"
             )
-        return link_frames(data.setup, found)
+        return particles_over_time.link_frames(data.setup, found)
 
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
         """Compare particles by how many are found again."""
@@ -255,7 +245,7 @@ class ParticlesTask(Task):
         """Draw found, missed and false particles in the same slice as a PNG."""
         grid, true = data.setup.grid, data.particles(0).position_mm
         found = self.read(data, result, 0).position_mm
-        i, j = challenge_pairs(grid.to_voxels(found), grid.to_voxels(true))
+        i, j = particle_detection.challenge_pairs(grid.to_voxels(found), grid.to_voxels(true))
         kinds = (
             (true[j], pictures.FOUND),
             (np.delete(true, j, axis=0), pictures.MISSED),
@@ -271,16 +261,18 @@ def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame
     grid = data.setup.grid
     found, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)
     scored = grid.in_scored(found), grid.in_scored(true)
-    counts = count_challenge(found, true, *scored)
-    a, b = challenge_pairs(found, true)
+    counts = particle_detection.count_challenge(found, true, *scored)
+    a, b = particle_detection.challenge_pairs(found, true)
     i, j = a[scored[1][b]], b[scored[1][b]]
     ghosts = scored[0].copy()
     ghosts[a] = False
     whole = counts.precision + counts.recall
     error = estimate.position_mm[i] - truth.position_mm[j]
     apart = np.linalg.norm(error, axis=1)
-    duplicates = count_duplicates(found, true, scored[0])
-    curve = f1_over_distance(found, true, *scored, MATCHING_DISTANCES)
+    duplicates = particle_detection.count_duplicates(found, true, scored[0])
+    curve = particle_detection.f1_over_distance(
+        found, true, *scored, particle_detection.MATCHING_DISTANCES
+    )
     return {
         "f1": 2.0 * counts.precision * counts.recall / whole if whole else 0.0,
         "precision": counts.precision,

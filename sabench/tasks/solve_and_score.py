@@ -18,13 +18,7 @@ from sabench import plugins, tasks
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, add_identity, open_result, result_writer
-from sabench.tasks.external_programs import (
-    Head,
-    copy_isolated,
-    is_program,
-    open_foreign,
-    run_program,
-)
+from sabench.tasks import external_programs
 from sabench.tasks.visible_files import open_sandbox, view_of_import, view_of_plugin
 from sabench.utils import backend, memory
 from sabench.utils.errors import InputError
@@ -88,8 +82,8 @@ def solve(
         the task's `run` refuses.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    if is_program(solver):
-        return run_program(
+    if external_programs.is_program(solver):
+        return external_programs.run_program(
             solver, data, Path(out), parameters=parameters, limits=limits, overwrite=overwrite
         )
     if limits is not None:
@@ -119,9 +113,9 @@ def solve(
                 shutil.move(sandbox.result, partial)
                 add_identity(partial, data)
         else:
-            result = open_foreign(sandbox.result, data, solver)
+            result = external_programs.open_foreign(sandbox.result, data, solver)
             check_result_task(result.task, task, doing)
-            head = Head(
+            head = external_programs.Head(
                 solver,
                 result.parameters,
                 sandbox.confined,
@@ -131,7 +125,7 @@ def solve(
                 result.reconstruction_s,
                 result.cpu_share,
             )
-            copy_isolated(result, data, place, head, solver, overwrite=overwrite)
+            external_programs.copy_isolated(result, data, place, head, solver, overwrite=overwrite)
     return open_result(out, data)
 
 

@@ -27,14 +27,8 @@ from sabench.api.make import make_reconstruction_solver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.geometry.grid import Grid
+from sabench.metrics import velocity_error
 from sabench.metrics.averages import finite_or_none
-from sabench.metrics.velocity_error import (
-    evaluation_lattice,
-    lengths_along,
-    planar_lattice,
-    sample_velocity,
-    velocity_scores,
-)
 from sabench.plotting.drawing import draw
 from sabench.simulation.rendering.laser_sheet import enter_fluid
 from sabench.tasks import reconstruction
@@ -263,7 +257,7 @@ class VelocimetryTask(Task):
         given = self.read(data, source, pair[0])
         exact = truth_at(data, pair, given) @ given.axes.T
         field = given.in_own_axes()
-        edges_mm = lengths_along(given.axes, data.setup.grid.voxel_mm)
+        edges_mm = velocity_error.lengths_along(given.axes, data.setup.grid.voxel_mm)
         voxel = edges_mm / interval_s(data, pair)
         label = source.solver if isinstance(source, Result) else source
         with warnings.catch_warnings():
@@ -316,8 +310,8 @@ def evaluation_nodes(data: Dataset) -> Velocity:
     """Make the nodes at which fields are scored: in the light sheet, if there is one."""
     grid, sheet = data.setup.grid, light_sheet(data)
     if sheet is None:
-        return evaluation_lattice(grid)
-    return planar_lattice(grid, sheet.point_mm, sheet.normal)
+        return velocity_error.evaluation_lattice(grid)
+    return velocity_error.planar_lattice(grid, sheet.point_mm, sheet.normal)
 
 
 def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[str, float]:
@@ -326,7 +320,7 @@ def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[st
     In a light sheet, the components in its plane count, along the nodes' axes.
     """
     nodes = evaluation_nodes(data)
-    sampled, measured = sample_velocity(field, nodes.positions_mm.reshape(-1, 3))
+    sampled, measured = velocity_error.sample_velocity(field, nodes.positions_mm.reshape(-1, 3))
     counted = nodes.components(sampled.reshape(nodes.velocity_mm_s.shape))
     # mark the nodes (z, y, x) that no body contains in either frame of a pair
     points = nodes.positions_mm.reshape(-1, 3)
@@ -334,14 +328,14 @@ def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[st
     for frame in pair if data.scene.solids else ():
         for body in data.solids(frame):
             fluid &= ~contains(body, points)
-    return velocity_scores(
+    return velocity_error.velocity_scores(
         counted,
         nodes.components(truth_at(data, pair, nodes)),
         measured.reshape(nodes.valid.shape),
         fluid.reshape(nodes.valid.shape) & nodes.valid,
         nodes.step_mm,
         interval_s(data, pair),
-        triple(lengths_along(nodes.axes, data.setup.grid.voxel_mm)),
+        triple(velocity_error.lengths_along(nodes.axes, data.setup.grid.voxel_mm)),
     )
 
 
