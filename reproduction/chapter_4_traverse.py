@@ -124,7 +124,8 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for seed in progress_bar(seeds, "traversed grids"):
         for name, solver in SOLVERS.items():
             for test, step in STEPS.items():
-                errors = _errors(calibrate(solver, step, seed))
+                done = calibrate(solver, step, seed)
+                errors = chapter_4.reprojection(done.answer, done.given, done.given.case.pixels)
                 means.setdefault((name, test), []).append(chapter_4.by_camera(errors))
                 scatters.setdefault((name, test), []).append(np.nanstd(errors, axis=(1, 2)))
     for (name, test), draws in means.items():
@@ -139,10 +140,6 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         yield from _claims(name, {test: np.array(means[name, test]) for test in STEPS})
     yield _bars(means, scatters)
     yield from _images(seeds[0])
-
-
-def _errors(done: Traversed) -> F64:
-    return chapter_4.reprojection(done.answer, done.given, done.given.case.pixels)
 
 
 def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
@@ -375,7 +372,17 @@ def fig_4_28(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for name, every in found.items():
         yield from _plane_rows(name, every)
         for figure, pair in _PAIRS.items():
-            yield from _difference_rows(f"{figure}, {name}, {pair[0]} and {pair[1]}", every, pair)
+            # measure the differences before and after alignment
+            head = f"{figure}, {name}, {pair[0]} and {pair[1]}"
+            rms = _measure_differences(every, pair)
+            for number, when in enumerate(("before", "after", "best rigid motion")):
+                note = ", ".join(f"{value:.3g}" for value in rms[:, number].mean(axis=0))
+                yield make_row(
+                    f"{head}: difference, {when}, mm",
+                    None,
+                    np.linalg.norm(rms[:, number], axis=1).tolist(),
+                    f"X, Y, Z: {note}",
+                )
     for figure, pair in _PAIRS.items():
         yield from _difference_claims(figure, found["randomised"], pair)
     yield _difference_figure(found["randomised"][0])
@@ -489,19 +496,6 @@ def _measure_differences(draws: Sequence[Tests], pair: tuple[str, str]) -> F64:
             for own in draws
         ]
     )
-
-
-def _difference_rows(head: str, draws: Sequence[Tests], pair: tuple[str, str]) -> Iterator[Item]:
-    """Measure the differences before and after alignment."""
-    rms = _measure_differences(draws, pair)
-    for number, when in enumerate(("before", "after", "best rigid motion")):
-        note = ", ".join(f"{value:.3g}" for value in rms[:, number].mean(axis=0))
-        yield make_row(
-            f"{head}: difference, {when}, mm",
-            None,
-            np.linalg.norm(rms[:, number], axis=1).tolist(),
-            f"X, Y, Z: {note}",
-        )
 
 
 def _difference_claims(head: str, draws: Sequence[Tests], pair: tuple[str, str]) -> Iterator[Item]:

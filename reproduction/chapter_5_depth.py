@@ -39,7 +39,19 @@ def fig_5_21(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for jet in detect_jets(seeds, pixels):
         every[jet.height] = jet.analyse()
         yield from _profiles(jet, every[jet.height])
-    yield from _gauss(every)
+    # fit equation 5.18 to all jets together: figure 5-27
+    fits, rest = [], []
+    for kind in ("found", "true", "many"):
+        y, share = _pooled(every, kind)
+        weight, width = fit_total(y, share) if len(y) > 3 else (np.nan, np.nan)
+        law = weight * np.exp(-(y**2) / (2.0 * width**2)) + 1.0 - weight
+        fits.append((weight, width))
+        rest.append(float(np.sqrt(np.mean((share - law) ** 2))) if len(y) > 3 else np.nan)
+    for number, (name, thesis) in enumerate((("A", _WEIGHT), ("s", _WIDTH))):
+        yield from jet_rows(
+            f"all jets: {name} of equation 5.18", thesis, *[fit[number] for fit in fits]
+        )
+    yield from jet_rows("all jets: rms distance from equation 5.18", None, *rest)
     yield from _lines(every)
     for height, analyses in every.items():
         yield from _prediction(height, analyses)
@@ -82,22 +94,6 @@ def _pooled(every: Analyses, kind: str) -> tuple[F64, F64]:
     empty = [(np.zeros(0), np.zeros(0))]
     y, share = (np.concatenate(parts) for parts in zip(*(pairs or empty), strict=True))
     return y, share
-
-
-def _gauss(every: Analyses) -> Iterator[Item]:
-    """Fit equation 5.18 to all jets together: figure 5-27."""
-    fits, rest = [], []
-    for kind in ("found", "true", "many"):
-        y, share = _pooled(every, kind)
-        weight, width = fit_total(y, share) if len(y) > 3 else (np.nan, np.nan)
-        law = weight * np.exp(-(y**2) / (2.0 * width**2)) + 1.0 - weight
-        fits.append((weight, width))
-        rest.append(float(np.sqrt(np.mean((share - law) ** 2))) if len(y) > 3 else np.nan)
-    for number, (name, thesis) in enumerate((("A", _WEIGHT), ("s", _WIDTH))):
-        yield from jet_rows(
-            f"all jets: {name} of equation 5.18", thesis, *[fit[number] for fit in fits]
-        )
-    yield from jet_rows("all jets: rms distance from equation 5.18", None, *rest)
 
 
 def _lines(every: Analyses) -> Iterator[Item]:

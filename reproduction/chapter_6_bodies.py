@@ -62,7 +62,13 @@ def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Ite
             found.append(_measure(scene, seed, shots))
             common.report(f"{body}, seed {seed}: measured")
             if seed == seeds[0]:
-                yield _view(body, shots[0].observation)
+                # draw the middle camera's image, its brightest pixels cut
+                case = shots[0].observation
+                view = case.images[len(case.images) // 2].astype(np.float64)
+                panels = (common.image_panel("", np.minimum(view, np.percentile(view, 99.0))),)
+                yield Figure(
+                    f"flow-behind-{body}", f"tracers around a {body}", panels, inch=(5.5, 4.4)
+                )
         for cameras, solver, what in found[0]:
             values = [one[cameras, solver, what] for one in found]
             yield common.finite_row(f"{body}, {cameras} cameras, {solver}: {what}", values)
@@ -159,13 +165,6 @@ def _rms(error: F64) -> float:
     return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
 
 
-def _view(body: str, case: Observation) -> Figure:
-    """Draw the middle camera's image, its brightest pixels cut."""
-    view = case.images[len(case.images) // 2].astype(np.float64)
-    panels = (common.image_panel("", np.minimum(view, np.percentile(view, 99.0))),)
-    return Figure(f"flow-behind-{body}", f"tracers around a {body}", panels, inch=(5.5, 4.4))
-
-
 def _flow_figure(body: str, found: Sequence[Figures]) -> Figure:
     """Draw recall and velocity error over hidden views and cameras."""
     labels = list(_HIDDEN)
@@ -250,7 +249,18 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         found.append(out | _tracers(shot) | {"body: intersection over union": overlap(body, true)})
         common.report(f"three phases, seed {seed}: measured")
         if seed == seeds[0]:
-            yield _phases_figure(shot.case)
+            # draw one view and its three parts
+            case = shot.case
+            parts = separate_phases(case, image_diameter_px(case, _LARGEST_MM))
+            middle = len(case.images) // 2
+            shown = {
+                "one view": case.images[middle],
+                "bubbles": parts.bubbles.images[middle],
+                "tracers": parts.tracers.images[middle],
+                "body": parts.body[middle],
+            }
+            panels = tuple(common.image_panel(name, image) for name, image in shown.items())
+            yield Figure("three-phases", "three phases", panels, across=2, inch=(4.6, 3.6))
     for what in found[0]:
         yield common.finite_row(what, [one[what] for one in found])
 
@@ -284,17 +294,3 @@ def overlap(found: Bool, true: Bool) -> float:
     """Compute intersection over union of pixels; 1 where both are empty."""
     union = int((found | true).sum())
     return float((found & true).sum() / union) if union else 1.0
-
-
-def _phases_figure(case: Observation) -> Figure:
-    """Draw one view and its three parts."""
-    parts = separate_phases(case, image_diameter_px(case, _LARGEST_MM))
-    middle = len(case.images) // 2
-    shown = {
-        "one view": case.images[middle],
-        "bubbles": parts.bubbles.images[middle],
-        "tracers": parts.tracers.images[middle],
-        "body": parts.body[middle],
-    }
-    panels = tuple(common.image_panel(name, image) for name, image in shown.items())
-    return Figure("three-phases", "three phases", panels, across=2, inch=(4.6, 3.6))

@@ -363,27 +363,23 @@ def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
         (data.setup.time_s(frame) for frame in pair),
     )
     if flow is None:
-        return _among_particles(data, pair, points_mm)
+        from scipy.spatial import cKDTree
+
+        first, second = (data.particles(frame) for frame in pair)
+        _, one, other = np.intersect1d(first.id, second.id, return_indices=True)
+        if not len(one):
+            raise InputError(
+                f"{data.root}: frames {pair[0]} and {pair[1]}: "
+                "expected particles that are in both, got none"
+            )
+        positions = (first.position_mm[one] + second.position_mm[other]) / 2.0
+        moves = (second.position_mm[other] - first.position_mm[one]) / interval_s(data, pair)
+        count = min(_NEIGHBOURS, len(positions))
+        near = cKDTree(positions).query(points_mm, k=count)[1].reshape(len(points_mm), count)
+        return np.asarray(moves[near].mean(axis=1))
     middle, tolerance = (start + end) / 2.0, TOLERANCE * max(data.scene.volume.size_mm)
     after, before = (advect(flow, points_mm, middle, time, tolerance) for time in (end, start))
     return (after - before) / (end - start)
-
-
-def _among_particles(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
-    from scipy.spatial import cKDTree
-
-    first, second = (data.particles(frame) for frame in pair)
-    _, one, other = np.intersect1d(first.id, second.id, return_indices=True)
-    if not len(one):
-        raise InputError(
-            f"{data.root}: frames {pair[0]} and {pair[1]}: "
-            "expected particles that are in both, got none"
-        )
-    positions = (first.position_mm[one] + second.position_mm[other]) / 2.0
-    moves = (second.position_mm[other] - first.position_mm[one]) / interval_s(data, pair)
-    count = min(_NEIGHBOURS, len(positions))
-    near = cKDTree(positions).query(points_mm, k=count)[1].reshape(len(points_mm), count)
-    return np.asarray(moves[near].mean(axis=1))
 
 
 TASK = VelocimetryTask()

@@ -151,19 +151,15 @@ def competition(challenge: Challenge, image: str) -> Iterator[str]:
     yield "    key: main"
     yield "    submission_rule: Force_Last"
     yield "    columns:"
-    yield from _columns(challenge)
+    scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
+    for number, one in enumerate(scores):
+        yield _column(number, one.key, one.heading, "asc" if one.better == "smaller" else "desc")
+    yield _column(len(scores), ADMITTED, "admitted", "desc")
 
 
 def _quoted(text: str) -> str:
     """Quote a text for YAML, which has JSON's escapes but no surrogate pairs."""
     return json.dumps(text, ensure_ascii=False)
-
-
-def _columns(challenge: Challenge) -> Iterator[str]:
-    scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
-    for number, one in enumerate(scores):
-        yield _column(number, one.key, one.heading, "asc" if one.better == "smaller" else "desc")
-    yield _column(len(scores), ADMITTED, "admitted", "desc")
 
 
 def _column(number: int, key: str, title: str, sorting: str) -> str:

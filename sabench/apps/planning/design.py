@@ -62,23 +62,6 @@ def design_scene(base: Scene, wanted: Wanted) -> Scene:
         A base without particles of a given density, with cameras at listed places or behind more
         than one plane wall, or a wanted scene that cannot be built.
     """
-    _check(base)
-    electrons = _figure(base, "peak_e")
-    viewing = view(base, build_rig(base, base.title))
-    start = _with_volume(base, viewing, wanted)
-    values = _move_cameras(start, viewing, wanted, base)
-    # choose the f-number with the wanted depth of field, or the base's. The depth of field grows
-    # with its square
-    scene = _scene(values)
-    field = _figure(scene, "depth_of_field_mm")
-    values["cameras"]["f_number"] = scene.cameras.f_number * max(
-        1.0, math.sqrt(wanted.depth_mm / field)
-    )
-    values["illumination"]["pulse_energy_mj"] *= electrons / _figure(_scene(values), "peak_e")
-    return _scene(_with_crop(values, viewing, wanted))
-
-
-def _check(base: Scene) -> None:
     given = base.particle_world.particles
     if not any(key in given for key in _DENSITIES):
         raise InputError(
@@ -92,6 +75,19 @@ def _check(base: Scene) -> None:
         )
     if base.walls and base.plane is None:
         raise InputError(f"{base.title}: wall: expected one plane wall or none to move")
+    electrons = _figure(base, "peak_e")
+    viewing = view(base, build_rig(base, base.title))
+    start = _with_volume(base, viewing, wanted)
+    values = _move_cameras(start, viewing, wanted, base)
+    # choose the f-number with the wanted depth of field, or the base's. The depth of field grows
+    # with its square
+    scene = _scene(values)
+    field = _figure(scene, "depth_of_field_mm")
+    values["cameras"]["f_number"] = scene.cameras.f_number * max(
+        1.0, math.sqrt(wanted.depth_mm / field)
+    )
+    values["illumination"]["pulse_energy_mj"] *= electrons / _figure(_scene(values), "peak_e")
+    return _scene(_with_crop(values, viewing, wanted))
 
 
 def _scene(values: Mapping[str, Any]) -> Scene:

@@ -97,7 +97,18 @@ def _outlines(
     for camera in view.rig.cameras:
         for ray in _rays(camera, view, plane):
             yield Outline("ray", ray)
-        yield Outline("camera", _symbol(camera, plane, _CAMERA * (high - low).max()), closed=True)
+        # make a camera's triangle (3, 2), whose tip is the pinhole
+        length_mm = _CAMERA * (high - low).max()
+        tip, forward = (
+            np.asarray(one)[list(plane)] for one in (camera.center_mm, camera.rotation[2])
+        )
+        side = np.array([-forward[1], forward[0]])
+        back = tip - length_mm * forward
+        yield Outline(
+            "camera",
+            np.array([tip, back + length_mm / 2.0 * side, back - length_mm / 2.0 * side]),
+            closed=True,
+        )
 
 
 def _faces(wall: WallRecord) -> list[float]:
@@ -145,14 +156,6 @@ def _rays(camera: Camera, view: Viewing, plane: tuple[int, int]) -> Iterator[F64
     ends = rays.origins_mm + reach[:, None] * rays.directions
     for origin, end in zip(rays.origins_mm[rays.valid], ends[rays.valid], strict=True):
         yield np.array([camera.center_mm, origin, end])[:, plane]
-
-
-def _symbol(camera: Camera, plane: tuple[int, int], length_mm: float) -> F64:
-    """Make a camera's triangle (3, 2), whose tip is the pinhole."""
-    tip, forward = (np.asarray(one)[list(plane)] for one in (camera.center_mm, camera.rotation[2]))
-    side = np.array([-forward[1], forward[0]])
-    back = tip - length_mm * forward
-    return np.array([tip, back + length_mm / 2.0 * side, back - length_mm / 2.0 * side])
 
 
 _NAMES = {

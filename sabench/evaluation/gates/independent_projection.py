@@ -169,21 +169,9 @@ def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
         *(np.full(len(offset), layer.thickness_mm) for layer in wall.layers),
         along - before - solid,
     ]
-    invariant = _invariant(
-        [wall.air_index, *(layer.index for layer in wall.layers), wall.fluid_index], depths, radius
-    )
-    sine = invariant / wall.air_index
-    return np.asarray(
-        np.sqrt(1.0 - sine**2)[:, None] * normal
-        + (sine / np.maximum(radius, 1e-300))[:, None] * sideways
-    )
-
-
-def _invariant(indices: list[float], depths: list[F64], radius: F64) -> F64:
-    """Find the n sin(angle) (n,) of the path that ends at the given radius.
-
-    The path crosses all depths. The radius grows with n sin(angle), from 0 to infinity.
-    """
+    # find the n sin(angle) (n,) of the path that ends at the given radius. The path crosses all
+    # depths. The radius grows with n sin(angle), from 0 to infinity
+    indices = [wall.air_index, *(layer.index for layer in wall.layers), wall.fluid_index]
     low, high = np.zeros_like(radius), np.full_like(radius, min(indices))
     for _ in range(_HALVINGS):
         middle = (low + high) / 2.0
@@ -196,4 +184,9 @@ def _invariant(indices: list[float], depths: list[F64], radius: F64) -> F64:
             np.where(reached < radius, middle, low),
             np.where(reached < radius, high, middle),
         )
-    return np.asarray((low + high) / 2.0)
+    invariant = np.asarray((low + high) / 2.0)
+    sine = invariant / wall.air_index
+    return np.asarray(
+        np.sqrt(1.0 - sine**2)[:, None] * normal
+        + (sine / np.maximum(radius, 1e-300))[:, None] * sideways
+    )

@@ -76,7 +76,16 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
             f"{'a link' if path.is_symlink() else 'none'}"
         )
     if path.is_dir():
-        yield _sort_files(_in_folder(path), path)
+        found = []
+        for number, entry in enumerate(path.rglob("*")):
+            if number >= _MEMBERS:
+                raise InputError(f"{path}: expected at most {_MEMBERS} files and folders")
+            if entry.is_symlink():
+                link = printable(entry.relative_to(path).as_posix())
+                raise InputError(f"{path}: expected no links, got {link}")
+            if entry.is_file() and _is_wanted(entry.name):
+                found.append((entry.relative_to(path).as_posix(), entry))
+        yield _sort_files(found, path)
     elif not path.is_file():
         raise InputError(f"{path}: expected a file, an archive or a folder")
     elif path.name.lower().endswith((".zip", ".tar", ".tar.gz", ".tgz")):
@@ -91,20 +100,6 @@ def _sort_files(files: Files, path: Path) -> Submitted:
     if not results:
         raise InputError(f"{path}: expected result files, whose names end in {_ENDING}, found none")
     return Submitted(results, sorted(one for one in files if one not in results))
-
-
-def _in_folder(root: Path) -> Files:
-    found = []
-    for number, entry in enumerate(root.rglob("*")):
-        if number >= _MEMBERS:
-            raise InputError(f"{root}: expected at most {_MEMBERS} files and folders")
-        if entry.is_symlink():
-            raise InputError(
-                f"{root}: expected no links, got {printable(entry.relative_to(root).as_posix())}"
-            )
-        if entry.is_file() and _is_wanted(entry.name):
-            found.append((entry.relative_to(root).as_posix(), entry))
-    return found
 
 
 def _unpack(path: Path, folder: Path) -> Files:

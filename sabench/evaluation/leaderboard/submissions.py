@@ -61,7 +61,20 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
         for one in runs
     )
     if not (recorded or is_public(manifest.scene_hash, manifest.seed)):
-        return _undisclosed(data)
+        # describe a private data set by its content hash alone
+        name = f"private-{data.content_hash[:12]}"
+        reason = "no public record and no bundled suite has its scene with its seed"
+        text = f"{data.root}: recorded as {name}: {reason}"
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        return {
+            "case": name,
+            "scene": "private",
+            "axes": {},
+            "scene_hash": data.content_hash,
+            "seed": 0,
+            "split": "hidden",
+            "renderer": data.manifest.renderer,
+        }
     return {
         "case": manifest.scene,
         "scene": manifest.scene,
@@ -70,23 +83,6 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
         "seed": manifest.seed,
         "split": "public",
         "renderer": manifest.renderer,
-    }
-
-
-def _undisclosed(data: Dataset) -> Record:
-    """Describe a private data set by its content hash alone."""
-    name = f"private-{data.content_hash[:12]}"
-    reason = "no public record and no bundled suite has its scene with its seed"
-    text = f"{data.root}: recorded as {name}: {reason}"
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
-    return {
-        "case": name,
-        "scene": "private",
-        "axes": {},
-        "scene_hash": data.content_hash,
-        "seed": 0,
-        "split": "hidden",
-        "renderer": data.manifest.renderer,
     }
 
 
