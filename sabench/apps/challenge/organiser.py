@@ -1,13 +1,7 @@
-"""Texts of a challenge: pages for its participants.
+"""The organiser's part of a challenge: private data sets, archives, and pages for participants.
 
-pages: Texts of a challenge: pages for its participants.
-
-codabench: Bundle of a challenge for the server Codabench.
-
-Its format is that of the server's documentation, version 2: "Yaml Structure", "Competition Bundle
-Structure" and "Submission Docker Container Layout".
-
-organiser: The organiser's part of a challenge: private data sets and archives.
+The bundle for the server Codabench has the format of the server's documentation, version 2: "Yaml
+Structure", "Competition Bundle Structure" and "Submission Docker Container Layout".
 """
 
 from __future__ import annotations

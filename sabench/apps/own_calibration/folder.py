@@ -1,10 +1,4 @@
-"""Tables of a calibration's configuration, the file calibration.toml.
-
-calibration_configuration: Tables of a calibration's configuration, the file calibration.toml.
-
-docs/using/calibrating.md describes it.
-
-calibration_folder: Folder of a calibration: its configuration, and points or images of a target.
+"""Folder of a calibration: its configuration calibration.toml, and points or images of a target.
 
 docs/using/calibrating.md describes it.
 """

@@ -1,8 +1,7 @@
-"""Figures of the array's view: resolution, depth, overlap and blur.
+"""Figures of a plan: the array's view, and the images of particles.
 
-optics: Figures of the array's view: resolution, depth, overlap and blur.
-
-light: Figures of the particles' images: size, photons, noise and saturation.
+The view has resolution, depth, overlap and blur; the images have size, photons, noise and
+saturation.
 """
 
 from __future__ import annotations

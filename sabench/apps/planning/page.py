@@ -1,11 +1,7 @@
-"""Drawing of a rig: cameras, wall, volume, light sheet and lines of sight.
+"""Page of a plan: warnings, drawings of the rig and figures, as one HTML file.
 
-rig_drawing: Drawing of a rig: cameras, wall, volume, light sheet and lines of sight.
-
-Each drawing is a projection along one edge of the volume. Walls and the sheet are cut where the
-plane through the volume's middle meets them.
-
-page: Page of a plan: warnings, drawings of the rig and figures, as one HTML file.
+Each drawing is a projection along one edge of the volume. Walls and the light sheet are cut where
+the plane through the volume's middle meets them.
 """
 
 from __future__ import annotations

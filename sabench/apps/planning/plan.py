@@ -1,10 +1,7 @@
-"""Figures of the calibration: how far nominal cameras are off in the images.
+"""Plan of an experiment: all figures of a scene and its warnings.
 
-calibration: Figures of the calibration: how far nominal cameras are off in the images.
-
-recording: Figures of the recording: data rate, buses, buffer and times of pulses.
-
-plan: Plan of an experiment: all figures of a scene and its warnings.
+The calibration has the errors of nominal cameras in the images; the recording has data rate, buses,
+buffer and times of pulses.
 """
 
 from __future__ import annotations

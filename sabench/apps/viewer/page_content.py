@@ -1,9 +1,4 @@
-"""Arrays of a page: joined, compressed and written as text.
-
-packing: Arrays of a page: joined, compressed and written as text.
-
-page_content: Content of a page as values of JSON, and its arrays.
-"""
+"""Content of a page as values of JSON, and its arrays: joined, compressed, written as text."""
 
 from __future__ import annotations
 

@@ -1,13 +1,4 @@
-"""Points to show: true and found particles, classified and thinned.
-
-clouds: Particles, bubbles and vectors of one frame, and what became of each.
-
-classification: Classification of estimates by the rules of the scores.
-
-thinning: Thinning of particles to as many as a page can show.
-
-estimates: Estimates of a result as the page shows them, frame by frame.
-"""
+"""Points to show of each frame: true and found, classified as scores do, and thinned."""
 
 from __future__ import annotations
 
