@@ -102,16 +102,8 @@ def _there(pictures: Path, name: str) -> Path | None:
 
 
 _SCRIPTS = (
-    "base",
-    "state",
-    "rows",
-    "download",
-    "table",
-    "plots",
-    "front",
-    "viewer",
-    "case",
-    "main",
+    *("base", "state", "rows", "download", "table"),
+    *("plots", "front", "viewer", "case", "main"),
 )
 
 
@@ -146,16 +138,8 @@ def library() -> str:
 
 
 _ENTRY = (
-    "task",
-    "recorded",
-    "case",
-    "scene_hash",
-    "renderer",
-    "split",
-    "solver",
-    "parameters",
-    "machine",
-    "submission",
+    *("task", "recorded", "case", "scene_hash", "renderer", "split"),
+    *("solver", "parameters", "machine", "submission"),
 )
 
 

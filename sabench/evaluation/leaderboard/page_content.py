@@ -143,6 +143,8 @@ def _table(table: Table) -> dict[str, Any]:
         }
         for one in table.columns
     ]
+    # curve over the matching distance, if the task has one
+    own = None if table.recorded else table.task.tolerance
     captions = table.task.captions
     pictured = {
         "heading": captions.heading,
@@ -156,17 +158,9 @@ def _table(table: Table) -> dict[str, Any]:
         "main": len(columns) if table.recorded else _MAIN,
         "larger": None if table.recorded else table.columns[0].better == "larger",
         "gate": _NO_RANK if table.recorded else gate_text(table.task),
-        "tolerance": _tolerance(table),
+        "tolerance": own and {key: getattr(own, key) for key in ("heading", "unit", "distances")},
         "pictured": pictured,
     }
-
-
-def _tolerance(table: Table) -> dict[str, Any] | None:
-    """Describe the curve over the matching distance, if the task has one."""
-    own = None if table.recorded else table.task.tolerance
-    if own is None:
-        return None
-    return {"heading": own.heading, "unit": own.unit, "distances": own.distances}
 
 
 def gate_text(task: Task) -> str:
@@ -207,7 +201,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     """Make one line of the table; shared texts are indices into the pool."""
     runs: list[Record] = row["runs"]
     keys = [score.key for score in table_of(row).columns]
-    several = len(runs) > 1
+    machine = [row["machine"].get(key) for key in ("cpu", "backend")]
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
     # return the card of a submission, and the entry whose estimates it repeats
     known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
@@ -219,11 +213,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "solver": pool(row.get("label") or row["solver"]),
         "name": pool(row["solver"]),
         "parameters": pool(text_of(row["parameters"])),
-        "machine": pool(
-            ", ".join(
-                str(row["machine"][key]) for key in ("cpu", "backend") if row["machine"].get(key)
-            )
-        ),
+        "machine": pool(", ".join(str(one) for one in machine if one)),
         "machineAll": pool(text_of(row["machine"])),
         "versions": pool(text_of(row["versions"])),
         "submission": row.get("submission"),
@@ -240,7 +230,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "reference": short(sum(reference) / len(reference)) if reference else None,
         "scores": [pair(row[key]) for key in keys],
         "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys]
-        if several
+        if len(runs) > 1
         else None,
         "curve": _curve(row),
         "ranked": row["ranked"],
@@ -288,11 +278,8 @@ def pair(score: Mean | None) -> list[float] | None:
     """Return a mean with its half width, if there is one."""
     if score is None:
         return None
-    return (
-        [short(score.mean)]
-        if score.half_width is None
-        else [short(score.mean), short(score.half_width)]
-    )
+    known = (score.mean, score.half_width)
+    return [short(value) for value in known if value is not None]
 
 
 def short(value: float) -> float:

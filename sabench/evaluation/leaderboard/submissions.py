@@ -19,7 +19,7 @@ from sabench.evaluation.leaderboard.foreign_results import match_data_sets, scor
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import append, encode, latest, read_records, run_key, same_data
 from sabench.evaluation.runner import build_board
-from sabench.evaluation.solver_card import SolverCard, check_solvers, read_cards
+from sabench.evaluation.solver_card import check_solvers, read_cards
 from sabench.evaluation.suite_loading import is_public
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
@@ -29,16 +29,8 @@ from sabench.utils.version import __version__
 
 # keys of a record that describe the data set
 _CASE = (
-    "suite",
-    "case",
-    "scene",
-    "difficulty",
-    "axis",
-    "axes",
-    "scene_hash",
-    "seed",
-    "split",
-    "renderer",
+    *("suite", "case", "scene", "difficulty", "axis", "axes"),
+    *("scene_hash", "seed", "split", "renderer"),
 )
 
 
@@ -190,11 +182,17 @@ def submit(
         ]
     labels = [label for label, _ in files.results]
     check_solvers(carded, [record["solver"] for record in made])
-    made = [_with_card(record, carded) for record in made]
+    made = [
+        record | {"card": card.model_dump()} if (card := carded.get(record["solver"])) else record
+        for record in made
+    ]
     _refuse_twins(path, labels, made)
     _refuse_known(labels, made, known)
     for label, record in zip(labels, made, strict=True):
-        _check_record(label, record)
+        try:
+            encode(record)
+        except InputError as error:
+            raise InputError(f"{printable(label)}: {error}") from error
     made = _recognised(labels, made, [*known, *bundled_records(leaderboard)])
     for record in made:
         append(leaderboard / "records" / "submitted.jsonl", record)
@@ -209,11 +207,6 @@ def check_name(name: str) -> None:
         raise InputError(
             f"name: expected 1 to {_LONGEST_NAME} printable characters, got {printable(name)!r}"
         )
-
-
-def _with_card(record: Record, cards: dict[str, SolverCard]) -> Record:
-    card = cards.get(record["solver"])
-    return record if card is None else {**record, "card": card.model_dump()}
 
 
 def _recognised(labels: list[str], made: list[Record], known: list[Record]) -> list[Record]:
@@ -249,14 +242,6 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
         "declined": False,
     }
     return head | rest | figures | costs
-
-
-def _check_record(label: str, record: Record) -> None:
-    """Refuse a result whose solver, parameters or scores no record may have."""
-    try:
-        encode(record)
-    except InputError as error:
-        raise InputError(f"{printable(label)}: {error}") from error
 
 
 def _refuse_known(labels: list[str], made: list[Record], known: list[Record]) -> None:
