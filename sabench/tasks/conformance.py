@@ -300,32 +300,35 @@ def _image_sequence(like: ImageSequence, frames: list[Observation]) -> ImageSequ
     return ImageSequence(frames[0].cameras, like.grid, like.times_s, frames.__getitem__)
 
 
-def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
+def _change_frames(case: Any, change: Callable[[Any], Any]) -> Any:
+    """Change every frame of a case."""
     if isinstance(case, ImageSequence):
-        frames = [_with_images(frame, change) for frame in case]
-        return _image_sequence(case, frames)
+        return _image_sequence(case, [change(frame) for frame in case])
     if isinstance(case, ImagePair):
-        first, second = (_with_images(frame, change) for frame in (case.first, case.second))
-        return ImagePair(first, second, case.interval_s)
-    if not isinstance(case, Observation):
-        raise _SkippedError("its cases have no images")
-    return replace(case, images=change(case.images, int(case.black_dn)))
+        return ImagePair(change(case.first), change(case.second), case.interval_s)
+    return change(case)
+
+
+def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
+    def with_changed(frame: Any) -> Observation:
+        if not isinstance(frame, Observation):
+            raise _SkippedError("its cases have no images")
+        return replace(frame, images=change(frame.images, int(frame.black_dn)))
+
+    return _change_frames(case, with_changed)
 
 
 def _reverse_cameras(case: Any) -> Any:
-    if isinstance(case, ImageSequence):
-        frames = [_reverse_cameras(frame) for frame in case]
-        return _image_sequence(case, frames)
-    if isinstance(case, ImagePair):
-        first, second = (_reverse_cameras(frame) for frame in (case.first, case.second))
-        return ImagePair(first, second, case.interval_s)
-    if isinstance(case, Observation):
-        flaws = case.flaws and Flaws(*(kind[::-1].copy() for kind in case.flaws))
-        images, cameras = case.images[::-1].copy(), case.cameras[::-1]
-        return replace(case, images=images, cameras=cameras, flaws=flaws)
-    if isinstance(case, CalibrationCase):
-        return replace(case, pixels=case.pixels[::-1].copy(), cameras=case.cameras[::-1])
-    raise _SkippedError("its cases have no cameras")
+    def reverse(frame: Any) -> Any:
+        if isinstance(frame, Observation):
+            flaws = frame.flaws and Flaws(*(kind[::-1].copy() for kind in frame.flaws))
+            images, cameras = frame.images[::-1].copy(), frame.cameras[::-1]
+            return replace(frame, images=images, cameras=cameras, flaws=flaws)
+        if isinstance(frame, CalibrationCase):
+            return replace(frame, pixels=frame.pixels[::-1].copy(), cameras=frame.cameras[::-1])
+        raise _SkippedError("its cases have no cameras")
+
+    return _change_frames(case, reverse)
 
 
 @dataclass(frozen=True)

@@ -160,13 +160,8 @@ class ReconstructionTask(FrameByFrame):
         clock.seconds = max(clock.seconds - reader.seconds, 0.0)
 
     def check_case(self, case: Observation, source: str) -> None:
-        """Raise an InputError for an observation that no solver can use.
-
-        A black image passes.
-        """
-        check_images(case, source)
-        check_memory(case, source)
-        check_view(case, source)
+        """Raise an InputError for an observation that no solver can use."""
+        check_frame(case, source)
 
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make the synthesised field, with the true positions."""
@@ -232,18 +227,18 @@ def with_bar(picture: bytes, grid: Grid) -> bytes:
     return pictures.with_scale_bar(picture, pictures.slice_voxels(grid.scored) * grid.voxel_mm[0])
 
 
-def check_images(case: Observation, source: str) -> None:
-    """Raise an InputError for an image that is saturated all over."""
+def check_frame(case: Observation, source: str) -> None:
+    """Raise an InputError for a saturated image, or a grid out of memory or of view.
+
+    A black image passes.
+    """
     for camera, image in zip(case.cameras, case.images, strict=True):
         if image.min() >= case.white_dn:
             raise InputError(
                 f"{source}: {camera.name}: expected an image that shows something, "
                 f"but every pixel is saturated ({case.white_dn:g} or more)"
             )
-
-
-def check_view(case: Observation, source: str) -> None:
-    """Raise an InputError for a grid that no camera sees."""
+    check_memory(case, source)
     axes = [
         axis[np.unique(np.linspace(0, len(axis) - 1, _TRIED).astype(int))]
         for axis in case.grid.axes_mm

@@ -20,7 +20,7 @@ from sabench.metrics.code_reading import (
     single_views,
 )
 from sabench.plotting import pictures
-from sabench.tasks.reconstruction import check_images, check_memory, check_view
+from sabench.tasks.reconstruction import check_frame
 from sabench.tasks.task import (
     ANY,
     PERCENT,
@@ -78,9 +78,7 @@ class SeeThroughTask(FrameByFrame):
 
     def check_case(self, case: Observation, source: str) -> None:
         """Raise an InputError for an observation that no solver can use."""
-        check_images(case, source)
-        check_memory(case, source)
-        check_view(case, source)
+        check_frame(case, source)
 
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make planes that are bright where the code is."""
