@@ -46,7 +46,7 @@ from numba.core import event
 import sabench.algorithms.refocus
 import sabench.algorithms.tomography.problem
 from sabench import plugins
-from sabench.tasks.solve_and_score import solve_at_desk
+from sabench.tasks.solve_and_score import run_plug_in
 
 
 class Compiler(event.Listener):
@@ -80,7 +80,7 @@ def solve(self, case):
 plug_in.solve = solve
 for number in range(2):
     out = Path(folder) / f"{number}.h5"
-    solve_at_desk(solver, {}, Path(data), out, threads=None, isolated=False)
+    run_plug_in(solver, {}, Path(data), out, threads=None, isolated=False)
     with h5py.File(out) as file:
         print(file.attrs["seconds"], file.attrs["compile_s"], sum(spent) / len(spent))
     spent.clear()

@@ -23,7 +23,7 @@ from sabench.scenes import Scene, build_rig, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.confidence import mean_of
 
-from .chapter_4 import Board, draw, places_of, solve_case
+from .chapter_4 import draw, places_of, solve_case
 from .common import (
     ADEQUATE,
     cases,
@@ -157,7 +157,15 @@ def fig_2_7_cameras(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         for name, one in _cameras(scene, shot, seed).items():
             errors.setdefault(name, []).append(one.error_px)
             for solver in _RECONSTRUCTIONS:
-                found.setdefault((solver, name), []).append(_q(solver, shot, one))
+                # compute Q against the true particles, moved to the cameras' own frame. Particles
+                # do not determine where that frame is in the world
+                guess = make_solver(solver, {}).solve(
+                    replace(shot.observation, cameras=one.cameras)
+                )
+                moved = replace(shot.particles, position_mm=one.motion(shot.particles.position_mm))
+                score = score_frame(shot.observation.grid, moved, shot.views, guess)["q"]
+                assert score is not None
+                found.setdefault((solver, name), []).append(score)
     for (solver, name), values in found.items():
         yield make_row(
             f"{solver}: Q with the cameras of {name}",
@@ -222,17 +230,20 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
     for name in _CALIBRATIONS:
         given = draw(boards_behind_glass(scene, name == "polynomial_planes"), seed)
         answer = solve_case(name, given)
-        judged[name] = judge_cameras(answer.cameras, shot, true, _by_boards(answer, given))
+        judged[name] = judge_cameras(
+            answer.cameras,
+            shot,
+            true,
+            fit_rigid_motion(
+                given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3)
+            ),
+        )
     wrong = parse_scene(scene.to_dict() | {"calibration": {"shift_px": _SHIFT_PX}}, "shifted")
     off = simulate(wrong, seed=seed).observation
     judged["no calibration, 2 px off"] = judge_cameras(off.cameras, shot, true, None)
     made: Calibration = run("volume_self_calibration", off)
     judged["volume_self_calibration"] = judge_cameras(made.cameras, shot, true, None)
     return judged
-
-
-def _by_boards(answer: Calibration, given: Board) -> RigidMotion:
-    return fit_rigid_motion(given.points_mm.reshape(-1, 3), places_of(answer, given).reshape(-1, 3))
 
 
 def judge_cameras(
@@ -253,18 +264,6 @@ def judge_cameras(
         motion = fit_rigid_motion(truths[known], found[known])
     again = np.stack([camera.project(motion(truths))[0] for camera in cameras])
     return Judged(cameras, motion, float(np.nanmean(np.linalg.norm(again - exact, axis=-1))))
-
-
-def _q(solver: str, shot: Shot, judged: Judged) -> float:
-    """Compute Q against the true particles, moved to the cameras' own frame.
-
-    Particles do not determine where that frame is in the world.
-    """
-    guess = make_solver(solver, {}).solve(replace(shot.observation, cameras=judged.cameras))
-    moved = replace(shot.particles, position_mm=judged.motion(shot.particles.position_mm))
-    score = score_frame(shot.observation.grid, moved, shot.views, guess)["q"]
-    assert score is not None
-    return score
 
 
 _SHIFTS_PX = (0.5, 1.0)  # "can be in excess of 0.5 pixels"

@@ -122,7 +122,11 @@ def crossings(
 def _spacing_row(case: SceneCase) -> Row:
     """Compare dZ / dX of the exact cameras with the table's, the voxels' shape."""
     across, _, along = case.scene.grid.voxel_mm
-    center, neighbour = _inner_pair(build_rig(case.scene).cameras)
+    # find the central camera and its nearest neighbour
+    cameras = build_rig(case.scene).cameras
+    positions = np.array([camera.center_mm for camera in cameras])
+    order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=1))
+    center, neighbour = cameras[order[0]], cameras[order[1]]
     distance = -center.center_mm[2]
     predicted = plane_spacing_ratio(
         float(np.linalg.norm(np.subtract(neighbour.center_mm, center.center_mm))) / distance,
@@ -137,13 +141,6 @@ def _spacing_row(case: SceneCase) -> Row:
         [spacing / across],
         f"equation 2.10 at Z = 0: {predicted:.4g}",
     )
-
-
-def _inner_pair(cameras: Sequence[Camera]) -> tuple[Camera, Camera]:
-    """Find the central camera and its nearest neighbour."""
-    positions = np.array([camera.center_mm for camera in cameras])
-    order = np.argsort(np.linalg.norm(positions - positions.mean(axis=0), axis=1))
-    return cameras[order[0]], cameras[order[1]]
 
 
 def plane_spacing_mm(center: Camera, neighbour: Camera, voxel_mm: float) -> float:

@@ -154,7 +154,19 @@ def _particle_solvers(
             (found,) = run(solver, case)
             own.append(_count(shot, found.position_mm))
         for (noise, own), reach in zip(apart.items(), _REACH_PX, strict=False):
-            own.append(_count(shot, _triangles(shot, seed, noise, reach)))
+            # match the places of all images with noise, also of those that overlap. Returns
+            # positions (n, 3)
+            seen, rng = shot.observation, stream(seed, "image noise")
+            cameras = [camera for camera in seen.cameras if isinstance(camera, Camera)]
+            peaks: list[Peaks] = []
+            for camera in cameras:
+                exact = camera.project(shot.particles.position_mm)[0]
+                pixels = exact + noise * rng.standard_normal(exact.shape)
+                peaks.append(
+                    sort_peaks(pixels[camera.contains(pixels)], (camera.rows, camera.columns))
+                )
+            every = match_triangles(Apertures.of(cameras), cameras, tuple(peaks), seen.grid, reach)
+            own.append(_count(shot, select_rows(every, select_best(every, tuple(peaks))).position))
     for solver, own in counts.items():
         yield from detection_rows(f"{name}: {solver}", own)
     for noise, own in apart.items():
@@ -165,19 +177,3 @@ def _count(shot: Shot, position_mm: F64) -> Counts:
     grid: Grid = shot.observation.grid
     here, there = grid.to_voxels(position_mm), grid.to_voxels(shot.particles.position_mm)
     return count_thesis(here, there, grid.in_scored(here), grid.in_scored(there))
-
-
-def _triangles(shot: Shot, seed: int, noise_px: float, reach_px: float) -> F64:
-    """Match the places of all images with noise, also of those that overlap.
-
-    Returns positions (n, 3).
-    """
-    seen, rng = shot.observation, stream(seed, "image noise")
-    cameras = [camera for camera in seen.cameras if isinstance(camera, Camera)]
-    peaks: list[Peaks] = []
-    for camera in cameras:
-        exact = camera.project(shot.particles.position_mm)[0]
-        pixels = exact + noise_px * rng.standard_normal(exact.shape)
-        peaks.append(sort_peaks(pixels[camera.contains(pixels)], (camera.rows, camera.columns)))
-    every = match_triangles(Apertures.of(cameras), cameras, tuple(peaks), seen.grid, reach_px)
-    return select_rows(every, select_best(every, tuple(peaks))).position

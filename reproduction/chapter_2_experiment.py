@@ -307,7 +307,9 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     exact: list[_Cut] = []
     solid: dict[tuple[str, str], list[_Solid]] = {one: [] for one in _SOLVERS}
     for seed in seeds:
-        flat = _measure_sheet(sheet, seed)
+        first, second = (simulate(sheet, seed=seed, frame=frame).observation for frame in range(2))
+        pair = ImagePair(first, second, sheet.time_s(1) - sheet.time_s(0))
+        flat: Velocity = run("piv2d", pair, **_WINDOWS)
         planar.append(_look_at_planes(sheet, flat, beside_mm))
         exact.append(_look_at_planes(sheet, at_nodes(sheet, flat), beside_mm))
         shots = [simulate(volume, seed=seed, frame=frame) for frame in range(2)]
@@ -322,13 +324,6 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     yield from _planar_rows(planar, exact)
     for (volumes, solver), found in solid.items():
         yield from _solid_rows(f"{volumes}, {solver}", found, planar)
-
-
-def _measure_sheet(scene: Scene, seed: int) -> Velocity:
-    first, second = (simulate(scene, seed=seed, frame=frame).observation for frame in range(2))
-    pair = ImagePair(first, second, scene.time_s(1) - scene.time_s(0))
-    made: Velocity = run("piv2d", pair, **_WINDOWS)
-    return made
 
 
 @dataclass(frozen=True)

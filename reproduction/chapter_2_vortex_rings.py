@@ -22,17 +22,7 @@ from sabench.tasks.velocity_figures import error_scatter, slice_panel
 from sabench.utils.arrays import F64
 from sabench.utils.confidence import mean_of
 
-from .common import (
-    cases,
-    claim,
-    coarsen,
-    exact_displacements,
-    make_row,
-    reconstruct,
-    report,
-    run,
-    settings,
-)
+from . import common
 from .theory import plane_spacing_ratio
 
 _INTERVAL_S = 1e-3
@@ -112,7 +102,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     Volumes are reconstructed or synthesised.
     """
     for ring in RINGS:
-        scene = coarsen(scene_of(ring), pixels)
+        scene = common.coarsen(scene_of(ring), pixels)
         found: dict[tuple[str, str], list[F64]] = {}
         spent: dict[str, list[float]] = {}
         scattered: dict[tuple[str, str], Panel] = {}
@@ -121,8 +111,8 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 spent.setdefault(volumes, []).append(seconds)
                 for solver in ("piv3d_plain", "piv3d"):
                     start = time.perf_counter()
-                    chosen = settings(solver, ring.window, ring.overlap, pair.grid)
-                    field = run(solver, pair, **chosen)
+                    chosen = common.settings(solver, ring.window, ring.overlap, pair.grid)
+                    field = common.run(solver, pair, **chosen)
                     spent.setdefault(f"{volumes}, {solver}", []).append(time.perf_counter() - start)
                     off = errors(scene, field)
                     found.setdefault((volumes, solver), []).append(precision_interval(off))
@@ -135,7 +125,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                             across=1,
                         )
                     widths = np.round(found[volumes, solver][-1], 3)
-                    report(f"{ring.name}, {volumes}, {solver}: {widths}")
+                    common.report(f"{ring.name}, {volumes}, {solver}: {widths}")
         yield Figure(
             f"fig-2-9-{_slug(ring)}",
             f"{ring.name}: errors in voxels",
@@ -158,7 +148,7 @@ def _ring_rows(
             f", reconstruction {np.mean(spent[volumes]):.3g} s a pair" if spent[volumes][0] else ""
         )
         for number, axis in enumerate("uvw"):
-            yield make_row(
+            yield common.make_row(
                 f"{ring.name}, {volumes}, {solver}: {axis}, voxels",
                 thesis[number],
                 [float(own[number]) for own in widths],
@@ -169,7 +159,7 @@ def _ring_rows(
 
 def scene_of(ring: Ring) -> Scene:
     """Make the scene of a ring and its cameras, with two frames."""
-    (case,) = [one for one in cases("table-2-1") if one.name == ring.array]
+    (case,) = [one for one in common.cases("table-2-1") if one.name == ring.array]
     values: dict[str, Any] = case.scene.to_dict()
     values["particles"] = {
         **{
@@ -205,7 +195,7 @@ def _pairs(scene: Scene, seed: int) -> Iterator[tuple[str, VolumePair, float]]:
     yield "synthesised", _synthesise(shots, _INTERVAL_S), 0.0
     for name in _RECONSTRUCTIONS:
         start = time.perf_counter()
-        pair = reconstruct(name, [shot.observation for shot in shots], _INTERVAL_S)
+        pair = common.reconstruct(name, [shot.observation for shot in shots], _INTERVAL_S)
         yield name, pair, time.perf_counter() - start
 
 
@@ -222,7 +212,7 @@ def errors(scene: Scene, field: Velocity) -> F64:
     As in the thesis, vectors that were filled in count, too.
     """
     points = field.positions_mm.reshape(-1, 3)
-    exact = exact_displacements(scene, points, 0.0, _INTERVAL_S)
+    exact = common.exact_displacements(scene, points, 0.0, _INTERVAL_S)
     return np.asarray(
         (field.velocity_mm_s.reshape(-1, 3) * _INTERVAL_S - exact) / np.asarray(scene.grid.voxel_mm)
     )
@@ -278,7 +268,9 @@ def section_2_4(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for name, values in found[setup].items():
             for number, axis in enumerate("uvw"):
                 own = [float(one[number]) for one in values]
-                yield make_row(f"{setup.label}, {name}: r.m.s. error of {axis}, pixels", None, own)
+                yield common.make_row(
+                    f"{setup.label}, {name}: r.m.s. error of {axis}, pixels", None, own
+                )
     for name in _VOLUMES[:2]:
         yield from _claims(name, found)
     yield Figure(
@@ -298,7 +290,7 @@ _Found = dict[Setup, dict[str, list[F64]]]
 
 def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str, list[F64]]:
     """Measure r.m.s. errors (3,) of u, v, w in pixels, of all volumes and seeds."""
-    scene = coarsen(scene_at_baseline(setup), pixels)
+    scene = common.coarsen(scene_at_baseline(setup), pixels)
     found: dict[str, list[F64]] = {name: [] for name in _VOLUMES}
     for seed in seeds:
         shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
@@ -306,18 +298,22 @@ def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str
             pair = (
                 _synthesise(shots, scene.interval_s)
                 if name == "synthesised"
-                else reconstruct(name, [shot.observation for shot in shots], scene.interval_s)
+                else common.reconstruct(
+                    name, [shot.observation for shot in shots], scene.interval_s
+                )
             )
             window = round(_WINDOW_MM / _VOXEL_MM), round(_WINDOW_MM / setup.plane_mm)
-            chosen = settings("piv3d", (window[0], window[0], window[1]), _OVERLAP, pair.grid)
-            field = run("piv3d", pair, **chosen)
+            chosen = common.settings(
+                "piv3d", (window[0], window[0], window[1]), _OVERLAP, pair.grid
+            )
+            field = common.run("piv3d", pair, **chosen)
             places = field.positions_mm.reshape(-1, 3)
             inner = np.abs(places[:, :2]).max(axis=1) <= _SIZE_MM[0] / 2.0 - _MARGIN_MM
             voxels = np.asarray(scene.grid.voxel_mm) / scene.grid.voxel_mm[0]
             own.append(
                 np.array([root_mean_square(e) for e in (errors(scene, field)[inner] * voxels).T])
             )
-            report(f"{setup.label}, {name}, seed {seed}: {own[-1].round(3)}")
+            common.report(f"{setup.label}, {name}, seed {seed}: {own[-1].round(3)}")
     return found
 
 
@@ -347,7 +343,7 @@ def _claims(name: str, found: _Found) -> Iterator[Row]:
         across = {own.baseline: _mean(found[own][name], 0) for own in setups}
         depth = {own.baseline: _mean(found[own][name], 2) for own in setups}
         ratio = depth[max(depth)] / depth[min(depth)]
-        yield claim(
+        yield common.claim(
             f"{name}: error of w, {planes}",
             "a larger baseline resolves Z better",
             ratio,
@@ -358,7 +354,7 @@ def _claims(name: str, found: _Found) -> Iterator[Row]:
     spaced = {
         spacing: _mean(found[own][name], 2) for spacing, own in zip(SPACINGS, _SPACED, strict=True)
     }
-    yield make_row(
+    yield common.make_row(
         f"{name}: error of w with planes of equation 2.10, over the least of all spacings",
         None,
         [spaced[1.0] / min(spaced.values())],

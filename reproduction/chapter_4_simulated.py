@@ -20,7 +20,6 @@ from .chapter_4 import (
     NOISES,
     SOLVERS,
     STARTS,
-    Board,
     Draws,
     board,
     draw_points,
@@ -56,18 +55,7 @@ def table_4_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             f"{30.0 * start:g} % of the focal length",
         )
     given = board(13, BASELINE, 0.5, 0.2, seeds[0])
-    yield from _sizes(given)
-    yield make_row(
-        "combinations of cameras, noise and initial error",
-        3.0 * 5.0 * 5.0,
-        [float(len(CAMERAS) * len(EVERY_NOISE) * len(STARTS))],
-        f"cameras {CAMERAS}, measured by `appendix-c`; noise and starts are those that the text, "
-        "figure 4-12 and appendix C name",
-    )
-
-
-def _sizes(given: Board) -> Iterator[Item]:
-    """Compare the array and the boards with section 4.4.2."""
+    # compare the array and the boards with section 4.4.2
     camera, boards, points = given.cameras[0], *given.points_mm.shape[:2]
     wall = camera.wall
     thickness = wall.layers[0].thickness_mm if wall else 0.0
@@ -78,6 +66,13 @@ def _sizes(given: Board) -> Iterator[Item]:
         "pixel of the central camera in the middle of the volume, mm",
         D_PIX,
         [_pixel_mm(given.cameras[4])],
+    )
+    yield make_row(
+        "combinations of cameras, noise and initial error",
+        3.0 * 5.0 * 5.0,
+        [float(len(CAMERAS) * len(EVERY_NOISE) * len(STARTS))],
+        f"cameras {CAMERAS}, measured by `appendix-c`; noise and starts are those that the text, "
+        "figure 4-12 and appendix C name",
     )
 
 

@@ -27,16 +27,7 @@ from sabench.utils.arrays import F64, U16
 from sabench.utils.progress import progress_bar
 from sabench.worlds.calibration_targets import place
 
-from .chapter_4 import (
-    Board,
-    by_camera,
-    draw,
-    photograph,
-    places_of,
-    reprojection,
-    solve_case,
-    with_points,
-)
+from . import chapter_4
 from .common import AGREES, claim, make_row
 
 SOLVERS = {"randomised": "refractive_autocal_randomised", "joint": "refractive_autocal"}
@@ -59,7 +50,7 @@ class Traversed:
     answer, points_mm : what a solver returns: cameras, and points (plane, point, 3).
     """
 
-    given: Board
+    given: chapter_4.Board
     answer: Calibration
     points_mm: F64
 
@@ -102,12 +93,12 @@ def make_traverse() -> Scene:
 @functools.cache
 def calibrate(solver: str, step_mm: float, seed: int) -> Traversed:
     """Solve from a nominal distance of the planes, once for all figures."""
-    given = draw(make_traverse(), seed)
+    given = chapter_4.draw(make_traverse(), seed)
     nominal = given.points_mm.copy()
     nominal[..., 2] = MIDDLE_MM + step_mm * (np.arange(PLANES) - MIDDLE)[:, None]
-    start = with_points(given, nominal)
-    answer = solve_case(solver, start)
-    return Traversed(start, answer, places_of(answer, start))
+    start = chapter_4.with_points(given, nominal)
+    answer = chapter_4.solve_case(solver, start)
+    return Traversed(start, answer, chapter_4.places_of(answer, start))
 
 
 _SMALL_PX = 0.4  # error of the mapping from which refocusing suffers, as chapter 4 says
@@ -133,8 +124,9 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for seed in progress_bar(seeds, "traversed grids"):
         for name, solver in SOLVERS.items():
             for test, step in STEPS.items():
-                errors = _errors(calibrate(solver, step, seed))
-                means.setdefault((name, test), []).append(by_camera(errors))
+                done = calibrate(solver, step, seed)
+                errors = chapter_4.reprojection(done.answer, done.given, done.given.case.pixels)
+                means.setdefault((name, test), []).append(chapter_4.by_camera(errors))
                 scatters.setdefault((name, test), []).append(np.nanstd(errors, axis=(1, 2)))
     for (name, test), draws in means.items():
         spread = float(np.mean([own.mean() for own in scatters[name, test]]))
@@ -148,10 +140,6 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         yield from _claims(name, {test: np.array(means[name, test]) for test in STEPS})
     yield _bars(means, scatters)
     yield from _images(seeds[0])
-
-
-def _errors(done: Traversed) -> F64:
-    return reprojection(done.answer, done.given, done.given.case.pixels)
 
 
 def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
@@ -178,7 +166,6 @@ def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
 def _bars(
     means: dict[tuple[str, str], list[F64]], scatters: dict[tuple[str, str], list[F64]]
 ) -> Figure:
-    """Draw figure 4-23, mean over the seeds."""
     numbers = range(1, len(means["joint", "test 1"][0]) + 1)
     panels = [
         Panel(
@@ -203,7 +190,7 @@ def _images(seed: int) -> Iterator[Item]:
     target = place(scene, seed).target
     panels: list[Panel] = []
     for letter, (camera, plane) in zip("ab", _SHOWN, strict=True):
-        image = photograph(scene, plane, camera - 1, seed)
+        image = chapter_4.photograph(scene, plane, camera - 1, seed)
         points = _points(camera - 1, plane, seed)
         title = f"({letter}) camera {camera}, plane {plane + 1}"
         panels += [_overlay(title, image, points), *_detail(title, image, points)]
@@ -230,7 +217,6 @@ def _points(camera: int, plane: int, seed: int) -> dict[str, F64]:
 
 
 def _overlay(title: str, image: U16, points: dict[str, F64]) -> Panel:
-    """Show a whole image with all points."""
     clouds = (Cloud(name, *own.T) for name, own in points.items() if name != "true")
     rows, columns = image.shape
     seen = Picture(image.astype(np.float64), (0.0, 0.0), (columns - 1.0, rows - 1.0))
@@ -274,7 +260,12 @@ def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 positions = calibrate(solver, step, seed).points_mm
                 first = positions if first is None else first
                 found.setdefault((name, test), []).append(
-                    np.stack([np.diff(positions[..., 2], axis=0).mean(axis=1), _scatter(positions)])
+                    np.stack(
+                        [
+                            np.diff(positions[..., 2], axis=0).mean(axis=1),
+                            np.asarray(np.diff(positions[..., 2], axis=0).std(axis=1)),
+                        ]
+                    )
                 )
                 turns.setdefault((name, test), []).append(_turn_deg(positions, first))
     for (name, test), draws in found.items():
@@ -306,10 +297,6 @@ def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             "thesis, figure 4-26: seen, without a number",
         )
     yield _figure(found)
-
-
-def _scatter(positions: F64) -> F64:
-    return np.asarray(np.diff(positions[..., 2], axis=0).std(axis=1))
 
 
 def _turn_deg(positions: F64, reference: F64) -> float:
@@ -385,7 +372,17 @@ def fig_4_28(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for name, every in found.items():
         yield from _plane_rows(name, every)
         for figure, pair in _PAIRS.items():
-            yield from _difference_rows(f"{figure}, {name}, {pair[0]} and {pair[1]}", every, pair)
+            # measure the differences before and after alignment
+            head = f"{figure}, {name}, {pair[0]} and {pair[1]}"
+            rms = _measure_differences(every, pair)
+            for number, when in enumerate(("before", "after", "best rigid motion")):
+                note = ", ".join(f"{value:.3g}" for value in rms[:, number].mean(axis=0))
+                yield make_row(
+                    f"{head}: difference, {when}, mm",
+                    None,
+                    np.linalg.norm(rms[:, number], axis=1).tolist(),
+                    f"X, Y, Z: {note}",
+                )
     for figure, pair in _PAIRS.items():
         yield from _difference_claims(figure, found["randomised"], pair)
     yield _difference_figure(found["randomised"][0])
@@ -403,9 +400,9 @@ def _refit(tests: Tests, name: str) -> Refit:
     answer = replace(problem.answer(fit.state), points_mm=other.points_mm)
     measured = other.given.case.pixels
     return Refit(
-        by_camera(reprojection(answer, other.given, true)),
-        by_camera(reprojection(answer, other.given, measured)),
-        by_camera(reprojection(other.answer, other.given, measured)),
+        chapter_4.by_camera(chapter_4.reprojection(answer, other.given, true)),
+        chapter_4.by_camera(chapter_4.reprojection(answer, other.given, measured)),
+        chapter_4.by_camera(chapter_4.reprojection(other.answer, other.given, measured)),
     )
 
 
@@ -493,20 +490,12 @@ def _differences(tests: Tests, pair: tuple[str, str]) -> tuple[F64, F64, F64]:
 
 def _measure_differences(draws: Sequence[Tests], pair: tuple[str, str]) -> F64:
     """Measure root mean squares, mm: (seed, before / after / best motion, axis)."""
-    return np.array([[_rms(part) for part in _differences(own, pair)] for own in draws])
-
-
-def _difference_rows(head: str, draws: Sequence[Tests], pair: tuple[str, str]) -> Iterator[Item]:
-    """Measure the differences before and after alignment."""
-    rms = _measure_differences(draws, pair)
-    for number, when in enumerate(("before", "after", "best rigid motion")):
-        note = ", ".join(f"{value:.3g}" for value in rms[:, number].mean(axis=0))
-        yield make_row(
-            f"{head}: difference, {when}, mm",
-            None,
-            np.linalg.norm(rms[:, number], axis=1).tolist(),
-            f"X, Y, Z: {note}",
-        )
+    return np.array(
+        [
+            [np.asarray(np.sqrt(np.mean(part**2, axis=0))) for part in _differences(own, pair)]
+            for own in draws
+        ]
+    )
 
 
 def _difference_claims(head: str, draws: Sequence[Tests], pair: tuple[str, str]) -> Iterator[Item]:
@@ -528,10 +517,6 @@ def _difference_claims(head: str, draws: Sequence[Tests], pair: tuple[str, str])
         bool(rest.max() < 0.1),
         "holds below a tenth",
     )
-
-
-def _rms(errors: F64) -> F64:
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
 
 def _difference_figure(tests: Tests) -> Figure:

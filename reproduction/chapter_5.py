@@ -298,18 +298,20 @@ def table_5_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     thesis's values, which are measurements of its own jets.
     """
     for jet in detect_jets(seeds, pixels):
-        yield _figure(jet)
-        yield from _errors(jet)
+        # draw the true and the found bubbles of the first frame in space
+        panels = tuple(
+            Panel(title, "X, mm", "", (Space("radius, mm", one.center_mm, one.radius_mm),))
+            for title, one in (("true", jet.true[0]), ("found", jet.found[0]))
+        )
+        number = _FIGURES[jet.height]
+        yield Figure(f"fig-{number}", f"bubbles, h = {jet.height} mm", panels, inch=(4.6, 6.4))
+        scores = [
+            detection_scores(found, true, np.ones(len(true.center_mm)))
+            for found, true in zip(jet.found, jet.true, strict=True)
+        ]
+        for key, name in _LARGE.items():
+            yield finite_row(f"h = {jet.height} mm, {SOLVER}: {name}", [one[key] for one in scores])
         yield from _table(jet)
-
-
-def _errors(jet: JetFrames) -> Iterator[Item]:
-    scores = [
-        detection_scores(found, true, np.ones(len(true.center_mm)))
-        for found, true in zip(jet.found, jet.true, strict=True)
-    ]
-    for key, name in _LARGE.items():
-        yield finite_row(f"h = {jet.height} mm, {SOLVER}: {name}", [one[key] for one in scores])
 
 
 def _table(jet: JetFrames) -> Iterator[Item]:
@@ -324,13 +326,3 @@ def _table(jet: JetFrames) -> Iterator[Item]:
     ):
         own = [float(getattr(figures, key)) for figures in every.values()]
         yield from jet_rows(f"h = {jet.height} mm: {name}", thesis, *own)
-
-
-def _figure(jet: JetFrames) -> Figure:
-    """Draw the true and the found bubbles of the first frame in space."""
-    panels = tuple(
-        Panel(title, "X, mm", "", (Space("radius, mm", one.center_mm, one.radius_mm),))
-        for title, one in (("true", jet.true[0]), ("found", jet.found[0]))
-    )
-    number = _FIGURES[jet.height]
-    return Figure(f"fig-{number}", f"bubbles, h = {jet.height} mm", panels, inch=(4.6, 6.4))

@@ -15,20 +15,9 @@ from sabench.scenes import load_scene
 from sabench.utils.arrays import F64
 from sabench.worlds.library.plunging_jet import EDGE, FALL, LN2, RISE
 
+from . import jet_scaling
 from .chapter_5 import FRAMES, NOZZLE_MM, JetFrames, detect_jet, detect_jets, jet_rows
 from .common import claim, coarsen, make_row
-from .jet_scaling import (
-    TOTAL,
-    explained_share,
-    find_tilt,
-    five_points,
-    radial_points,
-    radial_slope,
-    scaled_maximum,
-    slopes,
-    straighten,
-    total_factor,
-)
 
 _WEIGHT, _WIDTH = 0.903, 0.1894  # of figure 5-27
 _SHOWN = 43  # mm: the height of figure 5-21
@@ -50,7 +39,19 @@ def fig_5_21(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for jet in detect_jets(seeds, pixels):
         every[jet.height] = jet.analyse()
         yield from _profiles(jet, every[jet.height])
-    yield from _gauss(every)
+    # fit equation 5.18 to all jets together: figure 5-27
+    fits, rest = [], []
+    for kind in ("found", "true", "many"):
+        y, share = _pooled(every, kind)
+        weight, width = fit_total(y, share) if len(y) > 3 else (np.nan, np.nan)
+        law = weight * np.exp(-(y**2) / (2.0 * width**2)) + 1.0 - weight
+        fits.append((weight, width))
+        rest.append(float(np.sqrt(np.mean((share - law) ** 2))) if len(y) > 3 else np.nan)
+    for number, (name, thesis) in enumerate((("A", _WEIGHT), ("s", _WIDTH))):
+        yield from jet_rows(
+            f"all jets: {name} of equation 5.18", thesis, *[fit[number] for fit in fits]
+        )
+    yield from jet_rows("all jets: rms distance from equation 5.18", None, *rest)
     yield from _lines(every)
     for height, analyses in every.items():
         yield from _prediction(height, analyses)
@@ -65,8 +66,8 @@ def _profiles(jet: JetFrames, analyses: dict[str, JetFigures]) -> Iterator[Item]
         f"{name}largest concentration, %", 8.0 if jet.height == _SHOWN else None, *own
     )
     for what, thesis, measure in (
-        ("k of exp(-k (R / R_.5)^2) (5.19)", LN2, radial_slope),
-        ("C_Y / (C_max R_.5) (5.22)", TOTAL, total_factor),
+        ("k of exp(-k (R / R_.5)^2) (5.19)", LN2, jet_scaling.radial_slope),
+        ("C_Y / (C_max R_.5) (5.22)", jet_scaling.TOTAL, jet_scaling.total_factor),
     ):
         yield from jet_rows(
             f"{name}{what}", thesis, *[measure(figures) for figures in analyses.values()]
@@ -95,29 +96,13 @@ def _pooled(every: Analyses, kind: str) -> tuple[F64, F64]:
     return y, share
 
 
-def _gauss(every: Analyses) -> Iterator[Item]:
-    """Fit equation 5.18 to all jets together: figure 5-27."""
-    fits, rest = [], []
-    for kind in ("found", "true", "many"):
-        y, share = _pooled(every, kind)
-        weight, width = fit_total(y, share) if len(y) > 3 else (np.nan, np.nan)
-        law = weight * np.exp(-(y**2) / (2.0 * width**2)) + 1.0 - weight
-        fits.append((weight, width))
-        rest.append(float(np.sqrt(np.mean((share - law) ** 2))) if len(y) > 3 else np.nan)
-    for number, (name, thesis) in enumerate((("A", _WEIGHT), ("s", _WIDTH))):
-        yield from jet_rows(
-            f"all jets: {name} of equation 5.18", thesis, *[fit[number] for fit in fits]
-        )
-    yield from jet_rows("all jets: rms distance from equation 5.18", None, *rest)
-
-
 def _lines(every: Analyses) -> Iterator[Item]:
     """Fit the slopes of figure 5-30c."""
     fits = []
     for kind in ("found", "true", "many"):
         jets = [every[height][kind] for height in _COLLAPSED if height in every]
         usable = [jet for jet in jets if _usable(jet)]
-        fits.append(slopes(usable) if usable else (np.nan, np.nan))
+        fits.append(jet_scaling.slopes(usable) if usable else (np.nan, np.nan))
     for number, (name, thesis) in enumerate((("rising", RISE), ("falling", FALL))):
         yield from jet_rows(f"{name} slope of C* (5-30c)", thesis, *[fit[number] for fit in fits])
 
@@ -128,8 +113,8 @@ def _prediction(height: int, analyses: dict[str, JetFigures]) -> Iterator[Item]:
     if not all(map(_usable, analyses.values())):
         yield claim(name, "five points are enough", None, False)
         return
-    found, true, many = (five_points(figures) for figures in analyses.values())
-    share = explained_share(many, analyses["many"])
+    found, true, many = (jet_scaling.five_points(figures) for figures in analyses.values())
+    share = jet_scaling.explained_share(many, analyses["many"])
     yield claim(
         f"{name}, true bubbles of {FRAMES} frames",
         "five points are enough",
@@ -137,7 +122,7 @@ def _prediction(height: int, analyses: dict[str, JetFigures]) -> Iterator[Item]:
         share >= _EXPLAINED,
         f"share of the mean square, {_EXPLAINED} asked for",
     )
-    own = [explained_share(points, analyses["true"]) for points in (found, true)]
+    own = [jet_scaling.explained_share(points, analyses["true"]) for points in (found, true)]
     yield from jet_rows(name, None, *own)
 
 
@@ -169,7 +154,13 @@ def _figures(every: Analyses) -> Iterator[Item]:
                 f"h = {height} mm",
                 "R / R_.5",
                 "C / C_max",
-                (*(Cloud(_NAMES[kind], *radial_points(one[kind])) for kind in _NAMES), law),
+                (
+                    *(
+                        Cloud(_NAMES[kind], *jet_scaling.radial_points(one[kind]))
+                        for kind in _NAMES
+                    ),
+                    law,
+                ),
             )
             for height, one in usable.items()
         ),
@@ -179,7 +170,7 @@ def _figures(every: Analyses) -> Iterator[Item]:
         "largest concentration over depth",
         (
             _over(usable, "Y, mm", "C_max", lambda one: (one.depth_mm, one.largest)),
-            _over(both, "Y*", "C*", scaled_maximum, ("slopes 2.21, -2.87", y, lines)),
+            _over(both, "Y*", "C*", jet_scaling.scaled_maximum, ("slopes 2.21, -2.87", y, lines)),
         ),
         inch=(5.6, 4.2),
     )
@@ -277,7 +268,9 @@ def fig_5_28(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     tilted = override(scene, {"bubbles.inclination_deg": [_TILT_DEG, 0.0]}, scene.title)
     jet = detect_jet(_HEIGHT, coarsen(tilted, pixels), seeds)
     try:
-        found, true = (find_tilt(_centers(every), jet.impact_mm) for every in (jet.found, jet.true))
+        found, true = (
+            jet_scaling.find_tilt(_centers(every), jet.impact_mm) for every in (jet.found, jet.true)
+        )
     except ValueError as error:  # too few bubbles in small images
         yield make_row("tilt towards X, degrees", _TILT_DEG, [], str(error))
         return
@@ -302,7 +295,7 @@ def _centers(every: Sequence[AnyBubbles]) -> F64:
 def _analyse(jet: JetFrames, every: Sequence[AnyBubbles], tilt: tuple[float, float]) -> JetFigures:
     volume = jet.scene.volume
     return analyse(
-        straighten(_centers(every), jet.impact_mm, tilt),
+        jet_scaling.straighten(_centers(every), jet.impact_mm, tilt),
         np.concatenate([one.radius_mm for one in every]),
         jet.impact_mm,
         volume.center_mm[1] + volume.size_mm[1] / 2.0 - jet.impact_mm[1],

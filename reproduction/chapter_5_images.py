@@ -110,8 +110,34 @@ def fig_5_7(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         _, bubbles, case = render_first_frame(scene, seed)
         stack = Stack.of(case, bubbles)
         if seed == seeds[0]:
-            yield from _figures(stack)
-        for key, value in (_peaks(stack) | _contrasts(stack) | _edges(stack)).items():
+            yield from _planes(stack)
+            yield _minimum_figure(stack)
+            shown = {
+                kind: _typical(stack, which) for kind, which in stack.kinds().items() if len(which)
+            }
+            yield _depth_figure(stack, shown)
+            yield Figure(
+                "fig-5-10",
+                "minimum images of a large and of a small bubble",
+                tuple(_crop(stack, bubble, f"{kind} bubble") for kind, bubble in shown.items()),
+                inch=(3.4, 3.4),
+            )
+        # measure bright centres and gradients at rims in attenuated images. The rim is the darkest
+        # ring
+        out = {}
+        for kind, which in stack.kinds().items():
+            centers, gradients = [], []
+            for bubble in which:
+                dark = stack.after[stack.plane(bubble) // STACK]
+                rim = max(float(np.mean(dark[stack.rim(int(bubble), part)])) for part in _RINGS)
+                x, y = np.rint(stack.voxels[bubble, :2]).astype(np.int64)
+                inside = 0 <= y < dark.shape[0] and 0 <= x < dark.shape[1]
+                if rim > 0.0 and inside:
+                    centers.append(float(dark[y, x]) / rim)
+                    gradients.append(_gradient(dark, x, y, float(stack.voxels[bubble, 3])))
+            out[f"darkness of centre over rim, {kind} bubbles"] = _median(centers)
+            out[f"largest gradient per voxel, {kind} bubbles"] = _median(gradients)
+        for key, value in (_peaks(stack) | _contrasts(stack) | out).items():
             values.setdefault(key, []).append(value)
     for key, every in values.items():
         yield finite_row(key, every)
@@ -204,27 +230,6 @@ def _masks(stack: Stack, number: int, shape: tuple[int, ...]) -> tuple[Bool, Boo
     return rim.astype(np.bool_), around.astype(np.bool_)
 
 
-def _edges(stack: Stack) -> dict[str, float]:
-    """Measure bright centres and gradients at rims in attenuated images.
-
-    The rim is the darkest ring.
-    """
-    out = {}
-    for kind, which in stack.kinds().items():
-        centers, gradients = [], []
-        for bubble in which:
-            dark = stack.after[stack.plane(bubble) // STACK]
-            rim = max(float(np.mean(dark[stack.rim(int(bubble), part)])) for part in _RINGS)
-            x, y = np.rint(stack.voxels[bubble, :2]).astype(np.int64)
-            inside = 0 <= y < dark.shape[0] and 0 <= x < dark.shape[1]
-            if rim > 0.0 and inside:
-                centers.append(float(dark[y, x]) / rim)
-                gradients.append(_gradient(dark, x, y, float(stack.voxels[bubble, 3])))
-        out[f"darkness of centre over rim, {kind} bubbles"] = _median(centers)
-        out[f"largest gradient per voxel, {kind} bubbles"] = _median(gradients)
-    return out
-
-
 def _gradient(dark: F32, x: int, y: int, radius: float) -> float:
     """Find the largest gradient of darkness in and around a bubble."""
     reach = int(np.ceil(radius)) + 2
@@ -238,19 +243,6 @@ def _typical(stack: Stack, which: I64) -> int:
     """Select the bubble whose E at its plane is the median."""
     levels = [stack.over_depth(int(one), stack.potential)[stack.plane(int(one))] for one in which]
     return int(which[np.argsort(levels)[len(levels) // 2]])
-
-
-def _figures(stack: Stack) -> Iterator[Figure]:
-    yield from _planes(stack)
-    yield _minimum_figure(stack)
-    shown = {kind: _typical(stack, which) for kind, which in stack.kinds().items() if len(which)}
-    yield _depth_figure(stack, shown)
-    yield Figure(
-        "fig-5-10",
-        "minimum images of a large and of a small bubble",
-        tuple(_crop(stack, bubble, f"{kind} bubble") for kind, bubble in shown.items()),
-        inch=(3.4, 3.4),
-    )
 
 
 def _depth_figure(stack: Stack, shown: dict[str, int]) -> Figure:

@@ -37,7 +37,16 @@ def fig_5_15(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """
     panels = []
     for jet in detect_jets(seeds, pixels):
-        panels.append(_panel(jet))
+        edges = _edges(jet)
+        middle = list((edges[1:] + edges[:-1]) / 2.0)
+        curves = []
+        for name, every in (("found", jet.found), ("true", jet.true)):
+            means = counts_per_frame(_radii(every), edges)
+            spread = [mean.half_width or 0.0 for mean in means] if name == "found" else None
+            curves.append(Curve(name, middle, [mean.mean for mean in means], spread))
+        panels.append(
+            Panel(f"h = {jet.height} mm", "radius, mm", "bubbles per frame", tuple(curves))
+        )
         yield from _scores(jet)
         yield from _ranges(jet)
         yield _small(jet)
@@ -120,17 +129,6 @@ def _intervals(jet: JetFrames) -> Item:
     return replace(row, seeds=len(jet.found))
 
 
-def _panel(jet: JetFrames) -> Panel:
-    edges = _edges(jet)
-    middle = list((edges[1:] + edges[:-1]) / 2.0)
-    curves = []
-    for name, every in (("found", jet.found), ("true", jet.true)):
-        means = counts_per_frame(_radii(every), edges)
-        spread = [mean.half_width or 0.0 for mean in means] if name == "found" else None
-        curves.append(Curve(name, middle, [mean.mean for mean in means], spread))
-    return Panel(f"h = {jet.height} mm", "radius, mm", "bubbles per frame", tuple(curves))
-
-
 _WATER = Liquid()
 _CUTOFF_MM = 1.05  # diameter that the thesis reads off figure 5-23
 _LARGEST_MM = {21: 4.88, 43: 8.64}  # diameters that it starts from
@@ -151,30 +149,33 @@ def fig_5_24(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             f"largest diameter {largest} mm; Moore (1965) and Clift et al. (1978) instead of the "
             "curve of Maxworthy et al., from which the thesis reads",
         )
-    yield _law()
+    # draw figure 5-23: terminal velocity over diameter, for several Morton numbers
+    d = np.geomspace(0.3, 20.0, 200)
+    curves = []
+    for viscosity in (0.5e-6, 1e-6, 2e-6):
+        liquid = Liquid(viscosity=viscosity)
+        u = terminal_velocity(d, liquid)
+        good = u * 1e-3 * d > _LEAST_RE * viscosity  # not where u is NaN
+        curves.append(Curve(f"Mo = {liquid.morton:.2g}", list(d[good]), list(u[good])))
+    panel = Panel("", "diameter, mm", "terminal velocity, m/s", tuple(curves), log="xy")
+    yield Figure("fig-5-23", "terminal velocity of single bubbles", (panel,))
     for jet in detect_jets(seeds, pixels):
         if jet.height in _LARGEST_MM:
-            yield from _below(jet)
-
-
-def _below(jet: JetFrames) -> Iterator[Item]:
-    """Compare sizes above Y_p with those in the two bins below.
-
-    Both sides of the true Y_p of the scene count, as found and true bubbles share it.
-    """
-    middle = jet.printed.penetration_mm
-    found, true = (_shares(jet, every, middle) for every in (jet.found, jet.true))
-    name = f"h = {jet.height} mm: share of diameters above {_CUTOFF_MM} mm, %, "
-    yield from jet_rows(f"{name}above Y_p", None, found[0], true[0])
-    yield from jet_rows(f"{name}in two bins below", None, found[1], true[1])
-    yield claim(
-        f"h = {jet.height} mm: that share below over that above Y_p",
-        "a sharp drop of large bubbles",
-        found[1] / found[0] if found[0] else None,
-        found[1] < 0.1 * found[0],
-        "the thesis gives no number; here less than a tenth",
-    )
-    yield _figure(jet)
+            # compare sizes above Y_p with those in the two bins below. Both sides of the true Y_p
+            # of the scene count, as found and true bubbles share it
+            middle = jet.printed.penetration_mm
+            found, true = (_shares(jet, every, middle) for every in (jet.found, jet.true))
+            name = f"h = {jet.height} mm: share of diameters above {_CUTOFF_MM} mm, %, "
+            yield from jet_rows(f"{name}above Y_p", None, found[0], true[0])
+            yield from jet_rows(f"{name}in two bins below", None, found[1], true[1])
+            yield claim(
+                f"h = {jet.height} mm: that share below over that above Y_p",
+                "a sharp drop of large bubbles",
+                found[1] / found[0] if found[0] else None,
+                found[1] < 0.1 * found[0],
+                "the thesis gives no number; here less than a tenth",
+            )
+            yield _figure(jet)
 
 
 def _positions(jet: JetFrames, every: Sequence[AnyBubbles]) -> tuple[F64, F64]:
@@ -193,19 +194,6 @@ def _shares(jet: JetFrames, every: Sequence[AnyBubbles], middle: float) -> tuple
         for side in sides
     )
     return above, below
-
-
-def _law() -> Figure:
-    """Draw figure 5-23: terminal velocity over diameter, for several Morton numbers."""
-    d = np.geomspace(0.3, 20.0, 200)
-    curves = []
-    for viscosity in (0.5e-6, 1e-6, 2e-6):
-        liquid = Liquid(viscosity=viscosity)
-        u = terminal_velocity(d, liquid)
-        good = u * 1e-3 * d > _LEAST_RE * viscosity  # not where u is NaN
-        curves.append(Curve(f"Mo = {liquid.morton:.2g}", list(d[good]), list(u[good])))
-    panel = Panel("", "diameter, mm", "terminal velocity, m/s", tuple(curves), log="xy")
-    return Figure("fig-5-23", "terminal velocity of single bubbles", (panel,))
 
 
 def _figure(jet: JetFrames) -> Figure:

@@ -24,16 +24,7 @@ from sabench.utils.confidence import mean_of
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.overlaps import contains
 
-from .common import (
-    coarsen,
-    exact_displacements,
-    finite_row,
-    image_panel,
-    reconstruct,
-    report,
-    run,
-    settings,
-)
+from . import common
 
 _SCENES = {"reef": "flow-behind-reef", "propeller": "flow-behind-propeller"}
 _SOLVERS = ("ray_triangulation", "bayesian_ipr")
@@ -64,17 +55,23 @@ def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Ite
     a particle, and over the number of cameras.
     """
     for body, name in _SCENES.items():
-        scene = coarsen(load_scene(name), pixels)
+        scene = common.coarsen(load_scene(name), pixels)
         found: list[Figures] = []
         for seed in seeds:
             shots = tuple(simulate_sequence(scene, seed=seed, backend="mitsuba"))
             found.append(_measure(scene, seed, shots))
-            report(f"{body}, seed {seed}: measured")
+            common.report(f"{body}, seed {seed}: measured")
             if seed == seeds[0]:
-                yield _view(body, shots[0].observation)
+                # draw the middle camera's image, its brightest pixels cut
+                case = shots[0].observation
+                view = case.images[len(case.images) // 2].astype(np.float64)
+                panels = (common.image_panel("", np.minimum(view, np.percentile(view, 99.0))),)
+                yield Figure(
+                    f"flow-behind-{body}", f"tracers around a {body}", panels, inch=(5.5, 4.4)
+                )
         for cameras, solver, what in found[0]:
             values = [one[cameras, solver, what] for one in found]
-            yield finite_row(f"{body}, {cameras} cameras, {solver}: {what}", values)
+            yield common.finite_row(f"{body}, {cameras} cameras, {solver}: {what}", values)
         yield _flow_figure(body, found)
 
 
@@ -86,7 +83,14 @@ def _measure(scene: Scene, seed: int, shots: tuple[Shot, ...]) -> Figures:
         seen = _Seen(cases, shots, times, tuple(_hidden(shot, chosen) for shot in shots))
         out[count, "all", "hidden views, %"] = 100.0 * float(seen.hidden[0].mean())
         for solver in _SOLVERS:
-            for what, value in _particles(solver, seen).items():
+            # find the particles of the first frame; recall and ghosts in percent
+            hit, scored, ghosts = _match(
+                solver, seen.cases[0], seen.times_s[0], seen.shots[0].particles
+            )
+            figures = {"recall, %": _percent(hit[scored])}
+            for name, inside in _classes(seen.hidden[0]):
+                figures[f"recall, hidden from {name}, %"] = _percent(hit[scored & inside])
+            for what, value in (figures | {"ghosts, %": ghosts}).items():
                 out[count, solver, what] = value
         for what, value in _velocities(scene, seed, seen).items():
             out[count, _FIELD, what] = value
@@ -111,15 +115,6 @@ def _classes(hidden: F64) -> Iterator[tuple[str, Bool]]:
         yield name, np.asarray(inside)
 
 
-def _particles(solver: str, seen: _Seen) -> dict[str, float]:
-    """Find the particles of the first frame; recall and ghosts in percent."""
-    hit, scored, ghosts = _match(solver, seen.cases[0], seen.times_s[0], seen.shots[0].particles)
-    figures = {"recall, %": _percent(hit[scored])}
-    for name, inside in _classes(seen.hidden[0]):
-        figures[f"recall, hidden from {name}, %"] = _percent(hit[scored & inside])
-    return figures | {"ghosts, %": ghosts}
-
-
 def _match(
     solver: str, case: Observation, time_s: float, particles: Particles
 ) -> tuple[Bool, Bool, float]:
@@ -130,7 +125,7 @@ def _match(
     """
     grid = case.grid
     sequence = ImageSequence(case.cameras, grid, (time_s,), lambda _: case)
-    found: FoundParticles = next(iter(run(solver, sequence)))
+    found: FoundParticles = next(iter(common.run(solver, sequence)))
     places, true = grid.to_voxels(found.position_mm), grid.to_voxels(particles.position_mm)
     i, j = challenge_pairs(places, true)
     hit, ghost = np.zeros(len(true), dtype=np.bool_), np.ones(len(places), dtype=np.bool_)
@@ -150,13 +145,13 @@ def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
 
     grid = seen.cases[0].grid
     start, end = seen.times_s
-    pair = reconstruct("msa", seen.cases, end - start)
-    field = run("piv3d", pair, **settings("piv3d", _WINDOW, _OVERLAP, grid))
+    pair = common.reconstruct("msa", seen.cases, end - start)
+    field = common.run("piv3d", pair, **common.settings("piv3d", _WINDOW, _OVERLAP, grid))
     points = evaluation_lattice(grid).positions_mm.reshape(-1, 3)
     for body, _ in Phases(scene, seed).bodies(0):
         points = points[~contains(body, points)]
     velocity, measured = sample_velocity(field, points)
-    exact = exact_displacements(scene, points, start, end, seed)
+    exact = common.exact_displacements(scene, points, start, end, seed)
     error = np.linalg.norm((velocity * (end - start) - exact) / np.asarray(grid.voxel_mm), axis=1)
     near = cKDTree(seen.shots[0].particles.position_mm).query(points, k=_NEAR)[1]
     hidden = seen.hidden[0][near].mean(axis=1)
@@ -168,13 +163,6 @@ def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
 
 def _rms(error: F64) -> float:
     return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
-
-
-def _view(body: str, case: Observation) -> Figure:
-    """Draw the middle camera's image, its brightest pixels cut."""
-    view = case.images[len(case.images) // 2].astype(np.float64)
-    panels = (image_panel("", np.minimum(view, np.percentile(view, 99.0))),)
-    return Figure(f"flow-behind-{body}", f"tracers around a {body}", panels, inch=(5.5, 4.4))
 
 
 def _flow_figure(body: str, found: Sequence[Figures]) -> Figure:
@@ -246,16 +234,35 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     The images are separated by phase, and each phase is scored: bubbles, tracers, and the outline
     of the body. The same solvers on the raw images show what separation gains.
     """
-    scene = coarsen(load_scene("three-phases"), pixels)
+    scene = common.coarsen(load_scene("three-phases"), pixels)
     found: list[dict[str, float]] = []
     for seed in seeds:
         shot = _record(scene, seed)
-        found.append(_bubbles(shot) | _tracers(shot) | _body(shot))
-        report(f"three phases, seed {seed}: measured")
+        visible = np.mean([sight.visible for sight in shot.sights], axis=0)
+        out: dict[str, float] = {}
+        for name in _BUBBLES:
+            scores = detection_scores(common.run(name, shot.case), shot.bubbles, visible)
+            out |= {f"bubbles, {name}: {key}": scores[key] for key in _KEYS}
+        # compare the body's pixels with those that show it: intersection over union
+        body = separate_phases(shot.case, image_diameter_px(shot.case, _LARGEST_MM)).body
+        true = np.stack([sight.number <= BODY for sight in shot.sights])
+        found.append(out | _tracers(shot) | {"body: intersection over union": overlap(body, true)})
+        common.report(f"three phases, seed {seed}: measured")
         if seed == seeds[0]:
-            yield _phases_figure(shot.case)
+            # draw one view and its three parts
+            case = shot.case
+            parts = separate_phases(case, image_diameter_px(case, _LARGEST_MM))
+            middle = len(case.images) // 2
+            shown = {
+                "one view": case.images[middle],
+                "bubbles": parts.bubbles.images[middle],
+                "tracers": parts.tracers.images[middle],
+                "body": parts.body[middle],
+            }
+            panels = tuple(common.image_panel(name, image) for name, image in shown.items())
+            yield Figure("three-phases", "three phases", panels, across=2, inch=(4.6, 3.6))
     for what in found[0]:
-        yield finite_row(what, [one[what] for one in found])
+        yield common.finite_row(what, [one[what] for one in found])
 
 
 def _record(scene: Scene, seed: int) -> _Shot:
@@ -268,15 +275,6 @@ def _record(scene: Scene, seed: int) -> _Shot:
         raise ValueError(f"{scene.title}: expected bubbles and tracers")
     seen = np.mean([one.visible & (one.photons > 0.0) for one in images], axis=0)
     return _Shot(case, frame.bubbles, frame.tracers.particles, seen > 0.5, sights)
-
-
-def _bubbles(shot: _Shot) -> dict[str, float]:
-    visible = np.mean([sight.visible for sight in shot.sights], axis=0)
-    out: dict[str, float] = {}
-    for name in _BUBBLES:
-        scores = detection_scores(run(name, shot.case), shot.bubbles, visible)
-        out |= {f"bubbles, {name}: {key}": scores[key] for key in _KEYS}
-    return out
 
 
 def _tracers(shot: _Shot) -> dict[str, float]:
@@ -292,28 +290,7 @@ def _tracers(shot: _Shot) -> dict[str, float]:
     return out
 
 
-def _body(shot: _Shot) -> dict[str, float]:
-    """Compare the body's pixels with those that show it: intersection over union."""
-    body = separate_phases(shot.case, image_diameter_px(shot.case, _LARGEST_MM)).body
-    true = np.stack([sight.number <= BODY for sight in shot.sights])
-    return {"body: intersection over union": overlap(body, true)}
-
-
 def overlap(found: Bool, true: Bool) -> float:
     """Compute intersection over union of pixels; 1 where both are empty."""
     union = int((found | true).sum())
     return float((found & true).sum() / union) if union else 1.0
-
-
-def _phases_figure(case: Observation) -> Figure:
-    """Draw one view and its three parts."""
-    parts = separate_phases(case, image_diameter_px(case, _LARGEST_MM))
-    middle = len(case.images) // 2
-    shown = {
-        "one view": case.images[middle],
-        "bubbles": parts.bubbles.images[middle],
-        "tracers": parts.tracers.images[middle],
-        "body": parts.body[middle],
-    }
-    panels = tuple(image_panel(name, image) for name, image in shown.items())
-    return Figure("three-phases", "three phases", panels, across=2, inch=(4.6, 3.6))

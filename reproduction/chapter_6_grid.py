@@ -46,14 +46,30 @@ def fig_6_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     off: dict[str, list[float]] = {}
     for seed in progress_bar(seeds, "checkerboards"):
         given = _join(draw(_scene(pixels), seed), draw(_reference(pixels), seed))
-        images = _render(pixels, seed)
-        cameras = _calibrate(given, off) | _exact(given, pixels, seed)
+        # render the reference board as every camera records it
+        scene = _reference(pixels)
+        numbers = progress_bar(range(9), f"render the reference board, seed {seed}")
+        images = np.stack([photograph(scene, 0, number, seed) for number in numbers]).astype(
+            np.float32
+        )
+        # collect the exact cameras, and the same moved in random directions
+        moved = {
+            f"exact cameras moved by {shift:g} px": nominal_cameras(
+                _reference(pixels, calibration={"shift_px": shift}), given.cameras, seed
+            )
+            for shift in _SHIFTS_PX
+        }
+        cameras = _calibrate(given, off) | {_EXACT: given.cameras, **moved}
         planes = {name: _refocus(given, images, own) for name, own in cameras.items()}
-        raw = [_single(given, images, number) for number in range(len(images))]
+        raw = [
+            _measure(given, images[number].astype(np.float64), given.exact[number, -1])
+            for number in range(len(images))
+        ]
         width, mtf50 = np.mean([[one.width_mm, one.mtf50] for one in raw], axis=0)
         found.setdefault(_RAW, []).append(EdgeSharpness(float(width), float(mtf50)))
         for name, plane in planes.items():
-            found.setdefault(name, []).append(_refocused(given, plane))
+            corners = _grid(given).to_voxels(given.points_mm[-1])[:, :2]
+            found.setdefault(name, []).append(_measure(given, plane, corners))
         if seed == seeds[0]:
             shown = images[_MIDDLE], planes
     for name, every in found.items():
@@ -127,13 +143,6 @@ def _join(boards: Board, reference: Board) -> Board:
     )
 
 
-def _render(pixels: int | None, seed: int) -> F32:
-    """Render the reference board as every camera records it."""
-    scene = _reference(pixels)
-    numbers = progress_bar(range(9), f"render the reference board, seed {seed}")
-    return np.stack([photograph(scene, 0, number, seed) for number in numbers]).astype(np.float32)
-
-
 def _calibrate(given: Board, off: dict[str, list[float]]) -> dict[str, tuple[CameraModel, ...]]:
     """Calibrate by every solver; adds the worst camera's true error to `off`."""
     cameras: dict[str, tuple[CameraModel, ...]] = {}
@@ -158,17 +167,6 @@ def _to_reference(cameras: tuple[CameraModel, ...], given: Board) -> tuple[Camer
     )
 
 
-def _exact(given: Board, pixels: int | None, seed: int) -> dict[str, tuple[CameraModel, ...]]:
-    """Collect the exact cameras, and the same moved in random directions."""
-    moved = {
-        f"exact cameras moved by {shift:g} px": nominal_cameras(
-            _reference(pixels, calibration={"shift_px": shift}), given.cameras, seed
-        )
-        for shift in _SHIFTS_PX
-    }
-    return {_EXACT: given.cameras, **moved}
-
-
 def _grid(given: Board) -> Grid:
     """Make one plane of fine voxels at the reference position."""
     points = given.points_mm[-1]
@@ -187,15 +185,6 @@ def _refocus(given: Board, images: F32, cameras: tuple[CameraModel, ...]) -> F64
     """Average the images on the reference plane."""
     total = refocus_sum(images, cameras, _grid(given))[0]
     return np.asarray(total, dtype=np.float64) / len(images)
-
-
-def _refocused(given: Board, plane: F64) -> EdgeSharpness:
-    corners = _grid(given).to_voxels(given.points_mm[-1])[:, :2]
-    return _measure(given, plane, corners)
-
-
-def _single(given: Board, images: F32, number: int) -> EdgeSharpness:
-    return _measure(given, images[number].astype(np.float64), given.exact[number, -1])
 
 
 def _measure(given: Board, values: F64, corners: F64) -> EdgeSharpness:
@@ -290,8 +279,15 @@ def measure_sharpness(values: F64, corners: F64, pitch_mm: float) -> EdgeSharpne
         raise ValueError("expected edges of a checkerboard in the image, got none")
     distance, level = np.concatenate(samples, axis=1)
     pixel_mm = pitch_mm / float(np.nanmean(np.linalg.norm(np.diff(corners, axis=1), axis=-1)))
+    # average levels in bins of the distance; empty bins are interpolated
+    step = pixel_mm / _BINS_PER_PIXEL
+    reach = _ACROSS * pitch_mm
+    half = int(reach / step)
+    edges = step * (np.arange(-half, half + 1) - 0.5)
+    count, total = (np.histogram(distance, edges, weights=weights)[0] for weights in (None, level))
+    middle = (edges[1:] + edges[:-1]) / 2.0
     return _sharpness(
-        *_edge_spread(distance, level, pixel_mm / _BINS_PER_PIXEL, _ACROSS * pitch_mm)
+        *(middle, np.interp(middle, middle[count > 0], total[count > 0] / count[count > 0]))
     )
 
 
@@ -345,15 +341,6 @@ def _strip(values: F64, origin: F64, axes: F64) -> F64 | None:
     level = (level - low) / (high - low)
     shift = _ACROSS * (1.0 - 2.0 * level.mean())  # an ideal step there has this mean level
     return np.stack([across - shift, level])
-
-
-def _edge_spread(distance: F64, level: F64, step: float, reach: float) -> tuple[F64, F64]:
-    """Average levels in bins of the distance; empty bins are interpolated."""
-    half = int(reach / step)
-    edges = step * (np.arange(-half, half + 1) - 0.5)
-    count, total = (np.histogram(distance, edges, weights=weights)[0] for weights in (None, level))
-    middle = (edges[1:] + edges[:-1]) / 2.0
-    return middle, np.interp(middle, middle[count > 0], total[count > 0] / count[count > 0])
 
 
 def _sharpness(distance: F64, spread: F64) -> EdgeSharpness:

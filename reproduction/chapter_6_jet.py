@@ -41,7 +41,19 @@ def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for seed in seeds:
         _, bubbles, case = render_first_frame(scene, seed)
         if seed == seeds[0]:
-            yield _planes_figure(case)
+            volume, (x, y, z) = darkness(case), case.grid.axes_mm
+            panels = [image_panel("one view", case.images[len(case.images) // 2])]
+            for depth in _DEPTHS_MM:
+                plane = int(np.abs(z - depth).argmin())
+                seen = Picture(
+                    1.0 - volume[plane].astype(np.float64),
+                    (float(x[0]), float(y[0])),
+                    (float(x[-1]), float(y[-1])),
+                )
+                panels.append(Panel(f"Z = {z[plane]:.1f} mm", "X, mm", "Y, mm", (seen,)))
+            yield Figure(
+                "fig-6-5", "a liquid jet in a cross-flow", tuple(panels), across=2, inch=(5.0, 4.4)
+            )
         for name in _SOLVERS_OF_FRAMES:
             found[name].append(detection_scores(run(name, case), bubbles, np.ones(len(bubbles))))
     for name, every in found.items():
@@ -51,23 +63,6 @@ def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             "depth_mm": "depth error, mm",
         }.items():
             yield make_row(f"{name}: {what}", None, [one[key] for one in every])
-
-
-def _planes_figure(case: Observation) -> Figure:
-    """Draw one view, and the refocused planes."""
-    volume, (x, y, z) = darkness(case), case.grid.axes_mm
-    panels = [image_panel("one view", case.images[len(case.images) // 2])]
-    for depth in _DEPTHS_MM:
-        plane = int(np.abs(z - depth).argmin())
-        seen = Picture(
-            1.0 - volume[plane].astype(np.float64),
-            (float(x[0]), float(y[0])),
-            (float(x[-1]), float(y[-1])),
-        )
-        panels.append(Panel(f"Z = {z[plane]:.1f} mm", "X, mm", "Y, mm", (seen,)))
-    return Figure(
-        "fig-6-5", "a liquid jet in a cross-flow", tuple(panels), across=2, inch=(5.0, 4.4)
-    )
 
 
 _LEAST = 0.3  # step of the transmission, mean over the cameras: chosen on seed 1

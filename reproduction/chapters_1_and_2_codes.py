@@ -143,7 +143,14 @@ def _measure(
 ) -> list[Panel]:
     """Read the code on the cylinder, and in the plane in which it is read best."""
     code, flat = code_of(scene, seed, 0), _flat_code(scene, seed)
-    curved = _cylinder(scene, flat)
+    plate = bodies_of(scene)[0]
+    reach = 2.0 * np.abs(flat.points_mm).max(axis=(0, 1)) + _MARGIN_MM
+    curved = Cylinder(
+        center_mm=tuple(plate["place_mm"]),
+        size_mm=(float(reach[0]), float(reach[1])),
+        pixel_mm=_PIXEL_MM,
+        radius_mm=plate["bend_radius_mm"],
+    )
     image = refocus_frame(case, curved, join)[0].values
     found.setdefault(f"{join}, cylinder", []).append(_read(curved, image, flat.points_mm, code))
     planes = [_read_plane(case, join, code, z) for z in _depths(code)]
@@ -166,17 +173,6 @@ def _flat_code(scene: Scene, seed: int) -> Code:
     plate["place_mm"] = [0.0, 0.0, scene.volume.center_mm[2]]
     flat = code_of(override(scene, {"solids": [plate]}, scene.title), seed, 0)
     return Code(flat.points_mm - np.asarray(plate["place_mm"]), flat.dark)
-
-
-def _cylinder(scene: Scene, flat: Code) -> Cylinder:
-    plate = scene.world.solids[0]
-    reach = 2.0 * np.abs(flat.points_mm).max(axis=(0, 1)) + _MARGIN_MM
-    return Cylinder(
-        center_mm=tuple(plate["place_mm"]),
-        size_mm=(float(reach[0]), float(reach[1])),
-        pixel_mm=_PIXEL_MM,
-        radius_mm=plate["bend_radius_mm"],
-    )
 
 
 def _read_plane(

@@ -189,21 +189,17 @@ def find_tilt(center_mm: F64, impact_mm: F64) -> tuple[float, float]:
     slope = np.zeros(2)
     for _ in range(_SWEEPS):
         aside = position[:, [0, 2]] - slope * y[:, None]
-        weight = 1.0 / _variance(y, aside)
+        # compute the mean square distance (n,) from the axis in a bubble's bin of depth
+        bins = (y // DEPTH_MM).astype(np.int64)
+        count = np.bincount(bins)
+        sums = np.bincount(bins, np.sum(aside**2, axis=1))
+        overall = float(np.mean(np.sum(aside**2, axis=1)))
+        enough = count >= _FEWEST
+        weight = 1.0 / np.where(enough, sums / np.maximum(count, 1), overall)[bins]
         slope = np.sum(weight[:, None] * y[:, None] * position[:, [0, 2]], axis=0) / np.sum(
             weight * y**2
         )
     return tuple(np.rad2deg(np.arctan(slope)).tolist())
-
-
-def _variance(y: F64, aside: F64) -> F64:
-    """Compute the mean square distance (n,) from the axis in a bubble's bin of depth."""
-    bins = (y // DEPTH_MM).astype(np.int64)
-    count = np.bincount(bins)
-    sums = np.bincount(bins, np.sum(aside**2, axis=1))
-    overall = float(np.mean(np.sum(aside**2, axis=1)))
-    enough = count >= _FEWEST
-    return np.where(enough, sums / np.maximum(count, 1), overall)[bins]
 
 
 def straighten(center_mm: F64, impact_mm: F64, tilt_deg: tuple[float, float]) -> F64:

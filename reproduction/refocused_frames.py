@@ -188,7 +188,8 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     depths, shift = _shift_of_depth(center, neighbour, grid)
     numbers = np.arange(np.ceil(shift.min()), np.floor(shift.max()) + 1)
     planes = np.column_stack([np.zeros((len(numbers), 2)), np.interp(numbers, shift, depths)])
-    space = _space(grid, numbers)
+    low = (grid.low_mm[0], grid.low_mm[1], float(numbers[0]) * grid.voxel_mm[2])
+    space = Grid(low, grid.voxel_mm, (len(numbers), *grid.shape[1:]), grid.crop)
     slab = _as_large_as_images(make_slab(cameras, grid, 0, grid.shape[0]), center, grid)
     mapped = np.empty((len(cameras), *slab.shape), dtype=np.float32)
     resample(
@@ -227,11 +228,6 @@ def _as_large_as_images(slab: Slab, camera: CameraModel, grid: Grid) -> Slab:
     return replace(
         slab, corners=np.tile(corner, (len(slab.corners), 1)), shape=(camera.rows, camera.columns)
     )
-
-
-def _space(grid: Grid, numbers: F64) -> Grid:
-    low = (grid.low_mm[0], grid.low_mm[1], float(numbers[0]) * grid.voxel_mm[2])
-    return Grid(low, grid.voxel_mm, (len(numbers), *grid.shape[1:]), grid.crop)
 
 
 def _two_innermost(cameras: Sequence[CameraModel]) -> tuple[CameraModel, CameraModel]:

@@ -90,7 +90,6 @@ def _interval(half: float | None) -> str:
 
 
 def _grade(verdict: str) -> str:
-    """Choose the style of a verdict."""
     return {
         "reproduced": "good",
         "exceeds": "good",

@@ -12,16 +12,9 @@ import numpy as np
 from sabench.algorithms.particles import TriangulationSettings, fit_cameras, triangulate_particles
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import MANIFEST
+from sabench.images import statistics
 from sabench.images.recordings import read_recordings
-from sabench.images.statistics import (
-    CameraStatistics,
-    RatioSpread,
-    fit_particle_images,
-    flux_near,
-    flux_ratio_spread,
-    measure_camera,
-)
-from sabench.utils.arrays import F64, U16
+from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
@@ -44,10 +37,10 @@ class Measured:
     matched : what tells which peaks of the cameras are one particle's.
     """
 
-    cameras: dict[str, CameraStatistics]
+    cameras: dict[str, statistics.CameraStatistics]
     frames: int
     white_dn: dict[str, float]
-    ratio: RatioSpread | None = None
+    ratio: statistics.RatioSpread | None = None
     matched: Matched | None = None
 
     def medians(self) -> dict[str, float | None]:
@@ -110,7 +103,7 @@ def measure(path: Path, most: int, white_dn: float | None = None) -> Measured:
         return measure_dataset(open_dataset(path), most)
     frames, cameras, white = 0, {}, {}
     for one in read_recordings(path, most, white_dn):
-        cameras[one.name] = measure_camera(one.frames, one.white_dn)
+        cameras[one.name] = statistics.measure_camera(one.frames, one.white_dn)
         white[one.name] = one.white_dn
         frames = max(frames, len(one.frames))
     return Measured(cameras, frames, white)
@@ -132,10 +125,10 @@ def measure_dataset(dataset: Dataset, most: int) -> Measured:
     for number, camera in enumerate(progress_bar(setup.cameras, "measure images")):
         stack = [dataset.raw_image(number, frame) for frame in range(frames)]
         white[camera.name] = _white(dataset, number)
-        cameras[camera.name] = measure_camera(stack, white[camera.name])
+        cameras[camera.name] = statistics.measure_camera(stack, white[camera.name])
     flux = np.concatenate([*_fluxes(dataset, frames)], axis=1)
     matched: Matched = "true positions" if dataset.has_truth else "triangulated positions"
-    return Measured(cameras, frames, white, flux_ratio_spread(flux), matched)
+    return Measured(cameras, frames, white, statistics.flux_ratio_spread(flux), matched)
 
 
 def _white(dataset: Dataset, number: int) -> float:
@@ -150,14 +143,15 @@ def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
         images = [dataset.raw_image(number, frame) for number in range(len(seen))]
         yield np.stack(
             [
-                _flux_at(image, pixels, _white(dataset, number))
+                statistics.flux_near(
+                    statistics.fit_particle_images(image, _white(dataset, number)),
+                    pixels,
+                    _REACH_PX,
+                    _APART_PX,
+                )
                 for number, (image, pixels) in enumerate(zip(images, seen, strict=True))
             ]
         )
-
-
-def _flux_at(image: U16, pixels: F64, white_dn: float) -> F64:
-    return flux_near(fit_particle_images(image, white_dn), pixels, _REACH_PX, _APART_PX)
 
 
 def _pixels(dataset: Dataset, frame: int) -> list[F64]:

@@ -67,7 +67,6 @@ def score(
             autocompletion=options.complete_task,
         ),
     ] = None,
-    track: Annotated[str | None, typer.Option(hidden=True, help="Former name of --task.")] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Score a result against the truth."""
@@ -79,7 +78,7 @@ def score(
     probe_dataset(dataset)
     if result not in ("truth", "empty") and Path(result).is_file():
         probe(Path(result))
-    scores = scores_of(dataset, result, task or track)
+    scores = scores_of(dataset, result, task)
     if as_json:
         options.say_json(scores)
     else:

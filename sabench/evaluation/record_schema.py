@@ -28,7 +28,7 @@ from sabench.api.solvers import TaskName
 from sabench.dataset.results import MOST_ITERATIONS
 from sabench.evaluation.solver_card import SolverCard
 from sabench.tasks.quality_figures import FIGURES
-from sabench.tasks.task import Score
+from sabench.tasks.task import LARGEST, Score
 from sabench.utils.errors import one_line
 from sabench.utils.files import LONGEST_PART
 from sabench.utils.validation import printable, sentences
@@ -40,10 +40,8 @@ FORMAT, VERSION = "sabench-record", 2
 LONGEST_LINE = 100_000  # bytes of a record
 _LONGEST_NAME, _LONGEST_TEXT, _LONGEST_FAULT = 200, 10_000, 300  # characters
 _DEEPEST = 20  # tables and lists within each other
-_LARGEST = 1e15  # no meaningful score is beyond it
 _LONGEST_S = 1e6
 _ROUNDING = 1e-6  # by which a score may be beyond its range
-_SIGNED = ("bias", "_mean_")  # parts of the keys of errors that may be negative
 _YEARS = (2000, 2100)
 
 
@@ -68,9 +66,7 @@ Name = Annotated[
 ]
 _Line = Annotated[str, Field(max_length=_LONGEST_TEXT), AfterValidator(_check_printable)]
 _Time = Annotated[
-    str,
-    Field(pattern=r"^\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}Z$"),
-    AfterValidator(_check_year),
+    str, Field(pattern=r"^\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}Z$"), AfterValidator(_check_year)
 ]
 _Text = Annotated[str, Field(max_length=_LONGEST_TEXT)]
 
@@ -129,7 +125,7 @@ class Head(_Part):
     model_config = ConfigDict(extra="allow")
 
     format: Literal["sabench-record"] = "sabench-record"
-    version: Literal[1, 2] = 2
+    version: Literal[2] = 2
     suite: Name | None = Field(None, description="the suite that made it")
     case: Name | None = Field(None, description="by default the scene's name")
     scene: Name = Field(description='its name; "private" if it is not disclosed')
@@ -188,20 +184,10 @@ class Head(_Part):
         None, description="whether the solver ran confined to the observation side"
     )
     whole_process: bool | None = Field(
-        None,
-        description="whether `seconds` are those of a program's whole process, from its start",
+        None, description="whether `seconds` are those of a program's whole process, from its start"
     )
     error: _Text | None = None
     declined: bool = Field(False, description="whether the solver declined the case")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_version_1(cls, values: Any) -> Any:
-        """Rename the key that version 1 used for the task."""
-        if isinstance(values, dict) and values.get("version", 1) == 1:
-            values = {"task" if key == "track" else key: one for key, one in values.items()}
-            values["version"] = VERSION
-        return values
 
     @field_validator("pictures")
     @classmethod
@@ -247,7 +233,14 @@ def parse(line: bytes) -> Record:
     )
     if not isinstance(value, dict):
         raise ValueError(f"a {type(value).__name__}")
-    if _depth(value) > _DEEPEST:
+    # count tables and lists within each other, without recursion
+    depth, level = 0, [value]
+    while level := [one for one in level if isinstance(one, dict | list)]:
+        depth += 1
+        level = [
+            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
+        ]
+    if depth > _DEEPEST:
         raise ValueError(f"more than {_DEEPEST} tables and lists within each other")
     try:
         return Head.model_validate(value).model_dump()
@@ -263,24 +256,14 @@ def score_faults(task: str, values: Record) -> Iterator[str]:
 def _faults(scores: Iterable[Score], values: Record) -> Iterator[str]:
     for score in scores:
         value = values.get(score.key)
-        low, high = range_of(score)
+        low, high = score.range
         if value is None:
             continue
         if isinstance(value, bool) or not isinstance(value, int | float):
             yield f"{score.key}: expected a number or null, got {printable(repr(value))}"
         elif not low - _ROUNDING <= value <= high + _ROUNDING:
-            bounds = f"at least {low:g}" if high == _LARGEST else f"{low:g} to {high:g}"
+            bounds = f"at least {low:g}" if high == LARGEST else f"{low:g} to {high:g}"
             yield f"{score.key}: expected {bounds}, got {printable(repr(value))}"
-
-
-def range_of(score: Score) -> tuple[float, float]:
-    """Return the smallest and the largest possible value of a score."""
-    if score.key == "q":
-        return -1.0, 1.0
-    if score.better in ("larger", "steady") and (score.counted or score.unit == "%"):
-        return 0.0, 100.0 if score.unit == "%" else 1.0
-    signed = score.better != "smaller" or any(part in score.key for part in _SIGNED)
-    return (-_LARGEST if signed else 0.0), _LARGEST
 
 
 def _other_faults(task: str, values: Record) -> Iterator[str]:
@@ -312,14 +295,3 @@ def _make_table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
         raise ValueError(f"the key {printable(twice)!r} twice")
     return table
-
-
-def _depth(value: Any) -> int:
-    """Count tables and lists within each other, without recursion."""
-    depth, level = 0, [value]
-    while level := [one for one in level if isinstance(one, dict | list)]:
-        depth += 1
-        level = [
-            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
-        ]
-    return depth

@@ -1,9 +1,4 @@
-"""Recorded data sets as cases of suites: opened and checked.
-
-recorded_cases: Recorded data sets as cases of suites: opened and checked.
-
-judged_without_truth: Results of recorded cases, judged without truth.
-"""
+"""Recorded data sets as cases of suites, and their results judged without truth."""
 
 from __future__ import annotations
 

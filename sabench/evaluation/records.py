@@ -1,8 +1,4 @@
-"""Machine and versions of a run, which its records name.
-
-environment: Machine and versions of a run, which its records name.
-
-records: Records of runs, as JSON lines.
+"""Records of runs, as JSON lines, with the machine and the versions of each run.
 
 Many processes may append to a file without losing or tearing a line. Readers do not trust its
 content.

@@ -73,37 +73,25 @@ def run_suite(
     jobs : processes that generate a data set.
     """
     with hide_from_solvers(secret):
-        records = _run_cases(path, work, leaderboard, fresh, only, secret, jobs)
+        suite, cases = load_suite(path, read_secret(secret) if secret else None)
+        known = {} if fresh else _known_records(leaderboard)
+        records, wanted = [], only.select(cases)
+        for number, case in enumerate(wanted, 1):
+            heads = [(entry, _describe(case, entry, str(path))) for entry in case.solvers]
+            keys = [key_of(head, _COMPUTED) for _, head in heads]
+            missing = [pair for pair, key in zip(heads, keys, strict=True) if key not in known]
+            records += [known[key] for key in keys if key in known]
+            done = "" if missing else ", known"
+            _say(f"data set {number} of {len(wanted)}: {case.name}, {case.words}{done}")
+            _say_changed(heads[0][1], known)
+            if missing:
+                dataset = dataset_of(case, work, fresh, jobs)
+                for record in _rank(case, dataset, missing, suite, work, leaderboard):
+                    append(leaderboard / "records" / "local.jsonl", record)
+                    records.append(record)
+                if not suite.keep_data:
+                    discard(case, dataset)
     build_board(leaderboard)
-    return records
-
-
-def _run_cases(
-    path: str | Path,
-    work: Path,
-    leaderboard: Path,
-    fresh: bool,
-    only: Only,
-    secret: Path | None,
-    jobs: int,
-) -> list[Record]:
-    suite, cases = load_suite(path, read_secret(secret) if secret else None)
-    known = {} if fresh else _known_records(leaderboard)
-    records, wanted = [], only.select(cases)
-    for number, case in enumerate(wanted, 1):
-        heads = [
-            (solver_entry, _describe(case, solver_entry, str(path)))
-            for solver_entry in case.solvers
-        ]
-        missing = [pair for pair in heads if key_of(pair[1], _COMPUTED) not in known]
-        records += [known[key] for _, head in heads if (key := key_of(head, _COMPUTED)) in known]
-        _say(
-            f"data set {number} of {len(wanted)}: {case.name}, "
-            f"{case.words}{'' if missing else ', known'}"
-        )
-        _say_changed(heads[0][1], known)
-        if missing:
-            records += _run_case(case, missing, suite, work, leaderboard, fresh=fresh, jobs=jobs)
     return records
 
 
@@ -114,26 +102,6 @@ def _known_records(leaderboard: Path) -> dict[str, Record]:
         for record in read_records(leaderboard / "records")
         if not record["error"]
     }
-
-
-def _run_case(
-    case: Case,
-    solver_entries: list[tuple[SolverEntry, Record]],
-    suite: Suite,
-    work: Path,
-    leaderboard: Path,
-    *,
-    fresh: bool,
-    jobs: int,
-) -> list[Record]:
-    """Run solvers on one data set; write each record as soon as its score is known."""
-    records, dataset = [], dataset_of(case, work, fresh, jobs)
-    for record in _rank(case, dataset, solver_entries, suite, work, leaderboard):
-        append(leaderboard / "records" / "local.jsonl", record)
-        records.append(record)
-    if not suite.keep_data:
-        discard(case, dataset)
-    return records
 
 
 def _say_changed(head: Record, known: dict[str, Record]) -> None:
@@ -175,21 +143,16 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     """
     if isinstance(case, RecordedCase):
         return check_intact(case)
-    return _generated(case, work, fresh, jobs)
-
-
-def discard(case: Case, dataset: Dataset) -> None:
-    """Delete a generated data set; a recording stays."""
-    if isinstance(case, SceneCase):
-        shutil.rmtree(dataset.root)
-
-
-def _generated(case: SceneCase, work: Path, fresh: bool, jobs: int) -> Dataset:
     folder = case.folder(work)
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
-        made = dataset.manifest.versions
-        if all(made.get(name) == version for name, version in _made_by().items()):
+        # the versions that the content of a data set depends on
+        made_by = {
+            "sabench": __version__,
+            "simulation": SIMULATION,
+            "mitsuba": version_of("mitsuba"),
+        }
+        if made_by.items() <= dataset.manifest.versions.items():
             console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
@@ -204,13 +167,10 @@ def _generated(case: SceneCase, work: Path, fresh: bool, jobs: int) -> Dataset:
     )
 
 
-def _made_by() -> dict[str, str]:
-    """List the versions that the content of a data set depends on."""
-    return {
-        "sabench": __version__,
-        "simulation": SIMULATION,
-        "mitsuba": version_of("mitsuba"),
-    }
+def discard(case: Case, dataset: Dataset) -> None:
+    """Delete a generated data set; a recording stays."""
+    if isinstance(case, SceneCase):
+        shutil.rmtree(dataset.root)
 
 
 def _rank(
@@ -229,14 +189,22 @@ def _rank(
     public = case.number is None
     folder = leaderboard / "pictures" / case.file_name if pictured and public else None
     if folder:
-        _picture_case(folder, dataset)
+        # draw the images of the cameras and, if it is known, the truth
+        task = tasks.of_data(dataset)
+        _draw(folder / "images.png", task.images(dataset))
+        if dataset.has_truth:
+            _draw(folder / "truth.png", task.picture(dataset, "truth"))
     for solver_entry, head in solver_entries:
-        record = (
-            head
-            | _blank(head["task"])
-            | {"dataset": dataset.content_hash, "pictures": folder.name if folder else None}
-            | {"identity": dataset.identity if case.number is None else None}
-        )
+        # scores are null before any is known
+        scores = (score.key for score in tasks.of(head["task"]).columns)
+        record = {
+            **head,
+            **dict.fromkeys((*scores, "error", "reference_s")),
+            "declined": False,
+            "dataset": dataset.content_hash,
+            "pictures": folder.name if folder else None,
+            "identity": dataset.identity if public else None,
+        }
         name = stem_of(head)
         out = work / "results" / f"{case.file_name}-{name}.h5"
         try:
@@ -267,14 +235,6 @@ def _checked(scores: dict[str, Any], head: Record) -> dict[str, Any]:
     if faults := list(score_faults(head["task"], scores)):
         raise InputError.from_faults(f"solver {head['solver']}", faults)
     return {key: value for key, value in scores.items() if key not in head}
-
-
-def _picture_case(folder: Path, dataset: Dataset) -> None:
-    """Draw the images of the cameras and, if it is known, the truth."""
-    task = tasks.of_data(dataset)
-    _draw(folder / "images.png", task.images(dataset))
-    if dataset.has_truth:
-        _draw(folder / "truth.png", task.picture(dataset, "truth"))
 
 
 def _picture_result(
@@ -315,27 +275,17 @@ def _describe(case: Case, solver_entry: SolverEntry, suite: str) -> Record:
     }
     judged_by = [case.quality.model_dump()] if isinstance(case, RecordedCase) else []
     run_hash = digest([*(head[key] for key in _RUN), *judged_by])
+    # list the words of the command that makes a record again
+    seed = [] if isinstance(case, RecordedCase) else ["--seed", str(case.shown_seed)]
+    more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
+    words = ["sabench", "run", suite, "--case", case.name, *seed]
     return {
         **head,
         "versions": versions(),
         "machine": machine(),
         "run_hash": run_hash,
-        "command": shlex.join(_command(case, solver_entry, suite)),
+        "command": shlex.join([*words, "--solver", solver_entry.shown, *more]),
     }
-
-
-def _command(case: Case, solver_entry: SolverEntry, suite: str) -> list[str]:
-    """List the words of the command that makes a record again."""
-    seed = [] if isinstance(case, RecordedCase) else ["--seed", str(case.shown_seed)]
-    more = [] if case.number is None else ["--hidden", "SECRET_FILE"]
-    words = ["sabench", "run", suite, "--case", case.name, *seed]
-    return [*words, "--solver", solver_entry.shown, *more]
-
-
-def _blank(task: str) -> dict[str, Any]:
-    """Make a record's scores before any is known."""
-    keys = (score.key for score in tasks.of(task).columns)
-    return dict.fromkeys((*keys, "error", "reference_s")) | {"declined": False}
 
 
 def _draw(path: Path, picture: bytes) -> None:

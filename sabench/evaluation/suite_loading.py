@@ -1,13 +1,8 @@
-"""Private test sets: data sets that only their organiser can make.
-
-hidden_split: Private test sets: data sets that only their organiser can make.
-
-Their seeds come from a file with a secret, which only the organiser has.
-
-suite_loading: Suite files, read and checked before any work starts.
+"""Suite files, read and checked before any work starts, and private test sets.
 
 A suite becomes a list of cases, one for each combination of its varied values and each seed, and
-one for each recording.
+one for each recording. The seeds of a private test set come from a file with a secret, which only
+the organiser has.
 """
 
 from __future__ import annotations
@@ -217,11 +212,7 @@ def _resolve_solver(solver: SolverEntry, file: Path) -> SolverEntry:
     if not solver.is_program:
         if any(
             value is not None
-            for value in (
-                solver.task,
-                solver.time_limit_s,
-                solver.memory_limit_mb,
-            )
+            for value in (solver.task, solver.time_limit_s, solver.memory_limit_mb)
         ):
             raise InputError(
                 f"{file}: solver {solver.name}: expected task, time_limit_s and memory_limit_mb "

@@ -1,9 +1,4 @@
-"""Suites: scenes with changes, recordings, seeds and solvers, and their cases.
-
-suites: Suites: scenes with changes, recordings, seeds and solvers, and their cases.
-
-selection: Selection of a part of a suite.
-"""
+"""Suites: scenes with changes, recordings, seeds and solvers, their cases and parts of them."""
 
 from __future__ import annotations
 
@@ -13,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sabench import plugins
 from sabench.api.solvers import TaskName
@@ -53,11 +48,7 @@ class SolverEntry(_Table):
     name: str = Field(description="of a solver, or the path of a program next to the suite")
     parameters: dict[str, Any] = {}
     label: Name | None = Field(None, description="shown in place of the name")
-    task: TaskName | None = Field(
-        None,
-        validation_alias=AliasChoices("task", "track"),
-        description="of a program: task of its results",
-    )
+    task: TaskName | None = Field(None, description="of a program: task of its results")
     time_limit_s: float | None = Field(None, gt=0, description="of a program, for a data set")
     memory_limit_mb: float | None = Field(
         None, gt=0, description="of a program's processes together"

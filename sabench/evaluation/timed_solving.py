@@ -1,10 +1,6 @@
-"""Reference kernel, whose time measures the current speed of this machine.
+"""Solvers timed next to a reference kernel, which measures the current speed of this machine.
 
-reference_kernel: Reference kernel, whose time measures the current speed of this machine.
-
-Times of solvers are compared as multiples of it.
-
-timed_solving: Solvers timed next to the reference kernel.
+Times of solvers are compared as multiples of its time.
 """
 
 from __future__ import annotations
@@ -61,9 +57,7 @@ def _work(table: Any) -> float:
 
 # Where many solvers are run, it pays to load all that one of them may need.
 preload(
-    "sabench.evaluation.timed_solving",
-    "tifffile",
-    *(f"sabench.tasks.{name}" for name in NAMES),
+    "sabench.evaluation.timed_solving", "tifffile", *(f"sabench.tasks.{name}" for name in NAMES)
 )
 
 

@@ -1,12 +1,6 @@
-"""Figures of bubbles from the front and from the side.
+"""Task `bubbles`: bubbles of one observation, frame by frame.
 
-bubbles: Figures of bubbles from the front and from the side.
-
-They follow figures 5-18 to 5-20 of the thesis.
-
-bubbles: Task `bubbles`: solvers find the bubbles of one observation, frame by frame.
-
-The bubbles of all frames are linked afterwards.
+The bubbles of all frames are linked afterwards. Figures follow 5-18 to 5-20 of the thesis.
 """
 
 from __future__ import annotations
@@ -34,6 +28,7 @@ from sabench.plotting.charts import Circles, Discs, Figure, Panel
 from sabench.scenes import BubbleWorld, Scene
 from sabench.scenes.world import GeneratorTable
 from sabench.tasks.task import (
+    SHARE,
     Captions,
     Figures,
     FrameByFrame,
@@ -117,21 +112,21 @@ class BubblesTask(FrameByFrame):
     scores = (
         Score("f1_large", "F1, large", "", "larger", 3,
               "harmonic mean of precision and recall, bubbles of 0.5 mm radius and more; found: "
-              "closer than half a radius", counted=True),
+              "closer than half a radius", counted=True, range=SHARE),
         Score("f1", "F1", "", "larger", 3,
-              "the same, all bubbles", counted=True),
+              "the same, all bubbles", counted=True, range=SHARE),
         Score("f1_small", "F1, small", "", "larger", 3,
-              "the same, bubbles below 0.5 mm", counted=True),
+              "the same, bubbles below 0.5 mm", counted=True, range=SHARE),
         Score("precision", "precision", "", "larger", 3,
-              "share of the detections that are bubbles, one to one", counted=True),
+              "share of the detections that are bubbles, one to one", counted=True, range=SHARE),
         Score("recall", "recall", "", "larger", 3,
-              "share of the bubbles that were found", counted=True),
+              "share of the bubbles that were found", counted=True, range=SHARE),
         Score("recall_hidden", "recall, hidden", "", "larger", 3,
               "recall of bubbles of which the cameras see less than nine tenths, mean over "
-              "cameras", counted=True),
+              "cameras", counted=True, range=SHARE),
         Score("recall_dense", "recall, dense", "", "larger", 3,
               "recall of bubbles around which, within 6 mm, others fill a hundredth or "
-              "more", counted=True),
+              "more", counted=True, range=SHARE),
         Score("radius_percent", "radius %", "%", "smaller", 2,
               "median error of the radius of found bubbles of 0.5 mm and more"),
         Score("axes_percent", "axes %", "%", "smaller", 2,
@@ -163,12 +158,13 @@ class BubblesTask(FrameByFrame):
               "error of s of equation 5.18"),
         Score("link_recall", "link recall", "", "larger", 3,
               "share of the bubbles found in two consecutive frames that one trajectory "
-              "joins", counted=True),
+              "joins", counted=True, range=SHARE),
         Score("link_precision", "link precision", "", "larger", 3,
-              "share of the links between such frames that join the same bubble", counted=True),
+              "share of the links between such frames that join the same bubble", counted=True,
+              range=SHARE),
         Score("effectiveness", "effectiveness", "", "larger", 3,
               "share of a bubble's frames in which its longest trajectory has it, mean over the "
-              "bubbles", counted=True),
+              "bubbles", counted=True, range=SHARE),
         Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 2,
               "median error of the velocity of correct links, against the true mean velocity "
               "between the frames"),

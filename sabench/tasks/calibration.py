@@ -31,7 +31,7 @@ from sabench.metrics.calibration_error import (
 )
 from sabench.plotting import pictures
 from sabench.tasks.solver_call import call_solver
-from sabench.tasks.task import Captions, Figures, Score, Source, Task
+from sabench.tasks.task import ANY, ERROR, PERCENT, Captions, Figures, Score, Source, Task
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
@@ -54,7 +54,7 @@ class CalibrationTask(Task):
         Score("true_px", "true px", "px", "smaller", 4,
               "mean distance of reprojected points from their true pixels"),
         Score("bound_px", "bound px", "px", "steady", 4,
-              "smallest true px that the data allow (Cramer-Rao bound)"),
+              "smallest true px that the data allow (Cramer-Rao bound)", range=ANY),
         Score("true_ratio", "true / bound", "", "smaller", 3,
               "true px over bound px"),
         Score("measured_px", "measured px", "px", "smaller", 4,
@@ -67,26 +67,27 @@ class CalibrationTask(Task):
         Score("z_std_mm", "z std mm", "mm", "smaller", 4,
               "the same along Z"),
         Score("z_mean_mm", "z mean mm", "mm", "smaller", 3,
-              "mean error along Z, which images through a plane wall hardly determine"),
+              "mean error along Z, which images through a plane wall hardly determine", range=ANY),
         Score("z_std_ratio", "z std / bound", "", "smaller", 3,
               "scatter along Z over its bound"),
         Score("held_out_mm", "held out mm", "mm", "smaller", 4,
               "root mean square error of other points in the volume, intersected from noisy "
               "images"),
         Score("held_out_exact_mm", "with exact cameras", "mm", "steady", 4,
-              "the same with the true cameras"),
+              "the same with the true cameras", range=ANY),
         Score("bound_z_mean_mm", "bound z mean mm", "mm", "steady", 4,
-              "smallest z mean mm that the data allow (Cramer-Rao bound)", hidden=True),
+              "smallest z mean mm that the data allow (Cramer-Rao bound)", hidden=True, range=ANY),
         Score("efficiency_ratio", "efficiency ratio", "", "unity", 4,
-              "true over measured px, over the same ratio of an efficient estimate", hidden=True),
+              "true over measured px, over the same ratio of an efficient estimate", hidden=True,
+              range=ANY),
         Score("used_percent", "used percent", "%", "larger", 4,
-              "share of the observations that the algorithm accepted", hidden=True),
+              "share of the observations that the algorithm accepted", hidden=True, range=PERCENT),
         Score("found_bias_column_px", "found bias column px", "px", "steady", 4,
-              "mean error of detection along the columns", hidden=True),
+              "mean error of detection along the columns", hidden=True, range=ANY),
         Score("found_bias_row_px", "found bias row px", "px", "steady", 4,
-              "mean error of detection along the rows", hidden=True),
+              "mean error of detection along the rows", hidden=True, range=ANY),
         Score("found_std_px", "found std px", "px", "steady", 4,
-              "scatter of detection", hidden=True),
+              "scatter of detection", hidden=True, range=ANY),
         Score("index_error", "index error", "", "smaller", 4,
               "largest error of a refractive index of the wall", hidden=True),
         Score("thickness_error_mm", "thickness error mm", "mm", "smaller", 4,
@@ -102,45 +103,21 @@ class CalibrationTask(Task):
         Score("y_std_ratio", "y std ratio", "", "smaller", 4,
               "scatter along Y over its bound", hidden=True),
         Score("x_mean_mm", "x mean mm", "mm", "smaller", 4,
-              "mean error along X", hidden=True),
+              "mean error along X", hidden=True, range=ANY),
         Score("y_mean_mm", "y mean mm", "mm", "smaller", 4,
-              "mean error along Y", hidden=True),
-        Score("raw_x_std_mm", "raw x std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along X without alignment", hidden=True),
-        Score("raw_x_mean_mm", "raw x mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along X without alignment", hidden=True),
-        Score("raw_y_std_mm", "raw y std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Y without alignment", hidden=True),
-        Score("raw_y_mean_mm", "raw y mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Y without alignment", hidden=True),
-        Score("raw_z_std_mm", "raw z std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Z without alignment", hidden=True),
-        Score("raw_z_mean_mm", "raw z mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Z without alignment", hidden=True),
-        Score("shift_x_std_mm", "shift x std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along X after a shift", hidden=True),
-        Score("shift_x_mean_mm", "shift x mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along X after a shift", hidden=True),
-        Score("shift_y_std_mm", "shift y std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Y after a shift", hidden=True),
-        Score("shift_y_mean_mm", "shift y mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Y after a shift", hidden=True),
-        Score("shift_z_std_mm", "shift z std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Z after a shift", hidden=True),
-        Score("shift_z_mean_mm", "shift z mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Z after a shift", hidden=True),
-        Score("rigid_x_std_mm", "rigid x std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along X after a rigid motion", hidden=True),
-        Score("rigid_x_mean_mm", "rigid x mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along X after a rigid motion", hidden=True),
-        Score("rigid_y_std_mm", "rigid y std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Y after a rigid motion", hidden=True),
-        Score("rigid_y_mean_mm", "rigid y mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Y after a rigid motion", hidden=True),
-        Score("rigid_z_std_mm", "rigid z std mm", "mm", "smaller", 4,
-              "scatter of the points' errors along Z after a rigid motion", hidden=True),
-        Score("rigid_z_mean_mm", "rigid z mean mm", "mm", "smaller", 4,
-              "mean of the points' errors along Z after a rigid motion", hidden=True),
+              "mean error along Y", hidden=True, range=ANY),
+        *(
+            Score(f"{kind}_{axis}_{moment}_mm", f"{kind} {axis} {moment} mm", "mm", "smaller", 4,
+                  f"{word} of the points' errors along {axis.upper()} {alignment}", hidden=True,
+                  range=limits)
+            for kind, alignment in (
+                ("raw", "without alignment"),
+                ("shift", "after a shift"),
+                ("rigid", "after a rigid motion"),
+            )
+            for axis in "xyz"
+            for moment, word, limits in (("std", "scatter", ERROR), ("mean", "mean", ANY))
+        ),
     )
     # fmt: on
     sufficient = 0.1  # px
@@ -254,7 +231,17 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
     noise_px = detection_noise(case.pixels, exact, good)
     motion = Frame.from_cameras(data.true_cameras, truth_mm).motion
     aligned = target_alignment(target_points(answer, case), truth_mm, motion)
-    held_out = _held_out(data, noise_px)
+    # draw random points (n, 3) of the volume, with noisy pixels (camera, n, 2). The true cameras
+    # project the points
+    volume, rng = data.scene.volume, stream(data.manifest.seed, "held out")
+    aside = (rng.random((_HELD_OUT, 3)) - 0.5) * np.asarray(volume.size_mm)
+    points_mm = np.asarray(volume.center_mm) + aside
+    pixels = np.full((len(data.true_cameras), _HELD_OUT, 2), np.nan)
+    for number, camera in enumerate(data.true_cameras):
+        there, valid = camera.project(points_mm)
+        seen = valid & camera.contains(there)
+        pixels[number, seen] = there[seen] + noise_px * rng.standard_normal((int(seen.sum()), 2))
+    held_out = points_mm, pixels
     others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
     return scores | others
 
@@ -333,22 +320,6 @@ def _particles(data: Dataset) -> tuple[F64, F64]:
     truth_mm = truth_mm[order[:_PARTICLES]]
     exact = [exact_pixels(camera, truth_mm[None])[0] for camera in data.true_cameras]
     return truth_mm, np.stack(exact)
-
-
-def _held_out(data: Dataset, noise_px: float) -> tuple[F64, F64]:
-    """Draw random points (n, 3) of the volume, with noisy pixels (camera, n, 2).
-
-    The true cameras project the points.
-    """
-    volume, rng = data.scene.volume, stream(data.manifest.seed, "held out")
-    aside = (rng.random((_HELD_OUT, 3)) - 0.5) * np.asarray(volume.size_mm)
-    points_mm = np.asarray(volume.center_mm) + aside
-    pixels = np.full((len(data.true_cameras), _HELD_OUT, 2), np.nan)
-    for number, camera in enumerate(data.true_cameras):
-        there, valid = camera.project(points_mm)
-        seen = valid & camera.contains(there)
-        pixels[number, seen] = there[seen] + noise_px * rng.standard_normal((int(seen.sum()), 2))
-    return points_mm, pixels
 
 
 TASK = CalibrationTask()

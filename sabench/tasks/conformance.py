@@ -1,16 +1,11 @@
-"""Laws that every solver obeys, bundled or not.
+"""Laws that every solver obeys, bundled or not, and compilation ahead of time.
 
-conformance: Laws that every solver obeys, bundled or not.
+`check_solver` tests the laws on a small data set of the solver's task, generated from
+`scenes/conformance/`. `sabench conform` and the fixture `sabench_conform` of the pytest plug-in
+call it.
 
-`check_solver` tries them on a small data set of the solver's task, which it generates from
-`scenes/conformance/`. The command `sabench conform` and the fixture `sabench_conform` of the pytest
-plug-in call it.
-
-warm_up: Kernels compiled in advance, so that no later command has to.
-
-Each solver is called on the small data set of its task, and its result scored: that makes, compiles
-and stores all that `generate`, `solve` and `score` call. Images of containers and nodes of clusters
-begin with their kernels then.
+`warm_up` calls each solver on that data set and scores its result, which compiles and stores all
+kernels that `generate`, `solve` and `score` call, e.g. when a container image is built.
 """
 
 from __future__ import annotations
@@ -290,7 +285,6 @@ def example(task: Task, sees: str, folder: Path) -> Dataset:
 
 
 def _arrays(case: Any) -> list[Any]:
-    """List all arrays of a case."""
     if isinstance(case, ImageSequence):
         return [frame.images for frame in case]
     if isinstance(case, Observation):
@@ -303,38 +297,38 @@ def _arrays(case: Any) -> list[Any]:
 
 
 def _image_sequence(like: ImageSequence, frames: list[Observation]) -> ImageSequence:
-    """Make a sequence of frames in memory."""
     return ImageSequence(frames[0].cameras, like.grid, like.times_s, frames.__getitem__)
 
 
-def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
-    """Change the images of a case, frame by frame."""
+def _change_frames(case: Any, change: Callable[[Any], Any]) -> Any:
+    """Change every frame of a case."""
     if isinstance(case, ImageSequence):
-        frames = [_with_images(frame, change) for frame in case]
-        return _image_sequence(case, frames)
+        return _image_sequence(case, [change(frame) for frame in case])
     if isinstance(case, ImagePair):
-        first, second = (_with_images(frame, change) for frame in (case.first, case.second))
-        return ImagePair(first, second, case.interval_s)
-    if not isinstance(case, Observation):
-        raise _SkippedError("its cases have no images")
-    return replace(case, images=change(case.images, int(case.black_dn)))
+        return ImagePair(change(case.first), change(case.second), case.interval_s)
+    return change(case)
+
+
+def _with_images(case: Any, change: Callable[[Any, int], Any]) -> Any:
+    def with_changed(frame: Any) -> Observation:
+        if not isinstance(frame, Observation):
+            raise _SkippedError("its cases have no images")
+        return replace(frame, images=change(frame.images, int(frame.black_dn)))
+
+    return _change_frames(case, with_changed)
 
 
 def _reverse_cameras(case: Any) -> Any:
-    """Reverse the cameras of a case."""
-    if isinstance(case, ImageSequence):
-        frames = [_reverse_cameras(frame) for frame in case]
-        return _image_sequence(case, frames)
-    if isinstance(case, ImagePair):
-        first, second = (_reverse_cameras(frame) for frame in (case.first, case.second))
-        return ImagePair(first, second, case.interval_s)
-    if isinstance(case, Observation):
-        flaws = case.flaws and Flaws(*(kind[::-1].copy() for kind in case.flaws))
-        images, cameras = case.images[::-1].copy(), case.cameras[::-1]
-        return replace(case, images=images, cameras=cameras, flaws=flaws)
-    if isinstance(case, CalibrationCase):
-        return replace(case, pixels=case.pixels[::-1].copy(), cameras=case.cameras[::-1])
-    raise _SkippedError("its cases have no cameras")
+    def reverse(frame: Any) -> Any:
+        if isinstance(frame, Observation):
+            flaws = frame.flaws and Flaws(*(kind[::-1].copy() for kind in frame.flaws))
+            images, cameras = frame.images[::-1].copy(), frame.cameras[::-1]
+            return replace(frame, images=images, cameras=cameras, flaws=flaws)
+        if isinstance(frame, CalibrationCase):
+            return replace(frame, pixels=frame.pixels[::-1].copy(), cameras=frame.cameras[::-1])
+        raise _SkippedError("its cases have no cameras")
+
+    return _change_frames(case, reverse)
 
 
 @dataclass(frozen=True)

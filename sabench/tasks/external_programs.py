@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from sabench import plugins, tasks
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, open_result, result_writer
 from sabench.dataset.verification import probe
-from sabench.tasks.visible_files import Desk, open_desk, view_of_program
+from sabench.tasks.visible_files import open_sandbox, view_of_program
 from sabench.utils.errors import InputError
 from sabench.utils.files import clear_abandoned, is_file, refuse_existing
 from sabench.utils.processes.call import call_isolated
@@ -89,30 +88,37 @@ def run_program(
     """
     path, limits = find_program(program), limits or Limits()
     refuse_existing(out, overwrite=overwrite)
-    with open_desk(dataset) as desk, desk.naming(dataset.root, out):
-        sees = "; sees its folder and SABENCH_VISIBLE" if desk.confined else "; not confined"
+    with open_sandbox(dataset) as sandbox, sandbox.naming(dataset.root, out):
+        sees = "; sees its folder and SABENCH_VISIBLE" if sandbox.confined else "; not confined"
         said = f"{path.name}: at most {limits.time_s:g} s{sees}"
         console.print(said, markup=False, highlight=False)
+        # strings as they are, all else as JSON
+        words = [
+            f"{name}={value if isinstance(value, str) else json.dumps(value)}"
+            for name, value in (parameters or {}).items()
+        ]
         cost = run_limited(
-            [str(path), str(desk.observation), str(desk.result), *_words(parameters or {})],
-            desk.scratch,
+            [str(path), str(sandbox.observation), str(sandbox.result), *words],
+            sandbox.scratch,
             limits,
             path.name,
-            view_of_program(desk, dataset, path),
+            view_of_program(sandbox, dataset, path),
         )
-
-        def account(result: Result) -> Account:
-            frames = max(1, len(tasks.of(result.task).frames(dataset)))
-            name, seconds = solver_name(program), cost.seconds / frames
-            costs = (seconds, cost.peak_mb)
-            return Account(name, parameters or {}, desk.confined, *costs, whole_process=True)
-
-        adopt_from(desk, dataset, out, path.name, account, overwrite=overwrite)
+        result = open_foreign(sandbox.result, dataset, path.name)
+        head = Head(
+            solver_name(program),
+            parameters or {},
+            sandbox.confined,
+            cost.seconds / max(1, len(tasks.of(result.task).frames(dataset))),
+            cost.peak_mb,
+            whole_process=True,
+        )
+        copy_isolated(result, dataset, out, head, path.name, overwrite=overwrite)
     return open_result(out, dataset)
 
 
 @dataclass(frozen=True)
-class Account:
+class Head:
     """Head of a result that is written anew, whatever its file says.
 
     Attributes
@@ -133,69 +139,40 @@ class Account:
     whole_process: bool = False
 
 
-def adopt_from(
-    desk: Desk,
-    dataset: Dataset,
-    out: Path,
-    name: str,
-    account: Callable[[Result], Account],
-    *,
-    overwrite: bool,
-) -> None:
-    """Check a foreign result at a desk, in a child process, and write it anew.
+def open_foreign(path: Path, data: Dataset, name: str) -> Result:
+    """Open the result file of a solver that is not sabench's own, named so in errors."""
+    if path.is_symlink() or not path.is_file():
+        found = "a link" if path.is_symlink() else "no file"
+        raise InputError(f"{name}: expected its result at {path}, found {found} there")
+    probe(path)
+    return open_result(path, data)
 
-    `name` is that of the solver in errors.
-    """
-    _check_file(desk.result, name)
+
+def copy_isolated(
+    result: Result, data: Dataset, out: Path, head: Head, name: str, *, overwrite: bool
+) -> None:
+    """Write a foreign result anew under all checks, by `write_anew` in a child process."""
+    doing = f"result of {name}"
     try:
-        probe(desk.result)
-        known = account(open_result(desk.result, dataset))
         call_isolated(
-            adopt,
-            desk.result,
-            dataset.root,
-            out,
-            known,
-            overwrite,
-            doing=f"result of {name}",
-            time_s=_CHECK_S,
+            write_anew, result.path, data.root, out, head, overwrite, doing=doing, time_s=_CHECK_S
         )
     finally:
         clear_abandoned(out.absolute())
 
 
-def _words(parameters: dict[str, Any]) -> list[str]:
-    """Format parameters as name=value: strings as they are, all else as JSON."""
-    return [
-        f"{name}={value if isinstance(value, str) else json.dumps(value)}"
-        for name, value in parameters.items()
-    ]
-
-
-def _check_file(result: Path, name: str) -> None:
-    if result.is_symlink() or not result.is_file():
-        found = "a link" if result.is_symlink() else "no file"
-        raise InputError(f"{name}: expected its result at {result}, found {found} there")
-
-
-def adopt(
-    path: Path,
-    root: Path,
-    out: Path,
-    account: Account | None,
-    overwrite: bool,
-) -> None:
+def write_anew(path: Path, root: Path, out: Path, head: Head | None, overwrite: bool) -> None:
     """Read every value of a foreign result under all checks, and write it anew.
 
     Nothing else of the foreign file is kept.
 
     Parameters
     ----------
-    account : what is written about it; None: solver and parameters of the file, and no costs.
+    head : what is written about it; None: solver and parameters of the file, and no costs.
     """
     data = open_dataset(root)
     result = open_result(path, data)
-    known = account or Account(result.solver, result.parameters)
+    known = head or Head(result.solver, result.parameters)
     task = tasks.of(result.task)
     with result_writer(
         out, data, known.solver, task.name, known.parameters, overwrite=overwrite

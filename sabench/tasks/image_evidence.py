@@ -1,8 +1,7 @@
-"""Evidence of a frame's images for or against what has been found in it.
+"""Evidence of a frame's images for or against a result.
 
-image_evidence: Evidence of a frame's images for or against what has been found in it.
-
-reduced_data: Copies of a data set's observation side with a camera taken out or scrambled.
+Data sets are also copied without one camera, or with the images of one camera shifted, so that a
+solver can run again on them.
 """
 
 from __future__ import annotations
@@ -21,15 +20,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.recorded import RecordedWriter, recorded_writer
 from sabench.geometry.camera_model import CameraModel
 from sabench.images.widths import ImageStatistics, measure_images
-from sabench.metrics.reprojection import (
-    LightFit,
-    Patches,
-    cut_patches,
-    draw,
-    explained_share,
-    fit_light,
-    matched_light,
-)
+from sabench.metrics import reprojection
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.files import inside, read_json
 
@@ -78,15 +69,15 @@ class FrameEvidence:
         images = clear.images.astype(np.float64)
         return cls(case, images, known, measure_images(images, known))
 
-    def fit(self, positions_mm: F64) -> list[LightFit]:
+    def fit(self, positions_mm: F64) -> list[reprojection.LightFit]:
         """Fit the light of particles (n, 3) in every camera."""
         return [self._fit(camera, positions_mm) for camera in range(len(self.images))]
 
-    def _fit(self, camera: int, positions_mm: F64) -> LightFit:
+    def _fit(self, camera: int, positions_mm: F64) -> reprojection.LightFit:
         patches = self._patches(camera, self._pixels(camera, positions_mm))
-        return fit_light(self.images[camera], patches, len(positions_mm))
+        return reprojection.fit_light(self.images[camera], patches, len(positions_mm))
 
-    def certain_shifts(self, camera: int, fit: LightFit) -> F64:
+    def certain_shifts(self, camera: int, fit: reprojection.LightFit) -> F64:
         """Return the shifts (k, 2) of images that are bright enough to have a place."""
         bright = fit.light > _CERTAIN * self.statistics.light[camera]
         good: F64 = fit.shift_px[bright & np.isfinite(fit.shift_px).all(axis=1)]
@@ -95,7 +86,7 @@ class FrameEvidence:
     def explained(self, camera: int, left: F64) -> float:
         """Compute the share of an image's light that is not left of it."""
         noise = float(self.statistics.noise[camera])
-        return explained_share(self.images[camera], left, self.known[camera], noise)
+        return reprojection.explained_share(self.images[camera], left, self.known[camera], noise)
 
     def compare(
         self, camera: int, positions_mm: F64, found_mm: F64, shift: tuple[int, int]
@@ -159,19 +150,21 @@ class FrameEvidence:
         seen = np.isfinite(lights)
         light = np.where(seen, lights, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
         patches = self._patches(camera, self._pixels(camera, positions_mm))
-        drawn = draw(self.images[camera].shape, patches, light[patches.rows])
+        drawn = reprojection.draw(self.images[camera].shape, patches, light[patches.rows])
         return correlate(self.images[camera], drawn, self.known[camera])
 
     def _pixels(self, camera: int, positions_mm: F64) -> F64:
         pixels, valid = self.case.cameras[camera].project(positions_mm)
         return np.where(valid[:, None], pixels, np.nan)
 
-    def _patches(self, camera: int, pixels: F64) -> Patches:
+    def _patches(self, camera: int, pixels: F64) -> reprojection.Patches:
         sigma = self.statistics.sigma[camera]
-        return cut_patches(self.images[camera].shape, pixels, sigma, self.known[camera])
+        return reprojection.cut_patches(
+            self.images[camera].shape, pixels, sigma, self.known[camera]
+        )
 
     def _light(self, camera: int, pixels: F64) -> F64:
-        light = matched_light(self.images[camera], self._patches(camera, pixels))
+        light = reprojection.matched_light(self.images[camera], self._patches(camera, pixels))
         return light[np.isfinite(light)]
 
 
@@ -198,8 +191,10 @@ def volume_correlation(case: Observation, camera: int, volume: F32) -> float:
         points = np.column_stack([x[column], y[row], np.full(len(row), depth)])
         pixels, valid = case.cameras[camera].project(points)
         pixels = np.where(valid[:, None], pixels, np.nan)
-        patches = cut_patches(image.shape, pixels, np.full(2, _BLUR_PX), known)
-        drawn += draw(image.shape, patches, plane[row, column].astype(np.float64)[patches.rows])
+        patches = reprojection.cut_patches(image.shape, pixels, np.full(2, _BLUR_PX), known)
+        drawn += reprojection.draw(
+            image.shape, patches, plane[row, column].astype(np.float64)[patches.rows]
+        )
     return correlate(image, drawn, known)
 
 

@@ -16,26 +16,16 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.dataset.schema import frame_group
 from sabench.geometry.grid import synthesise
+from sabench.metrics import particle_detection
 from sabench.metrics.averages import finite_or_none, mean_of_each, root_mean_square
 from sabench.metrics.particle_bounds import brier_score, coverage, rms_over_bound
-from sabench.metrics.particle_detection import (
-    MATCHING_DISTANCES,
-    challenge_pairs,
-    count_challenge,
-    count_duplicates,
-    f1_over_distance,
-)
 from sabench.plotting import pictures
-from sabench.tasks.particles_over_time import (
-    TrajectoryNumbers,
-    find_in_each_frame,
-    link_frames,
-    link_sequence,
-    score_over_time,
-)
+from sabench.tasks import particles_over_time
 from sabench.tasks.reconstruction import PARTICLE_IMAGES, with_bar
 from sabench.tasks.solver_call import SolverClock, image_sequence
 from sabench.tasks.task import (
+    ANY,
+    SHARE,
     Captions,
     Figures,
     Gate,
@@ -54,7 +44,7 @@ from sabench.utils.progress import progress_bar
 _DRAWN_VOXELS = 1.0  # standard deviation of the Gaussian blobs that particles are drawn as
 # share of the particles found with the cameras in another order, and how near, in voxels
 _ALIKE, _NEAR_VOXELS = 0.9, 0.2
-_TOLERANCE = Tolerance("f1", "F1", "voxel", MATCHING_DISTANCES)
+_TOLERANCE = Tolerance("f1", "F1", "voxel", particle_detection.MATCHING_DISTANCES)
 
 
 class ParticlesTask(Task):
@@ -66,12 +56,12 @@ class ParticlesTask(Task):
     # fmt: off
     scores = (
         Score("f1", "F1", "", "larger", 3,
-              "harmonic mean of precision and recall", counted=True),
+              "harmonic mean of precision and recall", counted=True, range=SHARE),
         Score("precision", "precision", "", "larger", 3,
               "share of the detections that are true, closer than 1 voxel along every axis, "
-              "one to one", counted=True),
+              "one to one", counted=True, range=SHARE),
         Score("recall", "recall", "", "larger", 3,
-              "share of the true particles that were found", counted=True),
+              "share of the true particles that were found", counted=True, range=SHARE),
         Score("ghost_percent", "ghost %", "%", "smaller", 1,
               "false detections, relative to the true ones", counted=True),
         Score("rms_px", "rms px", "px", "smaller", 3,
@@ -81,7 +71,7 @@ class ParticlesTask(Task):
               "root mean square distance between them in space"),
         Score("f1_area", "F1 area", "", "larger", 3,
               "mean of F1 over matching distances of .1, .2 ... 1 voxel", counted=True,
-              hidden=True),
+              hidden=True, range=SHARE),
         Score("duplicate_percent", "duplicate %", "%", "smaller", 2,
               "further detections closer than 1 voxel to a particle that was found, relative to "
               "the particles found; they are ghosts, too", counted=True, hidden=True),
@@ -90,25 +80,27 @@ class ParticlesTask(Task):
               "its images, with noise and neighbours; 1 at the bound", hidden=True),
         Score("coverage_68", "coverage 68", "", "unity", 2,
               "share of the found particles whose distance is within the claimed 68 % ellipsoid, "
-              "over .68", counted=True, hidden=True),
+              "over .68", counted=True, hidden=True, range=ANY),
         Score("coverage_95", "coverage 95", "", "unity", 2,
-              "the same for 95 %", counted=True, hidden=True),
+              "the same for 95 %", counted=True, hidden=True, range=ANY),
         Score("brier", "Brier", "", "smaller", 4,
               "mean square of claimed probabilities less 1 for true detections, 0 for ghosts",
               hidden=True),
         Score("link_recall", "link recall", "", "larger", 3,
               "share of the particles found in two consecutive frames that one trajectory "
-              "joins", counted=True),
+              "joins", counted=True, range=SHARE),
         Score("link_precision", "link precision", "", "larger", 3,
-              "share of the links between such frames that join the same particle", counted=True),
+              "share of the links between such frames that join the same particle", counted=True,
+              range=SHARE),
         Score("vector_recall", "vector recall", "", "larger", 3,
               "share of the true displacements between consecutive frames that a trajectory has; "
-              "particles that were not found count as missed", counted=True, hidden=True),
+              "particles that were not found count as missed", counted=True, hidden=True,
+              range=SHARE),
         Score("displacement_mm", "displacement mm", "mm", "smaller", 4,
               "root mean square error of these displacements", hidden=True),
         Score("effectiveness", "effectiveness", "", "larger", 3,
               "share of a particle's frames in which its longest trajectory has it, mean over "
-              "the particles", counted=True),
+              "the particles", counted=True, range=SHARE),
         Score("velocity_mm_s", "velocity mm/s", "mm/s", "smaller", 3,
               "median error of velocities: claimed ones of found particles against the true "
               "ones; without claims those of correct links, against the true mean velocity "
@@ -121,10 +113,10 @@ class ParticlesTask(Task):
         Score("hota", "HOTA", "", "larger", 3,
               "higher order tracking accuracy: geometric mean of the quality of detections and "
               "of identities, averaged over matching distances up to 1 voxel", counted=True,
-              hidden=True),
+              hidden=True, range=SHARE),
         Score("complete", "complete", "", "larger", 3,
               "share of the true trajectories that one estimated trajectory has in all frames",
-              counted=True, hidden=True),
+              counted=True, hidden=True, range=SHARE),
         Score("switch_percent", "switches %", "%", "smaller", 2,
               "changes of the estimated trajectory of a true particle, relative to true links",
               counted=True, hidden=True),
@@ -153,17 +145,19 @@ class ParticlesTask(Task):
 
         The time for reading images does not count.
         """
-        seconds, numbers = list[float](), TrajectoryNumbers()
+        seconds, numbers = list[float](), particles_over_time.TrajectoryNumbers()
         for frames in progress_bar(data.setup.sequences(), f"particles by {name}"):
             sequence, reader = image_sequence(data, frames)
             clock, waiting = SolverClock(), list[FoundParticles]()
-            found = find_in_each_frame(algorithm, name, sequence, frames, clock)
+            found = particles_over_time.find_in_each_frame(algorithm, name, sequence, frames, clock)
             for frame, one in zip(frames, found, strict=True):
                 if one.trajectory is None:
                     waiting.append(one)
                 else:
                     writer.add(numbers.assign(one), frame)
-            for frame, one in zip(frames, link_sequence(waiting, sequence.times_s), strict=False):
+            for frame, one in zip(
+                frames, particles_over_time.link_sequence(waiting, sequence.times_s), strict=False
+            ):
                 writer.add(numbers.assign(one), frame)
             numbers.begin_sequence()
             seconds += [max(clock.seconds - reader.seconds, 0.0) / len(frames)] * len(frames)
@@ -213,7 +207,7 @@ class ParticlesTask(Task):
                 self.frames(data), progress_bar(pairs, "score"), strict=True
             )
         ]
-        return mean_of_each(frames) | score_over_time(data, found, truth)
+        return mean_of_each(frames) | particles_over_time.score_over_time(data, found, truth)
 
     def _all(
         self, data: Dataset, source: Source, truth: Sequence[Particles] = ()
@@ -233,7 +227,7 @@ class ParticlesTask(Task):
                 f"{source.path}: {frame_group(missing[0])}/particles/track: "
                 "expected one in every frame or in none, found none here"
             )
-        return link_frames(data.setup, found)
+        return particles_over_time.link_frames(data.setup, found)
 
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
         """Compare particles by how many are found again."""
@@ -251,7 +245,7 @@ class ParticlesTask(Task):
         """Draw found, missed and false particles in the same slice as a PNG."""
         grid, true = data.setup.grid, data.particles(0).position_mm
         found = self.read(data, result, 0).position_mm
-        i, j = challenge_pairs(grid.to_voxels(found), grid.to_voxels(true))
+        i, j = particle_detection.challenge_pairs(grid.to_voxels(found), grid.to_voxels(true))
         kinds = (
             (true[j], pictures.FOUND),
             (np.delete(true, j, axis=0), pictures.MISSED),
@@ -267,16 +261,18 @@ def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame
     grid = data.setup.grid
     found, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)
     scored = grid.in_scored(found), grid.in_scored(true)
-    counts = count_challenge(found, true, *scored)
-    a, b = challenge_pairs(found, true)
+    counts = particle_detection.count_challenge(found, true, *scored)
+    a, b = particle_detection.challenge_pairs(found, true)
     i, j = a[scored[1][b]], b[scored[1][b]]
     ghosts = scored[0].copy()
     ghosts[a] = False
     whole = counts.precision + counts.recall
     error = estimate.position_mm[i] - truth.position_mm[j]
     apart = np.linalg.norm(error, axis=1)
-    duplicates = count_duplicates(found, true, scored[0])
-    curve = f1_over_distance(found, true, *scored, MATCHING_DISTANCES)
+    duplicates = particle_detection.count_duplicates(found, true, scored[0])
+    curve = particle_detection.f1_over_distance(
+        found, true, *scored, particle_detection.MATCHING_DISTANCES
+    )
     return {
         "f1": 2.0 * counts.precision * counts.recall / whole if whole else 0.0,
         "precision": counts.precision,

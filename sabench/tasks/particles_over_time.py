@@ -1,9 +1,4 @@
-"""Particles that a solver finds frame after frame, and their trajectories.
-
-found_frames: Particles that a solver finds frame after frame, and their trajectories.
-
-particles_over_time: Scores of particles over time: trajectories, identities and motion.
-"""
+"""Trajectories of particles in image sequences, and their scores."""
 
 from __future__ import annotations
 

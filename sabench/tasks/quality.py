@@ -62,11 +62,7 @@ class Quality:
 
 
 def quality(
-    dataset: Dataset | str | Path,
-    result: str | Path,
-    *,
-    frames: int = 1,
-    solve_again: bool = True,
+    dataset: Dataset | str | Path, result: str | Path, *, frames: int = 1, solve_again: bool = True
 ) -> Quality:
     """Judge a result by the images that it came from.
 

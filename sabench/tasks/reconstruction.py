@@ -27,6 +27,8 @@ from sabench.tasks.solver_call import (
     image_sequence,
 )
 from sabench.tasks.task import (
+    PERCENT,
+    SHARE,
     Captions,
     Figures,
     FrameByFrame,
@@ -63,33 +65,37 @@ class ReconstructionTask(FrameByFrame):
     scores = (
         Score("q", "Q", "", "larger", 3,
               "quality factor, the correlation of the reconstructed with the true intensity: "
-              "1 is perfect"),
+              "1 is perfect", range=(-1.0, 1.0)),
         Score("peak_f1", "peak F1", "", "larger", 3,
               "harmonic mean of peak precision and peak recall: it does not depend on the blobs' "
-              "shape", counted=True),
+              "shape", counted=True, range=SHARE),
         Score("intensity_error", "intensity error", "", "smaller", 3,
               "relative root mean square error of the blobs' intensities over the true particles; "
               "lost ones are dark"),
         Score("true_percent", "true %", "%", "larger", 1,
-              "share of the true particles that were found within 1.5 voxels", counted=True),
+              "share of the true particles that were found within 1.5 voxels", counted=True,
+              range=PERCENT),
         Score("ghost_percent", "ghost %", "%", "smaller", 1,
               "false detections, relative to the true ones", counted=True),
         Score("precision", "precision", "", "larger", 3,
               "share of the detections that are true, closer than 1 voxel along every axis, "
-              "one to one", counted=True),
+              "one to one", counted=True, range=SHARE),
         Score("recall", "recall", "", "larger", 3,
-              "share of the true particles that were found, by the same rule", counted=True),
+              "share of the true particles that were found, by the same rule", counted=True,
+              range=SHARE),
         Score("rms_px", "rms px", "voxel", "smaller", 3,
               "root mean square distance between the pairs of that rule"),
         Score("peak_true_percent", "peak true %", "%", "larger", 1,
               "true %, with particles found as local maxima: touching ones count as "
-              "two", counted=True),
+              "two", counted=True, range=PERCENT),
         Score("peak_ghost_percent", "peak ghost %", "%", "smaller", 1,
               "ghost %, with particles found as local maxima", counted=True),
         Score("peak_precision", "peak precision", "", "larger", 4,
-              "precision, with particles found as local maxima", counted=True, hidden=True),
+              "precision, with particles found as local maxima", counted=True, hidden=True,
+              range=SHARE),
         Score("peak_recall", "peak recall", "", "larger", 4,
-              "recall, with particles found as local maxima", counted=True, hidden=True),
+              "recall, with particles found as local maxima", counted=True, hidden=True,
+              range=SHARE),
         Score("peak_rms_px", "peak rms px", "voxel", "smaller", 4,
               "rms px, with particles found as local maxima", hidden=True),
     )
@@ -139,12 +145,7 @@ class ReconstructionTask(FrameByFrame):
         return [took, *self.run_frames(algorithm, name, data, writer, self.frames(data)[1:])]
 
     def call_sequence(
-        self,
-        algorithm: SequenceSolver,
-        name: str,
-        data: Dataset,
-        frames: range,
-        clock: SolverClock,
+        self, algorithm: SequenceSolver, name: str, data: Dataset, frames: range, clock: SolverClock
     ) -> Iterator[Reconstruction]:
         """Call a solver on a sequence; yield its checked estimates.
 
@@ -159,13 +160,8 @@ class ReconstructionTask(FrameByFrame):
         clock.seconds = max(clock.seconds - reader.seconds, 0.0)
 
     def check_case(self, case: Observation, source: str) -> None:
-        """Raise an InputError for an observation that no solver can use.
-
-        A black image passes.
-        """
-        check_images(case, source)
-        check_memory(case, source)
-        check_view(case, source)
+        """Raise an InputError for an observation that no solver can use."""
+        check_frame(case, source)
 
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make the synthesised field, with the true positions."""
@@ -231,18 +227,18 @@ def with_bar(picture: bytes, grid: Grid) -> bytes:
     return pictures.with_scale_bar(picture, pictures.slice_voxels(grid.scored) * grid.voxel_mm[0])
 
 
-def check_images(case: Observation, source: str) -> None:
-    """Raise an InputError for an image that is saturated all over."""
+def check_frame(case: Observation, source: str) -> None:
+    """Raise an InputError for a saturated image, or a grid out of memory or of view.
+
+    A black image passes.
+    """
     for camera, image in zip(case.cameras, case.images, strict=True):
         if image.min() >= case.white_dn:
             raise InputError(
                 f"{source}: {camera.name}: expected an image that shows something, "
                 f"but every pixel is saturated ({case.white_dn:g} or more)"
             )
-
-
-def check_view(case: Observation, source: str) -> None:
-    """Raise an InputError for a grid that no camera sees."""
+    check_memory(case, source)
     axes = [
         axis[np.unique(np.linspace(0, len(axis) - 1, _TRIED).astype(int))]
         for axis in case.grid.axes_mm

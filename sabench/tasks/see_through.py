@@ -20,8 +20,10 @@ from sabench.metrics.code_reading import (
     single_views,
 )
 from sabench.plotting import pictures
-from sabench.tasks.reconstruction import check_images, check_memory, check_view
+from sabench.tasks.reconstruction import check_frame
 from sabench.tasks.task import (
+    ANY,
+    PERCENT,
     Captions,
     Figures,
     FrameByFrame,
@@ -49,17 +51,17 @@ class SeeThroughTask(FrameByFrame):
     scores = (
         Score("read_percent", "read %", "%", "larger", 1,
               "share of correctly read cells of a code behind bubbles, in its plane; guessing "
-              "gives 50", counted=True),
+              "gives 50", counted=True, range=PERCENT),
         Score("separation", "d'", "", "larger", 2,
-              "difference of the mean bright and dark cells over their scatter"),
+              "difference of the mean bright and dark cells over their scatter", range=ANY),
         Score("contrast", "contrast", "", "larger", 3,
-              "difference of these means over their sum"),
+              "difference of these means over their sum", range=ANY),
         Score("single_percent", "single views, read %", "%", "steady", 1,
-              "read % of single images, mean over the cameras"),
+              "read % of single images, mean over the cameras", range=PERCENT),
         Score("best_single_percent", "best view, read %", "%", "steady", 1,
-              "read % of the best single image"),
+              "read % of the best single image", range=PERCENT),
         Score("single_separation", "single views, d'", "", "steady", 2,
-              "d' of single images, mean over the cameras"),
+              "d' of single images, mean over the cameras", range=ANY),
     )
     # fmt: on
     sufficient = 90.0
@@ -76,9 +78,7 @@ class SeeThroughTask(FrameByFrame):
 
     def check_case(self, case: Observation, source: str) -> None:
         """Raise an InputError for an observation that no solver can use."""
-        check_images(case, source)
-        check_memory(case, source)
-        check_view(case, source)
+        check_frame(case, source)
 
     def truth(self, data: Dataset, frame: int) -> Reconstruction:
         """Make planes that are bright where the code is."""

@@ -9,7 +9,6 @@ import functools
 import os
 import shutil
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,8 +18,8 @@ from sabench import plugins, tasks
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, add_identity, open_result, result_writer
-from sabench.tasks.external_programs import Account, adopt_from, is_program, run_program
-from sabench.tasks.visible_files import open_desk, view_of_import, view_of_plugin
+from sabench.tasks import external_programs
+from sabench.tasks.visible_files import open_sandbox, view_of_import, view_of_plugin
 from sabench.utils import backend, memory
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, refuse_existing
@@ -83,8 +82,8 @@ def solve(
         the task's `run` refuses.
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    if is_program(solver):
-        return run_program(
+    if external_programs.is_program(solver):
+        return external_programs.run_program(
             solver, data, Path(out), parameters=parameters, limits=limits, overwrite=overwrite
         )
     if limits is not None:
@@ -92,54 +91,42 @@ def solve(
             f"solver {solver}: expected limits for programs only, not for a plug-in, which runs "
             "within sabench"
         )
-    run = functools.partial(solve_at_desk, threads=threads, iterations=iterations)
-    _solve_plug_in(solver, data, Path(out), parameters or {}, run, overwrite=overwrite)
-    return open_result(out, data)
-
-
-def _solve_plug_in(
-    solver: str,
-    data: Dataset,
-    place: Path,
-    parameters: dict[str, Any],
-    run: Callable[..., None],
-    *,
-    overwrite: bool,
-) -> None:
-    """Run a plug-in, by `solve_at_desk`, in a process without the truth."""
+    place, doing, parameters = Path(out), f"solver {solver}", parameters or {}
     refuse_existing(place, overwrite=overwrite)
     bundled = plugins.is_bundled("solvers", solver)  # raises where there is none
     task = "" if bundled else describe_solver(solver, parameters)[0]
-    with open_desk(data) as desk, desk.naming(data.root, place):
+    with open_sandbox(data) as sandbox, sandbox.naming(data.root, place):
+        run = functools.partial(
+            run_plug_in, threads=threads, isolated=sandbox.confined, iterations=iterations
+        )
         call_isolated(
-            functools.partial(run, isolated=desk.confined),
+            run,
             solver,
             parameters,
-            desk.observation,
-            desk.result,
-            doing=f"solver {solver}",
-            view=view_of_plugin(desk, data, solver),
+            sandbox.observation,
+            sandbox.result,
+            doing=doing,
+            view=view_of_plugin(sandbox, data, solver),
         )
         if bundled:
             with complete_or_nothing(place, overwrite=overwrite) as partial:
-                shutil.move(desk.result, partial)
+                shutil.move(sandbox.result, partial)
                 add_identity(partial, data)
         else:
-
-            def account(result: Result) -> Account:
-                check_result_task(result.task, task, f"solver {solver}")
-                return Account(
-                    solver,
-                    result.parameters,
-                    desk.confined,
-                    result.seconds,
-                    result.peak_mb,
-                    result.compile_s,
-                    result.reconstruction_s,
-                    result.cpu_share,
-                )
-
-            adopt_from(desk, data, place, solver, account, overwrite=overwrite)
+            result = external_programs.open_foreign(sandbox.result, data, solver)
+            check_result_task(result.task, task, doing)
+            head = external_programs.Head(
+                solver,
+                result.parameters,
+                sandbox.confined,
+                result.seconds,
+                result.peak_mb,
+                result.compile_s,
+                result.reconstruction_s,
+                result.cpu_share,
+            )
+            external_programs.copy_isolated(result, data, place, head, solver, overwrite=overwrite)
+    return open_result(out, data)
 
 
 def describe_solver(solver: str, parameters: dict[str, Any]) -> tuple[str, dict[str, Any]]:
@@ -167,7 +154,7 @@ def _describe(solver: str, parameters: dict[str, Any]) -> tuple[str, dict[str, A
     return algorithm.task, algorithm.parameters.model_dump(mode="json")
 
 
-def solve_at_desk(
+def run_plug_in(
     solver: str,
     parameters: dict[str, Any],
     observation: Path,
@@ -234,9 +221,7 @@ def score(
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     _ = data.manifest  # raises where there is no truth
-    word: Literal["truth", "empty"] | None = next(
-        (one for one in WORDS if one == str(result)), None
-    )
+    word = next((one for one in WORDS if one == str(result)), None)
     if word is None and not Path(result).exists():
         raise InputError(f"{result}: expected a result file, or truth or empty, found no file")
     opened = None if word else open_result(result, data)

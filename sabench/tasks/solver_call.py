@@ -1,9 +1,4 @@
-"""Calls of solvers, with checks of their answers.
-
-solver_call: Calls of solvers, with checks of their answers.
-
-sequence_call: Calls of solvers on image sequences, with checks of their answers.
-"""
+"""Calls of solvers, on cases or image sequences, with checks of their answers."""
 
 from __future__ import annotations
 

@@ -30,6 +30,10 @@ Source = Result | Literal["truth", "empty"]
 Figures = dict[str, float | None]
 _TIMES, _SPARE = 100, 10_000  # detections of a frame that are scored: per true one, and more
 
+LARGEST = 1e15  # no meaningful score is beyond it
+# ranges of scores
+ANY, ERROR, SHARE, PERCENT = (-LARGEST, LARGEST), (0.0, LARGEST), (0.0, 1.0), (0.0, 100.0)
+
 
 @dataclass(frozen=True)
 class Score:
@@ -46,6 +50,7 @@ class Score:
     meaning : one phrase.
     counted : whether it is a share of things that are counted, and so changes in steps.
     hidden : whether tables leave it out.
+    range : smallest and largest possible value; by default that of an unsigned error.
     """
 
     key: str
@@ -56,6 +61,7 @@ class Score:
     meaning: str
     counted: bool = False
     hidden: bool = False
+    range: tuple[float, float] = ERROR
 
 
 @dataclass(frozen=True)
@@ -93,6 +99,7 @@ COSTS = (
         1,
         "time in which kernels were compiled or loaded, no part of the seconds",
         hidden=True,
+        range=ANY,
     ),
 )
 
@@ -120,7 +127,7 @@ class Tolerance:
         return tuple(
             Score(f"{self.of}_within_{one:g}", f"{self.heading} within {one:g} {self.unit}",
                   "", "larger", 3, "a point of the curve over the matching distance",
-                  counted=True, hidden=True)
+                  counted=True, hidden=True, range=SHARE)
             for one in self.distances
         )  # fmt: skip
 

@@ -1,10 +1,7 @@
-"""Light sheets of data sets, in which velocities are scored.
+"""Task `velocimetry`: velocity fields from two frames.
 
-light_sheet: Light sheets of data sets, in which velocities are scored.
-
-velocimetry: Task `velocimetry`: solvers turn two frames into a velocity field.
-
-Some solvers take the images, others volumes that are reconstructed from them.
+Some solvers take the images, others volumes that are reconstructed from them. Fields are scored at
+nodes of the grid or, where a thin laser sheet lights the particles, in its plane.
 """
 
 from __future__ import annotations
@@ -30,22 +27,27 @@ from sabench.api.make import make_reconstruction_solver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.geometry.grid import Grid
+from sabench.metrics import velocity_error
 from sabench.metrics.averages import finite_or_none
-from sabench.metrics.velocity_error import (
-    evaluation_lattice,
-    lengths_along,
-    planar_lattice,
-    sample_velocity,
-    velocity_scores,
-)
 from sabench.plotting.drawing import draw
 from sabench.simulation.rendering.laser_sheet import enter_fluid
 from sabench.tasks import reconstruction
 from sabench.tasks.solver_call import SolverClock, call_solver
-from sabench.tasks.task import Captions, Figures, Gate, Score, Source, Task, check_estimate
+from sabench.tasks.task import (
+    ANY,
+    ERROR,
+    PERCENT,
+    Captions,
+    Figures,
+    Gate,
+    Score,
+    Source,
+    Task,
+    check_estimate,
+)
 from sabench.tasks.velocity_figures import field_figure
 from sabench.utils import memory
-from sabench.utils.arrays import F64, Bool, triple
+from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
@@ -132,29 +134,27 @@ class VelocimetryTask(Task):
         Score("w_p90_voxel", "w 90 % voxel", "voxel", "smaller", 3,
               "the same along Z"),
         Score("bias_voxel", "bias voxel", "voxel", "smaller", 4,
-              "length of the mean error"),
+              "length of the mean error", range=ANY),
         Score("yield_percent", "yield %", "%", "larger", 1,
-              "share of the evaluation nodes at which the velocity was measured", counted=True),
+              "share of the evaluation nodes at which the velocity was measured", counted=True,
+              range=PERCENT),
         Score("response", "response", "", "unity", 3,
-              "the part of the true field's variation that is found"),
+              "the part of the true field's variation that is found", range=ANY),
         Score("divergence_1_s", "divergence 1/s", "1/s", "smaller", 3,
               "root mean square error of the divergence, by central differences"),
         Score("vorticity_percent", "vorticity %", "%", "smaller", 1,
               "root mean square error of the vorticity over its own root mean square"),
         Score("reconstruction_s", "reconstruction s", "s", "smaller", 2,
               "time of the reconstruction of one frame"),
-        Score("u_bias_voxel", "u bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along X", hidden=True),
-        Score("v_bias_voxel", "v bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along Y", hidden=True),
-        Score("w_bias_voxel", "w bias voxel", "voxel", "smaller", 4,
-              "mean error of the displacement along Z", hidden=True),
-        Score("u_rms_voxel", "u rms voxel", "voxel", "smaller", 4,
-              "root mean square error of the displacement along X", hidden=True),
-        Score("v_rms_voxel", "v rms voxel", "voxel", "smaller", 4,
-              "root mean square error of the displacement along Y", hidden=True),
-        Score("w_rms_voxel", "w rms voxel", "voxel", "smaller", 4,
-              "root mean square error of the displacement along Z", hidden=True),
+        *(
+            Score(f"{name}_{kind}_voxel", f"{name} {kind} voxel", "voxel", "smaller", 4,
+                  f"{word} of the displacement along {axis}", hidden=True, range=limits)
+            for kind, word, limits in (
+                ("bias", "mean error", ANY),
+                ("rms", "root mean square error", ERROR),
+            )
+            for name, axis in zip("uvw", "XYZ", strict=True)
+        ),
     )
     # fmt: on
     sufficient = 0.25  # voxel
@@ -224,7 +224,8 @@ class VelocimetryTask(Task):
     def truth(self, data: Dataset, frame: int) -> Velocity:
         """Make the true velocity at the evaluation nodes."""
         lattice = self.empty(data, frame)
-        return replace(lattice, velocity_mm_s=truth_at(data, _pair(data, frame), lattice))
+        pair = next(pair for pair in data.setup.pairs() if pair[0] == frame)
+        return replace(lattice, velocity_mm_s=truth_at(data, pair, lattice))
 
     def empty(self, data: Dataset, frame: int) -> Velocity:
         """Make a field at rest: what an estimate that sees no motion returns."""
@@ -256,7 +257,7 @@ class VelocimetryTask(Task):
         given = self.read(data, source, pair[0])
         exact = truth_at(data, pair, given) @ given.axes.T
         field = given.in_own_axes()
-        edges_mm = lengths_along(given.axes, data.setup.grid.voxel_mm)
+        edges_mm = velocity_error.lengths_along(given.axes, data.setup.grid.voxel_mm)
         voxel = edges_mm / interval_s(data, pair)
         label = source.solver if isinstance(source, Result) else source
         with warnings.catch_warnings():
@@ -296,7 +297,6 @@ class _Volumes:
 
 
 def _images(data: Dataset, pair: tuple[int, int]) -> ImagePair:
-    """Read the frames of a pair."""
     first, second = (data.observation(frame) for frame in pair)
     return ImagePair(first, second, interval_s(data, pair))
 
@@ -306,16 +306,12 @@ def interval_s(data: Dataset, pair: tuple[int, int]) -> float:
     return data.setup.time_s(pair[1]) - data.setup.time_s(pair[0])
 
 
-def _pair(data: Dataset, first: int) -> tuple[int, int]:
-    return next(pair for pair in data.setup.pairs() if pair[0] == first)
-
-
 def evaluation_nodes(data: Dataset) -> Velocity:
     """Make the nodes at which fields are scored: in the light sheet, if there is one."""
     grid, sheet = data.setup.grid, light_sheet(data)
     if sheet is None:
-        return evaluation_lattice(grid)
-    return planar_lattice(grid, sheet.point_mm, sheet.normal)
+        return velocity_error.evaluation_lattice(grid)
+    return velocity_error.planar_lattice(grid, sheet.point_mm, sheet.normal)
 
 
 def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[str, float]:
@@ -324,27 +320,23 @@ def score_pair(data: Dataset, pair: tuple[int, int], field: Velocity) -> dict[st
     In a light sheet, the components in its plane count, along the nodes' axes.
     """
     nodes = evaluation_nodes(data)
-    sampled, measured = sample_velocity(field, nodes.positions_mm.reshape(-1, 3))
+    sampled, measured = velocity_error.sample_velocity(field, nodes.positions_mm.reshape(-1, 3))
     counted = nodes.components(sampled.reshape(nodes.velocity_mm_s.shape))
-    return velocity_scores(
-        counted,
-        nodes.components(truth_at(data, pair, nodes)),
-        measured.reshape(nodes.valid.shape),
-        _in_fluid(data, pair, nodes) & nodes.valid,
-        nodes.step_mm,
-        interval_s(data, pair),
-        triple(lengths_along(nodes.axes, data.setup.grid.voxel_mm)),
-    )
-
-
-def _in_fluid(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> Bool:
-    """Mark the nodes (z, y, x) that no body contains in either frame of a pair."""
-    points = lattice.positions_mm.reshape(-1, 3)
+    # mark the nodes (z, y, x) that no body contains in either frame of a pair
+    points = nodes.positions_mm.reshape(-1, 3)
     fluid = np.ones(len(points), dtype=np.bool_)
     for frame in pair if data.scene.solids else ():
         for body in data.solids(frame):
             fluid &= ~contains(body, points)
-    return fluid.reshape(lattice.valid.shape)
+    return velocity_error.velocity_scores(
+        counted,
+        nodes.components(truth_at(data, pair, nodes)),
+        measured.reshape(nodes.valid.shape),
+        fluid.reshape(nodes.valid.shape) & nodes.valid,
+        nodes.step_mm,
+        interval_s(data, pair),
+        triple(velocity_error.lengths_along(nodes.axes, data.setup.grid.voxel_mm)),
+    )
 
 
 def truth_at(data: Dataset, pair: tuple[int, int], lattice: Velocity) -> F64:
@@ -371,27 +363,23 @@ def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
         (data.setup.time_s(frame) for frame in pair),
     )
     if flow is None:
-        return _among_particles(data, pair, points_mm)
+        from scipy.spatial import cKDTree
+
+        first, second = (data.particles(frame) for frame in pair)
+        _, one, other = np.intersect1d(first.id, second.id, return_indices=True)
+        if not len(one):
+            raise InputError(
+                f"{data.root}: frames {pair[0]} and {pair[1]}: "
+                "expected particles that are in both, got none"
+            )
+        positions = (first.position_mm[one] + second.position_mm[other]) / 2.0
+        moves = (second.position_mm[other] - first.position_mm[one]) / interval_s(data, pair)
+        count = min(_NEIGHBOURS, len(positions))
+        near = cKDTree(positions).query(points_mm, k=count)[1].reshape(len(points_mm), count)
+        return np.asarray(moves[near].mean(axis=1))
     middle, tolerance = (start + end) / 2.0, TOLERANCE * max(data.scene.volume.size_mm)
     after, before = (advect(flow, points_mm, middle, time, tolerance) for time in (end, start))
     return (after - before) / (end - start)
-
-
-def _among_particles(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
-    from scipy.spatial import cKDTree
-
-    first, second = (data.particles(frame) for frame in pair)
-    _, one, other = np.intersect1d(first.id, second.id, return_indices=True)
-    if not len(one):
-        raise InputError(
-            f"{data.root}: frames {pair[0]} and {pair[1]}: "
-            "expected particles that are in both, got none"
-        )
-    positions = (first.position_mm[one] + second.position_mm[other]) / 2.0
-    moves = (second.position_mm[other] - first.position_mm[one]) / interval_s(data, pair)
-    count = min(_NEIGHBOURS, len(positions))
-    near = cKDTree(positions).query(points_mm, k=count)[1].reshape(len(points_mm), count)
-    return np.asarray(moves[near].mean(axis=1))
 
 
 TASK = VelocimetryTask()

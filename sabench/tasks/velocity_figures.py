@@ -27,7 +27,9 @@ def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) 
     unit_mm_s : (3,) velocities of one voxel between the two volumes, in which errors are given.
     """
     errors = (field.velocity_mm_s - exact_mm_s) / unit_mm_s
-    normal = _liveliest(field)
+    # find the axis with the most vorticity in the middle plane across it
+    spin = _vorticity(field)
+    normal = int(np.argmax([np.square(_middle(spin, axis)[..., axis]).mean() for axis in range(3)]))
     off = Slice("voxels", *_axes(field, normal), np.linalg.norm(_middle(errors, normal), axis=-1))
     panels = (
         slice_panel(field, normal),
@@ -36,12 +38,6 @@ def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) 
         profile_panel(field, exact_mm_s, normal),
     )
     return Figure("velocity", solver, panels, across=2)
-
-
-def _liveliest(field: Velocity) -> int:
-    """Find the axis with the most vorticity in the middle plane across it."""
-    spin = _vorticity(field)
-    return int(np.argmax([np.square(_middle(spin, axis)[..., axis]).mean() for axis in range(3)]))
 
 
 def _vorticity(field: Velocity) -> F64:

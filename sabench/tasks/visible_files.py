@@ -45,14 +45,14 @@ def hide_from_solvers(secret: Path | None) -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class Desk:
-    """Place of one solver's work on one data set.
+class Sandbox:
+    """Folders in which one solver works on one data set.
 
     Attributes
     ----------
     observation : data set of the observation side alone.
     scratch : empty folder for the result.
-    confined : whether the solver can be confined to its desk.
+    confined : whether the solver can be confined to them.
     """
 
     observation: Path
@@ -66,7 +66,7 @@ class Desk:
 
     @contextlib.contextmanager
     def naming(self, root: Path, out: Path) -> Iterator[None]:
-        """Name the data set and the result in errors, in place of the files at the desk."""
+        """Name the data set and the result in errors, in place of the files in the sandbox."""
         try:
             yield
         except InputError as error:
@@ -82,17 +82,17 @@ class Desk:
 
 
 @contextlib.contextmanager
-def open_desk(data: Dataset) -> Iterator[Desk]:
+def open_sandbox(data: Dataset) -> Iterator[Sandbox]:
     """Lay out the observation side of a data set for a solver, for a while."""
     confined = can_confine()
     with tempfile.TemporaryDirectory(
         prefix=".sabench-", dir=_parent(data) if confined else None, ignore_cleanup_errors=True
     ) as name:
         folder = Path(name).resolve()
-        desk = Desk(folder / "dataset", folder / "work", confined)
-        copy_observation(data, desk.observation, linked=confined)
-        desk.scratch.mkdir()
-        yield desk
+        sandbox = Sandbox(folder / "dataset", folder / "work", confined)
+        copy_observation(data, sandbox.observation, linked=confined)
+        sandbox.scratch.mkdir()
+        yield sandbox
 
 
 def _parent(data: Dataset) -> Path | None:
@@ -102,16 +102,16 @@ def _parent(data: Dataset) -> Path | None:
     return parent if other and os.access(parent, os.W_OK) else None
 
 
-def view_of_plugin(desk: Desk, data: Dataset, solver: str) -> View | None:
+def view_of_plugin(sandbox: Sandbox, data: Dataset, solver: str) -> View | None:
     """List the files that a Python plug-in sees; None where it cannot be confined."""
-    if not desk.confined:
+    if not sandbox.confined:
         return None
     own = view_of_import(solver)
     hidden = _find_data_sets([Path(one) for one in (*own.changeable, *own.writable)], data)
     return replace(
         own,
-        readable=(*own.readable, *_words([desk.observation])),
-        writable=(*own.writable, *_words([desk.scratch])),
+        readable=(*own.readable, *_words([sandbox.observation])),
+        writable=(*own.writable, *_words([sandbox.scratch])),
         hidden=(*own.hidden, *_words(hidden)),
     )
 
@@ -124,25 +124,21 @@ def view_of_import(solver: str) -> View:
     """
     python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
     own = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
-    kernels = [_PACKAGE, *own, *_import_paths(), *_kernel_folders()]
+    # list the folders of compiled kernels, of numba and Dr.Jit
+    kernels = [_PACKAGE, *own, *_import_paths(), *[kernel_folder(), Path.home() / ".drjit"]]
     view = View(readable=_words(python), hidden=_words(_find_secret([*python, *kernels])))
     if plugins.is_bundled("solvers", solver):
         return replace(view, writable=_words(kernels), home=str(Path.home()))
     return replace(view, changeable=_words(kernels))
 
 
-def _kernel_folders() -> list[Path]:
-    """List the folders of compiled kernels, of numba and Dr.Jit."""
-    return [kernel_folder(), Path.home() / ".drjit"]
-
-
-def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:
+def view_of_program(sandbox: Sandbox, data: Dataset, program: Path) -> View | None:
     """List the files that a program sees; None where it cannot be confined.
 
     They are those of its folder, of SABENCH_VISIBLE (separated as in PATH) and of the commands on
     PATH.
     """
-    if not desk.confined:
+    if not sandbox.confined:
         return None
     commands = _listed("PATH")
     beside = [one.parent / name for one in commands for name in _BESIDE_COMMANDS]
@@ -150,8 +146,8 @@ def view_of_program(desk: Desk, data: Dataset, program: Path) -> View | None:
     own = [program.parent, *_listed("SABENCH_VISIBLE")]
     shown = [*own, *python, *commands, *beside]
     return View(
-        readable=_words([*shown, desk.observation]),
-        writable=_words([desk.scratch]),
+        readable=_words([*shown, sandbox.observation]),
+        writable=_words([sandbox.scratch]),
         hidden=_words([*_find_data_sets(own, data), *_find_secret(shown)]),
     )
 

@@ -448,10 +448,10 @@ def _solved_as_users_do(root: Path, out: Path) -> None:
 
 def solve_here(root: Path, out: Path) -> None:
     """Solve a data set by a fast solver, in this process: its child would take half a second."""
-    from sabench.tasks.solve_and_score import solve_at_desk
+    from sabench.tasks.solve_and_score import run_plug_in
 
     solver, parameters = _fast_solver(root)
-    solve_at_desk(solver, parameters, root, out, threads=None, isolated=False)
+    run_plug_in(solver, parameters, root, out, threads=None, isolated=False)
 
 
 def _fast_solver(root: Path) -> tuple[str, dict[str, Any]]:
@@ -485,9 +485,9 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         check_scores(score(root, path))
 
     def adopted(root: Path, out: Path) -> None:
-        from sabench.tasks.external_programs import Account, adopt
+        from sabench.tasks.external_programs import Head, write_anew
 
-        adopt(path, root, out / "adopted.h5", Account("program", {}, True, 1.0, 2.0), False)
+        write_anew(path, root, out / "adopted.h5", Head("program", {}, True, 1.0, 2.0), False)
 
     def exported(root: Path, out: Path) -> None:
         from sabench.interop.export import export

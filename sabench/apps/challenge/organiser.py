@@ -1,13 +1,7 @@
-"""Texts of a challenge: pages for its participants.
+"""The organiser's part of a challenge: private data sets, archives, and pages for participants.
 
-pages: Texts of a challenge: pages for its participants.
-
-codabench: Bundle of a challenge for the server Codabench.
-
-Its format is that of the server's documentation, version 2: "Yaml Structure", "Competition Bundle
-Structure" and "Submission Docker Container Layout".
-
-organiser: The organiser's part of a challenge: private data sets and archives.
+The bundle for the server Codabench has the format of the server's documentation, version 2: "Yaml
+Structure", "Competition Bundle Structure" and "Submission Docker Container Layout".
 """
 
 from __future__ import annotations
@@ -31,8 +25,7 @@ from sabench.evaluation.leaderboard.page_content import gate_text
 from sabench.evaluation.runner import dataset_of
 from sabench.evaluation.solver_card import CARD, SolverCard
 from sabench.evaluation.suite_loading import load_suite, read_secret
-from sabench.evaluation.suites import Case, Suite
-from sabench.tasks.task import Score
+from sabench.evaluation.suites import Case
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, zip_folder
 from sabench.utils.progress import console
@@ -90,85 +83,73 @@ def write_bundle(
     for name, data in named.items():
         pack(data, reference / name, blind=False)
     write_challenge(challenge, reference)
-    _write_program(challenge, folder / "scoring_program")
-    _write_kit(challenge, folder / "starting_kit")
+    program, kit = folder / "scoring_program", folder / "starting_kit"
+    program.mkdir()
+    shutil.copyfile(_PROGRAM, program / _PROGRAM.name)
+    (program / "metadata.yaml").write_text(_COMMAND, encoding="utf-8")
+    recipe = _DOCKERFILE.format(version=challenge.sabench)
+    (program / "Dockerfile").write_text(recipe, encoding="utf-8")
+    kit.mkdir()
+    _write_instructions(challenge, kit)
     (folder / "pages").mkdir()
     for name in NAMES:
         (folder / "pages" / f"{name}.md").write_text(page(name, challenge), encoding="utf-8")
     shutil.copyfile(public, folder / "public_data.zip")
-    (folder / "logo.png").write_bytes(_logo(next(iter(named.values()))))
+    # images of the first data set, which participants receive anyway
+    first = next(iter(named.values()))
+    (folder / "logo.png").write_bytes(tasks.of_data(first).images(first))
     text = "\n".join(competition(challenge, image)) + "\n"
     (folder / "competition.yaml").write_text(text, encoding="utf-8")
 
 
-def _write_program(challenge: Challenge, folder: Path) -> None:
-    folder.mkdir()
-    shutil.copyfile(_PROGRAM, folder / _PROGRAM.name)
-    (folder / "metadata.yaml").write_text(_COMMAND, encoding="utf-8")
-    recipe = _DOCKERFILE.format(version=challenge.sabench)
-    (folder / "Dockerfile").write_text(recipe, encoding="utf-8")
-
-
-def _write_kit(challenge: Challenge, folder: Path) -> None:
-    folder.mkdir()
+def _write_instructions(challenge: Challenge, folder: Path) -> None:
     (folder / "README.md").write_text(page("data", challenge), encoding="utf-8")
     (folder / CARD).write_text(CARD_TEMPLATE, encoding="utf-8")
-
-
-def _logo(data: Dataset) -> bytes:
-    """Draw the images of the first data set, which participants receive anyway."""
-    return tasks.of_data(data).images(data)
 
 
 def competition(challenge: Challenge, image: str) -> Iterator[str]:
     """Give the lines of competition.yaml; texts are quoted as JSON, which YAML reads."""
     start = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M:%S")
-    yield "version: 2"
-    yield f"title: {_quoted(challenge.title)}"
-    yield f"description: {_quoted(f'Task {challenge.task} on private data sets')}"
-    yield "image: logo.png"
-    yield "terms: pages/terms.md"
-    yield f"docker_image: {_quoted(image)}"
-    yield "make_programs_available: true"
-    yield "pages:"
-    for name in NAMES:
-        yield f"  - {{title: {name.capitalize()}, file: pages/{name}.md}}"
-    yield "tasks:"
-    yield "  - index: 0"
-    yield f"    name: {_quoted(challenge.title)}"
-    yield "    scoring_program: scoring_program"
-    yield "    reference_data: reference_data"
-    yield "phases:"
-    yield "  - index: 0"
-    yield "    name: Challenge"
-    yield f"    start: {start}"
-    yield f"    execution_time_limit: {_LIMIT_S}"
-    yield "    public_data: public_data.zip"
-    yield "    starting_kit: starting_kit"
-    yield "    accepts_only_result_submissions: true"
-    yield "    tasks: [0]"
-    yield "leaderboards:"
-    yield "  - title: Results"
-    yield "    key: main"
-    yield "    submission_rule: Force_Last"
-    yield "    columns:"
-    yield from _columns(challenge)
+    pages = "\n".join(
+        f"  - {{title: {name.capitalize()}, file: pages/{name}.md}}" for name in NAMES
+    )
+    yield f"""version: 2
+title: {_quoted(challenge.title)}
+description: {_quoted(f"Task {challenge.task} on private data sets")}
+image: logo.png
+terms: pages/terms.md
+docker_image: {_quoted(image)}
+make_programs_available: true
+pages:
+{pages}
+tasks:
+  - index: 0
+    name: {_quoted(challenge.title)}
+    scoring_program: scoring_program
+    reference_data: reference_data
+phases:
+  - index: 0
+    name: Challenge
+    start: {start}
+    execution_time_limit: {_LIMIT_S}
+    public_data: public_data.zip
+    starting_kit: starting_kit
+    accepts_only_result_submissions: true
+    tasks: [0]
+leaderboards:
+  - title: Results
+    key: main
+    submission_rule: Force_Last
+    columns:"""
+    scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
+    for number, one in enumerate(scores):
+        yield _column(number, one.key, one.heading, "asc" if one.better == "smaller" else "desc")
+    yield _column(len(scores), ADMITTED, "admitted", "desc")
 
 
 def _quoted(text: str) -> str:
     """Quote a text for YAML, which has JSON's escapes but no surrogate pairs."""
     return json.dumps(text, ensure_ascii=False)
-
-
-def _columns(challenge: Challenge) -> Iterator[str]:
-    scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
-    for number, one in enumerate(scores):
-        yield _column(number, one.key, one.heading, _sorting(one))
-    yield _column(len(scores), ADMITTED, "admitted", "desc")
-
-
-def _sorting(score: Score) -> str:
-    return "asc" if score.better == "smaller" else "desc"
 
 
 def _column(number: int, key: str, title: str, sorting: str) -> str:
@@ -212,10 +193,15 @@ def make_challenge(
     # by hash, so that the order tells no case
     made = sorted(_data_sets(wanted, out / "private", jobs), key=lambda one: one.content_hash)
     named = {f"data_{number:03d}": data for number, data in enumerate(made)}
-    challenge = _describe(loaded, chosen, named)
+    hashes = {name: data.content_hash for name, data in named.items()}
+    challenge = Challenge(title=loaded.title, task=chosen, sabench=__version__, data_sets=hashes)
     with tempfile.TemporaryDirectory(prefix="sabench-", dir=out) as scratch:
         folder = Path(scratch) / "participant"
-        _write_participant(challenge, named, folder)
+        for name, data in named.items():
+            (folder / name).mkdir(parents=True)
+            copy_observation(data, folder / name)
+        write_challenge(challenge, folder)
+        _write_instructions(challenge, folder)
         _archive(folder, out / PARTICIPANT)
         if image is not None:
             bundle = Path(scratch) / "codabench"
@@ -245,22 +231,6 @@ def _data_sets(cases: list[Case], work: Path, jobs: int) -> Iterator[Dataset]:
         text = f"data set {number} of {len(cases)}: {case.name}, {case.words}"
         console.print(text, markup=False, highlight=False)
         yield dataset_of(case, work, False, jobs)
-
-
-def _describe(suite: Suite, task: TaskName, named: dict[str, Dataset]) -> Challenge:
-    hashes = {name: data.content_hash for name, data in named.items()}
-    return Challenge(title=suite.title, task=task, sabench=__version__, data_sets=hashes)
-
-
-def _write_participant(challenge: Challenge, named: dict[str, Dataset], folder: Path) -> None:
-    """Write the observation sides of the data sets, and how to take part."""
-    for name, data in named.items():
-        place = folder / name
-        place.mkdir(parents=True)
-        copy_observation(data, place)
-    write_challenge(challenge, folder)
-    (folder / CARD).write_text(CARD_TEMPLATE, encoding="utf-8")
-    (folder / "README.md").write_text(page("data", challenge), encoding="utf-8")
 
 
 def _archive(folder: Path, out: Path) -> None:

@@ -73,7 +73,14 @@ def calibrate(
         write_cameras(partial / CAMERAS, answer.cameras, wall=wall_entry(answer.cameras))
         (partial / "report.json").write_text(canonical_json(asdict(report)), encoding="utf-8")
         _write_places(partial / "target.csv", recording, points)
-        _draw(partial, case, errors)
+        # draw the residuals over the images, for each camera with cell means
+        size = case.cameras[0].rows, case.cameras[0].columns
+        (partial / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, *size))
+        (partial / "residuals").mkdir()
+        for camera, own, off in zip(case.cameras, case.pixels, errors, strict=True):
+            both = pictures.with_cell_means(own.reshape(-1, 2), off.reshape(-1, 2), *size)
+            drawn = pictures.arrows(*both, *size)
+            (partial / "residuals" / f"{camera.name}.png").write_bytes(drawn)
     return report
 
 
@@ -103,7 +110,6 @@ def parse_unknowns(text: str) -> tuple[Unknown, ...]:
 
 
 def _solver_of(solver: str, parameters: dict[str, Any], case: CalibrationCase) -> Any:
-    """Make a solver that can take a case."""
     algorithm: Any = make_algorithm(solver, parameters)
     if getattr(algorithm, "sees", "") != "target":
         raise InputError(f"solver {solver}: expected one that calibrates by a target")
@@ -143,14 +149,3 @@ def _write_places(path: Path, recording: Recording, points: F64) -> None:
             place = [f"{value:.6f}" for value in points[k, i].tolist()]
             labels = [recording.frames[k], recording.points[k, i]]
             writer.writerow([*labels, *place, seen[k, i], known])
-
-
-def _draw(folder: Path, case: CalibrationCase, errors: F64) -> None:
-    """Draw the residuals over the images, for each camera with cell means."""
-    size = case.cameras[0].rows, case.cameras[0].columns
-    (folder / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, *size))
-    (folder / "residuals").mkdir()
-    for camera, own, off in zip(case.cameras, case.pixels, errors, strict=True):
-        both = pictures.with_cell_means(own.reshape(-1, 2), off.reshape(-1, 2), *size)
-        drawn = pictures.arrows(*both, *size)
-        (folder / "residuals" / f"{camera.name}.png").write_bytes(drawn)

@@ -1,10 +1,4 @@
-"""Tables of a calibration's configuration, the file calibration.toml.
-
-calibration_configuration: Tables of a calibration's configuration, the file calibration.toml.
-
-docs/using/calibrating.md describes it.
-
-calibration_folder: Folder of a calibration: its configuration, and points or images of a target.
+"""Folder of a calibration: its configuration calibration.toml, and points or images of a target.
 
 docs/using/calibrating.md describes it.
 """
@@ -135,8 +129,7 @@ class Configuration(Table):
         "`array` and `cameras`: only the wall and the target are unknown",
     )
     target_mm: Vector | None = Field(
-        None,
-        description="initial guess of the target's position; by default the mean of aim_mm",
+        None, description="initial guess of the target's position; by default the mean of aim_mm"
     )
     known: tuple[KnownSpec, ...] = ()
     unknown: tuple[Unknown, ...] = Field(
@@ -181,7 +174,11 @@ def read_case(folder: Path) -> Recording:
     else:
         cameras = _known_cameras(configuration, folder)
     target = _target(configuration, folder)
-    plain = target.points_mm @ upright_axes(cameras).T + np.asarray(_middle(configuration))
+    # guess where the target is: as configured, or where cameras are aimed
+    aims = [camera.aim_mm for camera in configuration.cameras]
+    plain = target.points_mm @ upright_axes(cameras).T + np.asarray(
+        configuration.target_mm or triple(np.mean(aims, axis=0))
+    )
     names = [camera.name for camera in cameras]
     if len(plain) == 1 and target.pattern == "points":
         seen = read_loose_points(folder / POINTS, names)
@@ -221,12 +218,6 @@ def _target(configuration: Configuration, folder: Path) -> Target:
     if points is not None:
         return Target.from_places(read_target(inside(folder, points)))
     return Target.from_places(((0.0, 0.0, 0.0),))
-
-
-def _middle(configuration: Configuration) -> Vector:
-    """Guess where the target is: as configured, or where cameras are aimed."""
-    aims = [camera.aim_mm for camera in configuration.cameras]
-    return configuration.target_mm or triple(np.mean(aims, axis=0))
 
 
 def _check_lengths(configuration: Configuration, source: str) -> None:

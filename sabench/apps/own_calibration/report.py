@@ -1,8 +1,6 @@
-"""Unknowns of a wall in a calibration's report, and what the data show of them.
+"""Report of a calibration: its quality as far as its own data show it.
 
-wall_report: Unknowns of a wall in a calibration's report, and what the data show of them.
-
-calibration_report: Report of a calibration: its quality as far as its own data show it.
+It includes the unknowns of a wall, and how well the data determine them.
 """
 
 from __future__ import annotations

@@ -62,17 +62,6 @@ def design_scene(base: Scene, wanted: Wanted) -> Scene:
         A base without particles of a given density, with cameras at listed places or behind more
         than one plane wall, or a wanted scene that cannot be built.
     """
-    _check(base)
-    electrons = _figure(base, "peak_e")
-    viewing = view(base, build_rig(base, base.title))
-    start = _with_volume(base, viewing, wanted)
-    values = _move_cameras(start, viewing, wanted, base)
-    values["cameras"]["f_number"] = _f_number(_scene(values), wanted)
-    values["illumination"]["pulse_energy_mj"] *= electrons / _figure(_scene(values), "peak_e")
-    return _scene(_with_crop(values, viewing, wanted))
-
-
-def _check(base: Scene) -> None:
     given = base.particle_world.particles
     if not any(key in given for key in _DENSITIES):
         raise InputError(
@@ -86,6 +75,19 @@ def _check(base: Scene) -> None:
         )
     if base.walls and base.plane is None:
         raise InputError(f"{base.title}: wall: expected one plane wall or none to move")
+    electrons = _figure(base, "peak_e")
+    viewing = view(base, build_rig(base, base.title))
+    start = _with_volume(base, viewing, wanted)
+    values = _move_cameras(start, viewing, wanted, base)
+    # choose the f-number with the wanted depth of field, or the base's. The depth of field grows
+    # with its square
+    scene = _scene(values)
+    field = _figure(scene, "depth_of_field_mm")
+    values["cameras"]["f_number"] = scene.cameras.f_number * max(
+        1.0, math.sqrt(wanted.depth_mm / field)
+    )
+    values["illumination"]["pulse_energy_mj"] *= electrons / _figure(_scene(values), "peak_e")
+    return _scene(_with_crop(values, viewing, wanted))
 
 
 def _scene(values: Mapping[str, Any]) -> Scene:
@@ -93,7 +95,6 @@ def _scene(values: Mapping[str, Any]) -> Scene:
 
 
 def _figure(scene: Scene, key: str) -> float:
-    """Return a figure of a scene's plan that has one."""
     figures = {one.key: one.value for part in plan(scene).sections for one in part.quantities}
     value = figures.get(key)
     if not value:
@@ -157,15 +158,6 @@ def _scaled(values: Values, base: Scene, middle: F64, place: F64, scale: float) 
     if base.cameras.focus_mm is not None:
         moved["cameras"]["focus_mm"] = base.cameras.focus_mm * scale
     return moved
-
-
-def _f_number(scene: Scene, wanted: Wanted) -> float:
-    """Choose the f-number with the wanted depth of field, or the base's.
-
-    The depth of field grows with its square.
-    """
-    field = _figure(scene, "depth_of_field_mm")
-    return scene.cameras.f_number * max(1.0, math.sqrt(wanted.depth_mm / field))
 
 
 def _with_crop(values: Values, viewing: Viewing, wanted: Wanted) -> Values:

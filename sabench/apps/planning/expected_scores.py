@@ -1,17 +1,11 @@
-"""Regression by a Gaussian process.
+"""Expected scores of solvers: a Gaussian process fitted to measured scenes.
 
-gaussian_process: Regression by a Gaussian process.
+`benchmarks/planner.py` measures the scenes, fits the model and writes `expected_scores.json`: the
+figures and scores of the scenes, and the lengths over which scores change. The figures of density
+are those of `plan_density`: particles per pixel, overlap and ghosts.
 
 Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), sections 2.2 and
 5.4.1.
-
-density: Figures of the density: particles per pixel, overlap and ghosts.
-
-expected_scores: Expected scores of solvers: a model fitted to measured scenes.
-
-`benchmarks/planner.py` measures the scenes, fits the model and writes `expected_scores.json`: the
-figures and scores of the scenes, and the lengths over which scores change. A Gaussian process joins
-the scenes.
 """
 
 from __future__ import annotations

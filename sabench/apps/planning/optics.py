@@ -1,8 +1,7 @@
-"""Figures of the array's view: resolution, depth, overlap and blur.
+"""Figures of a plan: the array's view, and the images of particles.
 
-optics: Figures of the array's view: resolution, depth, overlap and blur.
-
-light: Figures of the particles' images: size, photons, noise and saturation.
+The view has resolution, depth, overlap and blur; the images have size, photons, noise and
+saturation.
 """
 
 from __future__ import annotations
@@ -51,7 +50,10 @@ def plan_view(scene: Scene, view: Viewing) -> Section:
         Quantity("pixel_back_mm", view.pixel_mm(1.0), "pixel dX at the back face", "(2.5)"),
         Quantity("pixel_coarsest_mm", view.pixels_mm.max(), "of the farthest camera", "(2.5)"),
         Quantity(
-            "voxel_over_pixel", max(_across(scene, view)) / pixel, "voxel width / dX", "grid, (2.5)"
+            "voxel_over_pixel",
+            max(size for edge, size in enumerate(scene.grid.voxel_mm) if edge != view.axis) / pixel,
+            "voxel width / dX",
+            "grid, (2.5)",
         ),
         Quantity(
             "voxel_length",
@@ -68,10 +70,6 @@ def plan_view(scene: Scene, view: Viewing) -> Section:
         Quantity("least_share", float(shares.min()), "share that the worst camera sees", "traced"),
     )
     return Section("view", quantities, tuple(_advise_view(scene, view, shares, quantities)))
-
-
-def _across(scene: Scene, view: Viewing) -> list[float]:
-    return [size for edge, size in enumerate(scene.grid.voxel_mm) if edge != view.axis]
 
 
 def _advise_view(

@@ -1,11 +1,7 @@
-"""Drawing of a rig: cameras, wall, volume, light sheet and lines of sight.
+"""Page of a plan: warnings, drawings of the rig and figures, as one HTML file.
 
-rig_drawing: Drawing of a rig: cameras, wall, volume, light sheet and lines of sight.
-
-Each drawing is a projection along one edge of the volume. Walls and the sheet are cut where the
-plane through the volume's middle meets them.
-
-page: Page of a plan: warnings, drawings of the rig and figures, as one HTML file.
+Each drawing is a projection along one edge of the volume. Walls and the light sheet are cut where
+the plane through the volume's middle meets them.
 """
 
 from __future__ import annotations
@@ -79,7 +75,12 @@ def _outlines(
     scene: Scene, view: Viewing, plane: tuple[int, int], low: F64, high: F64
 ) -> Iterator[Outline]:
     yield Outline("volume", _corners(view, plane), closed=True)
-    section = _section(view, plane, low, high)
+    # make points (row, column, 3) of the plane through the volume's middle
+    points = np.tile(view.center_mm, (_NODES, _NODES, 1))
+    steps = np.linspace(low, high, _NODES)
+    points[..., plane[0]] = steps[None, :, 0]
+    points[..., plane[1]] = steps[:, None, 1]
+    section = points
     walls = list(dict.fromkeys(one.wall for one in view.rig.cameras if one.wall is not None))
     for wall in walls:
         for depth in _faces(wall):
@@ -92,16 +93,18 @@ def _outlines(
     for camera in view.rig.cameras:
         for ray in _rays(camera, view, plane):
             yield Outline("ray", ray)
-        yield Outline("camera", _symbol(camera, plane, _CAMERA * (high - low).max()), closed=True)
-
-
-def _section(view: Viewing, plane: tuple[int, int], low: F64, high: F64) -> F64:
-    """Make points (row, column, 3) of the plane through the volume's middle."""
-    points = np.tile(view.center_mm, (_NODES, _NODES, 1))
-    steps = np.linspace(low, high, _NODES)
-    points[..., plane[0]] = steps[None, :, 0]
-    points[..., plane[1]] = steps[:, None, 1]
-    return points
+        # make a camera's triangle (3, 2), whose tip is the pinhole
+        length_mm = _CAMERA * (high - low).max()
+        tip, forward = (
+            np.asarray(one)[list(plane)] for one in (camera.center_mm, camera.rotation[2])
+        )
+        side = np.array([-forward[1], forward[0]])
+        back = tip - length_mm * forward
+        yield Outline(
+            "camera",
+            np.array([tip, back + length_mm / 2.0 * side, back - length_mm / 2.0 * side]),
+            closed=True,
+        )
 
 
 def _faces(wall: WallRecord) -> list[float]:
@@ -149,14 +152,6 @@ def _rays(camera: Camera, view: Viewing, plane: tuple[int, int]) -> Iterator[F64
     ends = rays.origins_mm + reach[:, None] * rays.directions
     for origin, end in zip(rays.origins_mm[rays.valid], ends[rays.valid], strict=True):
         yield np.array([camera.center_mm, origin, end])[:, plane]
-
-
-def _symbol(camera: Camera, plane: tuple[int, int], length_mm: float) -> F64:
-    """Make a camera's triangle (3, 2), whose tip is the pinhole."""
-    tip, forward = (np.asarray(one)[list(plane)] for one in (camera.center_mm, camera.rotation[2]))
-    side = np.array([-forward[1], forward[0]])
-    back = tip - length_mm * forward
-    return np.array([tip, back + length_mm / 2.0 * side, back - length_mm / 2.0 * side])
 
 
 _NAMES = {

@@ -1,10 +1,7 @@
-"""Figures of the calibration: how far nominal cameras are off in the images.
+"""Plan of an experiment: all figures of a scene and its warnings.
 
-calibration: Figures of the calibration: how far nominal cameras are off in the images.
-
-recording: Figures of the recording: data rate, buses, buffer and times of pulses.
-
-plan: Plan of an experiment: all figures of a scene and its warnings.
+The calibration has the errors of nominal cameras in the images; the recording has data rate, buses,
+buffer and times of pulses.
 """
 
 from __future__ import annotations
@@ -16,15 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from sabench.apps.planning import optics
 from sabench.apps.planning.expected_scores import plan_density, plan_scores
-from sabench.apps.planning.optics import (
-    Sample,
-    plan_depth,
-    plan_light,
-    plan_sharpness,
-    plan_view,
-    sample_images,
-)
 from sabench.apps.planning.viewing import Advice, Quantity, Section, Viewing, view
 from sabench.geometry.common_view import lattice_of
 from sabench.scenes import Rig, Scene, build_rig, load_scene
@@ -83,10 +73,12 @@ class Recorder:
 
 
 def plan_recording(
-    scene: Scene, view: Viewing, recorder: Recorder, sample: Sample | None
+    scene: Scene, view: Viewing, recorder: Recorder, sample: optics.Sample | None
 ) -> Section:
     """Compute data rates and times; a single frame and a target have none."""
-    frame_mb = scene.cameras.rows * scene.cameras.columns * _bytes_per_pixel(scene) / 1e6
+    frame_mb = (
+        scene.cameras.rows * scene.cameras.columns * (1 if scene.sensor.bit_depth <= 8 else 2) / 1e6
+    )
     data = Quantity("frame_mb", frame_mb, "data of a frame, MB", "8 or 16 bits a pixel")
     if scene.timing is None and (scene.frames == 1 or scene.targets is not None):
         return Section("recording", (data,))
@@ -131,10 +123,6 @@ def shortest_step_s(scene: Scene) -> float:
     return float(np.diff(scene.timing.pulses_s).min())
 
 
-def _bytes_per_pixel(scene: Scene) -> int:
-    return 1 if scene.sensor.bit_depth <= 8 else 2
-
-
 def _straddling(scene: Scene, recorder: Recorder) -> list[Quantity]:
     """Place two pulses evenly about the gap between two exposures, figure 3-3."""
     if scene.timing is None or len(scene.timing.pulses_s) != 2:
@@ -149,7 +137,7 @@ def _straddling(scene: Scene, recorder: Recorder) -> list[Quantity]:
     ]
 
 
-def _displacement_px(scene: Scene, view: Viewing, sample: Sample) -> float | None:
+def _displacement_px(scene: Scene, view: Viewing, sample: optics.Sample) -> float | None:
     if not len(sample.particles):
         return None
     speed = np.linalg.norm(sample.particles.velocity_mm_s, axis=1)
@@ -224,15 +212,15 @@ def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     rig = build_rig(loaded, loaded.title if isinstance(scene, Scene) else str(scene))
     viewing = view(loaded, rig)
-    sections = [plan_view(loaded, viewing), plan_depth(loaded, viewing)]
-    sections += [plan_sharpness(loaded, viewing), plan_calibration(loaded, viewing)]
+    sections = [optics.plan_view(loaded, viewing), optics.plan_depth(loaded, viewing)]
+    sections += [optics.plan_sharpness(loaded, viewing), plan_calibration(loaded, viewing)]
     sample, lit = None, loaded
     if loaded.world.tracers is not None:
         frame = Frames(loaded, rig, 0, "splat").at(0)
         lit = frame.scene
-        sample = sample_images(frame, frame.tracers) if frame.tracers else None
+        sample = optics.sample_images(frame, frame.tracers) if frame.tracers else None
     if sample is not None:
-        sections += [plan_light(sample), plan_density(loaded, viewing, sample)]
+        sections += [optics.plan_light(sample), plan_density(loaded, viewing, sample)]
         expected = plan_scores(loaded, sections)
         sections += [expected] if expected is not None else []
     sections.append(plan_recording(loaded, viewing, recorder or Recorder(), sample))

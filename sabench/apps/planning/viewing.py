@@ -1,8 +1,4 @@
-"""Quantities and advice that a plan consists of.
-
-quantities: Quantities and advice that a plan consists of.
-
-viewing: Lines of sight of an array through its volume.
+"""Lines of sight of an array through its volume, and the quantities of a plan.
 
 Everything is in the fluid, behind the wall, so that the thesis's equations of parallel cameras in
 plain air hold for cameras of any direction behind any wall.

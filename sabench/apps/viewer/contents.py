@@ -129,9 +129,14 @@ def of_dataset(data: Dataset, result: Result | None = None) -> Contents:
     scene = data.scene if data.has_truth else None
     cameras = data.true_cameras if data.has_truth else setup.cameras
     title = data.root.resolve().name if scene is None else scene.title
+    origin = "recorded" if data.recorded else "simulated"
+    truth = "with its truth" if data.has_truth else "without truth"
+    facts = [("data set", f"{data.root.resolve().name}, {origin}, {truth}")]
+    if result is not None:
+        facts += [("result", f"{result.path.name}, {result.solver}, task {result.task}")]
     return Contents(
         title,
-        (*_facts(data, result), *_rig_facts(setup.cameras, setup.grid)),
+        (*facts, *_rig_facts(setup.cameras, setup.grid)),
         _surround(cameras, setup.grid, scene, () if estimates is None else estimates.cameras),
         _fill_velocities(frames),
         _labels(data, result),
@@ -204,15 +209,6 @@ def _sort(data: Dataset, result: Result | None) -> Sort:
     if result is not None and tasks.of(result.task).estimate is Velocity:
         return "Vectors"
     return "Target" if data.shows_target else "Particles"
-
-
-def _facts(data: Dataset, result: Result | None) -> list[tuple[str, str]]:
-    origin = "recorded" if data.recorded else "simulated"
-    truth = "with its truth" if data.has_truth else "without truth"
-    facts = [("data set", f"{data.root.resolve().name}, {origin}, {truth}")]
-    if result is not None:
-        facts += [("result", f"{result.path.name}, {result.solver}, task {result.task}")]
-    return facts
 
 
 def _rig_facts(cameras: Sequence[CameraModel], grid: Grid | None) -> list[tuple[str, str]]:

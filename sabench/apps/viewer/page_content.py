@@ -1,9 +1,4 @@
-"""Arrays of a page: joined, compressed and written as text.
-
-packing: Arrays of a page: joined, compressed and written as text.
-
-page_content: Content of a page as values of JSON, and its arrays.
-"""
+"""Content of a page as values of JSON, and its arrays: joined, compressed, written as text."""
 
 from __future__ import annotations
 
@@ -80,7 +75,11 @@ def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
     particles = [one.particles for one in near]
     share = shown_share(particles)
     if share < 1.0:
-        notes.append(_thinned(particles, share))
+        count = sum(len(one) for one in particles)
+        notes.append(
+            f"Particles are thinned: about {share * count:.0f} of {count} are drawn, "
+            f"{100.0 * share:.3g} % of each kind; counts are of all."
+        )
     packer = Packer()
     values = {
         "title": contents.title,
@@ -116,16 +115,7 @@ def _leave_out_far(contents: Contents) -> tuple[list[Frame], list[str]]:
     return frames, [text] if dropped else []
 
 
-def _thinned(clouds: Sequence[Cloud], share: float) -> str:
-    count = sum(len(one) for one in clouds)
-    return (
-        f"Particles are thinned: about {share * count:.0f} of {count} are drawn, "
-        f"{100.0 * share:.3g} % of each kind; counts are of all."
-    )
-
-
 def _frames(frames: Sequence[Frame], shown: Sequence[Cloud], packer: Packer) -> dict[str, Any]:
-    """Describe the objects of all frames."""
     if not frames:
         return {"frames": []}
     every = [*shown, *(one.bubbles for one in frames)]

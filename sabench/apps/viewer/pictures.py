@@ -145,13 +145,10 @@ def volume_stack(volume: F32, grid: Grid) -> Stack:
     (low, high), step = grid.box_mm, thick * grid.voxel_mm[2]
     corner = low + step / 2.0 * _Z
     place = Planes(corner, (high - low) * _X, (high - low) * _Y, step * _Z)
-    return Stack("reconstruction", place, _grey(joined, 0.0, _top(joined), _GAMMA))
-
-
-def _top(values: F32) -> float:
-    """Find the value shown as white; few voxels may be bright at all."""
-    bright = values[values > 0.0]
-    return float(np.percentile(bright, _BRIGHTEST)) if bright.size else 1.0
+    # find the value shown as white; few voxels may be bright at all
+    bright = joined[joined > 0.0]
+    white = float(np.percentile(bright, _BRIGHTEST)) if bright.size else 1.0
+    return Stack("reconstruction", place, _grey(joined, 0.0, white, _GAMMA))
 
 
 def _viewing_axis(case: Observation) -> tuple[int, int]:

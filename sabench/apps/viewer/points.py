@@ -1,13 +1,4 @@
-"""Points to show: true and found particles, classified and thinned.
-
-clouds: Particles, bubbles and vectors of one frame, and what became of each.
-
-classification: Classification of estimates by the rules of the scores.
-
-thinning: Thinning of particles to as many as a page can show.
-
-estimates: Estimates of a result as the page shows them, frame by frame.
-"""
+"""Points to show of each frame: true and found, classified as scores do, and thinned."""
 
 from __future__ import annotations
 
@@ -239,13 +230,9 @@ def thin(clouds: Sequence[Cloud], share: float) -> list[Cloud]:
 def _chosen(cloud: Cloud, frame: int, share: float) -> Bool:
     """Choose objects by their trajectories; those without one at random."""
     draws = stream(0, "view", frame).random(len(cloud))
-    return np.where(cloud.trajectory >= 0, _hash(cloud.trajectory), draws) < share
-
-
-def _hash(numbers: I64) -> F64:
-    """Scatter numbers (n,) over 0 to 1."""
-    spread = (numbers % _SPAN).astype(np.uint64) * np.uint64(_PRIME) % np.uint64(_SPAN)
-    return np.asarray(spread / _SPAN)
+    # scatter numbers (n,) over 0 to 1
+    spread = (cloud.trajectory % _SPAN).astype(np.uint64) * np.uint64(_PRIME) % np.uint64(_SPAN)
+    return np.where(cloud.trajectory >= 0, np.asarray(spread / _SPAN), draws) < share
 
 
 class Estimates:

@@ -13,7 +13,6 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.common_view import SIDE, border_pixels, light_paths
 from sabench.geometry.cylinder_wall import CylinderWall, WallRecord
 from sabench.geometry.occluders import Disc
-from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import frame_of_normal
 from sabench.scenes.illumination import Backlight, Illumination
 from sabench.utils.arrays import F64
@@ -126,6 +125,7 @@ def _describe_wall(wall: WallRecord, points_mm: F64) -> dict[str, Any]:
     across = frame_of_normal(np.asarray(wall.normal))[:2]
     low, high = _padded((points_mm - np.asarray(wall.point_mm)) @ across.T)
     depths = [float(depth) for depth in wall.interface_depths_mm]
+    # compute the depth of the back wall behind the outer face
     return {
         "kind": "plane",
         "point": rounded(wall.point_mm),
@@ -134,7 +134,9 @@ def _describe_wall(wall: WallRecord, points_mm: F64) -> dict[str, Any]:
         "low": rounded(low),
         "high": rounded(high),
         "depths": rounded(depths),
-        "back": _back(wall),
+        "back": (
+            None if wall.depth_mm is None else round(wall.thickness_mm + wall.depth_mm, _DECIMALS)
+        ),
         "media": _media(wall),
     }
 
@@ -151,11 +153,6 @@ def _describe_cylinder(wall: CylinderWall, points_mm: F64) -> dict[str, Any]:
         "high": round(float(high), _DECIMALS),
         "media": _media(wall),
     }
-
-
-def _back(wall: Wall) -> float | None:
-    """Compute the depth of the back wall behind the outer face."""
-    return None if wall.depth_mm is None else round(wall.thickness_mm + wall.depth_mm, _DECIMALS)
 
 
 def _media(wall: WallRecord) -> list[str]:

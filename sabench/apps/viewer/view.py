@@ -1,10 +1,7 @@
-"""Drawings of a rig that need no script, along two edges of the volume.
+"""Views of rigs, data sets and results: pages, and what notebooks show.
 
-static_drawing: Drawings of a rig that need no script, along two edges of the volume.
-
-page: Page of a view: data, script and library in one HTML file.
-
-view: Views of rigs, data sets and results: pages, and what notebooks show.
+A page is one HTML file of data, script and library. Drawings along two edges of the volume need no
+script.
 """
 
 from __future__ import annotations

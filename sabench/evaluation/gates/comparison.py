@@ -1,8 +1,6 @@
 """Regression gates: run a suite again and compare it with a baseline.
 
-comparison: Regression gates: run a suite again and compare it with a baseline.
-
-junit: Reports of gates as JUnit XML, which GitHub, GitLab and Jenkins show.
+Reports can be written as JUnit XML, which GitHub, GitLab and Jenkins show.
 """
 
 from __future__ import annotations
@@ -207,29 +205,12 @@ def _compare(
     if before is None:
         return
     if old is None:
-        yield Finding(
-            *now.key,
-            DATA,
-            "",
-            None,
-            None,
-            None,
-            worse=False,
-            text="a case that is not in the baseline",
-        )
+        yield Finding(*now.key, DATA, worse=False, text="a case that is not in the baseline")
         return
     if old.scene_hash != now.scene_hash:
         what = "recording" if isinstance(case, RecordedCase) else "scene"
-        yield Finding(
-            *now.key,
-            DATA,
-            "scene",
-            None,
-            None,
-            None,
-            worse=True,
-            text=f"its {what} is not the one of the baseline",
-        )
+        text = f"its {what} is not the one of the baseline"
+        yield Finding(*now.key, DATA, "scene", worse=True, text=text)
     cut_short = len(now.solvers) < len(case.solvers)
     yield from compare(
         drop_not_run(old, now) if cut_short else old, now, tasks_of(case), before.tolerances
@@ -240,16 +221,8 @@ def _missing(before: Baseline | None, entries: Sequence[CaseEntry]) -> Iterator[
     there = {entry.key for entry in entries}
     for case in before.cases if before else ():
         if case.key not in there:
-            yield Finding(
-                *case.key,
-                DATA,
-                "",
-                None,
-                None,
-                None,
-                worse=True,
-                text="a case of the baseline that did not run",
-            )
+            text = "a case of the baseline that did not run"
+            yield Finding(*case.key, DATA, worse=True, text=text)
 
 
 def _tolerances(

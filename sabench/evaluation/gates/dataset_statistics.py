@@ -81,31 +81,28 @@ def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
     frames, axes = range(data.setup.frames), ("x", "y", "z")
     if data.shows_target:
         yield from _spread("target.", axes, data.placed().points_mm.reshape(-1, 3)).items()
-        yield from _spread(
-            "target.told_", axes, data.calibration_case().initial_mm.reshape(-1, 3)
-        ).items()
+        guess_mm = data.calibration_case().initial_mm.reshape(-1, 3)
+        yield from _spread("target.told_", axes, guess_mm).items()
         return
     if "particles" in data.shows:
         every = [data.particles(frame) for frame in frames]
         yield "particles.count", float(sum(map(len, every)))
-        yield from _spread(
-            "particles.", axes, np.concatenate([one.position_mm for one in every])
-        ).items()
-        yield from _spread(
-            "particles.velocity_", axes, np.concatenate([one.velocity_mm_s for one in every])
-        ).items()
-        yield from _spread(
-            "particles.", ("diameter",), np.concatenate([one.diameter_mm for one in every])[:, None]
-        ).items()
+        position, velocity, diameter = (
+            np.concatenate([getattr(one, name) for one in every])
+            for name in ("position_mm", "velocity_mm_s", "diameter_mm")
+        )
+        yield from _spread("particles.", axes, position).items()
+        yield from _spread("particles.velocity_", axes, velocity).items()
+        yield from _spread("particles.", ("diameter",), diameter[:, None]).items()
     if "bubbles" in data.shows:
         balls = [data.bubbles(frame) for frame in frames]
         yield "bubbles.count", float(sum(map(len, balls)))
-        yield from _spread(
-            "bubbles.", axes, np.concatenate([one.center_mm for one in balls])
-        ).items()
-        yield from _spread(
-            "bubbles.axis_", ("0", "1", "2"), np.concatenate([one.semi_axes_mm for one in balls])
-        ).items()
+        center, size = (
+            np.concatenate([getattr(one, name) for one in balls])
+            for name in ("center_mm", "semi_axes_mm")
+        )
+        yield from _spread("bubbles.", axes, center).items()
+        yield from _spread("bubbles.axis_", ("0", "1", "2"), size).items()
     if "code" in data.shows:
         code = code_of(data.scene, data.manifest.seed, 0)
         yield from _spread("code.", axes, code.points_mm[code.dark].reshape(-1, 3)).items()
@@ -142,20 +139,17 @@ def _light(data: Dataset, number: int) -> Iterator[tuple[str, float]]:
     name, frames = data.true_cameras[number].name, range(data.setup.frames)
     if data.shows_target:
         exact, case = data.sightings()[0][number], data.calibration_case()
-        yield from _spread(
-            f"{name}.found_off_", ("column", "row"), (case.pixels[number] - exact).reshape(-1, 2)
-        ).items()
+        off = (case.pixels[number] - exact).reshape(-1, 2)
+        yield from _spread(f"{name}.found_off_", ("column", "row"), off).items()
         yield f"{name}.found", float(case.found[number].sum())
         return
     if "particles" in data.shows:
         views = [data.views(frame)[number] for frame in frames]
-        photons, sigma = (
-            np.concatenate([view.photons for view in views]),
-            np.concatenate([view.sigma_px for view in views]),
-        )
-        yield from _spread(
-            f"{name}.", ("photons", "sigma_px"), np.column_stack([photons, sigma])
-        ).items()
+        light = [
+            np.concatenate([getattr(view, key) for view in views])
+            for key in ("photons", "sigma_px")
+        ]
+        yield from _spread(f"{name}.", ("photons", "sigma_px"), np.column_stack(light)).items()
         yield f"{name}.visible", float(sum(view.visible.sum() for view in views))
     if "bubbles" in data.shows:
         sights = [data.sight(frame, data.true_cameras[number]) for frame in frames]
@@ -163,14 +157,10 @@ def _light(data: Dataset, number: int) -> Iterator[tuple[str, float]]:
             [np.ptp(sight.contour.astype(np.float64), axis=1) for sight in sights]
         )
         yield from _spread(f"{name}.outline_", ("width", "height"), outlines).items()
-        yield (
-            f"{name}.outline_seen",
-            float(np.concatenate([sight.visible for sight in sights]).mean()),
-        )
-        yield (
-            f"{name}.surface_depth_mean",
-            float(np.nanmean([np.nanmean(sight.depth_mm) for sight in sights])),
-        )
+        shares = np.concatenate([sight.visible for sight in sights])
+        yield f"{name}.outline_seen", float(shares.mean())
+        depth_mm = np.nanmean([np.nanmean(sight.depth_mm) for sight in sights])
+        yield f"{name}.surface_depth_mean", float(depth_mm)
 
 
 def _pictures(data: Dataset) -> Iterator[tuple[str, float]]:

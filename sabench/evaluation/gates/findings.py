@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from sabench.evaluation.gates.baseline import (
     DATA,
@@ -34,11 +33,11 @@ class Finding:
     case: str
     seed: int
     solver: str
-    figure: str
-    before: float | None
-    now: float | None
-    tolerance: float | None
-    worse: bool
+    figure: str = ""
+    before: float | None = None
+    now: float | None = None
+    tolerance: float | None = None
+    worse: bool = field(kw_only=True)
     text: str = ""
 
     @property
@@ -82,28 +81,16 @@ def compare(
     `served` has each solver's task. A solver of the baseline that did not run counts as worse; a
     new solver is news.
     """
-    case, seed = now.key
-    for figure, allowed, change in _list_moved(before.data, now.data, tolerances, DATA):
-        yield Finding(
-            case,
-            seed,
-            DATA,
-            figure,
-            before.data.get(figure),
-            now.data.get(figure),
-            allowed,
-            worse=change > 0.0,
-        )
+    yield from _moved(now.key, DATA, DATA, before.data, now.data, tolerances)
     for solver in {**before.solvers, **now.solvers}:
         old, new = before.solvers.get(solver), now.solvers.get(solver)
         said = _standing(old, new)
         if said is not None:
             worse, text = said
-            yield Finding(case, seed, solver, "", None, None, None, worse=worse, text=text)
+            yield Finding(*now.key, solver, worse=worse, text=text)
         elif old is not None and new is not None:
-            yield from _of_solver(
-                now, solver, served[solver], old, scale_times(new, old), tolerances
-            )
+            scaled = scale_times(new, old).figures
+            yield from _moved(now.key, solver, served[solver], old.figures, scaled, tolerances)
 
 
 def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
@@ -123,21 +110,6 @@ def _standing(old: Entry | None, new: Entry | None) -> tuple[bool, str] | None:
     return None
 
 
-def _of_solver(
-    case: CaseEntry, solver: str, task: str, old: Entry, new: Entry, tolerances: Tolerances
-) -> Iterator[Finding]:
-    for figure, allowed, change in _list_moved(old.figures, new.figures, tolerances, task):
-        yield Finding(
-            *case.key,
-            solver,
-            figure,
-            old.figures.get(figure),
-            new.figures.get(figure),
-            allowed,
-            worse=change > 0.0,
-        )
-
-
 def scale_times(new: Entry, old: Entry) -> Entry:
     """Scale the times of a new entry to the machine and load of the old one.
 
@@ -153,21 +125,23 @@ def scale_times(new: Entry, old: Entry) -> Entry:
     return new.model_copy(update={"figures": new.figures | times, "reference_s": old.reference_s})
 
 
-def _list_moved(
-    before: Figures, now: Figures, tolerances: Tolerances, task: str
-) -> Iterator[tuple[str, float | None, float]]:
-    """List the figures beyond tolerance: name, tolerance and loss.
-
-    The loss is infinite for a figure that is missing now, and minus infinity for a new one.
-    """
+def _moved(
+    case: tuple[str, int],
+    solver: str,
+    task: str,
+    before: Figures,
+    now: Figures,
+    tolerances: Tolerances,
+) -> Iterator[Finding]:
+    """List the figures beyond tolerance; one that is missing now is worse, a new one is news."""
     for figure in sorted({**before, **now}):
         old, new = before.get(figure), now.get(figure)
         if old is None or new is None:
             if old is not new:
-                yield figure, None, math.inf if new is None else -math.inf
+                yield Finding(*case, solver, figure, old, new, worse=new is None)
             continue
         allowed = tolerance_of(tolerances, task, figure).allowed(old)
         better: Better = "steady" if task == DATA else score_of(task, figure).better
         change = loss(better, old, new)
         if abs(change) > allowed:
-            yield figure, allowed, change
+            yield Finding(*case, solver, figure, old, new, allowed, worse=change > 0.0)

@@ -1,20 +1,13 @@
-"""Independent light paths through coaxial cylinders.
+"""Independent projection of points, to find errors in the main projection.
 
-independent_snell: Independent light paths through coaxial cylinders.
+It is a copy of `geometry.camera` and `geometry.refraction` with other equations, and takes nothing
+from `sabench.geometry`: the wall's numbers come from the scene as its author wrote them, the path
+from bisection for the invariant n sin(angle) that all its angles share, the lens from the formula
+in docs/formats/dataset.md. Behind coaxial cylinders, rays are followed in the world's frame: each
+meets the cylinder x^2 + y^2 = r^2 about the axis by a quadratic equation and is refracted by
+Snell's law for vectors; Newton's steps with differences find the direction towards a point.
 
-They find errors in the main projection: nothing is taken from `sabench.geometry`. Rays are followed
-in the world's frame: each meets the cylinder x^2 + y^2 = r^2 about the axis where a quadratic
-equation says, and turns there by Snell's law for vectors. The direction towards a point is found by
-Newton's steps with differences.
-
-independent_projection: Independent projection of points, to find errors in the main projection.
-
-It is a copy of `geometry.camera` and `geometry.refraction` with other equations, for the sake of
-independence. The test test_comparison.py::test_two_implementations_of_a_camera_agree compares both.
-
-It takes nothing from `sabench.geometry`: the wall's numbers come from the scene as its author wrote
-them, the path from bisection for the invariant n sin(angle) that all its angles share (behind a
-cylinder from `independent_snell`), the lens from the formula in docs/formats/dataset.md.
+The test test_comparison.py::test_two_implementations_of_a_camera_agree compares both.
 """
 
 from __future__ import annotations
@@ -176,21 +169,9 @@ def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
         *(np.full(len(offset), layer.thickness_mm) for layer in wall.layers),
         along - before - solid,
     ]
-    invariant = _invariant(
-        [wall.air_index, *(layer.index for layer in wall.layers), wall.fluid_index], depths, radius
-    )
-    sine = invariant / wall.air_index
-    return np.asarray(
-        np.sqrt(1.0 - sine**2)[:, None] * normal
-        + (sine / np.maximum(radius, 1e-300))[:, None] * sideways
-    )
-
-
-def _invariant(indices: list[float], depths: list[F64], radius: F64) -> F64:
-    """Find the n sin(angle) (n,) of the path that ends at the given radius.
-
-    The path crosses all depths. The radius grows with n sin(angle), from 0 to infinity.
-    """
+    # find the n sin(angle) (n,) of the path that ends at the given radius. The path crosses all
+    # depths. The radius grows with n sin(angle), from 0 to infinity
+    indices = [wall.air_index, *(layer.index for layer in wall.layers), wall.fluid_index]
     low, high = np.zeros_like(radius), np.full_like(radius, min(indices))
     for _ in range(_HALVINGS):
         middle = (low + high) / 2.0
@@ -203,4 +184,9 @@ def _invariant(indices: list[float], depths: list[F64], radius: F64) -> F64:
             np.where(reached < radius, middle, low),
             np.where(reached < radius, high, middle),
         )
-    return np.asarray((low + high) / 2.0)
+    invariant = np.asarray((low + high) / 2.0)
+    sine = invariant / wall.air_index
+    return np.asarray(
+        np.sqrt(1.0 - sine**2)[:, None] * normal
+        + (sine / np.maximum(radius, 1e-300))[:, None] * sideways
+    )

@@ -1,10 +1,7 @@
-"""Estimates that are wrong in a known way, and their scores.
+"""Measurement of a case: statistics of its data set, and figures of its solvers.
 
-known_wrong_estimates: Estimates that are wrong in a known way, and their scores.
-
-A bug in a metric that flatters every solver shows in these.
-
-measurement: Measurement of a case: statistics of its data set, and figures of its solvers.
+Estimates that are wrong in a known way are scored too: a bug in a metric that flatters every solver
+shows in their scores.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
 """Result files and solver cards of a submission: a file, a folder or an archive.
 
-archives: Result files and solver cards of a submission: a file, a folder or an archive.
-
-None of it is trusted.
-
-result_packs: Archives of results with the cards of their solvers, for `sabench submit`.
+None of it is trusted. `pack_results` makes such an archive for `sabench submit`.
 """
 
 from __future__ import annotations
@@ -80,7 +76,16 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
             f"{'a link' if path.is_symlink() else 'none'}"
         )
     if path.is_dir():
-        yield _sort_files(_in_folder(path), path)
+        found = []
+        for number, entry in enumerate(path.rglob("*")):
+            if number >= _MEMBERS:
+                raise InputError(f"{path}: expected at most {_MEMBERS} files and folders")
+            if entry.is_symlink():
+                link = printable(entry.relative_to(path).as_posix())
+                raise InputError(f"{path}: expected no links, got {link}")
+            if entry.is_file() and _is_wanted(entry.name):
+                found.append((entry.relative_to(path).as_posix(), entry))
+        yield _sort_files(found, path)
     elif not path.is_file():
         raise InputError(f"{path}: expected a file, an archive or a folder")
     elif path.name.lower().endswith((".zip", ".tar", ".tar.gz", ".tgz")):
@@ -95,20 +100,6 @@ def _sort_files(files: Files, path: Path) -> Submitted:
     if not results:
         raise InputError(f"{path}: expected result files, whose names end in {_ENDING}, found none")
     return Submitted(results, sorted(one for one in files if one not in results))
-
-
-def _in_folder(root: Path) -> Files:
-    found = []
-    for number, entry in enumerate(root.rglob("*")):
-        if number >= _MEMBERS:
-            raise InputError(f"{root}: expected at most {_MEMBERS} files and folders")
-        if entry.is_symlink():
-            raise InputError(
-                f"{root}: expected no links, got {printable(entry.relative_to(root).as_posix())}"
-            )
-        if entry.is_file() and _is_wanted(entry.name):
-            found.append((entry.relative_to(root).as_posix(), entry))
-    return found
 
 
 def _unpack(path: Path, folder: Path) -> Files:
@@ -211,7 +202,16 @@ def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
     packed, total, names, every = path.stat().st_size, 0, set(), []
     for member in itertools.islice(members, _MEMBERS + 1):
         total += member.bytes
-        _check_name(path, member.name)
+        name = member.name
+        parts = name.replace("\\", "/").split("/")
+        if (
+            name.startswith(("/", "\\"))
+            or ".." in parts
+            or ":" in parts[0]
+            or "\0" in name
+            or not name
+        ):
+            raise InputError(f"{path}: expected names inside the archive, got {printable(name)!r}")
         if member.name in names:
             raise InputError(
                 f"{path}: expected different names, got {printable(member.name)} twice"
@@ -230,12 +230,6 @@ def _select_members(path: Path, members: Iterator[Member]) -> list[Member]:
 
 def _is_wanted(name: str) -> bool:
     return name.endswith((_ENDING, CARD)) and not name.startswith(".")
-
-
-def _check_name(path: Path, name: str) -> None:
-    parts = name.replace("\\", "/").split("/")
-    if name.startswith(("/", "\\")) or ".." in parts or ":" in parts[0] or "\0" in name or not name:
-        raise InputError(f"{path}: expected names inside the archive, got {printable(name)!r}")
 
 
 def _copy(archive: Any, member: Member, target: Path, path: Path) -> Path:
@@ -279,7 +273,9 @@ def pack_results(
     """
     check_name(out)
     known = read_cards(files.cards, cards)
-    check_solvers(known, _solvers(files))
+    for _, file in files.results:
+        probe(file)
+    check_solvers(known, [read_solver(file) for _, file in files.results])
     with (
         complete_or_nothing(out, overwrite=overwrite) as partial,
         tempfile.TemporaryDirectory(prefix="sabench-") as folder,
@@ -293,12 +289,6 @@ def check_name(out: Path) -> None:
     """Refuse a name that is not one of a zip archive."""
     if out.suffix != ".zip":
         raise InputError(f"{out}: expected a name that ends in .zip for an archive of results")
-
-
-def _solvers(files: Submitted) -> list[str]:
-    for _, file in files.results:
-        probe(file)
-    return [read_solver(file) for _, file in files.results]
 
 
 def _copy_results(files: Submitted, cards: list[SolverCard], folder: Path) -> None:

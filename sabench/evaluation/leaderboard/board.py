@@ -1,12 +1,6 @@
-"""Figures of the leaderboard page, as many as it may hold.
-
-page_figures: Figures of the leaderboard page, as many as it may hold.
-
-page: Page of the leaderboard: its rows as one self-contained HTML file.
+"""Page of the leaderboard: one row for each case, solver and machine, in one HTML file.
 
 Users sort, filter, plot and compare the rows in their browser.
-
-rows: Rows of the leaderboard, from records, and its static HTML page.
 """
 
 from __future__ import annotations
@@ -22,6 +16,7 @@ from sabench.evaluation.leaderboard.standings import front_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
 from sabench.plotting.page import escape_code, inline_code, inline_json, render_page
+from sabench.tasks.task import LARGEST
 from sabench.utils.confidence import mean_of
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, inside
@@ -76,7 +71,9 @@ def _pictures(
             continue
         rank = seen[place] = seen.get(place, 0) + 1
         stem = stem_of(run)
-        wanted = [(0, "images", "images")] + ([(0, "truth", "truth")] if _shows_truth(row) else [])
+        wanted = [(0, "images", "images")]
+        if not row["recorded"] and tasks.of(row["task"]).captions.truth:
+            wanted.append((0, "truth", "truth"))
         # a failed run may have left a figure of an earlier success, which is not this record's
         if not run.get("error"):
             wanted += [
@@ -89,10 +86,6 @@ def _pictures(
             path = _there(pictures, f"{own}.png") or _there(small, f"{own}.webp")
             if path:
                 yield order, place, name, path
-
-
-def _shows_truth(row: Record) -> bool:
-    return not row["recorded"] and tasks.of(row["task"]).captions.truth
 
 
 def _there(pictures: Path, name: str) -> Path | None:
@@ -109,16 +102,8 @@ def _there(pictures: Path, name: str) -> Path | None:
 
 
 _SCRIPTS = (
-    "base",
-    "state",
-    "rows",
-    "download",
-    "table",
-    "plots",
-    "front",
-    "viewer",
-    "case",
-    "main",
+    *("base", "state", "rows", "download", "table"),
+    *("plots", "front", "viewer", "case", "main"),
 )
 
 
@@ -153,18 +138,9 @@ def library() -> str:
 
 
 _ENTRY = (
-    "task",
-    "recorded",
-    "case",
-    "scene_hash",
-    "renderer",
-    "split",
-    "solver",
-    "parameters",
-    "machine",
-    "submission",
+    *("task", "recorded", "case", "scene_hash", "renderer", "split"),
+    *("solver", "parameters", "machine", "submission"),
 )
-_LARGEST = 1e15  # no meaningful score is beyond it, and its digits would fill the page
 
 
 def over_seeds(records: list[Record]) -> list[Record]:
@@ -219,7 +195,8 @@ def _merge(group: list[Record]) -> Record:
 def _number(value: object) -> float | None:
     if not isinstance(value, (int, float)) or isinstance(value, bool):
         return None
-    return float(value) if -_LARGEST < value < _LARGEST else None
+    # the digits of larger values would fill the page
+    return float(value) if -LARGEST < value < LARGEST else None
 
 
 def build_page(records: list[Record], pictures: Path, out: Path) -> None:

@@ -1,11 +1,4 @@
-"""Ranks of entries by their scores over the same data sets.
-
-ranking: Ranks of entries by their scores over the same data sets.
-
-comparison: Results of one case that are compared: one for each entry, on the same data.
-
-cells: Cells of the standings: results of entries in the cases of one column.
-"""
+"""Cells of the standings: ranks of entries by their scores on the same data sets."""
 
 from __future__ import annotations
 
@@ -111,14 +104,13 @@ class ComparedCase:
     def runs(self, entry: str) -> dict[int, Record]:
         """Select the runs of an entry on the compared data, without failed ones, by seed."""
         if entry not in self._runs:
-            self._runs[entry] = self._select(entry)
+            result = self.results.get(entry)
+            runs = _runs_by_data(result.row) if result else {}
+            there = {seed: runs.get(data) for seed, data in self.data.items()}
+            self._runs[entry] = {
+                seed: run for seed, run in there.items() if run and not run.get("error")
+            }
         return self._runs[entry]
-
-    def _select(self, entry: str) -> dict[int, Record]:
-        result = self.results.get(entry)
-        runs = _runs_by_data(result.row) if result else {}
-        there = {seed: runs.get(data) for seed, data in self.data.items()}
-        return {seed: run for seed, run in there.items() if run and not run.get("error")}
 
 
 def compare(results: Sequence[Result]) -> ComparedCase:
@@ -129,12 +121,17 @@ def compare(results: Sequence[Result]) -> ComparedCase:
     with as many, the data that most entries have count, then the newest.
     """
     own = [one for one in results if not one.row.get("submission")] or results
-    sets = [frozenset(_data_of(one.row).items()) for one in own]
+    sets = [
+        frozenset({run["seed"]: _data_key(run) for run in one.row["runs"]}.items()) for one in own
+    ]
     counts, dates = Counter(sets), [newest(one.row) for one in own]
     keys = [(len(data), counts[data], date) for data, date in zip(sets, dates, strict=True)]
     data = dict(sorted(sets[keys.index(max(keys))]))
     chosen: dict[str, Result] = {}
-    for one in sorted(results, key=lambda one: (_common(one.row, data), newest(one.row))):
+    for one in sorted(
+        results,
+        key=lambda one: (len(_runs_by_data(one.row).keys() & set(data.values())), newest(one.row)),
+    ):
         chosen[one.entry] = one
     return ComparedCase(data, chosen)
 
@@ -167,14 +164,6 @@ def _digits(value: float | None) -> str:
 def newest(row: Record) -> str:
     """Return the date of the newest run of a row; "" without any."""
     return max((run.get("date") or "" for run in row["runs"]), default="")
-
-
-def _common(row: Record, data: dict[int, str]) -> int:
-    return len(_runs_by_data(row).keys() & set(data.values()))
-
-
-def _data_of(row: Record) -> dict[int, str]:
-    return {run["seed"]: _data_key(run) for run in row["runs"]}
 
 
 def _runs_by_data(row: Record) -> dict[str, Record]:
@@ -228,10 +217,7 @@ def fill_column(
 
 
 def _with_ranks(
-    task: Task,
-    cases: list[ComparedCase],
-    cells: dict[str, Cell],
-    names: dict[str, Hashable],
+    task: Task, cases: list[ComparedCase], cells: dict[str, Cell], names: dict[str, Hashable]
 ) -> dict[str, Cell]:
     """Rank the complete cells and mark the best mean."""
     ranked = [entry for entry, cell in cells.items() if not cell.note]
@@ -247,10 +233,6 @@ def _with_ranks(
         for entry, rank, mean in zip(ranked, found, means, strict=True)
     }
     return cells | marked
-
-
-def _mean(cell: Cell) -> float | None:
-    return cell.score.mean if cell.score else None
 
 
 def _values(task: Task, cases: list[ComparedCase], entry: str) -> list[float]:
@@ -298,7 +280,6 @@ def _average(values: list[float | None]) -> float | None:
 
 
 def _note(cases: list[ComparedCase], entry: str) -> str:
-    """Say why an entry has no rank in these cases; "" for one that has."""
     results = [case.results.get(entry) for case in cases]
     there = [one.row for one in results if one]
     if len(there) < len(cases):
@@ -320,8 +301,8 @@ def _with_speed(task: Task, cells: dict[str, Cell]) -> dict[str, Cell]:
     larger, least = task.columns[0].better == "larger", task.sufficient
     enough = {
         entry: cell.rank is not None
-        and (mean_ := _mean(cell)) is not None
-        and (mean_ >= least if larger else mean_ <= least)
+        and cell.score is not None
+        and (cell.score.mean >= least if larger else cell.score.mean <= least)
         for entry, cell in cells.items()
     }
     times = {

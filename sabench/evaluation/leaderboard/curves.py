@@ -61,14 +61,12 @@ def curves_of(cases: Sequence[Sequence[Record]]) -> list[Curve]:
         if not table_of(head).recorded and (facts := _facts(head, bundled)):
             groups.setdefault(key_of(head, _GROUP), {})[place] = facts
     return [
-        Curve(cases[points[0][1]][0]["task"], _words(key), key in _LOGARITHMIC, points)
+        Curve(
+            cases[points[0][1]][0]["task"], _QUANTITIES.get(key, key), key in _LOGARITHMIC, points
+        )
         for group in groups.values()
         for key, points in _varied(group)
     ]
-
-
-def _words(key: str) -> str:
-    return _QUANTITIES.get(key, key)
 
 
 def _varied(group: Mapping[int, Facts]) -> Iterator[tuple[str, tuple[tuple[float, int], ...]]]:

@@ -13,7 +13,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import estimate_hash, read_dataset_names
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import probe, verify
-from sabench.tasks.external_programs import adopt
+from sabench.tasks.external_programs import write_anew
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from sabench.utils.processes.call import call_isolated
@@ -103,5 +103,5 @@ def _score(file: Path, root: Path) -> dict[str, Any]:
     """
     with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
         copy = Path(folder) / "result.h5"
-        adopt(file, root, copy, None, False)
+        write_anew(file, root, copy, None, False)
         return score(root, copy) | {"estimate_hash": estimate_hash(copy)}

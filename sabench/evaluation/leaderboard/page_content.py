@@ -1,10 +1,6 @@
-"""Tables of the leaderboard: rows of one table have the same columns.
+"""Content of the leaderboard page: tasks, cases and rows as values of JSON.
 
-score_columns: Tables of the leaderboard: rows of one table have the same columns.
-
-Results of recorded data sets have tables of their own, without scores and without ranks.
-
-page_content: Content of the leaderboard page: tasks, cases and rows as values of JSON.
+Results of recorded data sets have separate tables, without scores and without ranks.
 """
 
 from __future__ import annotations
@@ -84,12 +80,14 @@ def cases_of(rows: Sequence[Record]) -> list[list[Record]]:
 def content_of(cases: Sequence[Sequence[Record]]) -> dict[str, Any]:
     """Describe cases and their rows for the page."""
     pool, shown = _Pool(), {table_of(row).name for case in cases for row in case}
+    # compute Student's quantiles for 1, 2, ... degrees of freedom. The page uses them for intervals
+    # of differences, as `sabench.utils.confidence` does
     return {
         "tasks": {table.name: _table(table) for table in every_table() if table.name in shown},
         "cases": [_case(case) for case in cases],
         "rows": [_row(row, number, pool) for number, case in enumerate(cases) for row in case],
         "texts": pool.texts,
-        "quantiles": _quantiles(),
+        "quantiles": [short(quantile(degree + 1)) for degree in range(1, _DEGREES + 1)],
     }
 
 
@@ -113,19 +111,16 @@ def _order(row: Record) -> tuple[Any, ...]:
     Tasks are in their fixed order, recordings last, cases by name with numbers as numbers.
     """
     rest = (row["case"], row["scene_hash"], row["renderer"], row["split"])
+    name = row["case"]
+    parts = re.split(r"(\d+(?:\.\d+)?)", name)
     return (
         tasks.NAMES.index(row["task"]),
         bool(row.get("recorded")),
-        _natural(row["case"]),
+        [(float(part), "") if number % 2 else (-1.0, part) for number, part in enumerate(parts)],
         rest,
         rank_of(row),
         key_of(row, _ENTRY),
     )
-
-
-def _natural(name: str) -> list[tuple[float, str]]:
-    parts = re.split(r"(\d+(?:\.\d+)?)", name)
-    return [(float(part), "") if number % 2 else (-1.0, part) for number, part in enumerate(parts)]
 
 
 def rank_of(row: Record) -> tuple[bool, bool, float]:
@@ -148,6 +143,8 @@ def _table(table: Table) -> dict[str, Any]:
         }
         for one in table.columns
     ]
+    # curve over the matching distance, if the task has one
+    own = None if table.recorded else table.task.tolerance
     captions = table.task.captions
     pictured = {
         "heading": captions.heading,
@@ -161,17 +158,9 @@ def _table(table: Table) -> dict[str, Any]:
         "main": len(columns) if table.recorded else _MAIN,
         "larger": None if table.recorded else table.columns[0].better == "larger",
         "gate": _NO_RANK if table.recorded else gate_text(table.task),
-        "tolerance": _tolerance(table),
+        "tolerance": own and {key: getattr(own, key) for key in ("heading", "unit", "distances")},
         "pictured": pictured,
     }
-
-
-def _tolerance(table: Table) -> dict[str, Any] | None:
-    """Describe the curve over the matching distance, if the task has one."""
-    own = None if table.recorded else table.task.tolerance
-    if own is None:
-        return None
-    return {"heading": own.heading, "unit": own.unit, "distances": own.distances}
 
 
 def gate_text(task: Task) -> str:
@@ -191,7 +180,6 @@ def details_of(rows: Sequence[Record]) -> Record:
 
 
 def _case(rows: Sequence[Record]) -> dict[str, Any]:
-    """Describe a case for the page."""
     first = rows[0]
     hidden = "-hidden" if first["split"] == "hidden" else ""
     details = details_of(rows)
@@ -213,24 +201,24 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     """Make one line of the table; shared texts are indices into the pool."""
     runs: list[Record] = row["runs"]
     keys = [score.key for score in table_of(row).columns]
-    several = len(runs) > 1
+    machine = [row["machine"].get(key) for key in ("cpu", "backend")]
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
+    # return the card of a submission, and the entry whose estimates it repeats
+    known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
+    # return seconds and first score after iterations of the first run that has them
+    found = next((run["iterations"] for run in runs if run.get("iterations")), None)
     return {
         "id": hashlib.sha256(key_of(row, _ENTRY).encode()).hexdigest()[:10],
         "case": case,
         "solver": pool(row.get("label") or row["solver"]),
         "name": pool(row["solver"]),
         "parameters": pool(text_of(row["parameters"])),
-        "machine": pool(
-            ", ".join(
-                str(row["machine"][key]) for key in ("cpu", "backend") if row["machine"].get(key)
-            )
-        ),
+        "machine": pool(", ".join(str(one) for one in machine if one)),
         "machineAll": pool(text_of(row["machine"])),
         "versions": pool(text_of(row["versions"])),
         "submission": row.get("submission"),
-        **_provenance(row),
-        **_iterations(runs),
+        **{key: one for key, one in known.items() if one},
+        **({"iterations": [[short(value) for value in one] for one in found]} if found else {}),
         "commands": [pool(text) for text in commands(runs)],
         "seeds": [run["seed"] for run in runs],
         "datasets": [pool(run.get("identity") or run["dataset"]) for run in runs],
@@ -242,7 +230,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "reference": short(sum(reference) / len(reference)) if reference else None,
         "scores": [pair(row[key]) for key in keys],
         "values": [[None if run[key] is None else short(run[key]) for run in runs] for key in keys]
-        if several
+        if len(runs) > 1
         else None,
         "curve": _curve(row),
         "ranked": row["ranked"],
@@ -252,18 +240,6 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
         "declined": bool(row["error"])
         and all(run.get("declined") for run in runs if run.get("error")),
     }
-
-
-def _provenance(row: Record) -> dict[str, Any]:
-    """Return the card of a submission, and the entry whose estimates it repeats."""
-    known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
-    return {key: one for key, one in known.items() if one}
-
-
-def _iterations(runs: Sequence[Record]) -> dict[str, Any]:
-    """Return seconds and first score after iterations of the first run that has them."""
-    found = next((run["iterations"] for run in runs if run.get("iterations")), None)
-    return {"iterations": [[short(value) for value in one] for one in found]} if found else {}
 
 
 def _curve(row: Record) -> list[list[float] | None] | None:
@@ -302,11 +278,8 @@ def pair(score: Mean | None) -> list[float] | None:
     """Return a mean with its half width, if there is one."""
     if score is None:
         return None
-    return (
-        [short(score.mean)]
-        if score.half_width is None
-        else [short(score.mean), short(score.half_width)]
-    )
+    known = (score.mean, score.half_width)
+    return [short(value) for value in known if value is not None]
 
 
 def short(value: float) -> float:
@@ -320,11 +293,3 @@ def text_of(values: Record) -> str:
         f"{key} {value if isinstance(value, str) else json.dumps(value)}"
         for key, value in values.items()
     )
-
-
-def _quantiles() -> list[float]:
-    """Compute Student's quantiles for 1, 2, ... degrees of freedom.
-
-    The page uses them for intervals of differences, as `sabench.utils.confidence` does.
-    """
-    return [short(quantile(degree + 1)) for degree in range(1, _DEGREES + 1)]

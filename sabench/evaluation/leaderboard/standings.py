@@ -1,8 +1,6 @@
 """Standings of a task: solvers against easy, standard and hard cases, with ranks.
 
-standings: Standings of a task: solvers against easy, standard and hard cases, with ranks.
-
-page_standings: Standings and curves for the page: values of JSON, and plain tables.
+The page has them as values of JSON, and as plain tables for browsers without scripts.
 """
 
 from __future__ import annotations
@@ -102,16 +100,19 @@ def boards_of(cases: Sequence[Sequence[Record]]) -> list[Board]:
     ]
     scored = sorted((one for one in results if not table_of(one.row).recorded), key=_group)
     boards = [_board(list(group)) for _, group in groupby(scored, key=_group)]
-    return sorted(boards, key=lambda one: (_grades(one) == 0, -len(one.lines), one.suite))
+    return sorted(
+        boards,
+        key=lambda one: (
+            sum(column.name in DIFFICULTIES for column in one.columns) == 0,
+            -len(one.lines),
+            one.suite,
+        ),
+    )
 
 
 def _group(one: Result) -> tuple[str, ...]:
     row = one.row
     return row["task"], row.get("suite") or row["scene"], row["renderer"], row["split"]
-
-
-def _grades(board: Board) -> int:
-    return sum(column.name in DIFFICULTIES for column in board.columns)
 
 
 def _board(results: list[Result]) -> Board:
@@ -145,7 +146,6 @@ def _newest_cases(results: list[Result]) -> dict[int, list[Result]]:
 
 
 def _columns(cases: dict[int, list[Result]]) -> list[tuple[str, list[int]]]:
-    """Make columns of the difficulties, or else of all cases."""
     heads = {number: own[0].row for number, own in cases.items()}
     graded = {
         level: [
@@ -163,12 +163,14 @@ def _columns(cases: dict[int, list[Result]]) -> list[tuple[str, list[int]]]:
 
 
 def _lines(
-    results: list[Result],
-    cells: Sequence[dict[str, Cell]],
-    names: Sequence[dict[str, Hashable]],
+    results: list[Result], cells: Sequence[dict[str, Cell]], names: Sequence[dict[str, Hashable]]
 ) -> Iterator[Line]:
     """Make the lines; a result that was sent again shares the line of the first one."""
-    last = [_distinct(own, name) for own, name in zip(cells, names, strict=True)]
+    # count the different results of a column that have a rank
+    last = [
+        len({name[entry] for entry, cell in own.items() if cell.rank})
+        for own, name in zip(cells, names, strict=True)
+    ]
     same: dict[Hashable, list[Line]] = {}
     entries: dict[str, Result] = {}
     for one in sorted(results, key=_seniority):
@@ -180,11 +182,6 @@ def _lines(
             same.setdefault(tuple(name.get(entry) for name in names), []).append(line)
     for first, *others in same.values():
         yield replace(first, also=tuple(other.result.row for other in others))
-
-
-def _distinct(cells: dict[str, Cell], names: dict[str, Hashable]) -> int:
-    """Count the different results of a column that have a rank."""
-    return len({names[entry] for entry, cell in cells.items() if cell.rank})
 
 
 def _seniority(one: Result) -> tuple[bool, str, str, str]:
@@ -235,6 +232,8 @@ def _describe(board: Board) -> dict[str, Any]:
     lines = board.lines[:_MOST_LINES]
     tied = [_tied([line.cells[n] for line in board.lines]) for n in range(len(board.columns))]
     names = _names([line.result.row for line in lines])
+    task, first = board.task, board.task.columns[0]
+    words = "or more" if first.better == "larger" else "or less"
     return {
         "task": board.task.name,
         "title": _title(board),
@@ -242,7 +241,7 @@ def _describe(board: Board) -> dict[str, Any]:
             {"name": one.name, "cases": list(one.cases), "seeds": one.seeds}
             for one in board.columns
         ],
-        "sufficient": _sufficient(board.task),
+        "sufficient": f"{first.heading} of {task.sufficient:g} {words}",
         "more": len(board.lines) - len(lines),
         "lines": [
             {
@@ -287,12 +286,6 @@ def _title(board: Board) -> str:
     return f"suite {board.suite}, renderer {board.renderer}{private}"
 
 
-def _sufficient(task: Task) -> str:
-    first = task.columns[0]
-    words = "or more" if first.better == "larger" else "or less"
-    return f"{first.heading} of {task.sufficient:g} {words}"
-
-
 def _sender(row: Record) -> str:
     by = f" by {row['submission']['name']}" if row.get("submission") else ""
     return f"{row.get('label') or row['solver']}{by}"
@@ -311,7 +304,6 @@ def _names(rows: Sequence[Record]) -> list[str]:
 
 
 def _difference(own: Record, all_: Sequence[Record]) -> str:
-    """Format the parameters that are not the same in all of them."""
     differ = {
         key: value
         for key, value in own.items()

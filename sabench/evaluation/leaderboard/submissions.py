@@ -1,14 +1,7 @@
-"""Description of a data set in the record of a submission.
+"""Submitted results: checked, matched to data sets, scored and ranked.
 
-disclosure: Description of a data set in the record of a submission.
-
-It discloses neither scene nor seed of a private test set: its content hash identifies it.
-
-recognition: Submitted estimates that are those of an earlier record under another name.
-
-submissions: Submitted results: checked, matched to data sets, scored and ranked.
-
-Submissions are data only: sabench executes nothing of them.
+Submissions are data only: sabench executes nothing of them. A record discloses neither scene nor
+seed of a private test set, and names the earlier record whose estimates a submission repeats.
 """
 
 from __future__ import annotations
@@ -20,14 +13,13 @@ from pathlib import Path
 
 from sabench import plugins, tasks
 from sabench.dataset.reader import Dataset
-from sabench.dataset.schema import Manifest
 from sabench.evaluation.leaderboard.archives import submitted_files
 from sabench.evaluation.leaderboard.cells import distinct
 from sabench.evaluation.leaderboard.foreign_results import match_data_sets, score_safely
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import append, encode, latest, read_records, run_key, same_data
 from sabench.evaluation.runner import build_board
-from sabench.evaluation.solver_card import SolverCard, check_solvers, read_cards
+from sabench.evaluation.solver_card import check_solvers, read_cards
 from sabench.evaluation.suite_loading import is_public
 from sabench.utils.errors import InputError
 from sabench.utils.files import digest
@@ -37,16 +29,8 @@ from sabench.utils.version import __version__
 
 # keys of a record that describe the data set
 _CASE = (
-    "suite",
-    "case",
-    "scene",
-    "difficulty",
-    "axis",
-    "axes",
-    "scene_hash",
-    "seed",
-    "split",
-    "renderer",
+    *("suite", "case", "scene", "difficulty", "axis", "axes"),
+    *("scene_hash", "seed", "split", "renderer"),
 )
 
 
@@ -62,8 +46,27 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
     if twin:
         return {key: twin.get(key) for key in _CASE if key in twin}
     manifest = data.manifest
-    if not _is_public(manifest, runs):
-        return _undisclosed(data)
+    # check whether a data set's scene and seed are public already
+    recorded = any(
+        (one["scene_hash"], one["seed"], one["split"])
+        == (manifest.scene_hash, manifest.seed, "public")
+        for one in runs
+    )
+    if not (recorded or is_public(manifest.scene_hash, manifest.seed)):
+        # describe a private data set by its content hash alone
+        name = f"private-{data.content_hash[:12]}"
+        reason = "no public record and no bundled suite has its scene with its seed"
+        text = f"{data.root}: recorded as {name}: {reason}"
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        return {
+            "case": name,
+            "scene": "private",
+            "axes": {},
+            "scene_hash": data.content_hash,
+            "seed": 0,
+            "split": "hidden",
+            "renderer": data.manifest.renderer,
+        }
     return {
         "case": manifest.scene,
         "scene": manifest.scene,
@@ -72,33 +75,6 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
         "seed": manifest.seed,
         "split": "public",
         "renderer": manifest.renderer,
-    }
-
-
-def _is_public(manifest: Manifest, runs: list[Record]) -> bool:
-    """Check whether a data set's scene and seed are public already."""
-    recorded = any(
-        (one["scene_hash"], one["seed"], one["split"])
-        == (manifest.scene_hash, manifest.seed, "public")
-        for one in runs
-    )
-    return recorded or is_public(manifest.scene_hash, manifest.seed)
-
-
-def _undisclosed(data: Dataset) -> Record:
-    """Describe a private data set by its content hash alone."""
-    name = f"private-{data.content_hash[:12]}"
-    reason = "no public record and no bundled suite has its scene with its seed"
-    text = f"{data.root}: recorded as {name}: {reason}"
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
-    return {
-        "case": name,
-        "scene": "private",
-        "axes": {},
-        "scene_hash": data.content_hash,
-        "seed": 0,
-        "split": "hidden",
-        "renderer": data.manifest.renderer,
     }
 
 
@@ -206,11 +182,17 @@ def submit(
         ]
     labels = [label for label, _ in files.results]
     check_solvers(carded, [record["solver"] for record in made])
-    made = [_with_card(record, carded) for record in made]
+    made = [
+        record | {"card": card.model_dump()} if (card := carded.get(record["solver"])) else record
+        for record in made
+    ]
     _refuse_twins(path, labels, made)
     _refuse_known(labels, made, known)
     for label, record in zip(labels, made, strict=True):
-        _check_record(label, record)
+        try:
+            encode(record)
+        except InputError as error:
+            raise InputError(f"{printable(label)}: {error}") from error
     made = _recognised(labels, made, [*known, *bundled_records(leaderboard)])
     for record in made:
         append(leaderboard / "records" / "submitted.jsonl", record)
@@ -225,11 +207,6 @@ def check_name(name: str) -> None:
         raise InputError(
             f"name: expected 1 to {_LONGEST_NAME} printable characters, got {printable(name)!r}"
         )
-
-
-def _with_card(record: Record, cards: dict[str, SolverCard]) -> Record:
-    card = cards.get(record["solver"])
-    return record if card is None else {**record, "card": card.model_dump()}
 
 
 def _recognised(labels: list[str], made: list[Record], known: list[Record]) -> list[Record]:
@@ -265,14 +242,6 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
         "declined": False,
     }
     return head | rest | figures | costs
-
-
-def _check_record(label: str, record: Record) -> None:
-    """Refuse a result whose solver, parameters or scores no record may have."""
-    try:
-        encode(record)
-    except InputError as error:
-        raise InputError(f"{printable(label)}: {error}") from error
 
 
 def _refuse_known(labels: list[str], made: list[Record], known: list[Record]) -> None:

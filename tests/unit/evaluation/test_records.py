@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from sabench import tasks
-from sabench.evaluation.record_schema import LONGEST_LINE, Head, range_of, score_faults
+from sabench.evaluation.record_schema import LONGEST_LINE, Head, score_faults
 from sabench.evaluation.records import append, latest, read_records
 from sabench.utils.errors import InputError
 from tests.conftest import ROOT
@@ -96,7 +96,6 @@ WRONG: list[dict[str, Any]] = [
     {"label": ["x"]},
     {"seed": True},
     {"version": 3},
-    {"track": "x"},
     {"submission": {"name": "", "date": "x"}},
     {"submission": {"name": "Ann", "date": "9999-99-99"}},
     {"submission": {"name": "Ann", "date": "9999-12-31"}},
@@ -201,7 +200,7 @@ def test_every_bundled_record_is_kept(capsys: pytest.CaptureFixture[str]) -> Non
 @pytest.mark.parametrize("task", tasks.NAMES)
 def test_ranges_of_scores(task: str) -> None:
     """No score that ranks can be better than the best possible one."""
-    ranges = {score.key: range_of(score) for score in tasks.of(task).all_scores}
+    ranges = {score.key: score.range for score in tasks.of(task).all_scores}
     assert ranges["seconds"] == ranges["peak_mb"] == (0.0, 1e15)
     for score in tasks.of(task).all_scores:
         low, high = ranges[score.key]
