@@ -1,16 +1,25 @@
-"""Scores of trajectories.
-
-Perfect for the truth, known for known faults, and equal to a count pair by pair.
-"""
+"""Errors, identity and smoothness of trajectories."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 
 from sabench.api import Detections
 from sabench.api.truth import Bubbles
-from sabench.metrics.trajectories import trajectory_scores, vector_scores
+from sabench.metrics.trajectories import (
+    Sightings,
+    accelerations,
+    claimed_errors,
+    identity_scores,
+    jitter_mm,
+    median_errors,
+    share_followed,
+    trajectory_scores,
+    vector_scores,
+)
 from sabench.utils.arrays import F64, I64
 
 TIMES = [0.0, 0.5, 1.5, 2.0]
@@ -190,3 +199,135 @@ def test_particles_that_are_not_found_are_missed_displacements() -> None:
     none = vectors([one[:0] for one in places], [one[:0] for one in track])
     assert none["vector_recall"] == 0.0
     assert np.isnan(none["displacement_mm"])
+
+
+def _frame(
+    trajectory: list[int], identity: list[int], pairs: list[tuple[int, int]], apart: float = 0.0
+) -> Sightings:
+    rows = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return Sightings(
+        np.array(trajectory, dtype=np.int64),
+        np.array(identity, dtype=np.int64),
+        (rows[:, 0], rows[:, 1]),
+        np.full(len(rows), apart),
+    )
+
+
+def test_the_truth_is_complete() -> None:
+    frames = [_frame([4, 9], [1, 2], [(0, 0), (1, 1)]) for _ in range(5)]
+    assert identity_scores([frames]) == {
+        "hota": 1.0,
+        "complete": 1.0,
+        "switch_percent": 0.0,
+        "fragment_percent": 0.0,
+    }
+
+
+def test_half_missed_detections_halve_hota() -> None:
+    # detection: 5 of 10; association: each pair's trajectory is one true one, in all its frames
+    frames = [_frame([4], [1, 2], [(0, 0)]) for _ in range(5)]
+    scores = identity_scores([frames])
+    assert scores["hota"] == pytest.approx(math.sqrt(0.5))
+    assert scores["complete"] == 0.5
+
+
+def test_a_switch_in_the_middle_splits_a_trajectory() -> None:
+    frames = [_frame([4], [1], [(0, 0)]) for _ in range(3)]
+    frames += [_frame([5], [1], [(0, 0)]) for _ in range(3)]
+    scores = identity_scores([frames])
+    # association: 3 / (3 + 6 - 3) for all pairs
+    assert scores["hota"] == pytest.approx(math.sqrt(0.5))
+    assert scores["switch_percent"] == pytest.approx(20.0)
+    assert scores["fragment_percent"] == 0.0
+    assert scores["complete"] == 0.0
+
+
+def test_a_gap_is_a_fragment_but_no_switch() -> None:
+    there, gone = _frame([4], [1], [(0, 0)]), _frame([], [1], [])
+    scores = identity_scores([[there, there, gone, there]])
+    assert scores["switch_percent"] == 0.0
+    assert scores["fragment_percent"] == pytest.approx(100.0 / 3.0)
+
+
+def test_distances_lower_hota_only() -> None:
+    frames = [_frame([4], [1], [(0, 0)], apart=0.5) for _ in range(4)]
+    scores = identity_scores([frames])
+    assert scores["hota"] == pytest.approx(10.0 / 19.0)  # ten of the levels .05 ... .95
+    assert scores["complete"] == 1.0
+
+
+def test_ghost_trajectories_lower_hota() -> None:
+    frames = [_frame([4, 100 + n], [1], [(0, 0)]) for n in range(4)]
+    assert identity_scores([frames])["hota"] == pytest.approx(math.sqrt(0.5))
+
+
+def test_sequences_are_scored_apart() -> None:
+    one = [_frame([4], [1], [(0, 0)])] * 2
+    other = [_frame([5], [1], [(0, 0)])] * 2
+    assert identity_scores([one, other])["switch_percent"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("similarity", "levels"), [(0.04, 0), (0.06, 1), (0.52, 10), (0.94, 18), (0.96, 19)]
+)
+def test_hota_is_the_share_of_levels_that_a_pair_is_similar_enough_for(
+    similarity: float, levels: int
+) -> None:
+    """Levels are 0.05, 0.10 to 0.95; complete pairs count fully at each."""
+    frames = [_frame([4], [1], [(0, 0)], 1.0 - similarity) for _ in range(3)]
+    assert identity_scores([frames])["hota"] == pytest.approx(levels / 19.0)
+
+
+def test_no_estimate_has_hota_0_and_nothing_at_all_has_none() -> None:
+    assert identity_scores([[_frame([], [1, 2], [])]])["hota"] == 0.0
+    assert identity_scores([[_frame([4], [], [])]])["hota"] == 0.0
+    assert math.isnan(identity_scores([[_frame([], [], [])]])["hota"])
+
+
+def trajectories(frames: int, noise: float) -> tuple[list[I64], list[F64]]:
+    """Two thousand particles on parabolas; each frame numbers them in another order."""
+    rng = np.random.default_rng(8)
+    start, velocity, bend = rng.standard_normal((3, 2000, 3))
+    numbers, positions = [], []
+    for frame in range(frames):
+        order = rng.permutation(2000)
+        exact = start + velocity * frame + 0.5 * bend * frame**2
+        numbers.append(order)
+        positions.append((exact + noise * rng.standard_normal(exact.shape))[order])
+    return numbers, positions
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.3])
+def test_jitter_is_the_noise(noise: float) -> None:
+    assert jitter_mm(*trajectories(6, noise)) == pytest.approx(noise, rel=0.05)
+
+
+def test_share_followed() -> None:
+    numbers = [np.array([1, 2, 3]), np.array([2, 1]), np.array([1, 4])]
+    assert share_followed(numbers, 3) == pytest.approx(3 / 7)
+    assert share_followed(numbers, 2) == pytest.approx(5 / 7)
+    assert np.isnan(share_followed([], 3))
+
+
+def test_second_differences_are_exact_where_acceleration_is_constant() -> None:
+    place, velocity, acceleration = np.random.default_rng(3).normal(size=(3, 5, 3))
+    step = 0.2
+    numbers = [np.array([4, 1, 7, 2, 9]), np.array([9, 7, 1, 4, 3]), np.array([1, 9, 4, 8, 5])]
+    order = {4: 0, 1: 1, 7: 2, 2: 3, 9: 4}
+    frames = []
+    for number, time in zip(numbers, (-step, 0.0, step), strict=True):
+        rows = np.array([order.get(one, 0) for one in number.tolist()])
+        at = place + velocity * time + acceleration * time**2 / 2.0
+        frames.append((number, at[rows]))
+    rows, found = accelerations(frames, step)
+    assert sorted(numbers[1][rows].tolist()) == [1, 4, 9]  # those in all three frames
+    expected = acceleration[[order[one] for one in numbers[1][rows].tolist()]]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_errors_are_medians_over_all_frames() -> None:
+    one = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    off, size = claimed_errors([(one + np.array([0.0, 0.0, 0.3]), one), (one[:1] * 1.1, one[:1])])
+    np.testing.assert_allclose(off, [0.3, 0.3, 0.1])
+    error, percent = median_errors(off, size)
+    np.testing.assert_allclose([error, percent], [0.3, 15.0])

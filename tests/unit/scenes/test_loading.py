@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import pickle
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from sabench.scenes import (
     parse_scene,
     scene_schema,
 )
+from sabench.scenes.loading import find
 from sabench.scenes.sensor import Sensor
 from sabench.simulation.in_memory import make_particles
 from sabench.utils.errors import InputError
@@ -303,3 +306,53 @@ def test_a_gain_beyond_all_numbers_saturates_the_converter() -> None:
     sensor = Sensor(full_well_e=1e300, gain_dn_e=1e300, bit_depth=12)
     assert sensor.white_dn == 4095
     assert Sensor(full_well_e=1000.0, gain_dn_e=0.2, black_level_dn=7.4).white_dn == 207
+
+
+MIRROR = {"wall.depth_mm": 200.0, "wall.mirrors": True}
+
+
+def changed(name: str, changes: dict[str, Any]) -> dict[str, Any]:
+    """Read a bundled scene and set values by their dotted keys."""
+    values = tomllib.loads(find(name, "scenes").read_text(encoding="utf-8"))
+    for dotted, value in changes.items():
+        table, key = dotted.split(".")
+        values.setdefault(table, {})[key] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "fault"),
+    [
+        ("standard-bubbles", MIRROR, "wall.mirrors: expected a scene of particles alone"),
+        ("calibration", {"cameras.airy_rings": True}, "cameras.airy_rings: expected a scene of"),
+        (
+            "quick",
+            {"cameras.airy_rings": True, "cameras.particle_sigma_px": 0.7},
+            "cameras.airy_rings: expected none beside particle_sigma_px",
+        ),
+        (
+            "quick",
+            {"illumination.scattering": "isotropic", "illumination.polarisation": [0.0, 1.0, 0.0]},
+            "illumination.polarisation: expected none",
+        ),
+    ],
+)
+def test_a_key_that_would_change_nothing_is_refused(
+    name: str, changes: dict[str, Any], fault: str
+) -> None:
+    with pytest.raises(InputError, match=fault):
+        parse_scene(changed(name, changes), name, Path("scenes"))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"cameras.airy_rings": True, **MIRROR},
+        {"illumination.polarisation": [0.0, 1.0, 0.0]},
+    ],
+)
+def test_the_same_keys_serve_particles(changes: dict[str, Any]) -> None:
+    made = parse_scene(changed("quick", changes), "quick", Path("scenes")).to_dict()
+    assert {
+        dotted: made[dotted.split(".")[0]][dotted.split(".")[1]] for dotted in changes
+    } == changes

@@ -16,11 +16,14 @@ from sabench.api import BubbleGenerator
 from sabench.api.truth import Bubbles
 from sabench.geometry.rigid_motion import Domain
 from sabench.plugins import load
+from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.utils.errors import InputError
 from sabench.utils.validation import validate
-from sabench.worlds.library.overlaps import contact, overlapping, shapes_of
+from sabench.worlds.bubbles_and_bodies import Phases
+from sabench.worlds.library.overlaps import contact, contains, overlapping, shapes_of
 from sabench.worlds.library.plunging_jet import LN2, JetLaw
 from sabench.worlds.library.random_packing import place
+from sabench.worlds.tracers import Motion, require_flow
 
 DOMAIN = Domain((5.0, -3.0, 60.0), (60.0, 50.0, 40.0), 1000)
 JET = Domain((0.0, 90.0, 150.0), (70.0, 176.0, 64.0), 1000)
@@ -314,3 +317,44 @@ def test_impossible_bubbles_are_refused(change: dict[str, object], sentence: str
     }
     with pytest.raises(InputError, match=sentence):
         Bubbles(**(values | change))
+
+
+def coarse(**changes: Any) -> Scene:
+    """The reef on a coarse lattice, in few steps."""
+    values = load_scene("flow-behind-reef").to_dict()
+    values["flow"] |= {"step_mm": 0.8}
+    values["solids"][0] |= {"branches": 12, "step_mm": 0.5}
+    values["particles"] = {"generator": "uniform", "count": 1500}
+    values |= {"frames": 3, "interval_s": 0.2} | changes
+    return parse_scene({k: v for k, v in values.items() if v is not None}, "coarse")
+
+
+def test_no_tracer_that_starts_outside_ends_in_the_body() -> None:
+    """Over 4 mm of mean flow, a tenth of the mean distance through the reef would show."""
+    scene = coarse()
+    body = Phases(scene, 1).bodies(0)[0][0]
+    motion = Motion(scene, 1)
+    first, last = motion.at(0), motion.at(2)
+    _, i, j = np.intersect1d(first.id, last.id, return_indices=True)
+    outside = ~contains(body, first.position_mm[i])
+    moved = np.linalg.norm(last.position_mm[j] - first.position_mm[i], axis=1)
+    assert np.median(moved[outside]) > 2.0
+    assert contains(body, last.position_mm[j][outside]).sum() <= 0.01 * outside.sum()
+    assert np.median(moved[~outside]) < 0.5
+
+
+def test_flow_is_of_the_bodies_of_the_seed() -> None:
+    scene = coarse()
+    point = np.array([[-2.0, 3.0, 0.0]])
+    one, same, other = (require_flow(scene, seed).velocity(point, 0.0) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, same)
+    assert np.abs(one - other).max() > 1e-3
+
+
+def test_bodies_that_move_and_missing_bodies_are_refused() -> None:
+    solid = coarse().to_dict()["solids"][0]
+    moving = coarse(solids=[solid | {"velocity_mm_s": [1.0, 0.0, 0.0]}])
+    with pytest.raises(InputError, match=r"expected bodies at rest, but solids\.0 moves"):
+        require_flow(moving, 1)
+    with pytest.raises(InputError, match="expected solids that it goes around, got none"):
+        require_flow(coarse(solids=None, lighting=None, render=None), 1)

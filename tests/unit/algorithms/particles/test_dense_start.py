@@ -1,14 +1,16 @@
-"""Starts of tracks among ghosts: what moves as the flow does, in several frames, is real."""
+"""Starts of tracks among as many ghosts as particles."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from sabench.algorithms.particles.dense_start import (
     Finds,
     LinkVotes,
     are_mostly_wrong,
+    collect_votes,
     confirm_tracks,
     estimate_velocity,
 )
@@ -69,3 +71,86 @@ def test_tracks_through_several_frames_are_real() -> None:
         off = np.linalg.norm(one.position[:, None] - there[None], axis=2)
         assert np.mean(off.min(axis=1) < 6.0 * ERROR) > 0.95
         assert np.mean(off.min(axis=0) < 6.0 * ERROR) > 0.6
+
+
+BOX, CLOUD, STEP = 6.0, 2000, 0.01  # mm, particles, s
+DISTANCE = BOX / CLOUD ** (1.0 / 3.0)
+NOISE = 0.04 * DISTANCE
+SPEED = 0.35 * DISTANCE / STEP  # mm/s
+TIMES = STEP * np.arange(6)
+
+
+def velocity_of(position: F64) -> F64:
+    """A flow that turns over a few distances between particles."""
+    phase = position[:, [1, 2, 0]] * 2.0 * np.pi / BOX + np.arange(3.0)
+    return np.asarray(SPEED * (1.0 + np.sin(phase)))
+
+
+def true_positions() -> list[F64]:
+    position = np.random.default_rng(3).uniform(0.0, BOX, (CLOUD, 3))
+    out = [position]
+    for _ in TIMES[1:]:
+        for _ in range(5):
+            position = position + STEP / 5.0 * velocity_of(position)
+        out.append(position)
+    return out
+
+
+def find(position: F64, seed: int, share: float = 0.6) -> F64:
+    """Part of the particles (n, 3), with errors, and as many ghosts."""
+    rng = np.random.default_rng([4, seed])
+    seen = position[rng.random(len(position)) < share]
+    ghosts = rng.uniform(0.0, BOX, seen.shape)
+    return np.concatenate([seen + NOISE * rng.standard_normal(seen.shape), ghosts])
+
+
+@pytest.fixture(scope="module")
+def truth() -> list[F64]:
+    return true_positions()
+
+
+@pytest.fixture(scope="module")
+def frames(truth: list[F64]) -> list[Finds]:
+    found = [find(position, number) for number, position in enumerate(truth)]
+    return [
+        Finds(float(time), one, np.full(one.shape, NOISE**2), np.ones((len(one), 4)))
+        for time, one in zip(TIMES, found, strict=True)
+    ]
+
+
+def distances(position: F64, truth: F64) -> F64:
+    return np.asarray(cKDTree(truth).query(position)[0])
+
+
+def test_confirmed_particles_are_real(frames: list[Finds], truth: list[F64]) -> None:
+    """Of what is found in a frame, half is real; of what several frames show, nearly all is."""
+    for slot, known in enumerate(confirm_tracks(frames, DISTANCE)):
+        off = distances(known.position, truth[slot])
+        assert len(off) > 0.35 * CLOUD
+        assert known.light.shape == (len(off), 4)
+        between = 0 < slot < len(frames) - 2
+        assert (off < 4.0 * NOISE).mean() > (0.85 if between else 0.6)
+        found = distances(frames[slot].position, truth[slot])
+        assert (found < 4.0 * NOISE).mean() < 0.55
+
+
+def test_velocities_come_from_links_of_which_most_are_wrong(
+    frames: list[Finds], truth: list[F64]
+) -> None:
+    votes = collect_votes([one.position for one in frames], [one.time for one in frames])
+    wrong = np.linalg.norm(votes.velocity - velocity_of(votes.position), axis=1) > 0.5 * SPEED
+    assert wrong.mean() > 0.4
+    velocity, variance = estimate_velocity(votes, truth[2], float(TIMES[2]), DISTANCE)
+    off = np.linalg.norm(velocity - velocity_of(truth[2]), axis=1)
+    assert np.median(off) < 0.2 * SPEED
+    assert (variance > 0.0).all()
+
+
+def test_links_are_wrong_where_they_differ_from_those_around() -> None:
+    rng = np.random.default_rng(5)
+    position = rng.uniform(0.0, BOX, (500, 3))
+    shift = STEP * velocity_of(position)
+    assert not are_mostly_wrong(position, shift)
+    shift[::3] = rng.uniform(-DISTANCE, DISTANCE, shift[::3].shape)
+    assert are_mostly_wrong(position, shift)
+    assert not are_mostly_wrong(position[:5], rng.standard_normal((5, 3)))

@@ -1,7 +1,4 @@
-"""Local maxima.
-
-Against a slow search, on plateaus, and the fit's accuracy for Gaussian particles.
-"""
+"""Peaks of volumes and curves of particles."""
 
 from __future__ import annotations
 
@@ -14,8 +11,15 @@ from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
-from sabench.metrics.particle_detection import detect, detect_peaks, fitted_maxima, three_point
-from sabench.utils.arrays import F32, F64
+from sabench.metrics.particle_detection import (
+    count_duplicates,
+    detect,
+    detect_peaks,
+    f1_over_distance,
+    fitted_maxima,
+    three_point,
+)
+from sabench.utils.arrays import F32, F64, Bool
 
 NEIGHBOURS = [offset for offset in itertools.product((-1, 0, 1), repeat=3) if any(offset)]
 
@@ -123,3 +127,25 @@ def test_the_faintest_tenth_is_left_out_and_nothing_is_found_in_the_dark() -> No
 def test_three_points_of_a_gaussian_give_its_vertex(offset: float) -> None:
     a, b, c = (math.exp(-((x - offset) ** 2) / 0.9) for x in (-1.0, 0.0, 1.0))
     assert three_point(a, b, c) == pytest.approx(offset, abs=1e-12)
+
+
+_TRUTH = np.array([[5.0, 5.0, 5.0], [15.0, 5.0, 5.0], [25.0, 5.0, 5.0], [35.0, 5.0, 5.0]])
+
+
+def _all(count: int) -> Bool:
+    return np.ones(count, dtype=np.bool_)
+
+
+def test_the_curve_rises_where_particles_come_within_reach() -> None:
+    found = _TRUTH + np.array([[0.05], [0.25], [0.65], [2.0]]) * [1.0, 0.0, 0.0]
+    curve = f1_over_distance(found, _TRUTH, _all(4), _all(4), (0.1, 0.3, 0.5, 0.7, 1.0))
+    np.testing.assert_allclose(curve, [0.25, 0.5, 0.5, 0.75, 0.75])
+
+
+def test_second_detections_of_a_particle_are_duplicates_and_ghosts_are_not() -> None:
+    near, far = np.array([0.0, 0.4, 0.0]), np.array([0.0, 3.0, 0.0])
+    found = np.concatenate([_TRUTH, _TRUTH[:2] + near, _TRUTH[2:3] + far])
+    assert count_duplicates(found, _TRUTH, _all(len(found))) == 2
+    unscored = _all(len(found))
+    unscored[4] = False
+    assert count_duplicates(found, _TRUTH, unscored) == 1

@@ -1,4 +1,4 @@
-"""Initial poses of boards, in worlds with any axes."""
+"""Poses of boards and cameras from known points."""
 
 from __future__ import annotations
 
