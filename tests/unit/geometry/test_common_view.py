@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.geometry.camera import Camera
 from sabench.geometry.common_view import (
@@ -78,7 +79,7 @@ def test_the_box_turns_with_the_rig() -> None:
     turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     plain, turned = propose_box(cameras), propose_box(rotate_cameras(cameras, turn))
     for one, other in zip(plain, turned, strict=True):
-        np.testing.assert_allclose(turn @ one, other, atol=1e-6)
+        assert_allclose(turn @ one, other, atol=1e-6)
 
 
 def paths_of(camera: Camera, scene: str) -> F64:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.geometry.grid import Grid
 from sabench.geometry.rigid_motion import (
@@ -32,8 +33,8 @@ def test_a_motion_is_recovered_also_far_from_the_origin(fit: Fit, far_mm: float)
     points = near + far_mm * np.array([-0.3, 0.9, 0.0])
     targets = motion(near) + far_mm * np.array([1.0, -0.7, 0.0])
     found = fit(points, targets)
-    np.testing.assert_allclose(found.rotation, motion.rotation, atol=1e-9 if far_mm else 1e-13)
-    np.testing.assert_allclose(found(points), targets, rtol=0.0, atol=1e-7)
+    assert_allclose(found.rotation, motion.rotation, atol=1e-9 if far_mm else 1e-13)
+    assert_allclose(found(points), targets, rtol=0.0, atol=1e-7)
 
 
 def axis_rotations() -> list[F64]:
@@ -57,16 +58,16 @@ def test_turned_cameras_and_walls_see_the_same(scene: str) -> None:
             turned = turn_camera(camera, axes)
             expected, seen = camera.project(points)
             pixels, again = turned.project(points @ axes.T)
-            np.testing.assert_array_equal(seen, again)
-            np.testing.assert_allclose(pixels[seen], expected[seen], rtol=0.0, atol=1e-7)
+            assert_array_equal(seen, again)
+            assert_allclose(pixels[seen], expected[seen], rtol=0.0, atol=1e-7)
 
 
 def test_axes_follow_the_view() -> None:
     cameras = build_rig(load_scene("quick")).cameras
-    np.testing.assert_array_equal(viewing_axes(cameras), np.eye(3))
+    assert_array_equal(viewing_axes(cameras), np.eye(3))
     for axes in axis_rotations():
         turned = [turn_camera(camera, axes) for camera in cameras]
-        np.testing.assert_array_equal(viewing_axes(turned), axes.T)
+        assert_array_equal(viewing_axes(turned), axes.T)
 
 
 def test_turned_grids_hold_the_same_voxels() -> None:

@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim
 from sabench.geometry.camera_records import read_camera, record_camera
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.volume_polynomials import fit_volume_polynomials, project_points
 from sabench.utils.errors import InputError
+from tests.helpers.cameras import make_camera
 
 WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
 LOW, HIGH = np.array([-25.0, -15.0, 10.0]), np.array([25.0, 15.0, 60.0])
@@ -20,10 +21,15 @@ LOW, HIGH = np.array([-25.0, -15.0, 10.0]), np.array([25.0, 15.0, 60.0])
 
 def camera(k1: float = 0.0) -> Camera:
     """An oblique view of the box, 800 px wide."""
-    rotation, middle = aimed_rotation(np.array([0.0, 0.0, 1.0])), (500.0, 400.0)
-    lens = Distortion(k1=k1, p1=1e-3)
-    place, size = (120.0, -90.0, -300.0), (800, 1000)
-    plain = Camera("one", *size, place, rotation, 60.0, 0.01, middle, lens, 36.0, 8.0, WALL)
+    plain = make_camera(
+        rows=800,
+        columns=1000,
+        center_mm=(120.0, -90.0, -300.0),
+        principal_distance_mm=60.0,
+        principal_point_px=(500.0, 400.0),
+        distortion=Distortion(k1=k1, p1=1e-3),
+        wall=WALL,
+    )
     return aim(plain, (0.0, 0.0, 36.0))
 
 

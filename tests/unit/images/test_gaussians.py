@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import erf
 
-from sabench.images.gaussian_kernels import (
-    fill_bend,
-    fill_derivatives,
-    fill_profile,
-    fill_shares,
-)
+from sabench.images.gaussian_kernels import fill_bend, fill_derivatives, fill_profile, fill_shares
 from sabench.images.gaussians import gaussian_shares
 from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.metrics.particle_bounds import rms_over_bound
@@ -37,8 +33,8 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
         fill_shares(center, sigma, first, pixels, alone)
         fill_profile(center, sigma, first, pixels, shares, slopes)
         expected = expected_shares(center, sigma, first, pixels)
-        np.testing.assert_allclose(shares[:pixels], expected, rtol=0.0, atol=1e-8 + rounding)
-        np.testing.assert_array_equal(shares, alone)
+        assert_allclose(shares[:pixels], expected, rtol=0.0, atol=1e-8 + rounding)
+        assert_array_equal(shares, alone)
         assert not shares[pixels:].any()
         assert not slopes[pixels:].any()
         edges = (first - 0.5 - center + np.arange(pixels + 1)) / sigma
@@ -62,9 +58,9 @@ def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
         fill_derivatives(at, sigma, first, each[1:])
     for n in range(1, 5):
         expected = (after[n - 1] - before[n - 1]) / (2.0 * step)
-        np.testing.assert_allclose(found[n], expected, atol=1e-3 * np.abs(expected).max())
+        assert_allclose(found[n], expected, atol=1e-3 * np.abs(expected).max())
     fill_bend(center, sigma, first, bend := np.zeros(pixels))
-    np.testing.assert_allclose(bend, found[1], atol=1e-12)
+    assert_allclose(bend, found[1], atol=1e-12)
 
 
 def test_shares_in_numpy_are_those_of_kernels() -> None:
@@ -72,7 +68,7 @@ def test_shares_in_numpy_are_those_of_kernels() -> None:
     shares = np.zeros(whole_lanes(11))
     fill_shares(0.3, 0.8, -5, 11, shares)
     edges = np.arange(-5.0, 7.0)[None] - 0.5 - 0.3
-    np.testing.assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
+    assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
 
 
 def test_profiles_fill_whole_lanes() -> None:
@@ -149,7 +145,7 @@ def test_the_bound_is_the_inverse_of_the_whole_information(count: int) -> None:
     position = np.array([[0.03, 0.02, 0.0], [0.2, 0.05, 0.06], [0.1, 0.25, -0.1]])[:count]
     light = np.array([900.0, 700.0, 1100.0])[:count]
     found = position_bounds(_cameras(position, light), np.arange(count))
-    np.testing.assert_allclose(found, _of_all(position, light), rtol=5e-3, atol=1e-8)
+    assert_allclose(found, _of_all(position, light), rtol=5e-3, atol=1e-8)
 
 
 def test_neighbours_raise_the_bound_and_particles_far_away_do_not() -> None:
@@ -160,7 +156,7 @@ def test_neighbours_raise_the_bound_and_particles_far_away_do_not() -> None:
         for n in (0, 2)
     )
     assert np.trace(near) > 1.2 * np.trace(first)
-    np.testing.assert_allclose(far, last, rtol=1e-9)
+    assert_allclose(far, last, rtol=1e-9)
 
 
 def test_a_least_squares_fit_reaches_the_bound() -> None:

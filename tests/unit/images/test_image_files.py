@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from sabench.images.image_files import find_image_files
 from sabench.images.image_reading import RawLayout, read_images
@@ -114,14 +115,14 @@ def write(path: Path, values: Any, **options: Any) -> Path:
     ],
 )
 def test_tiff_of_many_kinds(options: dict[str, Any], tmp_path: Path) -> None:
-    np.testing.assert_array_equal(read(write(tmp_path / "a.tif", stack(), **options)), stack())
+    assert_array_equal(read(write(tmp_path / "a.tif", stack(), **options)), stack())
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_zero_may_be_white(dtype: Any, tmp_path: Path) -> None:
     values = stack(most=255).astype(dtype)
     negative = write(tmp_path / "a.tif", np.iinfo(dtype).max - values, photometric="miniswhite")
-    np.testing.assert_array_equal(read(negative), values)
+    assert_array_equal(read(negative), values)
 
 
 def test_many_pages_in_several_files(tmp_path: Path) -> None:
@@ -130,7 +131,7 @@ def test_many_pages_in_several_files(tmp_path: Path) -> None:
         write(tmp_path / f"{n}.tif", values[first:last])
         for n, (first, last) in enumerate([(0, 1), (1, 70), (70, 71), (71, 100)])
     ]
-    np.testing.assert_array_equal(read(*files), values)
+    assert_array_equal(read(*files), values)
 
 
 @pytest.mark.parametrize("suffix", ["png", "bmp", "pgm"])
@@ -143,11 +144,11 @@ def test_images_of_8_bits(suffix: str, tmp_path: Path) -> None:
         if suffix == "pgm" and name == "rgb":
             continue
         cv2.imwrite(str(tmp_path / f"{name}.{suffix}"), image)
-        np.testing.assert_array_equal(read(tmp_path / f"{name}.{suffix}")[0], value)
+        assert_array_equal(read(tmp_path / f"{name}.{suffix}")[0], value)
 
 
 def test_whole_floats_are_grey_values(tmp_path: Path) -> None:
-    np.testing.assert_array_equal(read(write(tmp_path / "a.tif", stack().astype(">f4"))), stack())
+    assert_array_equal(read(write(tmp_path / "a.tif", stack().astype(">f4"))), stack())
 
 
 def test_movie_without_loss(tmp_path: Path) -> None:
@@ -159,14 +160,14 @@ def test_movie_without_loss(tmp_path: Path) -> None:
     for image in values:
         movie.write(image.astype(np.uint8))
     movie.release()
-    np.testing.assert_array_equal(read(path), values)
+    assert_array_equal(read(path), values)
 
 
 @pytest.mark.parametrize(("name", "dtype"), [("uint16", "<u2"), ("uint16-big", ">u2")])
 def test_raw(name: str, dtype: str, tmp_path: Path) -> None:
     path = tmp_path / "a.raw"
     path.write_bytes(b"head" + stack().astype(dtype).tobytes())
-    np.testing.assert_array_equal(read(path, raw=RawLayout(name, 4)), stack())
+    assert_array_equal(read(path, raw=RawLayout(name, 4)), stack())
     with pytest.raises(InputError, match="expected whole images of 20 x 32"):
         read(path, raw=RawLayout(name))
     with pytest.raises(InputError, match="expected the type of raw pixels"):

@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from sabench.images.levels import GreyLevels, GreyValues
 from sabench.images.near_images import near_images
@@ -77,7 +78,7 @@ def test_neighbours_are_those_of_all_pairs() -> None:
     assert both.sum() > 1000
     found = np.zeros_like(both)
     found[np.repeat(np.arange(400), np.diff(starts)), near] = True
-    np.testing.assert_array_equal(found, both)
+    assert_array_equal(found, both)
     assert all((np.diff(near[a:b]) > 0).all() for a, b in itertools.pairwise(starts))
 
 

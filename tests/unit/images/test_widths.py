@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 from scipy.stats import multivariate_normal
@@ -27,10 +28,8 @@ def image(
     spread: float = 0.0,
     across: F64 | None = None,
 ) -> F64:
-    """An image of particles of mean light 200, and noise of standard deviation 2.
-
-    Their columns are those `across`, if given.
-    """
+    """An image of particles of mean light 200, and noise of standard deviation 2. Their columns are
+    those `across`, if given."""
     rng = np.random.default_rng(seed)
     count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
     center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
@@ -48,7 +47,7 @@ def test_widths_light_and_number_hold_at_any_density(
 ) -> None:
     images = image(per_pixel, sigma, 3)[None]
     found = measure_images(images, np.ones(images.shape, dtype=bool))
-    np.testing.assert_allclose(found.sigma[0], sigma, rtol=0.06)
+    assert_allclose(found.sigma[0], sigma, rtol=0.06)
     assert found.light[0] == pytest.approx(200.0, rel=0.06)
     assert found.number == pytest.approx(per_pixel * ROWS * COLUMNS, rel=0.08)
 
@@ -80,7 +79,7 @@ def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: fl
     widths = np.sqrt(np.diag(covariance))
     expected = covariance[0, 1] / widths.prod()
     assert found.tilt[0] == pytest.approx(expected, abs=0.1 * abs(expected))
-    np.testing.assert_allclose(found.sigma[0], widths, rtol=0.06)
+    assert_allclose(found.sigma[0], widths, rtol=0.06)
     assert found.light[0] == pytest.approx(100.0, rel=0.1)
 
 
@@ -136,7 +135,7 @@ def test_widths_hold_where_particles_are_denser_in_the_middle(per_pixel: float) 
     across = np.random.default_rng(8).triangular(0.0, COLUMNS / 2, COLUMNS, 120_000)
     images = image(per_pixel, (0.7, 0.7), 8, across=across)[None]
     found = measure_images(images, np.ones(images.shape, dtype=bool))
-    np.testing.assert_allclose(found.sigma[0], 0.7, rtol=0.05)
+    assert_allclose(found.sigma[0], 0.7, rtol=0.05)
 
 
 def test_unequal_particles_count_by_their_light() -> None:
@@ -152,7 +151,7 @@ def test_unknown_pixels_do_not_count() -> None:
     known[0, 100:140, 200:260] = False
     images[0, 100:140, 200:260] = 4000.0
     found = measure_images(images, known)
-    np.testing.assert_allclose(found.sigma, whole.sigma, rtol=0.02)
+    assert_allclose(found.sigma, whole.sigma, rtol=0.02)
     assert found.light[0] == pytest.approx(whole.light[0], rel=0.02)
 
 
@@ -199,8 +198,8 @@ def test_a_small_glint_does_not_change_the_width_of_few_particles(peak: float) -
     glint = np.exp(-((rows - 70) ** 2 + (columns - 90) ** 2) / (2.0 * 1.1**2))
     both = np.array([shown, shown + peak * glint])
     plain, with_glint = measure_images(both, np.ones(both.shape, dtype=bool)).sigma
-    np.testing.assert_allclose(plain, (0.6, 0.5), rtol=0.06)
-    np.testing.assert_allclose(with_glint, plain, rtol=0.08)
+    assert_allclose(plain, (0.6, 0.5), rtol=0.06)
+    assert_allclose(with_glint, plain, rtol=0.08)
 
 
 def test_widths_at_the_border_read_no_pixel_beyond_it() -> None:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.dataset.reader import Dataset
 from sabench.metrics.particle_bounds import (
@@ -35,7 +36,7 @@ def test_slopes_move_images_as_cameras_do(data: Dataset) -> None:
     move = np.array([0.02, -0.01, 0.03])
     for spot, camera in zip(spots, cameras, strict=True):
         moved = camera.project(place + move)[0] - camera.project(place)[0]
-        np.testing.assert_allclose(spot.slope @ move, moved, atol=2e-4)
+        assert_allclose(spot.slope @ move, moved, atol=2e-4)
 
 
 def test_noise_is_of_photons_reading_and_rounding(data: Dataset) -> None:
@@ -50,7 +51,7 @@ def test_noise_is_of_photons_reading_and_rounding(data: Dataset) -> None:
     bright = np.unravel_index(np.argmax(np.where(image < sensor.white_dn, image, 0)), image.shape)
     electrons = (int(image[bright]) - sensor.black_level_dn) / sensor.gain_dn_e
     assert variance[bright] == pytest.approx(dark + electrons)
-    np.testing.assert_allclose(spots[0].light, 0.5 * views[0].photons)
+    assert_allclose(spots[0].light, 0.5 * views[0].photons)
 
 
 def test_light_grows_with_the_exposure_of_its_camera(data: Dataset) -> None:
@@ -61,12 +62,12 @@ def test_light_grows_with_the_exposure_of_its_camera(data: Dataset) -> None:
     place = data.particles(0).position_mm
     plain, more = (true_spots(place, views, cameras, raw, one) for one in (sensor, exposed))
     for factor, one, other in zip(factors, plain, more, strict=True):
-        np.testing.assert_allclose(other.light, factor * one.light)
+        assert_allclose(other.light, factor * one.light)
 
 
 def test_squared_distances_are_those_of_the_inverse_covariance() -> None:
     covariance = np.array([np.diag([4.0, 1.0, 0.25])])
-    np.testing.assert_allclose(squared_distance(np.array([[2.0, 1.0, 0.5]]), covariance), [3.0])
+    assert_allclose(squared_distance(np.array([[2.0, 1.0, 0.5]]), covariance), [3.0])
 
 
 @pytest.mark.parametrize("nominal", [0.68, 0.95])

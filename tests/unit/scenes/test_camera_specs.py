@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import sabench
 from sabench.dataset.cameras import read_cameras
@@ -48,7 +49,7 @@ def test_one_camera_has_the_lens_and_the_sensor_of_its_own_table() -> None:
     assert camera.rotation == plain[2].rotation
     # the lens is aimed at the centre of the volume, and focused on it
     center = [scene_with().volume.center_mm]
-    np.testing.assert_allclose(camera.project(center)[0][0], (150.25, 128.5), rtol=0, atol=1e-9)
+    assert_allclose(camera.project(center)[0][0], (150.25, 128.5), rtol=0, atol=1e-9)
     assert camera.focus_mm == pytest.approx(plain[2].focus_mm, rel=1e-3)
     sharp = build_rig(scene_with(OWN | {"focus_mm": 400.0})).cameras[2]
     assert sharp.focus_mm == pytest.approx(400.0)
@@ -102,8 +103,8 @@ def test_nominal_tilts_are_off_by_the_scene_s_error() -> None:
     many = [nominal_cameras(scene, true, seed)[2] for seed in range(300)]
     errors = np.array([camera.tilt_deg for camera in many]) - true[2].tilt_deg
     assert scene.unknown == ("tilt", "principal_point", "k1")
-    np.testing.assert_allclose(errors.std(axis=0), 0.5, rtol=0.15)
-    np.testing.assert_allclose(errors.mean(axis=0), 0.0, atol=0.12)
+    assert_allclose(errors.std(axis=0), 0.5, rtol=0.15)
+    assert_allclose(errors.mean(axis=0), 0.0, atol=0.12)
     assert all(camera.distortion == Distortion(p2=0.01) for camera in many)
     without = scene_with(OWN, calibration={})
     assert nominal_cameras(without, true, 1) == true
@@ -139,4 +140,4 @@ def test_a_plane_in_focus_in_air_has_the_tilt_of_the_hinge_rule(
         about_x = np.arctan(y / z * enlarged)
         about_y = np.arctan(-np.cos(about_x) * x / z * enlarged)
         exact = np.rad2deg([about_x, about_y])
-        np.testing.assert_allclose(camera.tilt_deg, exact, rtol=0, atol=2e-3)
+        assert_allclose(camera.tilt_deg, exact, rtol=0, atol=2e-3)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.scenes import (
     BubbleWorld,
@@ -99,10 +100,8 @@ def test_fault_names_key_and_expectation(
 
 
 def test_all_faults_are_named_together(tmp_path: Path, quick_toml: str) -> None:
-    """A file with four kinds of faults gives a line each.
-
-    Keys, numbers, a generator's parameters and missing tables.
-    """
+    """A file with four kinds of faults gives a line each. Keys, numbers, a generator's parameters
+    and missing tables."""
     file = tmp_path / "bad.toml"
     laser = re.compile(r"\[illumination\].*?(?=\n\[)", re.DOTALL)
     text = laser.sub("", quick_toml)
@@ -167,10 +166,7 @@ WORLDS = {
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_scene_has_one_world(name: str) -> None:
-    """A world's required tables are present.
-
-    Particles need their laser, and only they do.
-    """
+    """A world's required tables are present. Particles need their laser, and only they do."""
     scene = load_scene(name)
     assert isinstance(scene.world, WORLDS[name])
     assert (scene.tracers is None) == (scene.particles is None)
@@ -240,8 +236,8 @@ def test_particles_of_a_frame_do_not_depend_on_other_frames_or_cameras() -> None
     other = parse_scene(values | {"frames": 9}, "other")
     for frame in (2, 0, 1):
         a, b = make_particles(one, 5, frame), make_particles(other, 5, frame)
-        np.testing.assert_array_equal(a.position_mm, b.position_mm)
-        np.testing.assert_array_equal(a.id, b.id)
+        assert_array_equal(a.position_mm, b.position_mm)
+        assert_array_equal(a.id, b.id)
     assert not np.array_equal(
         make_particles(one, 5, 0).position_mm, make_particles(one, 6, 0).position_mm
     )
@@ -255,7 +251,7 @@ def test_particles_move_with_their_velocity_and_stay_in_the_volume() -> None:
     stayed, at_first, at_last = np.intersect1d(first.id, last.id, return_indices=True)
     assert 100 < len(stayed) < 300
     moved = last.position_mm[at_last] - first.position_mm[at_first]
-    np.testing.assert_allclose(moved, np.tile([2.7, -0.3, 0.75], (len(stayed), 1)), atol=1e-9)
+    assert_allclose(moved, np.tile([2.7, -0.3, 0.75], (len(stayed), 1)), atol=1e-9)
     low = np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2
     assert (last.position_mm >= low).all()
     assert (last.position_mm <= low + scene.volume.size_mm).all()
@@ -299,7 +295,7 @@ def test_every_layout_aims_its_cameras_at_the_volume(layout: dict[str, object], 
     for camera in rig.cameras[:1]:
         pixel, valid = camera.project([scene.volume.center_mm])
         assert valid.all()
-        np.testing.assert_allclose(pixel[0], camera.principal_point_px, atol=1e-9)
+        assert_allclose(pixel[0], camera.principal_point_px, atol=1e-9)
 
 
 def test_a_gain_beyond_all_numbers_saturates_the_converter() -> None:
@@ -346,10 +342,7 @@ def test_a_key_that_would_change_nothing_is_refused(
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {"cameras.airy_rings": True, **MIRROR},
-        {"illumination.polarisation": [0.0, 1.0, 0.0]},
-    ],
+    [{"cameras.airy_rings": True, **MIRROR}, {"illumination.polarisation": [0.0, 1.0, 0.0]}],
 )
 def test_the_same_keys_serve_particles(changes: dict[str, Any]) -> None:
     made = parse_scene(changed("quick", changes), "quick", Path("scenes")).to_dict()

@@ -1,7 +1,5 @@
-"""Nominal cameras of solvers, which are off by a given length.
-
-Images and truth come from the true cameras.
-"""
+"""Nominal cameras of solvers, which are off by a given length. Images and truth come from the true
+cameras."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import sabench
 from sabench.dataset.reader import Dataset, open_dataset
@@ -50,8 +49,8 @@ def test_every_projection_is_off_by_the_given_length(shift: float) -> None:
     scene = shifted_scene(shift, cameras=LENS)
     true = build_rig(scene).cameras
     found = moves(nominal_cameras(scene, true, 7), true)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=2), shift, rtol=1e-10)
-    np.testing.assert_allclose(found, np.broadcast_to(found[:, :1], found.shape), atol=1e-10)
+    assert_allclose(np.linalg.norm(found, axis=2), shift, rtol=1e-10)
+    assert_allclose(found, np.broadcast_to(found[:, :1], found.shape), atol=1e-10)
 
 
 def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
@@ -64,7 +63,7 @@ def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
         np.array([camera.principal_point_px for camera in nominal_cameras(scene, true, seed)])
         for seed in (1, 1, 2)
     )
-    np.testing.assert_array_equal(first, again)
+    assert_array_equal(first, again)
     assert np.abs(first - other).min() > 0.0
     for drawn in (first, other):
         ways = drawn - true[0].principal_point_px
@@ -81,11 +80,11 @@ def test_a_solver_gets_the_wrong_cameras_and_nothing_else_changes() -> None:
     exact, off = (shot.observation for shot in shots)
     true = build_rig(shifted_scene(2.0)).cameras
     assert exact.cameras == true
-    np.testing.assert_allclose(np.linalg.norm(moves(pinholes(off.cameras), true), axis=2), 2.0)
-    np.testing.assert_array_equal(exact.images, off.images)
+    assert_allclose(np.linalg.norm(moves(pinholes(off.cameras), true), axis=2), 2.0)
+    assert_array_equal(exact.images, off.images)
     for mine, theirs in zip(shots[0].views, shots[1].views, strict=True):
-        np.testing.assert_array_equal(mine.pixel, theirs.pixel)
-        np.testing.assert_array_equal(mine.photons, theirs.photons)
+        assert_array_equal(mine.pixel, theirs.pixel)
+        assert_array_equal(mine.photons, theirs.photons)
 
 
 @pytest.fixture
@@ -109,13 +108,9 @@ def test_a_data_set_keeps_both_the_nominal_and_the_true_cameras(
         == nominal_cameras(shifted_scene(1.5), rig.cameras, 9)
     )
     assert simulate(shifted_scene(1.5), seed=9).observation.cameras == wrong.setup.cameras
-    np.testing.assert_allclose(
-        np.linalg.norm(moves(wrong.setup.pinholes, wrong.true_cameras), axis=2), 1.5
-    )
+    assert_allclose(np.linalg.norm(moves(wrong.setup.pinholes, wrong.true_cameras), axis=2), 1.5)
     for view, camera in zip(wrong.views(0), wrong.true_cameras, strict=True):
-        np.testing.assert_allclose(
-            view.pixel, camera.project(wrong.particles(0).position_mm)[0], atol=1e-9
-        )
+        assert_allclose(view.pixel, camera.project(wrong.particles(0).position_mm)[0], atol=1e-9)
     assert verify(wrong.root) == []
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.refraction import Wall
@@ -168,9 +169,7 @@ def test_a_face_beside_the_line_of_sight_is_not_chosen() -> None:
     place([0.0, 0.0, -500.0], [350.0, 0.0, -350.0], [-350.0, 0.0, -350.0])(values)
     rig = build_rig(parse_scene(values, "octagon"))
     normals = [camera.wall.normal for camera in rig.cameras if isinstance(camera.wall, Wall)]
-    np.testing.assert_allclose(
-        np.array(normals)[:, 0], np.sin(angles[[1, 0, 2]]), rtol=0, atol=1e-12
-    )
+    assert_allclose(np.array(normals)[:, 0], np.sin(angles[[1, 0, 2]]), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["cylinder-tank", "two-faces"])

@@ -46,10 +46,8 @@ def test_a_library_that_is_no_llvm_is_refused() -> None:
 
 
 def test_a_library_that_is_not_there_is_not_replaced_by_another(tmp_path: Path) -> None:
-    """A library that the variable names must be there.
-
-    The user wants that one: a silent fallback would hide the mistake.
-    """
+    """A library that the variable names must be there. The user wants that one: a silent fallback
+    would hide the mistake."""
     done = choose(SABENCH_BACKEND="llvm", DRJIT_LIBLLVM_PATH=str(tmp_path / "none.so"))
     assert done.returncode != 0
     assert "cannot be loaded" in done.stderr

@@ -7,6 +7,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.particles.image_model import GIVEN, PULL, WEIGHT, XX, XY, YY, X, Y
 from sabench.utils.vector_units import (
@@ -39,7 +40,7 @@ def test_a_product_of_matrices_is_added_to_one_of_many() -> None:
     expected = out.copy()
     expected[1] += left[2] @ right[0]
     _add(out, left, right)
-    np.testing.assert_allclose(out, expected, rtol=1e-14, atol=1e-14)
+    assert_allclose(out, expected, rtol=1e-14, atol=1e-14)
 
 
 CAMERA, TOP, START, LIGHT = 1, 5, 9, np.float32(3.0)
@@ -102,7 +103,7 @@ def test_a_window_is_matched_as_in_numpy(
     own = _image(window, pairs[0])
     counts = np.where((weight >= 0.0) | (left > LIGHT * own), np.abs(weight), 0.0)
     expected = np.sum(counts * own * left), np.sum(counts * own**2), _spared(weight, counts, left)
-    np.testing.assert_allclose(match(*window), expected, rtol=2e-5, atol=2e-4)
+    assert_allclose(match(*window), expected, rtol=2e-5, atol=2e-4)
 
 
 @pytest.mark.parametrize(("add", "pairs"), [(_sum, ALL_PLAIN), (_sum_shaped, ALL_SHAPED)])
@@ -124,6 +125,6 @@ def test_a_window_is_summed_up_as_in_numpy(
     }
     found = add(*window)
     for place, terms in expected.items():
-        np.testing.assert_allclose(found[place], terms.sum(), rtol=2e-5, atol=5e-4)
+        assert_allclose(found[place], terms.sum(), rtol=2e-5, atol=5e-4)
     given = _spared(weight, counts, left + LIGHT * own)
-    np.testing.assert_allclose(found[GIVEN], given, rtol=2e-5)
+    assert_allclose(found[GIVEN], given, rtol=2e-5)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
 
 from sabench.api import Flow
 from sabench.geometry.grid import divergence, vorticity
@@ -58,7 +59,7 @@ def test_gradients_are_the_slopes_of_velocities(name: str, parameters: dict[str,
         slope = (field.velocity(places + move, 0.3) - field.velocity(places - move, 0.3)) / (
             2.0 * step
         )
-        np.testing.assert_allclose(exact[:, :, axis], slope, atol=1e-5 * np.abs(exact).max())
+        assert_allclose(exact[:, :, axis], slope, atol=1e-5 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize(("name", "parameters"), FREE)
@@ -73,7 +74,7 @@ def test_the_ring_is_equation_2_14() -> None:
     distance = np.array([0.0, 1.0, 4.0, 9.0])
     places = np.column_stack([10.0 + distance, np.zeros(4), np.zeros(4)])
     expected = 100.0 * np.e * distance / 4.0 * np.exp(-distance / 4.0)
-    np.testing.assert_allclose(
+    assert_allclose(
         ring.velocity(places, 0.0),
         np.column_stack([np.zeros(4), np.zeros(4), -expected]),
         atol=1e-10,
@@ -83,16 +84,12 @@ def test_the_ring_is_equation_2_14() -> None:
 
 
 def test_fluid_crosses_the_ring_s_axis_or_stays_beside_it() -> None:
-    """Above the ring, fluid converges on the axis.
-
-    With a fold there, its path could not be followed.
-    """
+    """Above the ring, fluid converges on the axis. With a fold there, its path could not be
+    followed."""
     ring = flow("vortex_ring", {"peak_mm_s": 100.0})
     there = advect(ring, points(3000), 0.0, 0.1, 1e-6)
     assert np.isfinite(there).all()
-    np.testing.assert_allclose(
-        ring.velocity(np.array([[1e-6, 0.0, -5.0]]), 0.0)[0, :2], 0.0, atol=1e-3
-    )
+    assert_allclose(ring.velocity(np.array([[1e-6, 0.0, -5.0]]), 0.0)[0, :2], 0.0, atol=1e-3)
 
 
 def test_a_field_that_cannot_be_followed_is_named_before_long() -> None:
@@ -127,23 +124,21 @@ def test_paths_by_formula_follow_the_velocities(name: str, parameters: dict[str,
         return
     assert there is not None
     expected = advect(Integrated(None), places, 0.1, 0.6, 1e-9)
-    np.testing.assert_allclose(there, expected, atol=1e-8)
-    np.testing.assert_array_equal(advect(field, places, 0.1, 0.6, 1e-9), there)
-    np.testing.assert_allclose(advect(field, there, 0.6, 0.1, 1e-9), places, atol=1e-10)
+    assert_allclose(there, expected, atol=1e-8)
+    assert_array_equal(advect(field, places, 0.1, 0.6, 1e-9), there)
+    assert_allclose(advect(field, there, 0.6, 0.1, 1e-9), places, atol=1e-10)
 
 
 def test_rotation_has_twice_its_rate_as_vorticity() -> None:
     turning = flow(
         "linear_flow", {"gradient_1_s": ((0.0, -2.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 0.0))}
     )
-    np.testing.assert_allclose(
-        vorticity(turning.gradient(points(3), 0.0)), np.tile([0.0, 0.0, 4.0], (3, 1))
-    )
+    assert_allclose(vorticity(turning.gradient(points(3), 0.0)), np.tile([0.0, 0.0, 4.0], (3, 1)))
 
 
 def test_abc_is_parallel_to_its_vorticity() -> None:
     field = flow("abc_flow", {"wavelength_mm": 20.0})
-    np.testing.assert_allclose(
+    assert_allclose(
         vorticity(field.gradient(points(), 0.0)),
         2.0 * np.pi / 20.0 * field.velocity(points(), 0.0),
         atol=1e-10,
@@ -151,10 +146,8 @@ def test_abc_is_parallel_to_its_vorticity() -> None:
 
 
 def test_oseen_s_vortex_diffuses() -> None:
-    """The flow satisfies the vorticity equation.
-
-    d(omega)/dt = nu laplacian(omega), by differences.
-    """
+    """The flow satisfies the vorticity equation. d(omega)/dt = nu laplacian(omega), by
+    differences."""
     field = flow("lamb_oseen_vortex", {"viscosity_mm2_s": 1.0})
     places = np.column_stack([np.linspace(0.5, 9.0, 12), np.zeros(12), np.zeros(12)])
 
@@ -171,7 +164,7 @@ def test_oseen_s_vortex_diffuses() -> None:
         )
         / step**2
     )
-    np.testing.assert_allclose(rate, laplacian, atol=1e-3 * np.abs(rate).max())
+    assert_allclose(rate, laplacian, atol=1e-3 * np.abs(rate).max())
 
 
 @pytest.mark.parametrize(
@@ -222,8 +215,8 @@ def test_particles_settle_at_stokes_s_velocity() -> None:
     glass = Inertia(particle_density_kg_m3=2500.0)
     there = move_particles(rigid("linear_flow"), glass, np.zeros((3, 3)), SIZES, 0.0, 2.0, 1e-8)
     expected = 1501.8 * 9.81 * (1e-3 * SIZES) ** 2 / (18.0 * 998.2 * 1e-6) * 1e3 * 2.0
-    np.testing.assert_allclose(there[:, 1], expected, rtol=1e-6)
-    np.testing.assert_allclose(there[:, [0, 2]], 0.0, atol=1e-12)
+    assert_allclose(there[:, 1], expected, rtol=1e-6)
+    assert_allclose(there[:, [0, 2]], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("inertia", [HEAVY, LIGHT])
@@ -236,7 +229,7 @@ def test_particles_spiral_out_of_a_vortex_or_into_it(inertia: Inertia) -> None:
     b, tau = numbers(inertia)
     roots = [np.roots([1.0, 1.0 / t, b * rate**2 - 1j * rate / t]) for t in tau]
     slow = [pair[np.argmin(np.abs(pair))].real for pair in roots]
-    np.testing.assert_allclose(growth, slow, rtol=0.02)
+    assert_allclose(growth, slow, rtol=0.02)
     assert (np.sign(growth) == np.sign(inertia.particle_density_kg_m3 - 998.2)).all()
 
 
@@ -261,11 +254,11 @@ def test_amplitude_and_phase_in_a_flow_that_swings(inertia: Inertia) -> None:
     now, later = (own.velocity(points, time)[:, 0] / 100.0 for time in (0.0, quarter))
     b, tau = numbers(inertia)
     exact = (1.0 + 1j * Swing.rate * b * tau) / (1.0 + 1j * Swing.rate * tau)
-    np.testing.assert_array_less(
+    assert_array_less(
         np.abs(now - 1j * later - exact), 1.01 * np.abs(1 - b) * (Swing.rate * tau) ** 2 + 1e-8
     )
     slip = np.abs(exact - 1.0)
-    np.testing.assert_allclose(np.abs(now - 1j * later - 1.0), slip, rtol=0.01)
+    assert_allclose(np.abs(now - 1j * later - 1.0), slip, rtol=0.01)
 
 
 def test_a_scene_s_particles_move_by_themselves_and_its_flow_is_the_fluid_s() -> None:
@@ -277,26 +270,26 @@ def test_a_scene_s_particles_move_by_themselves_and_its_flow_is_the_fluid_s() ->
     force = [0.0, 9810.0, 0.0] - np.einsum("nij,nj->ni", slopes, fluid)
     slip = Inertia(**inertia).response_s(first.diameter_mm)[:, None] * force
     assert np.abs(slip).max() > 2.0
-    np.testing.assert_allclose(first.velocity_mm_s, fluid + slip, atol=1e-5)
+    assert_allclose(first.velocity_mm_s, fluid + slip, atol=1e-5)
     field, _ = lattice(scene, 0, (5.0, 5.0, 2.0))
     exact = require_flow(scene).velocity(field.positions_mm.reshape(-1, 3), 0.0)
-    np.testing.assert_array_equal(field.velocity_mm_s.reshape(-1, 3), exact)
+    assert_array_equal(field.velocity_mm_s.reshape(-1, 3), exact)
 
 
 def test_they_are_replaced_and_any_frame_is_the_same_by_itself() -> None:
     scene = moving_scene(inertia={"particle_density_kg_m3": 4000.0})
     motion = Motion(scene, 1)
     frames = [motion.at(frame) for frame in range(4)]
-    np.testing.assert_array_equal(frames[3].position_mm, Motion(scene, 1).at(3).position_mm)
+    assert_array_equal(frames[3].position_mm, Motion(scene, 1).at(3).position_mm)
     assert abs(len(frames[3]) - 800) < 4.0 * np.sqrt(800.0)
     later = motion.move(frames[3], 3, 1e-4) - frames[3].position_mm
-    np.testing.assert_allclose(later, 1e-4 * frames[3].velocity_mm_s, atol=1e-4)
+    assert_allclose(later, 1e-4 * frames[3].velocity_mm_s, atol=1e-4)
 
 
 def test_without_inertia_particles_are_the_fluid_s() -> None:
     first = Motion(moving_scene(), 1).at(0)
     fluid = require_flow(moving_scene()).velocity(first.position_mm, 0.0)
-    np.testing.assert_array_equal(first.velocity_mm_s, fluid)
+    assert_array_equal(first.velocity_mm_s, fluid)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -43,10 +44,8 @@ def apart_by_points(
     axes_2: np.ndarray,
     turn_2: np.ndarray,
 ) -> float:
-    """Return the same factor as `contact` by bisection on growing ellipsoids.
-
-    The second touches the first where the nearest of its points is on it.
-    """
+    """Return the same factor as `contact` by bisection on growing ellipsoids. The second touches
+    the first where the nearest of its points is on it."""
     from scipy.optimize import minimize
 
     def grown(factor: float) -> bool:
@@ -98,7 +97,7 @@ def test_a_tenth_of_the_volume_is_filled_and_nothing_overlaps() -> None:
     assert low >= 0.1
     assert high <= 4.0
     again = field.bubbles(DOMAIN, 3, 0, 0.0)
-    np.testing.assert_array_equal(made.center_mm, again.center_mm)
+    assert_array_equal(made.center_mm, again.center_mm)
     for axis in range(3):
         reach = made.reach_mm(np.eye(3)[axis])
         assert (made.center_mm[:, axis] - reach).min() >= DOMAIN.low_mm[axis] - 1e-9
@@ -142,7 +141,7 @@ def test_a_field_moves_as_a_whole() -> None:
     early, late = field.bubbles(DOMAIN, 3, 0, 0.0), field.bubbles(DOMAIN, 3, 1, 0.05)
     both, i, j = np.intersect1d(early.id, late.id, return_indices=True)
     assert len(both) > 300
-    np.testing.assert_allclose(
+    assert_allclose(
         late.center_mm[j] - early.center_mm[i], np.tile([0.0, -5.0, 0.0], (len(both), 1)), atol=1e-9
     )
     assert len(late) == pytest.approx(len(early), rel=0.1)
@@ -170,13 +169,13 @@ def test_the_law_of_jets_is_the_thesis_s(y_p: float, d_eq: float, angle: float) 
             for depth in y
         ]
     )
-    np.testing.assert_allclose(
+    assert_allclose(
         total,
         law.largest * law.axis_over_peak(y) * law.half_radius_mm(y) * np.pi**1.5 / np.sqrt(LN2),
         rtol=1e-6,
     )  # 5.22
     scaled = law.scaled_depth(y)
-    np.testing.assert_allclose(
+    assert_allclose(
         total / (total / law.total_over_peak(y))[0],
         0.903 * np.exp(-(scaled**2) / (2 * 0.1894**2)) + 0.097,
         rtol=1e-6,
@@ -251,7 +250,7 @@ def test_a_jet_sinks_on_its_axis_and_rises_beside_it() -> None:
     jet = generator("plunging_jet", impact_mm=[0.0, 0.0, 150.0])
     early, late = jet.bubbles(JET, 1, 0, 0.0), jet.bubbles(JET, 1, 1, 1e-3)
     _, i, j = np.intersect1d(early.id, late.id, return_indices=True)
-    np.testing.assert_allclose(
+    assert_allclose(
         late.center_mm[j] - early.center_mm[i], early.velocity_mm_s[i] * 1e-3, atol=1e-9
     )
     radius = np.hypot(early.center_mm[:, 0], early.center_mm[:, 2] - 150.0)
@@ -347,7 +346,7 @@ def test_flow_is_of_the_bodies_of_the_seed() -> None:
     scene = coarse()
     point = np.array([[-2.0, 3.0, 0.0]])
     one, same, other = (require_flow(scene, seed).velocity(point, 0.0) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, same)
+    assert_array_equal(one, same)
     assert np.abs(one - other).max() > 1e-3
 
 

@@ -1,7 +1,5 @@
-"""Calibration targets.
-
-Their positions, their detected points with and without images, and the prior knowledge of them.
-"""
+"""Calibration targets. Their positions, their detected points with and without images, and the
+prior knowledge of them."""
 
 from __future__ import annotations
 
@@ -12,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import sabench
 from sabench.algorithms.calibration.target_detection import detect
@@ -70,10 +69,8 @@ def small_camera(wall: CylinderWall | None = None) -> Camera:
 def test_a_rendered_board_is_found_where_it_is(
     pattern: str, wall: CylinderWall | None, spread: float, bias: float
 ) -> None:
-    """Points agree to hundredths of a pixel between three programs.
-
-    Mitsuba's rays, our projection and OpenCV's detectors.
-    """
+    """Points agree to hundredths of a pixel between three programs. Mitsuba's rays, our projection
+    and OpenCV's detectors."""
     camera, target = small_camera(wall), BOARDS[pattern]
     picture = render(camera, target, POSE, LAMPS, np.array([0.0, 0.0, 35.0]), 16)
     grey = np.clip(np.random.default_rng(0).normal(2800.0 * picture, 3.0), 0.0, 4095.0).astype(
@@ -96,10 +93,8 @@ def test_a_rendered_wand_is_found_on_its_lit_side() -> None:
 
 @pytest.mark.slow
 def test_small_glowing_balls_are_found_where_they_are() -> None:
-    """Nothing draws the centroid of a small ball aside.
-
-    The balls cover less than a thousandth of a noisy image, and are uniformly bright.
-    """
+    """Nothing draws the centroid of a small ball aside. The balls cover less than a thousandth of a
+    noisy image, and are uniformly bright."""
     camera, target = small_camera(), Target("wand", 3, 1, 12.0, 1.0)
     glow = LAMPS.model_copy(update={"even": 1.0})
     picture = render(camera, target, POSE, glow, np.array([0.0, 0.0, 35.0]), 16)
@@ -144,17 +139,15 @@ def test_our_charuco_board_is_opencv_s() -> None:
             assert square.max() == 0
             continue
         cells = square[cell:-cell, cell:-cell].reshape(6, cell, 6, cell)[:, cell // 2, :, cell // 2]
-        np.testing.assert_array_equal(cells.ravel() > 0, bits[number])
+        assert_array_equal(cells.ravel() > 0, bits[number])
         number += 1
     assert number == len(bits) == 40
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
 def test_a_board_s_points_keep_their_names_however_it_lies(quarters: int) -> None:
-    """The initial guess of a calibration determines the rotation of circles.
-
-    They look the same after a rotation.
-    """
+    """The initial guess of a calibration determines the rotation of circles. They look the same
+    after a rotation."""
     target = Target("circles", 5, 4, 4.0, 2.0)
     angle = np.deg2rad(90.0 * quarters + 12.0)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -166,7 +159,7 @@ def test_a_board_s_points_keep_their_names_however_it_lies(quarters: int) -> Non
         )
     rough = target.points_mm[:, :2] @ turn.T * 17.0 + [120.0, 410.0]
     found = detect(image.astype(np.uint16) * 10, target, rough)
-    np.testing.assert_allclose(found, pixels, atol=0.3)
+    assert_allclose(found, pixels, atol=0.3)
 
 
 def test_boards_stay_in_the_volume_and_move_through_it() -> None:
@@ -176,7 +169,7 @@ def test_boards_stay_in_the_volume_and_move_through_it() -> None:
     assert (points >= low - 1e-9).all()
     assert (points <= low + np.asarray(scene.volume.size_mm) + 1e-9).all()
     assert (np.diff(points[..., 2].mean(axis=1)) > 3.0).all()
-    np.testing.assert_array_equal(
+    assert_array_equal(
         place(
             calibration_scene(targets={"pitch_mm": 3.0, "tilt_deg": 20.0}, frames=7), 3
         ).points_mm,
@@ -192,10 +185,10 @@ def test_what_detection_does_to_points() -> None:
     assert not outliers.any()
     found, _ = found_pixels(Detection(missing=0.3), exact, 1, 0)
     assert np.isnan(found[..., 0]).mean() == pytest.approx(0.3, abs=0.05)
-    np.testing.assert_array_equal(found[np.isfinite(found)], exact[np.isfinite(found)])
+    assert_array_equal(found[np.isfinite(found)], exact[np.isfinite(found)])
     found, outliers = found_pixels(Detection(outliers=0.2, outlier_px=50.0), exact, 1, 0)
     assert outliers.mean() == pytest.approx(0.2, abs=0.05)
-    np.testing.assert_array_equal(found[~outliers], exact[~outliers])
+    assert_array_equal(found[~outliers], exact[~outliers])
     assert np.linalg.norm(found - exact, axis=-1)[outliers].mean() == pytest.approx(
         50.0 * np.sqrt(np.pi / 2.0), rel=0.2
     )
@@ -226,9 +219,7 @@ def test_a_prior_holds_known_points_along_their_axes_only() -> None:
     placed = place(scene, 1)
     known = prior(scene, placed, 1)
     assert np.isfinite(known.known_mm).sum() == 2
-    np.testing.assert_allclose(
-        known.known_mm[1, 5, [0, 2]], placed.points_mm[1, 5, [0, 2]], atol=0.1
-    )
+    assert_allclose(known.known_mm[1, 5, [0, 2]], placed.points_mm[1, 5, [0, 2]], atol=0.1)
     wrong = calibration_scene(calibration={"known": [{"frame": 9, "point": 5}]})
     with pytest.raises(
         InputError, match=r"calibration\.known\.0: expected one of 5 frames and of 121 points"
@@ -243,7 +234,7 @@ def test_a_target_s_data_set_is_whole_and_holds_what_was_shown(tmp_path: Path) -
     assert verify(data.root) == []
     case, placed = data.calibration_case(), data.placed()
     exact, outliers = data.sightings()
-    np.testing.assert_array_equal(placed.points_mm, place(calibration_scene(), 4).points_mm)
+    assert_array_equal(placed.points_mm, place(calibration_scene(), 4).points_mm)
     assert case.target == placed.target
     errors: F64 = case.pixels - exact
     assert np.nanstd(errors) == pytest.approx(0.1, rel=0.05)

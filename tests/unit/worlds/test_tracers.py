@@ -1,7 +1,5 @@
-"""Particles from frame to frame.
-
-Moved exactly, replaced where they leave, and seen when the laser flashes.
-"""
+"""Particles from frame to frame. Moved exactly, replaced where they leave, and seen when the laser
+flashes."""
 
 from __future__ import annotations
 
@@ -12,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import kstest, lognorm, norm
 
 from sabench.scenes import Scene, load_scene, parse_scene
@@ -51,9 +50,9 @@ def test_particles_follow_the_flow_and_keep_their_ids() -> None:
         carried = advect(
             flow, before.position_mm[first], scene.time_s(frame), scene.time_s(frame + 1), 1e-9
         )
-        np.testing.assert_allclose(after.position_mm[second], carried, atol=1e-6)
-        np.testing.assert_allclose(after.velocity_mm_s, flow.velocity(after.position_mm, 0.0))
-        np.testing.assert_array_equal(after.diameter_mm[second], before.diameter_mm[first])
+        assert_allclose(after.position_mm[second], carried, atol=1e-6)
+        assert_allclose(after.velocity_mm_s, flow.velocity(after.position_mm, 0.0))
+        assert_array_equal(after.diameter_mm[second], before.diameter_mm[first])
 
 
 def test_any_frame_is_the_same_by_itself() -> None:
@@ -61,17 +60,15 @@ def test_any_frame_is_the_same_by_itself() -> None:
     ordered = [motion.at(frame) for frame in range(4)]
     for frame in (3, 1):
         alone = make_particles(scene, 5, frame)
-        np.testing.assert_array_equal(alone.id, ordered[frame].id)
-        np.testing.assert_array_equal(alone.position_mm, ordered[frame].position_mm)
-    np.testing.assert_array_equal(motion.at(1).position_mm, ordered[1].position_mm)
+        assert_array_equal(alone.id, ordered[frame].id)
+        assert_array_equal(alone.position_mm, ordered[frame].position_mm)
+    assert_array_equal(motion.at(1).position_mm, ordered[1].position_mm)
 
 
 @pytest.mark.parametrize("flow", [ABC, WIND])
 def test_the_density_stays_even(flow: dict[str, Any]) -> None:
-    """After many frames the volume is as full as at the start.
-
-    It is uniformly full up to its faces.
-    """
+    """After many frames the volume is as full as at the start. It is uniformly full up to its
+    faces."""
     scene = moving_scene(flow=flow, frames=40)
     motion = Motion(scene, 1)
     particles = [motion.at(frame) for frame in range(40)][-1]
@@ -158,10 +155,8 @@ def test_a_sheet_beside_another_lights_other_particles() -> None:
 
 
 def test_long_pulses_leave_streaks() -> None:
-    """A streak of length s adds the variance s^2 / 12 along it, and no light.
-
-    On top of the image's own variance.
-    """
+    """A streak of length s adds the variance s^2 / 12 along it, and no light. On top of the image's
+    own variance."""
     one = {
         "particles": {"generator": "uniform", "count": 1},
         "flow": {"generator": "linear_flow", "velocity_mm_s": [100.0, 0.0, 0.0]},
@@ -209,9 +204,7 @@ def test_a_data_set_tells_times_and_keeps_the_flow(tmp_path: Path) -> None:
     assert flow is not None
     for frame in range(2):
         particles = data.particles(frame)
-        np.testing.assert_allclose(
-            particles.velocity_mm_s, flow.velocity(particles.position_mm, 0.0)
-        )
+        assert_allclose(particles.velocity_mm_s, flow.velocity(particles.position_mm, 0.0))
 
 
 def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
@@ -225,10 +218,10 @@ def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
             group[name][()] for name in ("low_mm", "step_mm", "velocity_mm_s", "gradient_1_s")
         )
     assert velocity.shape == (3, 5, 8, 3)  # 4, 10 and 14 mm along z, y, x
-    np.testing.assert_allclose(low + step * (np.array([8, 5, 3]) - 1) / 2.0, scene.volume.center_mm)
+    assert_allclose(low + step * (np.array([8, 5, 3]) - 1) / 2.0, scene.volume.center_mm)
     place = low + step * np.array([6, 2, 1])
-    np.testing.assert_allclose(velocity[1, 2, 6], flow.velocity(place[None], scene.time_s(1))[0])
-    np.testing.assert_allclose(gradient[1, 2, 6], flow.gradient(place[None], scene.time_s(1))[0])
+    assert_allclose(velocity[1, 2, 6], flow.velocity(place[None], scene.time_s(1))[0])
+    assert_allclose(gradient[1, 2, 6], flow.gradient(place[None], scene.time_s(1))[0])
 
 
 # Sizes and materials
@@ -237,10 +230,8 @@ def test_a_data_set_keeps_the_flow_on_a_lattice(tmp_path: Path) -> None:
 def test_diameters_lie_on_the_lattice_of_sizes_where_mie_s_series_asks_for_it() -> None:
     exact = make_particles(moving_scene(illumination={"scattering": "isotropic"}), 3, 0)
     rounded = make_particles(moving_scene(), 3, 0)
-    np.testing.assert_array_equal(
-        rounded.diameter_mm, lattice_diameters_mm(size_numbers(exact.diameter_mm))
-    )
-    np.testing.assert_array_equal(rounded.position_mm, exact.position_mm)
+    assert_array_equal(rounded.diameter_mm, lattice_diameters_mm(size_numbers(exact.diameter_mm)))
+    assert_array_equal(rounded.position_mm, exact.position_mm)
 
 
 @pytest.mark.parametrize("diameter_mm", [1e-7, 5.0])
@@ -263,8 +254,8 @@ def test_listed_sizes_occur_alike() -> None:
     listed = {"diameters_mm": [0.01, 0.01, 0.03, 0.05], "count": 4000}
     scene = moving_scene(particles=listed, illumination={"scattering": "isotropic"}, flow=None)
     sizes, counts = np.unique(make_particles(scene, 3, 0).diameter_mm, return_counts=True)
-    np.testing.assert_array_equal(sizes, [0.01, 0.03, 0.05])
-    np.testing.assert_allclose(counts / 4000, [0.5, 0.25, 0.25], atol=0.03)
+    assert_array_equal(sizes, [0.01, 0.03, 0.05])
+    assert_allclose(counts / 4000, [0.5, 0.25, 0.25], atol=0.03)
 
 
 def test_a_data_set_tells_the_materials_of_a_mixture(tmp_path: Path) -> None:
@@ -275,5 +266,5 @@ def test_a_data_set_tells_the_materials_of_a_mixture(tmp_path: Path) -> None:
         for frame in ("0000", "0001"):
             group = truth[f"frames/{frame}"]
             expected = material_numbers(scene.tracer, 3, group["id"][:])
-            np.testing.assert_array_equal(group["material"][:], expected)
+            assert_array_equal(group["material"][:], expected)
             assert 0.1 < expected.mean() < 0.7

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.bubbles.backlit_images import Profile, sharp
 from sabench.algorithms.bubbles.ellipse_detection import peaks, radii_between, vote
@@ -25,7 +26,7 @@ def test_the_sharp_profile_is_that_of_ray_optics(half_angle: float) -> None:
     for k in np.flatnonzero(np.abs(np.diff(hand)) > 0.02):
         edge |= np.abs(b - b[k]) < 0.09
     assert edge.mean() < 0.6
-    np.testing.assert_allclose(ours[~edge], hand[~edge], atol=0.02)
+    assert_allclose(ours[~edge], hand[~edge], atol=0.02)
     assert sharp(np.array([1.0, 2.0]), 1.0 / 1.333, half_angle).tolist() == [1.0, 1.0]
 
 
@@ -43,7 +44,7 @@ def test_the_blurred_profile_is_a_blurred_disc() -> None:
         row = picture[40 * fine, 40 * fine :: fine]
         distance = np.arange(len(row), dtype=float)
         near = distance < radius + 3.0
-        np.testing.assert_allclose(made(distance[near], radius), row[near], atol=0.01)
+        assert_allclose(made(distance[near], radius), row[near], atol=0.01)
 
 
 @pytest.mark.parametrize(("radius", "aspect"), [(3.0, 1.0), (9.0, 1.0), (9.0, 0.6)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.bubbles.backlit_images import Profile
 from sabench.algorithms.bubbles.rim_fit import (
@@ -55,7 +56,7 @@ def test_a_ball_darkens_pixels_by_its_profile_inside_its_outline(radius_mm: floa
             PROFILE(d, r)
             for d, r in zip(distance[distance < 30], radius[distance < 30], strict=True)
         ]
-        np.testing.assert_allclose(image.ravel()[distance < 30], expected, atol=0.04)
+        assert_allclose(image.ravel()[distance < 30], expected, atol=0.04)
         assert (image.ravel()[distance >= 30] == 1.0).all()
 
 
@@ -64,14 +65,14 @@ def test_what_is_put_in_is_taken_out() -> None:
     darken(model, ball, 1.0)
     assert model.logs.min() < -1.0
     darken(model, ball, -1.0)
-    np.testing.assert_allclose(model.logs, 0.0, atol=1e-6)
+    assert_allclose(model.logs, 0.0, atol=1e-6)
 
 
 def test_gain_is_the_part_of_the_shadow_that_nothing_explains() -> None:
     ball = start_of(PLACE, 0.8)
     dark, empty = model_of(ball), model_of()
-    np.testing.assert_allclose(gain(dark, ball), 1.0, atol=1e-5)
-    np.testing.assert_allclose(gain(empty, ball), -1.0, atol=1e-5)
+    assert_allclose(gain(dark, ball), 1.0, atol=1e-5)
+    assert_allclose(gain(empty, ball), -1.0, atol=1e-5)
     darken(dark, ball, 1.0)
     assert (gain(dark, ball) < 0.0).all()
     assert np.isnan(gain(empty, start_of(PLACE + np.array([200.0, 0.0, 0.0]), 0.8))).all()
@@ -108,9 +109,9 @@ def test_a_spheroid_is_found_again(spoiled: bool) -> None:
         model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
     start = true + np.array([0.15, -0.1, 0.2, 0.1, 0.05, -0.1, 0.05])
     found = fit(model, start, 40)
-    np.testing.assert_allclose(found[:3], PLACE, atol=0.03)
-    np.testing.assert_allclose(np.exp(found[3:5]), [1.0, 0.75], rtol=0.03)
-    np.testing.assert_allclose(found[5:], true[5:], atol=0.06)
+    assert_allclose(found[:3], PLACE, atol=0.03)
+    assert_allclose(np.exp(found[3:5]), [1.0, 0.75], rtol=0.03)
+    assert_allclose(found[5:], true[5:], atol=0.06)
 
 
 STEPS = 1e-6 * np.array([1.0, 1.0, 0.01, 0.01, 0.01])  # px, px, and 1/px^2 of the shape

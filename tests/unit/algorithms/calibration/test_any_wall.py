@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench import plugins
 from sabench.algorithms.calibration.bundle_adjustment import (
@@ -80,8 +81,8 @@ def test_a_plane_wall_gives_the_kernels_equations(scale: float) -> None:
     for name in ("aa", "ab", "bb", "a", "d"):
         first, second = getattr(one, name), getattr(other, name)
         root = np.abs(first).max()
-        np.testing.assert_allclose(second, first, rtol=1e-5, atol=1e-7 * root)
-    np.testing.assert_allclose(
+        assert_allclose(second, first, rtol=1e-5, atol=1e-7 * root)
+    assert_allclose(
         residuals(state, cameras)[seen.weights > 0.0],
         residuals(state, seen)[seen.weights > 0.0],
         rtol=0,
@@ -89,7 +90,7 @@ def test_a_plane_wall_gives_the_kernels_equations(scale: float) -> None:
     )
     bounds = [limit(state, each, FREE, 0.1) for each in (seen, cameras)]
     assert bounds[1].reprojection_px == pytest.approx(bounds[0].reprojection_px, rel=1e-4)
-    np.testing.assert_allclose(bounds[1].point_std_mm, bounds[0].point_std_mm, rtol=1e-3)
+    assert_allclose(bounds[1].point_std_mm, bounds[0].point_std_mm, rtol=1e-3)
 
 
 @pytest.mark.parametrize("kind", ["cylinder", "faces"])
@@ -134,7 +135,7 @@ def test_free_motions_change_no_image(kind: str, turn: float) -> None:
     here = state.points(seen.board).reshape(-1, 3)
     world = frame.motion.inverse()(here)
     found = fit_free_motion(frame, here, frame.motion(moved(world)))
-    np.testing.assert_allclose(found(here), frame.motion(moved(world)), rtol=0, atol=1e-9)
+    assert_allclose(found(here), frame.motion(moved(world)), rtol=0, atol=1e-9)
     exact = replace(seen, pixels=np.nan_to_num(case_of(scene_of(kind))[3]), frame=frame)
     there = state.move(found)
     assert np.abs(residuals(there, exact)[seen.weights > 0.0]).max() < 1e-6

@@ -1,8 +1,5 @@
-"""Bundle adjustment.
-
-Derivatives, exactness, the Cramer-Rao bound, outliers, anchors, and what a wall leaves
-undetermined.
-"""
+"""Bundle adjustment. Derivatives, exactness, the Cramer-Rao bound, outliers, anchors, and what a
+wall leaves undetermined."""
 
 from __future__ import annotations
 
@@ -10,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.calibration import kernels
 from sabench.algorithms.calibration.bundle_adjustment import (
@@ -64,10 +62,8 @@ def truth(
     ],
 )
 def test_the_kernel_projects_as_cameras_do(wall: dict[str, object]) -> None:
-    """Two derivations agree.
-
-    One unknown in the rarest medium by numpy, and the bundle's own in the wall's frame.
-    """
+    """Two derivations agree. One unknown in the rarest medium by numpy, and the bundle's own in the
+    wall's frame."""
     _, state, seen = truth(wall)
     errors = residuals(state, seen)[seen.weights > 0.0]
     assert len(errors) > 4000
@@ -112,9 +108,7 @@ def test_all_derivatives_are_those_of_finite_differences() -> None:
                 shared[column - kernels.CAMERA - kernels.BOARD] = step
             ends.append(pixel(state.apply_steps(cameras, shared, boards, ALL)))
         numeric[:, column] = (ends[0] - ends[1]) / 2e-6
-    np.testing.assert_allclose(
-        exact, numeric, rtol=1e-6, atol=2e-6
-    )  # rounding of 500 px over a step of 1e-6
+    assert_allclose(exact, numeric, rtol=1e-6, atol=2e-6)  # rounding of 500 px over a step of 1e-6
 
 
 def dense_jacobian(
@@ -162,12 +156,12 @@ def test_the_equations_are_those_of_a_dense_jacobian() -> None:
     dense = jacobian.reshape(-1, jacobian.shape[2])
     right = np.concatenate([misses[c, k, i] for c, k, i in places])
     whole, split = dense.T @ dense, 9 * len(own) + len(shared)
-    np.testing.assert_allclose(normal.aa, whole[:split, :split], rtol=1e-9, atol=1e-6)
+    assert_allclose(normal.aa, whole[:split, :split], rtol=1e-9, atol=1e-6)
     for k in range(5):
         part = slice(split + k * kernels.BOARD, split + (k + 1) * kernels.BOARD)
-        np.testing.assert_allclose(normal.ab[k], whole[:split, part], rtol=1e-9, atol=1e-6)
-        np.testing.assert_allclose(normal.bb[k], whole[part, part], rtol=1e-9, atol=1e-6)
-    np.testing.assert_allclose(
+        assert_allclose(normal.ab[k], whole[:split, part], rtol=1e-9, atol=1e-6)
+        assert_allclose(normal.bb[k], whole[part, part], rtol=1e-9, atol=1e-6)
+    assert_allclose(
         np.concatenate([normal.a, normal.d.ravel()]), dense.T @ right, rtol=1e-7, atol=1e-5
     )
     assert normal.cost == pytest.approx(right @ right)
@@ -187,16 +181,14 @@ def test_covariances_of_pixels_are_those_of_a_dense_jacobian() -> None:
     )
     there = jacobian @ root
     expected = np.einsum("nax,nbx->nab", there, there)[:, [0, 1, 0], [0, 1, 1]]
-    np.testing.assert_allclose(found[tuple(np.transpose(places))], expected, rtol=1e-7, atol=1e-9)
+    assert_allclose(found[tuple(np.transpose(places))], expected, rtol=1e-7, atol=1e-9)
     assert np.isnan(found[seen.weights == 0.0]).all()
 
 
 @pytest.mark.slow
 def test_the_kernel_of_covariances_reads_and_writes_nothing_beyond_its_arrays() -> None:
-    """As plain Python, which refuses an index beyond an array, it finds the same.
-
-    All constants of the wall are unknown, up to the last column of a projection's derivatives.
-    """
+    """As plain Python, which refuses an index beyond an array, it finds the same. All constants of
+    the wall are unknown, up to the last column of a projection's derivatives."""
     _, state, seen = truth()
     free = (np.arange(kernels.CAMERA), np.arange(2 * len(state.indices) - 2))
     size = 9 * len(free[0]) + len(free[1]) + kernels.BOARD * len(state.board_positions)
@@ -208,7 +200,7 @@ def test_the_kernel_of_covariances_reads_and_writes_nothing_beyond_its_arrays() 
         free,
         root @ root.T,
     )
-    np.testing.assert_allclose(spreads.py_func(*arguments), spreads(*arguments), rtol=1e-9)
+    assert_allclose(spreads.py_func(*arguments), spreads(*arguments), rtol=1e-9)
 
 
 @pytest.mark.parametrize("moving", ["cameras", "boards"])
@@ -223,11 +215,11 @@ def test_one_half_is_found_while_the_other_is_right_and_stays(moving: Moving) ->
     assert np.nanmax(np.abs(residuals(wrong, seen)[seen.weights > 0.0])) > 0.1
     found = refine(wrong, seen, free, moving=moving).state
     assert np.nanmax(np.abs(residuals(found, seen)[seen.weights > 0.0])) < 1e-4
-    np.testing.assert_allclose(found.centers, state.centers, atol=1e-3)
+    assert_allclose(found.centers, state.centers, atol=1e-3)
     if boards:
-        np.testing.assert_array_equal(found.centers, state.centers)
+        assert_array_equal(found.centers, state.centers)
     else:
-        np.testing.assert_array_equal(found.board_positions, state.board_positions)
+        assert_array_equal(found.board_positions, state.board_positions)
 
 
 @pytest.mark.parametrize("cameras", [3, 13])
@@ -270,10 +262,8 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
 
 @pytest.mark.slow
 def test_noise_comes_out_at_the_bound() -> None:
-    """Sixteen draws agree with the Cramer-Rao bound.
-
-    It predicts the true reprojection error, the points' scatter and their mean depth.
-    """
+    """Sixteen draws agree with the Cramer-Rao bound. It predicts the true reprojection error, the
+    points' scatter and their mean depth."""
     _, state, seen = truth()
     free, noise, rng = FreeParameters(), 0.5, np.random.default_rng(5)
     bound = limit(state, seen, free, noise)
@@ -292,9 +282,7 @@ def test_noise_comes_out_at_the_bound() -> None:
         scatter.append(errors.std(axis=0))
         depth.append(errors[:, 2].mean())
     assert np.mean(true) == pytest.approx(bound.reprojection_px, rel=0.05)
-    np.testing.assert_allclose(
-        np.sqrt(np.mean(np.square(scatter), axis=0)), bound.point_std_mm, rtol=0.35
-    )
+    assert_allclose(np.sqrt(np.mean(np.square(scatter), axis=0)), bound.point_std_mm, rtol=0.35)
     assert 0.5 < np.std(depth) / bound.point_mean_mm[2] < 1.6
     assert bound.unknowns == 9 * 7 + 5 * 6 - 3
 
@@ -335,10 +323,7 @@ def test_outliers_are_found_and_left_out() -> None:
 
 
 def test_an_anchor_settles_the_depth() -> None:
-    """One known point determines the absolute depth.
-
-    Images through a plane wall hardly do.
-    """
+    """One known point determines the absolute depth. Images through a plane wall hardly do."""
     errors = []
     for known in ([], [{"frame": 2, "point": 60, "axes": "z", "sigma_mm": 0.05}]):
         scene = calibration_scene(

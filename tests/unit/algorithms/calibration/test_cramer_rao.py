@@ -122,9 +122,7 @@ def expected_deg(scene: Scene, free: FreeParameters, seed: int) -> Any:
     case, cameras, points, exact = case_of(scene, seed)
     frame = Frame.from_cameras(cameras, points)
     seen = BoardImages(
-        case.target.points_mm,
-        np.nan_to_num(exact),
-        np.asarray(case.found, dtype=np.float64),
+        case.target.points_mm, np.nan_to_num(exact), np.asarray(case.found, dtype=np.float64)
     )
     state = frame.state(case.target.points_mm, points)
     covariance, _, _ = _inverse(_whole(state, seen, free))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.calibration import factorise_parallax, fit_depth_scale
 from sabench.algorithms.calibration.factorisation import (
@@ -109,7 +110,7 @@ def test_offsets_and_depths_of_lines_through_a_plane() -> None:
     scale = fit_depth_scale(found, points)
     assert 1.0 / scale.per_mm == pytest.approx(distance, rel=1e-9)
     places = (scale.center + scale.offset * found.offsets) / scale.per_mm
-    np.testing.assert_allclose(places, centers[:, :2], atol=1e-7)
+    assert_allclose(places, centers[:, :2], atol=1e-7)
 
 
 def test_offsets_are_those_of_the_array_up_to_a_factor() -> None:
@@ -119,7 +120,7 @@ def test_offsets_are_those_of_the_array_up_to_a_factor() -> None:
     found = factorise_parallax(np.where(seen[..., None], cut, np.nan), seen)
     true = centers[:, :2] - centers[:, :2].mean(axis=0)
     factor = np.sum(found.offsets * true) / np.sum(found.offsets**2)
-    np.testing.assert_allclose(found.offsets * factor, true, atol=1e-5)
+    assert_allclose(found.offsets * factor, true, atol=1e-5)
 
 
 def test_exact_images_give_the_exact_cameras() -> None:
@@ -127,11 +128,11 @@ def test_exact_images_give_the_exact_cameras() -> None:
     answer = solved(case)
     assert true_error_px(answer.cameras, points, exact) < 1e-4
     for made, true in zip(answer.cameras, cameras, strict=True):
-        np.testing.assert_allclose(made.center_mm, true.center_mm, atol=1e-3)
+        assert_allclose(made.center_mm, true.center_mm, atol=1e-3)
     other = np.random.default_rng(1).uniform(-25.0, 25.0, (50, 3))
     other[:, 2] += 35.0
     for made, true in zip(answer.cameras, cameras, strict=True):
-        np.testing.assert_allclose(made.project(other)[0], true.project(other)[0], atol=1e-3)
+        assert_allclose(made.project(other)[0], true.project(other)[0], atol=1e-3)
 
 
 def test_nothing_of_the_nominal_cameras_is_used() -> None:
@@ -147,7 +148,7 @@ def test_the_cameras_refocus_as_the_true_ones() -> None:
     answer = solved(case)
     images = np.random.default_rng(2).random((len(cameras), 120, 120)).astype(np.float32)
     grid = Grid((-10.0, -8.0, 25.0), (0.5, 0.5, 2.0), (9, 33, 41))
-    np.testing.assert_allclose(
+    assert_allclose(
         refocus_sum(images, answer.cameras, grid), refocus_sum(images, cameras, grid), atol=2e-2
     )
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from benchmarks import calibration_reality
 from sabench.algorithms.calibration import joint_fit
@@ -74,7 +75,7 @@ def test_mirrored_boards_are_in_the_fluid() -> None:
         back = mirror_boards(out, problem.seen, turned=turned)
         assert list_faults(back, problem.seen, problem.frame) == []
         turns = np.linalg.det(back.board_rotations)
-        np.testing.assert_allclose(turns, 1.0, rtol=1e-12)
+        assert_allclose(turns, 1.0, rtol=1e-12)
 
 
 def test_a_start_through_the_wall_is_left() -> None:

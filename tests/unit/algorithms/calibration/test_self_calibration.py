@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.calibration import disparity
 from sabench.algorithms.calibration.disparity import (
@@ -57,10 +58,8 @@ def corrected(case: Observation, **parameters: float) -> Calibration:
 
 
 def disagreement_px(shot: Shot, cameras: tuple[CameraModel, ...], scene: Scene) -> float:
-    """Return the cameras' mean error in pixels of true particles.
-
-    It excludes the motion of all cameras together, which images do not show.
-    """
+    """Return the cameras' mean error in pixels of true particles. It excludes the motion of all
+    cameras together, which images do not show."""
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in build_rig(scene).cameras])
     found = triangulate(cameras, exact)
@@ -131,10 +130,8 @@ def test_particle_images_are_found_to_parts_of_a_pixel() -> None:
 
 
 def test_all_right_sets_are_among_those_found() -> None:
-    """Every particle whose images are near their nominal positions makes a set.
-
-    The particles are placed by hand.
-    """
+    """Every particle whose images are near their nominal positions makes a set. The particles are
+    placed by hand."""
     cameras = build_rig(particle_scene(0.0)).cameras[:4]
     maps = fit_volume_polynomials(cameras, np.array([-6.0, -6.0, -3.0]), np.array([6.0, 6.0, 3.0]))
     rng = np.random.default_rng(1)
@@ -165,7 +162,7 @@ def test_the_densest_spot_is_found_among_noise() -> None:
             np.array([1.2, -0.7, 0.3, 2.0, -1.5]) + rng.normal(0.0, 0.1, (80, 5)),
         ]
     )
-    np.testing.assert_allclose(densest(values), [1.2, -0.7, 0.3, 2.0, -1.5], atol=0.1)
+    assert_allclose(densest(values), [1.2, -0.7, 0.3, 2.0, -1.5], atol=0.1)
 
 
 def test_nothing_to_go_by_is_said() -> None:
@@ -188,16 +185,16 @@ def test_each_part_of_the_box_has_its_own_disparity() -> None:
     rows, spots = _by_parts(positions, errors, np.array([0.1, 0.07]))
     across, down = np.meshgrid([-2 / 3, 0.0, 2 / 3], [-2 / 3, 0.0, 2 / 3])
     middles = np.column_stack([np.ones(9), across.ravel(), down.ravel()])
-    np.testing.assert_allclose(rows, middles, atol=0.06)
+    assert_allclose(rows, middles, atol=0.06)
     expected = 0.15 * (middles[:, 1:] + 2 / 3) * [1.0, 0.7]
-    np.testing.assert_allclose(spots, expected, atol=0.005)
+    assert_allclose(spots, expected, atol=0.005)
 
 
 def test_few_particles_have_one_disparity() -> None:
     positions = np.random.default_rng(8).uniform(-1.0, 1.0, (800, 3))
     rows, spots = _by_parts(positions, np.zeros((800, 2)), np.array([0.1, 0.2]))
-    np.testing.assert_array_equal(rows, [[1.0]])
-    np.testing.assert_array_equal(spots, [[0.1, 0.2]])
+    assert_array_equal(rows, [[1.0]])
+    assert_array_equal(spots, [[0.1, 0.2]])
 
 
 def test_a_step_is_the_least_squares_solution() -> None:
@@ -208,7 +205,7 @@ def test_a_step_is_the_least_squares_solution() -> None:
         assert _gains(slopes, cameras, gains)
         _compute_step(gains, misses, cameras, step)
         expected = np.linalg.lstsq(slopes.reshape(-1, 3), misses.ravel(), rcond=None)[0]
-        np.testing.assert_allclose(step, expected, rtol=1e-9)
+        assert_allclose(step, expected, rtol=1e-9)
 
 
 def test_parallel_lines_of_sight_have_no_solution() -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
 from sabench.algorithms.calibration.cramer_rao import _inverse, _whole, limit
@@ -53,8 +54,8 @@ def test_gradients_with_known_cameras_are_those_of_the_cost() -> None:
         assert normal.a[number] == pytest.approx(-(costs[0] - costs[1]) / (4.0 * step), rel=1e-5)
     moved = problem.frame.build_cameras(state)
     for camera, own in zip(moved, case.cameras, strict=True):
-        np.testing.assert_allclose(camera.center_mm, own.center_mm, atol=1e-9)
-        np.testing.assert_allclose(camera.rotation, own.rotation, atol=1e-12)
+        assert_allclose(camera.center_mm, own.center_mm, atol=1e-9)
+        assert_allclose(camera.rotation, own.rotation, atol=1e-12)
 
 
 def bound_of(case: CalibrationCase, cameras: tuple[Camera, ...], places: F64) -> tuple[F64, F64]:
@@ -80,7 +81,7 @@ def test_a_wall_in_front_of_known_cameras_is_found(unknown: tuple[Unknown, ...])
     found = answer.cameras[0]
     assert isinstance(found, Camera)
     assert isinstance(found.wall, Wall)
-    np.testing.assert_allclose(found.center_mm, case.cameras[0].center_mm, atol=1e-9)
+    assert_allclose(found.center_mm, case.cameras[0].center_mm, atol=1e-9)
     _, std = bound_of(case, case.cameras, places)
     free = FreeParameters.from_case(case)
     for one in wall_unknowns(WALL, found.wall, free, std):
@@ -96,14 +97,12 @@ def test_a_wall_in_front_of_known_cameras_is_found(unknown: tuple[Unknown, ...])
     ],
 )
 def test_thickness_and_place_are_one_at_small_angles(places_known: bool, expected: float) -> None:
-    """To leading order in the angle, images show one combination of place and thickness.
-
-    A ray with the invariant p = sin a meets the depth of its point at the distance d p / sqrt(1 -
-    p^2) + t p / sqrt(n^2 - p^2) + e p / sqrt(m^2 - p^2) from the normal through the pinhole: d to
-    the wall, t of glass of index n, e of fluid of index m. That is p (d + t / n + e / m) to first
-    order, and p^3 / 2 (d + t / n^3 + e / m^3) more to third. With known places d + t + e is fixed,
-    and place and thickness differ by p^3 only; without, the boards' depth takes up the first order.
-    """
+    """To leading order in the angle, images show one combination of place and thickness. A ray with
+    the invariant p = sin a meets the depth of its point at the distance d p / sqrt(1 - p^2) + t p /
+    sqrt(n^2 - p^2) + e p / sqrt(m^2 - p^2) from the normal through the pinhole: d to the wall, t of
+    glass of index n, e of fluid of index m. That is p (d + t / n + e / m) to first order, and p^3 /
+    2 (d + t / n^3 + e / m^3) more to third. With known places d + t + e is fixed, and place and
+    thickness differ by p^3 only; without, the boards' depth takes up the first order."""
     stds, ratios = [], []
     for narrow in (0.5, 0.25):
         case, cameras, places = make_tank()
@@ -203,7 +202,7 @@ def test_a_wall_that_is_elsewhere_is_found_by_known_places() -> None:
     assert abs(found.depth_of(np.array([0.0, 0.0, 0.0]))) < 1.0
     assert found.normal[2] > np.cos(np.deg2rad(0.2))
     assert answer.points_mm is not None
-    np.testing.assert_allclose(answer.points_mm, places, atol=0.03)
+    assert_allclose(answer.points_mm, places, atol=0.03)
 
 
 def test_a_bent_board_is_found() -> None:
@@ -214,7 +213,7 @@ def test_a_bent_board_is_found() -> None:
     bent = fit_jointly(problem, FreeParameters(bend=True))
     assert flat.noise_px > 0.08
     assert bent.noise_px == pytest.approx(0.05, rel=0.1)
-    np.testing.assert_allclose(bent.fit.state.bend, [-0.3, 0.0, -0.3], atol=0.02)
+    assert_allclose(bent.fit.state.bend, [-0.3, 0.0, -0.3], atol=0.02)
     own = bent.fit.state.points(problem.seen.board)[0]
     apart = [np.linalg.norm(one[0] - one[-1]) for one in (own, places[0])]
     assert apart[0] == pytest.approx(apart[1], abs=1e-3)

@@ -1,13 +1,12 @@
-"""Passes over all particles give the same on any number of cores.
-
-Groups that are fitted side by side share no pixel.
-"""
+"""Passes over all particles give the same on any number of cores. Groups that are fitted side by
+side share no pixel."""
 
 from __future__ import annotations
 
 import numba
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.particles import all_particles as module
 from sabench.algorithms.particles.all_particles import (
@@ -65,11 +64,11 @@ def test_passes_give_what_one_thread_gives(maps: VolumePolynomials) -> None:
     model, particles = case(maps)
     room, alone, sums = room_of(maps), np.zeros(COUNT), np.zeros((4, 5))
     paint_all(model, room, particles, -1.0)
-    np.testing.assert_array_equal(left, model.left)
+    assert_array_equal(left, model.left)
     measure_misfit(model, room, particles, alone)
-    np.testing.assert_array_equal(misfit, alone)
+    assert_array_equal(misfit, alone)
     add_camera_misses(model, room, particles, sums)
-    np.testing.assert_allclose(misses, sums, rtol=1e-9, atol=1e-9 * np.abs(sums).max())
+    assert_allclose(misses, sums, rtol=1e-9, atol=1e-9 * np.abs(sums).max())
 
 
 @pytest.mark.skipif(MOST < 2, reason="one core")
@@ -81,7 +80,7 @@ def test_threads_change_nothing(maps: VolumePolynomials) -> None:
     finally:
         numba.set_num_threads(MOST)
     for a, b in zip(many, one, strict=True):
-        np.testing.assert_array_equal(a, b)
+        assert_array_equal(a, b)
 
 
 def test_a_fit_takes_as_much_as_it_has_unknowns(maps: VolumePolynomials) -> None:
@@ -170,5 +169,5 @@ def test_the_number_of_threads_does_not_change_a_fit(
     assert max(len(turn) for turn in turns) > 1
     one, two = (fitted(maps, points, turns, threads) for threads in (1, min(2, MOST)))
     for before, after in zip(one, two, strict=True):
-        np.testing.assert_array_equal(before, after)
+        assert_array_equal(before, after)
     assert np.abs(one[0] - points).max() < 1e-2

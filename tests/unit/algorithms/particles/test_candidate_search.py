@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.particles.candidate_search import (
     BRIGHTEST,
@@ -108,7 +109,7 @@ def test_the_lattice_turns_with_the_axes() -> None:
     short = fit_volume_polynomials(CAMERAS, middle - 0.5 * half, middle + 0.5 * half)
     long = fit_volume_polynomials(CAMERAS, middle - half, middle + half)
     ratio = np.array(lattice_shape(long)) / np.array(lattice_shape(short))
-    np.testing.assert_allclose(ratio, 2.0, rtol=0.06)
+    assert_allclose(ratio, 2.0, rtol=0.06)
 
 
 _BLOCK = 20  # px

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
@@ -76,7 +77,7 @@ def test_an_image_is_the_integral_of_a_tilted_gaussian(
         room.here[CAMERA], [[SIGMA[0] ** 2, covariance], [covariance, SIGMA[1] ** 2]]
     )
     expected = over_pixels(gaussian.pdf(points_in_pixels(room)), room)
-    np.testing.assert_allclose(found, expected, atol=share * expected.max())
+    assert_allclose(found, expected, atol=share * expected.max())
     upright = image_of(*shaped(maps, 0.0), PLACE)
     assert np.abs(upright - expected).max() > 5.0 * share * expected.max()
 
@@ -90,7 +91,7 @@ def test_a_flat_image_is_a_gaussian_times_a_polynomial(
     u = (((points_in_pixels(room) - room.here[CAMERA]) / SIGMA) ** 2).sum(axis=2)
     shown = np.exp(-0.5 * u) * (1.0 - flatness * (u**2 - 8.0 * u + 8.0))
     expected = over_pixels(shown, room) / (2.0 * np.pi * SIGMA[0] * SIGMA[1])
-    np.testing.assert_allclose(found, expected, atol=2e-3 * expected.max())
+    assert_allclose(found, expected, atol=2e-3 * expected.max())
     plain = image_of(*shaped(maps, 0.0), PLACE)
     assert found.max() < (1.0 - 3.0 * flatness) * plain.max()
 
@@ -104,7 +105,7 @@ def test_images_are_neither_peaked_nor_flatter_than_the_series_has_them(
     one = image_of(model, room, PLACE)
     model.shapes[CAMERA, 3, 0] = as_if
     other = image_of(model, room, PLACE)
-    np.testing.assert_allclose(one, other, atol=1e-7)
+    assert_allclose(one, other, atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -113,10 +114,8 @@ def test_images_are_neither_peaked_nor_flatter_than_the_series_has_them(
 def test_slopes_are_the_images(
     maps: VolumePolynomials, correlation: float, flatness: float
 ) -> None:
-    """Against differences of images of particles that are moved in the box.
-
-    Steps of fits need no more: the shape's own change is left out.
-    """
+    """Against differences of images of particles that are moved in the box. Steps of fits need no
+    more: the shape's own change is left out."""
     model, room = shaped(maps, correlation, flatness)
     step = 1e-3
     place_windows(model, room, PLACE)
@@ -139,16 +138,11 @@ def test_what_is_painted_is_the_image(maps: VolumePolynomials) -> None:
     expected = light[CAMERA] * image_of(model, room, PLACE)
     column, row = room.corner[CAMERA]
     shown = model.left[CAMERA, row : row + room.window, column : column + room.window]
-    np.testing.assert_allclose(shown, expected, rtol=1e-5, atol=1e-5)
+    assert_allclose(shown, expected, rtol=1e-5, atol=1e-5)
     assert model.left[CAMERA].sum() == pytest.approx(expected.sum(), rel=1e-5)
 
 
-WIDTHS, POINT, LIGHT, NOISE = (
-    (1.2, 1.5),
-    np.array([0.2, -0.1, 0.3]),
-    300.0,
-    2.0,
-)
+WIDTHS, POINT, LIGHT, NOISE = ((1.2, 1.5), np.array([0.2, -0.1, 0.3]), 300.0, 2.0)
 STEP = 1e-3
 
 
@@ -173,10 +167,7 @@ def test_a_claim_is_the_bound_of_the_shape(
     """With ellipses of which one axis is a quarter longer, as they are or aslant."""
     model = model_of(maps, np.zeros((4, ROWS, COLUMNS)))
     model.shapes[:, :2, 0] = WIDTHS
-    model.shapes[:, 2, 0], model.shapes[:, 3, 0] = (
-        correlation * WIDTHS[0] * WIDTHS[1],
-        flatness,
-    )
+    model.shapes[:, 2, 0], model.shapes[:, 3, 0] = (correlation * WIDTHS[0] * WIDTHS[1], flatness)
     slopes = [all_images(model, POINT)]
     for axis in STEP * np.eye(3):
         ends = all_images(model, POINT + axis) - all_images(model, POINT - axis)

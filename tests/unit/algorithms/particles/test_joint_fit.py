@@ -1,7 +1,5 @@
-"""Fits of particles to images: costs against their definition, results against truth.
-
-The most probable light against a general optimiser.
-"""
+"""Fits of particles to images: costs against their definition, results against truth. The most
+probable light against a general optimiser."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
 from sabench.algorithms.particles.image_model import (
@@ -89,9 +88,7 @@ def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) 
     assert total == pytest.approx(whole_cost(model, particles, images) - after, rel=1e-2)
     # what is left of the images has been kept up to date
     left = images - paint(maps, particles.position, particles.light, ROWS, COLUMNS)
-    np.testing.assert_allclose(
-        without_margins(model.left), left, atol=5e-3
-    )  # the images end at their windows
+    assert_allclose(without_margins(model.left), left, atol=5e-3)  # the images end at their windows
 
 
 def test_overlapping_particles_are_found_where_they_are(maps: VolumePolynomials) -> None:
@@ -173,7 +170,7 @@ def test_three_equations_are_solved_unless_they_say_too_little() -> None:
     matrix = matrix @ matrix.T + 0.1 * np.eye(3)
     right, step = RNG.standard_normal(3), np.zeros(3)
     determinant = solve_three(matrix, right, step)
-    np.testing.assert_allclose(step, np.linalg.solve(matrix, right))
+    assert_allclose(step, np.linalg.solve(matrix, right))
     assert determinant == pytest.approx(np.linalg.det(matrix))
     assert solve_three(np.ones((3, 3)), right, step) == 0.0
     assert solve_three(np.zeros((3, 3)), right, step) == 0.0
@@ -212,7 +209,7 @@ def test_a_camera_that_sees_nothing_gets_the_light_that_the_others_suggest() -> 
     precision: F64 = np.linalg.inv(even_covariance(4, 0.05, 0.5)).astype(np.float64)
     weight = np.array([1.0, 1.0, 1.0, 0.0])
     logs, _ = best(1.5 * MEDIANS * weight, weight, precision)
-    np.testing.assert_allclose(logs, math.log(1.5), atol=0.02)
+    assert_allclose(logs, math.log(1.5), atol=0.02)
 
 
 def test_the_cost_is_a_log_probability() -> None:
@@ -234,7 +231,7 @@ def test_covariances_are_learned_in_spite_of_outliers() -> None:
     logs = 0.7 + rng.multivariate_normal(np.zeros(4), true, 2000)
     logs[:40] = rng.uniform(-4.0, 4.0, (40, 4))
     found = learn_covariance(logs)
-    np.testing.assert_allclose(found, true, atol=0.05)
+    assert_allclose(found, true, atol=0.05)
     few = learn_covariance(logs[40:70])  # few tell little more than the average
     assert few[0, 2] == pytest.approx(few[0, 1], abs=0.05)
 
@@ -249,7 +246,7 @@ def test_factors_give_the_determinant() -> None:
     factor = matrix.copy()
     factorise_cholesky(factor)
     assert log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
-    np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
+    assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
 
 
 def test_the_inverse_of_a_factorised_matrix_has_this_diagonal() -> None:
@@ -258,4 +255,4 @@ def test_the_inverse_of_a_factorised_matrix_has_this_diagonal() -> None:
     factor, diagonal = matrix.copy(), np.zeros(5)
     factorise_cholesky(factor)
     fill_inverse_diagonal(factor, diagonal, np.zeros(5))
-    np.testing.assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))
+    assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))

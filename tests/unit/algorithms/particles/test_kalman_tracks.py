@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.particles.kalman_tracks import (
     KalmanTracks,
@@ -46,8 +47,8 @@ def test_steady_acceleration_is_predicted() -> None:
     tracks = begin(start, velocity, 5.0, 100.0**2)
     follow(tracks, path[:-1])
     tracks.predict(STEP)
-    np.testing.assert_allclose(tracks.state[:, 0], path[-1], atol=ERROR)
-    np.testing.assert_allclose(tracks.state[:, 2], acceleration, atol=10.0)
+    assert_allclose(tracks.state[:, 0], path[-1], atol=ERROR)
+    assert_allclose(tracks.state[:, 2], acceleration, atol=10.0)
 
 
 @pytest.mark.parametrize("guess", [0.01, 100.0])
@@ -91,7 +92,7 @@ def test_a_new_track_moves_as_its_neighbours_do() -> None:
     points = np.array([[1.0, 2.0, 0.0], [-3.0, 0.5, 1.0]])
     found, spread = tracks.neighbours_velocity(points)
     expected = np.stack([points[:, 1], -points[:, 0], np.full(2, 2.0)], axis=1)
-    np.testing.assert_allclose(found, expected, atol=1.0)
+    assert_allclose(found, expected, atol=1.0)
     assert (spread[:, :2] > 0.01).all()
     assert (spread[:, 2] < 0.02).all()
 
@@ -116,7 +117,7 @@ def test_a_parabola_is_found_exactly() -> None:
     terms = np.stack([np.ones(7), _TIMES, _TIMES**2 / 2.0], axis=1)
     position = (terms @ state)[None]
     found = _estimate(position, np.full((1, 7, 3), 1e-4), jerk=1e3)
-    np.testing.assert_allclose(found[0], state, rtol=1e-6)
+    assert_allclose(found[0], state, rtol=1e-6)
 
 
 def test_positions_that_are_not_there_do_not_count() -> None:
@@ -125,7 +126,7 @@ def test_positions_that_are_not_there_do_not_count() -> None:
     kept = np.array([0, 1, 3, 4, 6])
     part = _estimate(position[:, kept], variance[:, kept], _TIMES[kept], 1e9)
     position[:, [2, 5]] = np.nan
-    np.testing.assert_allclose(_estimate(position, variance, jerk=1e9), part, rtol=1e-6)
+    assert_allclose(_estimate(position, variance, jerk=1e9), part, rtol=1e-6)
 
 
 @pytest.mark.parametrize("jerk", [1e2, 1e6])
@@ -160,10 +161,8 @@ def test_a_single_position_moves_as_it_is_expected_to() -> None:
     state, covariance = most_probable_motion(
         _TIMES, position, np.full((1, 7, 3), 1e-4), velocity, spread, 9.0, 1.0
     )
-    np.testing.assert_allclose(
-        state[0], [[1.0, 2.0, 3.0], [10.0, 20.0, 30.0], [0.0] * 3], atol=1e-6
-    )
-    np.testing.assert_allclose(covariance[0, 0].diagonal(), [1e-4, 4.0, 9.0], rtol=1e-6)
+    assert_allclose(state[0], [[1.0, 2.0, 3.0], [10.0, 20.0, 30.0], [0.0] * 3], atol=1e-6)
+    assert_allclose(covariance[0, 0].diagonal(), [1e-4, 4.0, 9.0], rtol=1e-6)
 
 
 def flow(position: F64, wavelength: float, speed: float) -> tuple[F64, F64]:

@@ -1,7 +1,5 @@
-"""Trajectories of bubbles whose ids are known.
-
-Crossing paths, streams, missing bubbles and ghosts, and the limits of the method.
-"""
+"""Trajectories of bubbles whose ids are known. Crossing paths, streams, missing bubbles and ghosts,
+and the limits of the method."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from sabench.algorithms.particles.linking import GATE, REACH, assign, link
 from tests.helpers.bubble_sequences import (
@@ -45,21 +44,15 @@ def test_two_streams_through_each_other(relative: float) -> None:
 
 
 def test_where_it_ends() -> None:
-    """Linking has two limits.
-
-    It fails for displacements beyond the reach, and for random motion beyond a fraction of the
-    distance between neighbours.
-    """
+    """Linking has two limits. It fails for displacements beyond the reach, and for random motion
+    beyond a fraction of the distance between neighbours."""
     assert link_scores(made := make_sequence(1.4 * REACH), link_sequence(made))[0] < 0.1
     assert link_scores(made := make_sequence(0.2, "random"), link_sequence(made))[0] > 0.97
     assert link_scores(made := make_sequence(1.0, "random"), link_sequence(made))[0] < 0.6
 
 
 def test_paths_that_cross_are_not_swapped() -> None:
-    """Bubbles that meet keep their courses.
-
-    Either is nearest to the other's next position.
-    """
+    """Bubbles that meet keep their courses. Either is nearest to the other's next position."""
     time = np.arange(-4.0, 5.0)
     made = BubbleSequence()
     for t in time:
@@ -122,14 +115,14 @@ def test_neither_order_nor_units_matter() -> None:
     other = link(metres, radii, [100.0 + 5.0 * frame for frame in range(len(metres))])
     for frame in range(len(track) - 1):
         joined = track[frame][turned[frame]][:, None] == track[frame + 1][turned[frame + 1]]
-        np.testing.assert_array_equal(joined, other[frame][:, None] == other[frame + 1])
+        assert_array_equal(joined, other[frame][:, None] == other[frame + 1])
 
 
 def test_numbers_are_different_in_a_frame_and_count_up() -> None:
     track = link_sequence(make_sequence(1.0, missing=0.2, ghosts=0.2))
     assert all(len(np.unique(one)) == len(one) for one in track)
     every = np.unique(np.concatenate(track))
-    np.testing.assert_array_equal(every, np.arange(len(every)))
+    assert_array_equal(every, np.arange(len(every)))
 
 
 def test_few_bubbles_or_none() -> None:

@@ -1,7 +1,5 @@
-"""Positions from particle images, and maps of a box, against cameras' own projection.
-
-Triangulation within a time budget, and of more peaks than can be told apart.
-"""
+"""Positions from particle images, and maps of a box, against cameras' own projection. Triangulation
+within a time budget, and of more peaks than can be told apart."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.calibration.disparity import match, pair_up
 from sabench.algorithms.particles import matching as module
@@ -105,10 +104,10 @@ def test_slopes_of_maps_are_their_differences(maps: VolumePolynomials) -> None:
     for point in np.vstack([unit_points(5), np.zeros((1, 3))]):
         for number in range(4):
             project_point(maps, number, point, pixel, slope)
-            np.testing.assert_allclose(pixel, project_points(maps, number, point[None])[0])
+            assert_allclose(pixel, project_points(maps, number, point[None])[0])
             steps = 1e-5 * np.eye(3)
             ends = [project_points(maps, number, point + sign * steps) for sign in (1.0, -1.0)]
-            np.testing.assert_allclose(slope.T, (ends[0] - ends[1]) / 2e-5, atol=1e-4)
+            assert_allclose(slope.T, (ends[0] - ends[1]) / 2e-5, atol=1e-4)
 
 
 def open_sensors(cameras: int) -> Bool:
@@ -204,7 +203,7 @@ def test_a_line_of_sight_is_followed_as_far_as_the_box_goes(maps: VolumePolynomi
         inside = move_to_pixel(maps, pixel, position, 2, here, slope)
         assert inside == (max(np.abs(goal)) <= 1.0)
         if inside:
-            np.testing.assert_allclose(position, goal, atol=1e-4)
+            assert_allclose(position, goal, atol=1e-4)
 
 
 def test_pairs_are_those_within_the_radius_until_the_room_is_full() -> None:
@@ -246,7 +245,7 @@ def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_de
         peaks = peaks_of(tuple(project_points(maps, number, point[None]) for number in range(3)))
         found = find_peak_sets(maps, peaks, 0.5, open_sensors(3))
         assert len(found.position) == 1
-        np.testing.assert_allclose(found.position[0], point, atol=1e-6)
+        assert_allclose(found.position[0], point, atol=1e-6)
 
 
 def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back() -> None:
@@ -258,7 +257,7 @@ def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back()
         positions, errors = np.zeros((5, 3)), np.zeros((5, 4, 2))
         hits, order = np.zeros((5, 4), dtype=np.int64), np.arange(1)
         assert match(maps, peaks, order, 0.5, 2, 3, positions, hits, errors) == 1
-        np.testing.assert_allclose(positions[0], point, atol=1e-6)
+        assert_allclose(positions[0], point, atol=1e-6)
 
 
 CLOCK = "sabench.utils.threads.time.monotonic"

@@ -1,12 +1,11 @@
-"""Ghosts are removed and pairs split, single particles are neither.
-
-Widths and shifts of cameras are learned.
-"""
+"""Ghosts are removed and pairs split, single particles are neither. Widths and shifts of cameras
+are learned."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.particles.candidate_search import pixel_mm
 from sabench.algorithms.particles.image_model import (
@@ -117,9 +116,7 @@ def test_light_in_one_camera_alone_is_no_particle(maps: VolumePolynomials) -> No
         assert found == expected
 
 
-def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(
-    maps: VolumePolynomials,
-) -> None:
+def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(maps: VolumePolynomials) -> None:
     """Light is a particle's own only where others leave none: it is sure without a trial."""
     size, light = pixel_mm(maps) / maps.half_mm, np.full((2, 4), TYPICAL)
     for apart, expected in ((0.0, 1), (6.0, 0)):
@@ -149,9 +146,9 @@ def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
         remove_ghosts(model, room, particles, order, starts, near, 2, True, sure, np.zeros(30)) == 0
     )
     assert sure.all()
-    np.testing.assert_array_equal(particles.position, points)
-    np.testing.assert_array_equal(particles.light, light)
-    np.testing.assert_allclose(model.left, left, atol=1e-3)
+    assert_array_equal(particles.position, points)
+    assert_array_equal(particles.light, light)
+    assert_allclose(model.left, left, atol=1e-3)
 
 
 @pytest.mark.slow
@@ -206,7 +203,7 @@ def test_shapes_that_change_over_the_box_are_learned(maps: VolumePolynomials, sh
         model.left[:] = model.images
         paint_all(model, room, particles, -1.0)
         refine_all(model, room, particles, 2)
-    np.testing.assert_allclose(model.shapes, expected, atol=2e-3)
+    assert_allclose(model.shapes, expected, atol=2e-3)
 
 
 def test_a_particle_of_which_a_camera_knows_a_far_tail_alone_says_nothing_of_widths(
@@ -238,7 +235,7 @@ def test_a_shift_of_a_camera_shows_in_its_equations(maps: VolumePolynomials) -> 
     for camera, (xx, xy, yy, x, y) in enumerate(sums):
         shift = np.linalg.solve([[xx, xy], [xy, yy]], [x, y])
         expected = [0.04, -0.06] if camera == 1 else [0.0, 0.0]
-        np.testing.assert_allclose(shift, expected, atol=3e-3)
+        assert_allclose(shift, expected, atol=3e-3)
 
 
 def gains_of(model: ImageModel, maps: VolumePolynomials, particles: ModelParticles) -> F64:
@@ -351,8 +348,8 @@ def test_a_single_particle_is_not_split(maps: VolumePolynomials) -> None:
     order = np.zeros(1, dtype=np.int64)
     split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
     assert particles.alive.tolist() == [True, False]
-    np.testing.assert_allclose(particles.position[0], 0.0, atol=1e-12)
-    np.testing.assert_allclose(model.left, left, atol=1e-3)
+    assert_allclose(particles.position[0], 0.0, atol=1e-12)
+    assert_allclose(model.left, left, atol=1e-3)
 
 
 def test_a_wide_particle_is_not_split(maps: VolumePolynomials) -> None:

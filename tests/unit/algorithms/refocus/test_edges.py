@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
 from reproduction.edge_depth import count_views, edge_scores, find_rim, silhouette
@@ -44,9 +45,9 @@ def test_a_straight_edge_is_found_at_its_depth(angle: float, depth: float, offse
     inner = (np.abs(found.position_mm[:, :2]) < 4.0).all(axis=1)
     place, normal = found.position_mm[inner], found.normal[inner]
     across = np.array([np.cos(angle), np.sin(angle)])
-    np.testing.assert_allclose(place[:, 2], depth, atol=0.05)  # a tenth of a plane's spacing
-    np.testing.assert_allclose(place[:, :2] @ across, offset, atol=0.02)
-    np.testing.assert_allclose(normal, np.broadcast_to(across, normal.shape), atol=0.01)
+    assert_allclose(place[:, 2], depth, atol=0.05)  # a tenth of a plane's spacing
+    assert_allclose(place[:, :2] @ across, offset, atol=0.02)
+    assert_allclose(normal, np.broadcast_to(across, normal.shape), atol=0.01)
 
 
 def test_noise_moves_the_depth_little_and_without_bias() -> None:
@@ -117,9 +118,9 @@ def test_a_cylinder_has_its_edges_at_the_depth_of_its_axis() -> None:
     stack = refocus_sum(np.stack(views), cameras, GRID, outside=1.0) / 9.0
     found = find_edges(stack, GRID, least=0.5, reach_mm=1.5)
     rim = find_rim(solid, np.array([0.0, 0.0, -620.0]))
-    np.testing.assert_allclose(np.abs(rim.position_mm[:, 0]), 1.6, atol=0.01)
-    np.testing.assert_allclose(rim.position_mm[:, 2], 1.3 - 1.6**2 / 621.3, atol=0.02)
-    np.testing.assert_allclose(np.abs(rim.normal[:, 0]), 1.0, atol=0.01)
+    assert_allclose(np.abs(rim.position_mm[:, 0]), 1.6, atol=0.01)
+    assert_allclose(rim.position_mm[:, 2], 1.3 - 1.6**2 / 621.3, atol=0.02)
+    assert_allclose(np.abs(rim.normal[:, 0]), 1.0, atol=0.01)
     visible = rim[count_views(rim, cameras, masks, 0.4) > 0.5]
     assert len(visible.position_mm) > 100
     inner = np.abs(visible.position_mm[:, 1]) < 5.0

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from sabench.algorithms.refocus import refocus_on_surface, refocus_sum
@@ -66,7 +67,7 @@ def test_a_plane_of_constant_z_is_that_of_the_sweep() -> None:
     made = refocus_on_surface(images, CAMERAS, plane.points_mm(), "additive")
     seen = made.views == len(CAMERAS)  # the sweep takes the others as dark
     assert seen.mean() > 0.9
-    np.testing.assert_allclose(made.values[seen], swept[seen], atol=3e-4)
+    assert_allclose(made.values[seen], swept[seen], atol=3e-4)
 
 
 def test_a_tilted_plane_is_interpolated_from_the_stack_of_planes() -> None:
@@ -92,7 +93,7 @@ def test_a_cylinder_of_infinite_radius_is_the_plane() -> None:
     images, size = smooth_images(), (5.6, 4.0)
     flat = refocused(Plane(**PLACE, size_mm=size), images)
     bent = refocused(Cylinder(**PLACE, size_mm=size, radius_mm=1e13), images)
-    np.testing.assert_allclose(bent, flat, atol=1e-6)
+    assert_allclose(bent, flat, atol=1e-6)
 
 
 @pytest.mark.parametrize("radius", [3.0, -3.0])
@@ -147,7 +148,7 @@ def test_views_are_joined_as_they_say() -> None:
         ("maximum", 0.9),
         ("median", 0.6),
     ):
-        np.testing.assert_allclose(refocused(plane, images, join), expected, rtol=1e-5)
+        assert_allclose(refocused(plane, images, join), expected, rtol=1e-5)
 
 
 def test_a_camera_counts_where_it_shows_the_front() -> None:

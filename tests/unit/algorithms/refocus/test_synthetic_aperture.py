@@ -1,7 +1,5 @@
-"""Refocusing against a second implementation, and between both back ends.
-
-The second implementation uses exact projection, and scipy's splines and interpolation.
-"""
+"""Refocusing against a second implementation, and between both back ends. The second implementation
+uses exact projection, and scipy's splines and interpolation."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from sabench.algorithms.refocus import (
@@ -68,20 +67,15 @@ def array(wall: Wall | None) -> list[Camera]:
 
 
 def smooth_images(seed: int, count: int = 3) -> F32:
-    """Noise with details of about three pixels, from 0 to 1.
-
-    It shows a misplaced sample.
-    """
+    """Noise with details of about three pixels, from 0 to 1. It shows a misplaced sample."""
     noise = np.random.default_rng(seed).standard_normal((count, 110, 140))
     smooth = np.stack([gaussian_filter(image, 1.5, mode="wrap") for image in noise])
     return np.asarray((smooth - smooth.min()) / (smooth.max() - smooth.min()), dtype=np.float32)
 
 
 def reference(images: F32, cameras: list[Camera], grid: Grid) -> F64:
-    """Return samples (camera, z, y, x) by exact projections.
-
-    A spline onto the slab's plane, then bilinear interpolation. NaN near an image's border.
-    """
+    """Return samples (camera, z, y, x) by exact projections. A spline onto the slab's plane, then
+    bilinear interpolation. NaN near an image's border."""
     x, y, z = grid.axes_mm
     zz, yy, xx = np.meshgrid(z, y, x, indexing="ij")
     points = np.stack([xx, yy, zz], axis=-1).reshape(-1, 3)
@@ -131,12 +125,12 @@ def test_refocusing_is_interpolation_at_exact_projections(wall: Wall | None) -> 
     steepest = np.abs(np.diff(images)).max()
     found = refocus_sum(images, cameras, GRID)
     assert found.dtype == np.float32
-    np.testing.assert_allclose(
+    assert_allclose(
         found[seen], samples.sum(axis=0)[seen], rtol=0, atol=3 * steepest * DEVIATION_PX * 1.5
     )
     product = np.log2(np.maximum(samples, FLOOR)).sum(axis=0)
     log2 = refocus_log2(images, cameras, GRID, FLOOR)
-    np.testing.assert_allclose(
+    assert_allclose(
         np.exp2(log2[seen] / 3),
         np.exp2(product[seen] / 3),
         rtol=0,
@@ -161,10 +155,8 @@ def test_maps_stay_within_their_tolerance_by_slabs(wall: Wall | None) -> None:
 
 
 def test_deviation_is_that_of_all_voxels() -> None:
-    """The probes find about the largest error of the affine maps.
-
-    It is their distance from exact lines of sight.
-    """
+    """The probes find about the largest error of the affine maps. It is their distance from exact
+    lines of sight."""
     cameras = array(TILTED)
     slab = make_slab(cameras, GRID, 0, 9)
     maps, worst = slab.tiles(GRID), 0.0
@@ -198,7 +190,7 @@ def test_refocusing_samples_each_camera_by_itself() -> None:
         alone = np.zeros_like(images)
         alone[number] = images[number]
         seen = np.isfinite(samples[number])
-        np.testing.assert_allclose(
+        assert_allclose(
             refocus_sum(alone, cameras, GRID)[seen], samples[number][seen], rtol=0, atol=2e-3
         )
 
@@ -211,7 +203,7 @@ def test_sum_is_linear() -> None:
     )  # no spline dips below zero
     both = refocus_sum(2.0 * first + np.float32(0.5) * second, cameras, GRID)
     apart = 2.0 * refocus_sum(first, cameras, GRID) + 0.5 * refocus_sum(second, cameras, GRID)
-    np.testing.assert_allclose(both, apart, rtol=0, atol=1e-5)
+    assert_allclose(both, apart, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("refocused", [refocus_sum, functools.partial(refocus_log2, floor=FLOOR)])
@@ -239,7 +231,7 @@ def test_even_images_show_how_many_cameras_see_a_voxel(
         (0.5, outside) if refocused is refocus_sum else (-1.0, np.log2(max(outside, FLOOR)))
     )
     expected = seen * inside + (3 - seen) * beyond
-    np.testing.assert_allclose(found.ravel()[clear], expected.ravel()[clear], rtol=0, atol=2e-5)
+    assert_allclose(found.ravel()[clear], expected.ravel()[clear], rtol=0, atol=2e-5)
 
 
 @pytest.mark.parametrize("shape", [(1, 7, 11), (3, 1, 11), (3, 7, 1), (1, 1, 1)])
@@ -252,7 +244,7 @@ def test_grids_of_one_voxel_along_an_axis(shape: tuple[int, int, int]) -> None:
     samples = reference(images, cameras, grid)
     seen = np.isfinite(samples).all(axis=0)
     assert seen.any()
-    np.testing.assert_allclose(
+    assert_allclose(
         refocus_sum(images, cameras, grid)[seen], samples.sum(axis=0)[seen], rtol=0, atol=5e-3
     )
 
@@ -280,7 +272,7 @@ def test_many_factors_do_not_leave_the_range_of_floats() -> None:
         found = refocus_log2(
             np.full((30, 110, 140), level, dtype=np.float32), [camera] * 30, grid, 0.01
         )
-        np.testing.assert_allclose(found, 30.0 * np.log2(max(level, 0.01)), rtol=2e-5)
+        assert_allclose(found, 30.0 * np.log2(max(level, 0.01)), rtol=2e-5)
 
 
 def test_a_particle_in_all_images_is_brightest_where_it_is() -> None:
@@ -301,7 +293,7 @@ def test_spline_passes_through_pixels_and_is_scipys() -> None:
     images = np.random.default_rng(11).random((2, 37, 53)).astype(np.float32)
     coefficients = coefficients_of(images, CUBIC)
     for image, found in zip(images, coefficients, strict=True):
-        np.testing.assert_allclose(
+        assert_allclose(
             found[1:-2, 1:-2],
             spline_filter(image.astype(np.float64), mode="mirror"),
             rtol=0,
@@ -310,7 +302,7 @@ def test_spline_passes_through_pixels_and_is_scipys() -> None:
     out = np.empty((2, 37, 53), dtype=np.float32)
     identity = np.array([[[26.0, 26.0, 0.0], [18.0, 0.0, 18.0]]] * 2)
     resample(coefficients, CUBIC, identity, 1, 0.0, out)
-    np.testing.assert_allclose(out, images, rtol=0, atol=2e-5)
+    assert_allclose(out, images, rtol=0, atol=2e-5)
 
 
 def test_linear_resampling_is_scipys() -> None:
@@ -330,7 +322,7 @@ def test_linear_resampling_is_scipys() -> None:
         [18.0 + 2.0 * u + 14.0 * v, 25.0 + 20.0 * u + 3.0 * v],
         order=1,
     )
-    np.testing.assert_allclose(out[0], expected, rtol=0, atol=2e-5)
+    assert_allclose(out[0], expected, rtol=0, atol=2e-5)
 
 
 def test_rectifying_maps_are_projections() -> None:
@@ -349,16 +341,11 @@ def test_rectifying_maps_are_projections() -> None:
                 np.full(200, slab.z_mm),
             ]
         )
-        np.testing.assert_allclose(
-            basis @ maps[number].T, camera.project(points)[0], rtol=0, atol=1e-3
-        )
+        assert_allclose(basis @ maps[number].T, camera.project(points)[0], rtol=0, atol=1e-3)
 
 
 def planar_array(wall: Wall | None) -> list[Camera]:
-    """Five cameras on one plane, 60 mm apart.
-
-    They look straight ahead at the grid's middle.
-    """
+    """Five cameras on one plane, 60 mm apart. They look straight ahead at the grid's middle."""
     places = ((0.0, 0.0), (-60.0, 0.0), (60.0, 0.0), (0.0, -60.0), (0.0, 60.0))
     return [
         aim(
@@ -371,10 +358,8 @@ def planar_array(wall: Wall | None) -> list[Camera]:
 
 @pytest.mark.slow
 def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
-    """The published method equals exact refocusing where shifts are whole numbers.
-
-    On such planes, both agree up to the method's bilinear first step.
-    """
+    """The published method equals exact refocusing where shifts are whole numbers. On such planes,
+    both agree up to the method's bilinear first step."""
     cameras = planar_array(None)
     distance = 342.0
     step = (
@@ -404,7 +389,7 @@ def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
 def test_whole_shifts_keep_an_even_image_even() -> None:
     cameras = planar_array(FLAT)
     grid = Grid((0.2, 4.9, 41.0), (0.06, 0.06, 0.5), (4, 9, 11))
-    np.testing.assert_allclose(
+    assert_allclose(
         refocus_by_shifts(np.full((5, 110, 140), 0.75, dtype=np.float32), cameras, grid),
         0.75,
         rtol=1e-5,

@@ -1,8 +1,5 @@
-"""Thresholds.
-
-Q of many k in one pass against one extraction each, and the k from the images against the best
-one.
-"""
+"""Thresholds. Q of many k in one pass against one extraction each, and the k from the images
+against the best one."""
 
 from __future__ import annotations
 
@@ -11,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from reproduction.refocused_frames import best_k, quality_of_k
 from sabench.algorithms.refocus import refocus_sum
@@ -36,10 +34,7 @@ KEEPS: list[Keep] = ["reduced", "whole"]
 
 
 def array_scene(per_pixel: float, **changes: Any) -> Any:
-    """Nine cameras in plain air, 12 x 12 x 8 mm.
-
-    As in the thesis's simulations, but smaller.
-    """
+    """Nine cameras in plain air, 12 x 12 x 8 mm. As in the thesis's simulations, but smaller."""
     values: dict[str, Any] = {
         "title": "array",
         "volume": {"center_mm": [0.0, 0.0, 0.0], "size_mm": [12.0, 12.0, 8.0]},
@@ -96,9 +91,7 @@ def test_one_pass_gives_the_q_of_every_extraction(
     volume, truth = random_volumes()
     ks = np.array([0.0, 0.3, 1.0, 2.2, 3.0, 5.0, 50.0])
     expected = [quality(extract(volume.copy(), k, keep)[scored], truth[scored]) for k in ks]
-    np.testing.assert_allclose(
-        quality_of_k(volume, truth, ks, keep, scored), expected, rtol=0, atol=1e-6
-    )
+    assert_allclose(quality_of_k(volume, truth, ks, keep, scored), expected, rtol=0, atol=1e-6)
     assert expected[0] > expected[4] > expected[-1] == 0.0
 
 
@@ -106,7 +99,7 @@ def test_a_value_at_the_threshold_is_left_out() -> None:
     volume = np.zeros((1, 2, 2), dtype=np.float32)
     volume[0, 0, 0] = 2.0  # mean 1/2, standard deviation sqrt(3) / 2
     ks = np.array([1.0, math.sqrt(3.0), 2.0])
-    np.testing.assert_allclose(
+    assert_allclose(
         quality_of_k(volume, volume, ks, "whole"),
         [quality(extract(volume.copy(), k, "whole"), volume) for k in ks],
     )
@@ -226,11 +219,11 @@ def test_parameters_choose_the_k(shot: Shot, keep: Keep) -> None:
     fixed = extract_particles(
         volume.copy(), shot.observation, ExtractionParameters(k=2.0, keep=keep)
     )
-    np.testing.assert_array_equal(fixed, extract(volume.copy(), 2.0, keep))
+    assert_array_equal(fixed, extract(volume.copy(), 2.0, keep))
     chosen = extract_particles(
         volume.copy(), shot.observation, ExtractionParameters(k="auto", keep=keep)
     )
-    np.testing.assert_array_equal(
+    assert_array_equal(
         chosen, extract(volume.copy(), auto_k(volume, occupancy(shot.observation), keep), keep)
     )
 
@@ -253,4 +246,4 @@ def test_images_are_scaled_to_their_bright_level() -> None:
     case = simulate(array_scene(0.05, sensor={"black_level_dn": 20.0}), seed=3).observation
     for grey, scaled in zip(case.images, normalise(case.images, case.black_dn), strict=True):
         expected = np.maximum(grey - 20.0, 0.0) / bright_dn(grey, 20.0)
-        np.testing.assert_allclose(scaled, expected, rtol=1e-6, atol=1e-7)
+        assert_allclose(scaled, expected, rtol=1e-6, atol=1e-7)

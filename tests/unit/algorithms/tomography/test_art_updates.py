@@ -1,7 +1,5 @@
-"""Corrections of tomography, each against its formula with a dense W.
-
-Also their common properties: saturation, residuals and the stop rule.
-"""
+"""Corrections of tomography, each against its formula with a dense W. Also their common properties:
+saturation, residuals and the stop rule."""
 
 from __future__ import annotations
 
@@ -10,6 +8,7 @@ from collections.abc import Callable
 import numba
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.tomography.art_updates import (
     DARKEST,
@@ -49,10 +48,8 @@ STEPS: dict[str, Step] = {
 
 
 def matrices(lines: ProjectionOperator) -> F64:
-    """Return W (camera, pixel, voxel), column by column.
-
-    By one thread: for one voxel, waiting for the other threads takes longer.
-    """
+    """Return W (camera, pixel, voxel), column by column. By one thread: for one voxel, waiting for
+    the other threads takes longer."""
     unit, most = np.eye(len(lines.support), dtype=np.float32), numba.get_num_threads()
     numba.set_num_threads(1)
     columns = [lines.forward(row).reshape(len(lines.cameras), -1) for row in unit]
@@ -128,7 +125,7 @@ def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
     for _ in range(3):
         STEPS[name](state, measured)
         expected = by_formula(name, w, p, expected)
-    np.testing.assert_allclose(state.values, expected, rtol=2e-4, atol=1e-4)
+    assert_allclose(state.values, expected, rtol=2e-4, atol=1e-4)
     assert np.ptp(state.values) > 0.5
 
 
@@ -144,7 +141,7 @@ def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
     assert STEPS[name](bright, everywhere) == pytest.approx(
         residual_of_dark_pixels(bright, everywhere), rel=1e-4
     )
-    np.testing.assert_allclose(bright.values, before * 50.0, rtol=1e-6)
+    assert_allclose(bright.values, before * 50.0, rtol=1e-6)
     assert STEPS[name](bright, measured) > 0.0
     assert (bright.values < before * 40.0).mean() > 0.8
     dark = [Iterate(state.lines, before * np.float32(0.02), state.seen) for _ in range(2)]
@@ -155,7 +152,7 @@ def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
         "smart",
         "sart",
     ):  # the others turn to other cameras in between, which may then see too much
-        np.testing.assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
+        assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
 
 
 def residual_of_dark_pixels(state: Iterate, measured: RecordedLight) -> float:
@@ -177,7 +174,7 @@ def test_steps_do_not_depend_on_the_number_of_threads(name: str) -> None:
         found.append((STEPS[name](state, recorded(state, 3)), state.values))
     for missed, values in found[1:]:
         assert missed == found[0][0]
-        np.testing.assert_array_equal(values, found[0][1])
+        assert_array_equal(values, found[0][1])
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -215,7 +212,7 @@ def test_iteration_stops_when_little_changes() -> None:
     )
     squares = iter([16.0, 4.0, 3.24, 3.0, 1.0])
     found = list(iterate(lambda: next(squares), measured, 5, 0.15, "test"))
-    np.testing.assert_allclose(found, [1.0, 0.5, 0.45])
+    assert_allclose(found, [1.0, 0.5, 0.45])
 
 
 def test_black_pixels_leave_no_light_but_finite_values() -> None:
@@ -235,10 +232,8 @@ def test_black_pixels_leave_no_light_but_finite_values() -> None:
 
 @pytest.mark.slow
 def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
-    """The last camera's image does not change voxels outside its view.
-
-    It changes the others less, the more cameras see them.
-    """
+    """The last camera's image does not change voxels outside its view. It changes the others less,
+    the more cameras see them."""
     state = make_state(every=1)
     lines = state.lines
     ones = np.ones((3, ROWS, COLUMNS), dtype=np.float32)
@@ -253,7 +248,5 @@ def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
         fresh = Iterate(lines, state.values.copy(), state.seen)
         smart(fresh, what, 1.0)
         results.append(fresh.values)
-    np.testing.assert_array_equal(results[0][~last], results[1][~last])
-    np.testing.assert_allclose(
-        results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4
-    )
+    assert_array_equal(results[0][~last], results[1][~last])
+    assert_allclose(results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4)

@@ -1,7 +1,5 @@
-"""The operator W against dense matrices from exact projections.
-
-Pinhole and refractive cameras, some of which see only part of the grid.
-"""
+"""The operator W against dense matrices from exact projections. Pinhole and refractive cameras,
+some of which see only part of the grid."""
 
 from __future__ import annotations
 
@@ -10,6 +8,7 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import erf
 
 from sabench.algorithms.tomography import supersampling
@@ -66,10 +65,8 @@ def make_camera(
 
 
 def array(wall: Wall | None) -> list[Camera]:
-    """Make cameras, of which only the first sees the whole grid.
-
-    The others look past some of it, to the upper left and to the lower right.
-    """
+    """Make cameras, of which only the first sees the whole grid. The others look past some of it,
+    to the upper left and to the lower right."""
     return [
         make_camera(120.0, -80.0, wall),
         make_camera(-90.0, 130.0, wall, (-14.4, -11.5)),
@@ -127,16 +124,16 @@ def test_forward_and_adjoint_are_exact_projections(wall: Wall | None, footprint:
         2.0,
     }  # some voxels lie beyond the borders of one camera or of two
     for number, (image, matrix) in enumerate(zip(lines.forward(values), matrices, strict=True)):
-        np.testing.assert_allclose(
+        assert_allclose(
             image.ravel(), matrix @ values, rtol=0, atol=4e-3
         )  # a voxel is within 1 / 2048 of its place, its map within 1e-3
-        np.testing.assert_allclose(lines.forward(values, [number])[0], image, rtol=0, atol=1e-6)
+        assert_allclose(lines.forward(values, [number])[0], image, rtol=0, atol=1e-6)
     back = sum(matrix.T @ image.ravel() for image, matrix in zip(images, matrices, strict=True))
-    np.testing.assert_allclose(lines.adjoint(images), back, rtol=0, atol=4e-3)
-    np.testing.assert_allclose(
+    assert_allclose(lines.adjoint(images), back, rtol=0, atol=4e-3)
+    assert_allclose(
         lines.adjoint(images[2:], [2]), matrices[2].T @ images[2].ravel(), rtol=0, atol=2e-3
     )
-    np.testing.assert_allclose(lines.adjoint(np.ones_like(images)), seen, rtol=0, atol=1e-5)
+    assert_allclose(lines.adjoint(np.ones_like(images)), seen, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("footprint", [BILINEAR, BLOB])
@@ -162,8 +159,8 @@ def test_sums_do_not_depend_on_the_number_of_threads() -> None:
         image = lines.forward(values)
         found.append((image, lines.adjoint(image)))
     for image, back in found[1:]:
-        np.testing.assert_array_equal(image, found[0][0])
-        np.testing.assert_array_equal(back, found[0][1])
+        assert_array_equal(image, found[0][0])
+        assert_array_equal(back, found[0][1])
 
 
 def test_parts_hold_every_voxel_once() -> None:
@@ -172,7 +169,7 @@ def test_parts_hold_every_voxel_once() -> None:
         parts = support.parts(count)
         assert (parts[0], parts[-1], len(parts)) == (0, 6, count + 1)
         assert (np.diff(parts) >= 0).all()
-    np.testing.assert_array_equal(
+    assert_array_equal(
         Support((1, 2, 3), np.zeros(3, dtype=np.int64), np.zeros(0, dtype=np.int16)).parts(4)[
             [0, -1]
         ],
@@ -208,15 +205,13 @@ def test_first_guess_is_the_root_of_the_product_where_nothing_is_black(
     )
     assert 0.1 < (expected > 0.0).mean() < 0.9
     assert clear.mean() > 0.85
-    np.testing.assert_allclose(found[clear], expected[clear], rtol=0, atol=6e-3)
+    assert_allclose(found[clear], expected[clear], rtol=0, atol=6e-3)
 
 
 def sampled(camera: Camera, image: F32, nearest: bool) -> tuple[F64, F64]:
-    """Return samples at all voxels, and a mask of safe ones.
-
-    Samples are NaN where the camera does not see the voxel. The mask marks voxels that project
-    well inside a pixel, so that rounding cannot matter.
-    """
+    """Return samples at all voxels, and a mask of safe ones. Samples are NaN where the camera does
+    not see the voxel. The mask marks voxels that project well inside a pixel, so that rounding
+    cannot matter."""
     if not nearest:
         matrix = dense(camera, BILINEAR)
         return np.asarray(
@@ -250,7 +245,7 @@ def test_a_uniform_guess_is_as_bright_as_the_images_and_dark_where_no_camera_loo
     )
     state = problem.uniform()
     seen = dense(camera, BLOB).sum(axis=0) > 0.5
-    np.testing.assert_array_equal(state.values > 0.0, seen)
+    assert_array_equal(state.values > 0.0, seen)
     assert state.lines.forward(state.values).sum() == pytest.approx(
         problem.measured.light.sum(), rel=1e-4
     )
@@ -259,20 +254,17 @@ def test_a_uniform_guess_is_as_bright_as_the_images_and_dark_where_no_camera_loo
 
 @pytest.mark.parametrize("sigma", [0.3, 0.6, 0.8])
 def test_a_blob_casts_about_a_gaussian(sigma: float) -> None:
-    """The kernel keeps its light, its position and its variance.
-
-    Averaged over all positions inside a pixel, it has the variance of a Gaussian integrated over
-    pixels.
-    """
+    """The kernel keeps its light, its position and its variance. Averaged over all positions inside
+    a pixel, it has the variance of a Gaussian integrated over pixels."""
     right = (np.arange(64) + 0.5) / 64
     image = np.zeros((64, 5, 9), dtype=np.float32)
     image[:, 2, 3], image[:, 2, 4] = 1.0 - right, right
     cast = gaussian(sigma).smooth(image).astype(np.float64)
     assert gaussian(sigma).margin == 1
-    np.testing.assert_allclose(cast.sum(axis=(1, 2)), 1.0, atol=1e-6)
+    assert_allclose(cast.sum(axis=(1, 2)), 1.0, atol=1e-6)
     away = np.arange(9)[None] - (3.0 + right)[:, None]
     line = cast.sum(axis=1)
-    np.testing.assert_allclose((line * away).sum(axis=1), 0.0, atol=1e-6)
+    assert_allclose((line * away).sum(axis=1), 0.0, atol=1e-6)
     assert (line * away**2).sum(axis=1).mean() == pytest.approx(sigma**2 + 1.0 / 12.0, rel=1e-3)
 
 
@@ -303,8 +295,8 @@ def test_long_voxels_are_split_and_short_ones_are_not() -> None:
     assert supersampling.splits(scale) == (1, 1, 2)
     fine = supersampling.split(Grid((0.0, 1.0, 2.0), (0.1, 0.2, 0.3), (2, 3, 4)), (1, 2, 3))
     assert fine.shape == (6, 6, 4)
-    np.testing.assert_allclose(fine.low_mm, (0.0, 0.95, 1.9))
-    np.testing.assert_allclose(fine.voxel_mm, (0.1, 0.1, 0.1))
+    assert_allclose(fine.low_mm, (0.0, 0.95, 1.9))
+    assert_allclose(fine.voxel_mm, (0.1, 0.1, 0.1))
 
 
 @pytest.mark.parametrize(
@@ -328,9 +320,7 @@ def test_volume_is_the_sum_of_blobs(count: tuple[int, int, int], sigma: float) -
         share_of(axis, step, c, sigma)
         for axis, step, c in zip(grid.axes_mm, grid.voxel_mm, centre, strict=True)
     ]
-    np.testing.assert_allclose(
-        volume, 2.0 * np.einsum("k,j,i->kji", *shares[::-1]), rtol=0, atol=0.02
-    )
+    assert_allclose(volume, 2.0 * np.einsum("k,j,i->kji", *shares[::-1]), rtol=0, atol=0.02)
     assert volume.sum() == pytest.approx(2.0, rel=1e-5)
 
 
@@ -348,6 +338,6 @@ def test_dim_voxels_become_zero() -> None:
     volume = np.linspace(0.0, 1.0, 101, dtype=np.float32).reshape(1, 1, 101)
     bright = np.percentile(volume[volume > 0.1], 95.0)
     kept = supersampling.clear_dark(volume.copy(), 0.25)
-    np.testing.assert_array_equal(kept > 0.0, volume >= 0.25 * bright)
-    np.testing.assert_array_equal(supersampling.clear_dark(volume.copy(), 0.0), volume)
+    assert_array_equal(kept > 0.0, volume >= 0.25 * bright)
+    assert_array_equal(supersampling.clear_dark(volume.copy(), 0.0), volume)
     assert not supersampling.clear_dark(np.full((2, 3, 4), 1e-4, dtype=np.float32), 0.25).any()

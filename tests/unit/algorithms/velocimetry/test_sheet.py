@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.velocimetry import find_sheet, light_in_sheet
 from sabench.algorithms.velocimetry.windows import Windows, by_shifts
@@ -60,9 +61,9 @@ def test_uniform_flow_is_recovered_in_any_plane(camera: Camera, normal: F64) -> 
     motion = lambda points: np.tile(move, (len(points), 1))  # noqa: E731
     field = solved(image_pair((camera,), motion, normal), normal)
     assert field.plane_axes is not None
-    np.testing.assert_allclose(field.axes[2], normal, atol=1e-9)
-    np.testing.assert_allclose((field.positions_mm - POINT) @ normal, 0.0, atol=1e-9)
-    np.testing.assert_allclose(field.velocity_mm_s @ normal, 0.0, atol=1e-9)
+    assert_allclose(field.axes[2], normal, atol=1e-9)
+    assert_allclose((field.positions_mm - POINT) @ normal, 0.0, atol=1e-9)
+    assert_allclose(field.velocity_mm_s @ normal, 0.0, atol=1e-9)
     errors = errors_px(field, motion, 0.063)
     assert field.valid.mean() > 0.75
     assert rms(errors) < BOUND_PX / 2.0  # no gradients, no noise
@@ -96,10 +97,8 @@ def test_without_its_wall_a_camera_shows_another_scale(camera: Camera) -> None:
 
 
 def test_motion_across_the_sheet_costs_pairs(camera: Camera) -> None:
-    """The correlation falls as the share of particles that stay in the light.
-
-    Source: R. D. Keane and R. J. Adrian, Appl. Sci. Res. 49 (1992) 191-215: F_O = 1 - |dz| / t.
-    """
+    """The correlation falls as the share of particles that stay in the light. Source: R. D. Keane
+    and R. J. Adrian, Appl. Sci. Res. 49 (1992) 191-215: F_O = 1 - |dz| / t."""
     heights, valid = [], []
     for share in (0.0, 0.5, 1.5):
         move = share * 0.5 * ALONG_Z
@@ -130,7 +129,7 @@ def test_the_sheet_lies_as_the_image_shows_it(camera: Camera) -> None:
         roll = rotation_matrices(np.array([0.0, 0.0, np.deg2rad(angle)]))
         (rolled,) = rotate_cameras((camera,), roll)
         sheet = find_sheet((rolled,), GRID, (0.0, 0.0, 131.5), (0.0, 0.0, -1.0))
-        np.testing.assert_allclose(sheet.axes @ roll, np.eye(3), atol=1e-9)
+        assert_allclose(sheet.axes @ roll, np.eye(3), atol=1e-9)
         assert sheet.pixel_mm == pytest.approx(0.0628, abs=0.0003)
         seen = sheet.pixels[sheet.seen]
         assert (np.abs(seen - [119.5, 99.5]) < [120.0, 100.0]).all()

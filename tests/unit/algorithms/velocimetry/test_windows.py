@@ -1,7 +1,5 @@
-"""Window correlation.
-
-Its kernels against other programs, its vectors against known displacements.
-"""
+"""Window correlation. Its kernels against other programs, its vectors against known
+displacements."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
@@ -51,10 +50,8 @@ def pair_of(name: str, **parameters: Any) -> tuple[VolumePair, Any]:
 
 
 def errors(field: Velocity, flow: Any) -> F64:
-    """Errors of valid vectors, in voxels.
-
-    Against the displacement about the middle of the interval.
-    """
+    """Errors of valid vectors, in voxels. Against the displacement about the middle of the
+    interval."""
     points = field.positions_mm.reshape(-1, 3)
     exact = advect(flow, points, 0.5, 1.0, 1e-7) - advect(flow, points, 0.5, 0.0, 1e-7)
     return np.asarray(
@@ -73,7 +70,7 @@ def solved(case: VolumePair, name: str = "piv3d", **parameters: Any) -> Velocity
 def test_spline_coefficients_are_scipy_s() -> None:
     for shape in ((20, 40, 50), (3, 9, 2)):
         values = np.random.default_rng(1).random(shape).astype(np.float32)
-        np.testing.assert_allclose(
+        assert_allclose(
             spline_coefficients(values),
             spline_filter(values.astype(np.float64), 3, mode="mirror"),
             atol=2e-5,
@@ -106,15 +103,13 @@ def test_moved_volumes_are_scipy_s() -> None:
         for i in range(3):
             both &= (there[i] >= 0.0) & (there[i] <= values.shape[i] - 1)
     for made, expected in zip((out, other), found, strict=True):
-        np.testing.assert_allclose(made[both], expected[both], atol=5e-6)
+        assert_allclose(made[both], expected[both], atol=5e-6)
         assert not made[~both].any()
 
 
 def _continued(field: F64, at: list[F64]) -> F64:
-    """Interpolate displacements (z, y, x) at positions on a lattice.
-
-    Linear beyond the lattice, which is continued by hand.
-    """
+    """Interpolate displacements (z, y, x) at positions on a lattice. Linear beyond the lattice,
+    which is continued by hand."""
     room = 4
     for axis in range(3):
         before, after = (np.take(field, [n], axis=axis) for n in (0, -1))
@@ -141,7 +136,7 @@ def test_block_sums_are_sums() -> None:
         other = padded[dz : dz + 12, dy : dy + 16, dx : dx + 24]
         for sums, values in ((products, first * other), (squares, other * other)):
             expected = values.reshape(3, 4, 2, 8, 3, 8).sum(axis=(1, 3, 5))
-            np.testing.assert_allclose(sums[..., place], expected, rtol=1e-4)
+            assert_allclose(sums[..., place], expected, rtol=1e-4)
 
 
 def test_small_shifts_are_found_to_parts_of_a_voxel() -> None:
@@ -161,8 +156,8 @@ def test_the_unit_of_light_does_not_matter() -> None:
     plain = by_shifts(*pair, windows, (1, 1, 1))
     dim = np.float32(2.0**-20)
     faint = by_shifts(dim * pair[0], dim * pair[1], windows, (1, 1, 1))
-    np.testing.assert_allclose(faint.shift, plain.shift, atol=1e-6)
-    np.testing.assert_allclose(faint.height, plain.height, atol=1e-6)
+    assert_allclose(faint.shift, plain.shift, atol=1e-6)
+    assert_allclose(faint.height, plain.height, atol=1e-6)
 
 
 def test_large_shifts_are_found_by_spectra() -> None:
@@ -209,11 +204,11 @@ def test_vectors_lie_at_the_middles_of_their_windows() -> None:
     case, _ = pair_of("linear_flow", velocity_mm_s=(0.1, 0.0, 0.0))
     field = solved(case, overlap=0.5)
     assert field.valid.shape == (4, 9, 9)
-    np.testing.assert_allclose(
+    assert_allclose(
         field.positions_mm[0, 0, 0],
         np.asarray(GRID.low_mm) + np.asarray(GRID.voxel_mm) * [15.5, 15.5, 7.5],
     )
-    np.testing.assert_allclose(field.step_mm, [0.8, 0.8, 0.8])
+    assert_allclose(field.step_mm, [0.8, 0.8, 0.8])
 
 
 def test_windows_without_signal_are_invalid_and_finite() -> None:
@@ -277,7 +272,7 @@ def test_gradients_are_those_of_linear_fields() -> None:
         (0.0, 0.0, 0.0), (0.5, 0.4, 0.8), np.zeros((4, 5, 6, 3)), np.ones((4, 5, 6), dtype=np.bool_)
     )
     values = field.positions_mm @ slope.T
-    np.testing.assert_allclose(
+    assert_allclose(
         gradient(values, field.step_mm)[inner((4, 5, 6))], np.tile(slope, (24, 1, 1)), atol=1e-12
     )
 
@@ -293,8 +288,8 @@ def test_medians_are_those_of_the_neighbours() -> None:
         around = np.delete(padded[z : z + 3, y : y + 3, x : x + 3].reshape(27, 3), 13, axis=0)
         known = around[np.isfinite(around[:, 0])]
         if len(known):
-            np.testing.assert_allclose(middle[z, y, x], np.median(known, axis=0))
-            np.testing.assert_allclose(
+            assert_allclose(middle[z, y, x], np.median(known, axis=0))
+            assert_allclose(
                 spread[z, y, x], np.median(np.abs(known - np.median(known, axis=0)), axis=0)
             )
         else:
@@ -319,16 +314,14 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
     expected = gaussian_filter(
         values, sigma, mode="mirror", radius=[int(np.ceil(3.0 * own)) for own in sigma]
     )
-    np.testing.assert_allclose(widen(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
+    assert_allclose(widen(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
     assert widen(values, (0.8, 0.9, 1.0), 0.8) is values
 
 
 @pytest.mark.slow
 def test_weighted_windows_resolve_more() -> None:
-    """A Gaussian's weights see more of a wave than equal ones.
-
-    The wave is twice as long as the window.
-    """
+    """A Gaussian's weights see more of a wave than equal ones. The wave is twice as long as the
+    window."""
     parameters = {
         "along": (1.0, 0.0, 0.0),
         "across": (0.0, 1.0, 0.0),

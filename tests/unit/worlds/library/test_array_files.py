@@ -1,7 +1,4 @@
-"""Files of other programs.
-
-Read in every format, in any unit, and refused with a sentence.
-"""
+"""Files of other programs. Read in every format, in any unit, and refused with a sentence."""
 
 from __future__ import annotations
 
@@ -13,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import netcdf_file
 
 from sabench.api import Flow, Generator
@@ -40,10 +38,8 @@ def cellular(points: F64) -> F64:
 
 
 def lattice(count: int = 40) -> Arrays:
-    """Return the field on a lattice as (z, y, x) with other spacings along each axis.
-
-    The lattice reaches a little further than the field's period.
-    """
+    """Return the field on a lattice as (z, y, x) with other spacings along each axis. The lattice
+    reaches a little further than the field's period."""
     axes = [np.linspace(-0.6 * SIDE, 0.6 * SIDE, count + extra) for extra in (0, 3, 6)]
     z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
     values = cellular(np.stack([x, y, z], axis=-1).reshape(-1, 3)).reshape(*x.shape, 3)
@@ -121,16 +117,14 @@ def test_a_field_is_the_same_from_every_format(
 ) -> None:
     field = field_of(write(tmp_path / name, lattice()), **parameters)
     field.check(DOMAIN)
-    np.testing.assert_allclose(
-        field.velocity(points(), 0.0), 1e3 * cellular(points() / 1e3), atol=0.3
-    )
+    assert_allclose(field.velocity(points(), 0.0), 1e3 * cellular(points() / 1e3), atol=0.3)
     slopes, step = field.gradient(points(), 0.0), 1e-4
     for axis in range(3):
         move = step * np.eye(3)[axis]
         difference = (
             field.velocity(points() + move, 0.0) - field.velocity(points() - move, 0.0)
         ) / (2.0 * step)
-        np.testing.assert_allclose(slopes[..., axis], difference, atol=1e-3)
+        assert_allclose(slopes[..., axis], difference, atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -156,9 +150,7 @@ def test_axes_may_stand_in_any_order_and_units_be_given(tmp_path: Path) -> None:
         center_mm=[1.0, 2.0, 3.0],
     )
     there = 10.0 * points() / 1e3 + np.array([1.0, 2.0, 3.0])  # a metre is taken for a centimetre
-    np.testing.assert_allclose(
-        field.velocity(there, 0.0), 500.0 * cellular(points() / 1e3), atol=0.3
-    )
+    assert_allclose(field.velocity(there, 0.0), 500.0 * cellular(points() / 1e3), atol=0.3)
 
 
 def test_a_box_repeats_and_time_goes_on(tmp_path: Path) -> None:
@@ -173,8 +165,8 @@ def test_a_box_repeats_and_time_goes_on(tmp_path: Path) -> None:
     }
     field = field_of(as_hdf5(tmp_path / "field.h5", arrays), periodic="xyz", time="t")
     far = points() + np.array([600.0, -1200.0, 60.0])
-    np.testing.assert_allclose(field.velocity(far, 0.7), 0.49 * 1e3 * cellular(far / 1e3), atol=0.3)
-    np.testing.assert_allclose(
+    assert_allclose(field.velocity(far, 0.7), 0.49 * 1e3 * cellular(far / 1e3), atol=0.3)
+    assert_allclose(
         np.trace(field.gradient(far, 0.7), axis1=1, axis2=2),
         -0.49e3 * np.pi / SIDE / 1e3 * np.sin(far[:, 2] / 30.0 * np.pi),
         atol=0.1,
@@ -271,10 +263,8 @@ def as_csv(path: Path, header: str, rows: Any) -> Path:
 
 
 def tracks_file(folder: Path, unit: str = " [mm]") -> Path:
-    """Write three trajectories at 20 frames a second, in no order.
-
-    The last one begins later and ends earlier.
-    """
+    """Write three trajectories at 20 frames a second, in no order. The last one begins later and
+    ends earlier."""
     rows = [
         (number, frame, *path_of(number, np.array(frame / 20.0)))
         for number in range(3)
@@ -300,10 +290,10 @@ def test_particles_stay_on_their_tracks(tmp_path: Path) -> None:
         (0.4, [0, 1]),
     ):
         seen = tracks.particles(DOMAIN, 0, 0, time)
-        np.testing.assert_array_equal(np.sort(seen.id), there)
+        assert_array_equal(np.sort(seen.id), there)
         for number, place, speed in zip(seen.id, seen.position_mm, seen.velocity_mm_s, strict=True):
-            np.testing.assert_allclose(place, path_of(float(number), np.array(time)), atol=1e-12)
-            np.testing.assert_allclose(speed, [10.0, -10.0 * time, 0.0], atol=1e-10)
+            assert_allclose(place, path_of(float(number), np.array(time)), atol=1e-12)
+            assert_allclose(speed, [10.0, -10.0 * time, 0.0], atol=1e-10)
     with pytest.raises(
         InputError, match=r"tracks.csv: expected a trajectory in the volume in frame 7"
     ):
@@ -322,8 +312,8 @@ def test_tracks_with_velocities_and_diameters(tmp_path: Path) -> None:
     )
     tracks = tracks_of(path, id="id", time="t", velocity=("u", "v", "w"), diameter="d", start_s=0.1)
     seen = tracks.particles(DOMAIN, 0, 0, 0.1)
-    np.testing.assert_allclose(seen.position_mm, path_of(1.0, np.array([0.2])), atol=1e-12)
-    np.testing.assert_allclose(seen.diameter_mm, 0.02)
+    assert_allclose(seen.position_mm, path_of(1.0, np.array([0.2])), atol=1e-12)
+    assert_allclose(seen.diameter_mm, 0.02)
 
 
 @pytest.mark.parametrize(
@@ -382,7 +372,7 @@ def test_a_data_set_keeps_its_field(tmp_path: Path) -> None:
         path.unlink()
     flow, particles = flow_of(data.scene), data.particles(1)
     assert flow is not None
-    np.testing.assert_allclose(flow.velocity(particles.position_mm, 0.0), particles.velocity_mm_s)
+    assert_allclose(flow.velocity(particles.position_mm, 0.0), particles.velocity_mm_s)
     assert not verify(data.root)
     assert (
         generate(
@@ -420,17 +410,15 @@ def test_tracks_become_frames(tmp_path: Path) -> None:
     motion = Motion(scene, 0)
     frames = [motion.at(frame) for frame in range(3)]
     assert [len(frame) for frame in frames] == [2, 2, 3]
-    np.testing.assert_allclose(
+    assert_allclose(
         frames[1].position_mm[0] - frames[0].position_mm[0], [0.5, -0.0125, 0.0], atol=1e-12
     )
 
 
 def test_what_trackpy_linked_is_read() -> None:
-    """Trajectories that trackpy linked are read.
-
-    25 particles in five frames 0.1 s apart that all move by 0.2 mm along X, and increasingly fast
-    along Y, as trackpy 0.7 wrote them: rows of a frame in no order, and a column without a name.
-    """
+    """Trajectories that trackpy linked are read. 25 particles in five frames 0.1 s apart that all
+    move by 0.2 mm along X, and increasingly fast along Y, as trackpy 0.7 wrote them: rows of a
+    frame in no order, and a column without a name."""
     path = ROOT / "tests/data/trackpy-0.7.csv"
     tracks = tracks_of(path, length="mm", seconds=0.1)
     domain = Domain((0.0, 0.0, 30.0), (30.0, 30.0, 10.0), 100)
@@ -438,10 +426,10 @@ def test_what_trackpy_linked_is_read() -> None:
     for frame, particles in enumerate(frames):
         order, first = np.argsort(particles.id), np.argsort(frames[0].id)
         moved = particles.position_mm[order] - frames[0].position_mm[first]
-        np.testing.assert_allclose(
+        assert_allclose(
             moved, np.tile([0.2 * frame, 0.05 * frame * (frame - 1), 0.0], (25, 1)), atol=2e-5
         )
-        np.testing.assert_allclose(
+        assert_allclose(
             particles.velocity_mm_s, np.tile([2.0, frame - 0.5, 0.0], (25, 1)), atol=1e-3
         )
 
@@ -471,8 +459,8 @@ def test_a_series_of_files_is_one(head: str, tmp_path: Path) -> None:
     for time in (0.1, 0.17):
         seen, expected = many.particles(DOMAIN, 0, 0, time), one.particles(DOMAIN, 0, 0, time)
         order, other = np.argsort(seen.id), np.argsort(expected.id)
-        np.testing.assert_array_equal(seen.id[order], expected.id[other])
-        np.testing.assert_allclose(seen.position_mm[order], expected.position_mm[other], atol=1e-9)
+        assert_array_equal(seen.id[order], expected.id[other])
+        assert_allclose(seen.position_mm[order], expected.position_mm[other], atol=1e-9)
     (tmp_path / "series" / "part_10.dat").write_text(head + "1 2\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"part_10\.dat: expected '4' in it, got '1', '2'"):
         tracks_of(path, seconds=0.05, skip_lines=skip, **COLUMNS).particles(DOMAIN, 0, 0, 0.1)
@@ -485,7 +473,7 @@ def test_a_share_of_the_tracks_is_kept_in_all_frames(tmp_path: Path) -> None:
     path = as_csv(tmp_path / "tracks.csv", "particle,frame,x,y,z", rows)
     tracks = tracks_of(path, length="mm", seconds=1.0, share=0.3)
     first, later = (tracks.particles(DOMAIN, 5, frame, float(frame)) for frame in (0, 1))
-    np.testing.assert_array_equal(first.id, later.id)
+    assert_array_equal(first.id, later.id)
     assert 240 < len(first) < 360
     assert set(first.id) != set(tracks.particles(DOMAIN, 6, 0, 0.0).id)
 

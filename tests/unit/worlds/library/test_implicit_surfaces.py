@@ -1,7 +1,4 @@
-"""Surfaces of solid bodies.
-
-Closed, of the right size, and not spoilt by the lattice.
-"""
+"""Surfaces of solid bodies. Closed, of the right size, and not spoilt by the lattice."""
 
 from __future__ import annotations
 
@@ -10,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
@@ -46,10 +44,8 @@ def body(name: str, seed: int = 1, **parameters: object) -> Solid:
 
 
 def volume(solid: Solid) -> float:
-    """Return the volume that a closed surface encloses, by Gauss's theorem.
-
-    Negative if the surface faces inwards.
-    """
+    """Return the volume that a closed surface encloses, by Gauss's theorem. Negative if the surface
+    faces inwards."""
     corners = solid.vertices_mm[solid.faces]
     return float(np.linalg.det(corners).sum() / 6.0)
 
@@ -80,8 +76,8 @@ def test_bodies_are_one_closed_surface_that_scenes_take(
         bubbles=None, solids=[{"generator": name, "place_mm": [0.0, 0.0, 60.0], **parameters}]
     )
     (placed,) = Frames(scene, build_rig(scene), 1).at(0).solids
-    np.testing.assert_array_equal(placed.faces, made.faces)
-    np.testing.assert_allclose(placed.vertices_mm, made.vertices_mm + np.array([0.0, 0.0, 60.0]))
+    assert_array_equal(placed.faces, made.faces)
+    assert_allclose(placed.vertices_mm, made.vertices_mm + np.array([0.0, 0.0, 60.0]))
 
 
 @pytest.mark.parametrize(
@@ -89,11 +85,8 @@ def test_bodies_are_one_closed_surface_that_scenes_take(
     [("0012", 0.0, 0.5, 0.12), ("2412", 0.02, 0.4, 0.12), ("6721", 0.06, 0.7, 0.21)],
 )
 def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio: float) -> None:
-    """A section's area does not depend on the curvature of its mean line.
-
-    With thickness at right angles to the line, it is twice the integral of half the thickness
-    along the line.
-    """
+    """A section's area does not depend on the curvature of its mean line. With thickness at right
+    angles to the line, it is twice the integral of half the thickness along the line."""
 
     def strip(x: float) -> float:
         half = (
@@ -116,11 +109,11 @@ def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio:
     assert abs(off[-1]) < 2e-4
     assert abs(off[1]) < abs(off[0]) / 3.5
     made = body("hydrofoil", digits=digits)
-    np.testing.assert_allclose(np.unique(made.vertices_mm[:, 1]), [-20.0, 20.0])
+    assert_allclose(np.unique(made.vertices_mm[:, 1]), [-20.0, 20.0])
     tail = made.vertices_mm[
         made.vertices_mm[:, 0] > 15.0 - 1e-9
     ]  # the chord is 20 mm long, a quarter of it in front of the origin
-    np.testing.assert_allclose(tail, [[15.0, -20.0, 0.0], [15.0, 20.0, 0.0]], atol=1e-9)  # closed
+    assert_allclose(tail, [[15.0, -20.0, 0.0], [15.0, 20.0, 0.0]], atol=1e-9)  # closed
     assert (
         made.vertices_mm[:, 2].max() >= -made.vertices_mm[:, 2].min() - 1e-9
     )  # the upper side is +Z
@@ -150,10 +143,8 @@ def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio:
 def test_surfaces_are_exact_to_the_second_order(
     function: Callable[[F64], F64], radius: float, inside: float, outside: float
 ) -> None:
-    """Triangles are off by at most 3/8 step^2 / radius.
-
-    It is the height of an arc over a cell's diagonal.
-    """
+    """Triangles are off by at most 3/8 step^2 / radius. It is the height of an arc over a cell's
+    diagonal."""
     made = [surface_of(function, [-4.0, -3.0, -3.0], [4.0, 3.0, 3.0], step) for step in (0.3, 0.15)]
     for measure, exact in ((volume, inside), (area, outside)):
         coarse, fine = (abs(measure(one) / exact - 1.0) for one in made)
@@ -185,14 +176,12 @@ def test_distances_to_cones_are_those_of_all_their_balls() -> None:
             for k in range(6)
         ]
     )
-    np.testing.assert_allclose(
-        alone, [[least(point, k) for point in points] for k in range(6)], atol=1e-7
-    )
+    assert_allclose(alone, [[least(point, k) for point in points] for k in range(6)], atol=1e-7)
     some = [0, 2, 3, 4, 5]
     every = capsules(points, starts[some], ends[some], first[some], last[some])
-    np.testing.assert_allclose(every, alone[some].min(axis=0), atol=1e-12)
+    assert_allclose(every, alone[some].min(axis=0), atol=1e-12)
     blended = capsules(points, starts[some], ends[some], first[some], last[some], 0.2)
-    np.testing.assert_allclose(blended, smooth_minimum(alone[some], 0.2), atol=1e-4)
+    assert_allclose(blended, smooth_minimum(alone[some], 0.2), atol=1e-4)
     assert (blended < every).all()
     assert (capsules(points, starts[:0], ends[:0], first[:0], last[:0]) == np.inf).all()
 
@@ -202,13 +191,9 @@ def test_a_smooth_minimum_is_between_its_bounds_in_any_order() -> None:
     soft = smooth_minimum(values, 0.3)
     assert (soft <= values.min(axis=0)).all()
     assert (soft >= values.min(axis=0) - 0.3 * np.log(5.0)).all()
-    np.testing.assert_allclose(
-        smooth_minimum([smooth_minimum(values[3:], 0.3), *values[:3]], 0.3), soft
-    )
-    np.testing.assert_array_equal(smooth_minimum(values, 0.0), values.min(axis=0))
-    np.testing.assert_allclose(
-        smooth_minimum(np.full((4, 1), 100.0), 1e-3), 100.0 - 1e-3 * np.log(4.0)
-    )
+    assert_allclose(smooth_minimum([smooth_minimum(values[3:], 0.3), *values[:3]], 0.3), soft)
+    assert_array_equal(smooth_minimum(values, 0.0), values.min(axis=0))
+    assert_allclose(smooth_minimum(np.full((4, 1), 100.0), 1e-3), 100.0 - 1e-3 * np.log(4.0))
 
 
 def test_hollows_are_filled_and_islands_gone() -> None:
@@ -290,7 +275,7 @@ def test_a_propeller_has_its_blades_and_its_pitch(blades: int, pitch: float) -> 
 @pytest.mark.slow
 def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
     one, again, other = (body("reef", seed, step_mm=0.6) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.vertices_mm, again.vertices_mm)
+    assert_array_equal(one.vertices_mm, again.vertices_mm)
     assert one.vertices_mm.shape != other.vertices_mm.shape
     for made in (one, other):
         low, high = made.vertices_mm.min(axis=0), made.vertices_mm.max(axis=0)
