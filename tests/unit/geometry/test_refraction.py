@@ -38,7 +38,7 @@ def unit(vector: Any) -> F64:
 def make_wall(
     indices: list[float],
     thicknesses: list[float],
-    normal: Any = (0.0, 0.0, 1.0),
+    normal: Any = UP,
     point: Any = ANYWHERE,
 ) -> Wall:
     pairs = zip(indices[1:-1], thicknesses, strict=True)

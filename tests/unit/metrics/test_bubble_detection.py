@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -93,7 +95,7 @@ def test_figures_of_a_jet_are_those_of_its_law() -> None:
     y, rings = np.linspace(0.0, 200.0, 4001), np.arange(0.0, 81.0, 8.0)
     half = law.half_radius_mm(y)
     bins = [(y >= low) & (y <= low + 20.0) for low in np.arange(0.0, 200.0, 20.0)]
-    for ring, (inner, outer) in enumerate(zip(rings[:4], rings[1:5], strict=True)):
+    for ring, (inner, outer) in enumerate(itertools.pairwise(rings[:5])):
         shares = [-np.expm1(-LN2 * r**2 / half**2) for r in (inner, outer)]
         air = law.air_mm2(y) * (shares[1] - shares[0])
         expected = [np.trapezoid(air[part], y[part]) for part in bins]
@@ -123,7 +125,7 @@ def test_false_detections_belong_to_the_bubble_that_they_are_in() -> None:
 
 
 def test_small_ones_and_those_among_many_are_counted_apart() -> None:
-    """Three of five bubbles are a crowd that fills 2 (1 / 6)^3 around each; a small one is alone."""
+    """Three of five bubbles are a crowd that fills 2 (1 / 6)^3 around each."""
     places = np.zeros((5, 3))
     places[1:, 0], places[2, 1] = [2.5, 0.0, 40.0, 80.0], 2.5
     true = Detections.balls(places, np.array([1.0, 1.0, 1.0, 1.0, 0.2]))

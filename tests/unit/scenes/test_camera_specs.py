@@ -14,7 +14,6 @@ from numpy.testing import assert_allclose
 
 import sabench
 from sabench.dataset.cameras import read_cameras
-from sabench.geometry.camera import Camera
 from sabench.geometry.lens import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
@@ -58,27 +57,18 @@ def test_one_camera_has_the_lens_and_the_sensor_of_its_own_table() -> None:
 @pytest.mark.parametrize(
     ("each", "expected"),
     [
-        (
-            [OWN | {"camera": "camera_04"}],
-            "cameras.each.0.camera: expected camera_00 to camera_03, got 'camera_04'",
-        ),
-        (
-            [OWN, {"camera": "camera_02"}],
-            "cameras.each.1.camera: expected every camera once, got 'camera_02' again",
-        ),
-        ([OWN | {"tilt_deg": [90.0, 0.0]}], "cameras.each.0.tilt_deg.0: .*less than 90"),
-        ([OWN | {"tilt_deg": [5.0]}], "cameras.each.0.tilt_deg"),
-        ([OWN | {"pixel_mm": 0.0}], "cameras.each.0.pixel_mm: .*greater than 0"),
-        ([OWN | {"rows": 100}], "cameras.each.0.rows"),
-        ([{"f_number": 8.0}], "cameras.each.0.camera"),
-        (
-            [OWN | {"focus_mm": 55.0}],
-            "cameras.focus_mm: camera_02: expected more than the focal length 60 mm, got 55",
-        ),
+        ([OWN | {"camera": "camera_04"}], "each.0.camera: expected camera_00 to camera_03"),
+        ([OWN, {"camera": "camera_02"}], "each.1.camera: expected every camera once"),
+        ([OWN | {"tilt_deg": [90.0, 0.0]}], "each.0.tilt_deg.0: .*less than 90"),
+        ([OWN | {"tilt_deg": [5.0]}], "each.0.tilt_deg"),
+        ([OWN | {"pixel_mm": 0.0}], "each.0.pixel_mm: .*greater than 0"),
+        ([OWN | {"rows": 100}], "each.0.rows"),
+        ([{"f_number": 8.0}], "each.0.camera"),
+        ([OWN | {"focus_mm": 55.0}], "focus_mm: camera_02: expected more than the focal length"),
     ],
 )
 def test_what_cannot_be_is_refused(each: list[dict[str, Any]], expected: str) -> None:
-    with pytest.raises(InputError, match=f"^test: {expected}") as caught:
+    with pytest.raises(InputError, match=f"^test: cameras.{expected}") as caught:
         build_rig(scene_with(*each), "test")
     assert "\n" not in str(caught.value)
 
@@ -112,9 +102,7 @@ def test_nominal_tilts_are_off_by_the_scene_s_error() -> None:
 
 def test_a_tilt_moves_projections_little_and_focus_much() -> None:
     """The use of a tilt: other points are sharp, at nearly the same pixels."""
-    camera: Camera = build_rig(scene_with({"camera": "camera_00", "tilt_deg": [0.0, 5.0]})).cameras[
-        0
-    ]
+    camera = build_rig(scene_with({"camera": "camera_00", "tilt_deg": [0.0, 5.0]})).cameras[0]
     points = np.random.default_rng(1).uniform([-4.5, -3.0, 28.0], [4.5, 3.0, 32.0], (50, 3))
     flat = replace(camera, tilt_deg=(0.0, 0.0))
     moved = np.abs(camera.project(points)[0] - flat.project(points)[0])

@@ -30,7 +30,7 @@ def refuse() -> None:
     raise InputError("no")
 
 
-def break_off() -> None:
+def break_off(*_: object) -> None:
     os.abort()
 
 
@@ -92,10 +92,6 @@ def wait(path: Path, seconds: float) -> None:
     time.sleep(seconds)
 
 
-def break_reading_off(path: Path) -> None:
-    os.abort()
-
-
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     with h5py.File(tmp_path / "a.h5", "w") as made:
@@ -146,5 +142,5 @@ def test_a_reader_that_sleeps_is_killed_in_the_end(
 
 def test_a_crash_is_a_fault_of_the_file(file: Path) -> None:
     with pytest.raises(InputError, match="signal SIGABRT") as caught:
-        read_isolated(break_reading_off, file)
+        read_isolated(break_off, file)
     assert not isinstance(caught.value, UncheckedError)

@@ -72,39 +72,26 @@ def test_it_gets_a_clean_environment_and_no_input(
     assert facts == ["True", "True", "True"]
 
 
+HOLD = "held = bytearray(300_000_000)\ntime.sleep(60)"
+ONE_FILE = "signal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nfile = open('big', 'wb')\n"
+ONE_FILE += "while True: file.write(bytes(100_000))"
+FILES = "for i in range(40): open(str(i), 'wb').write(bytes(500_000))\ntime.sleep(60)"
+CONTROLS = r"sys.stderr.write('\x1b[2J\x07evil ' + 'y' * 100_000)" + "\nsys.exit(1)"
+ENDLESS = "while True: print('x' * 1000, file=sys.stderr)"
+
+
 @pytest.mark.parametrize(
     ("body", "limits", "words"),
     [
         ("time.sleep(60)", Limits(time_s=0.4), "within 0.4 s, but it was still running"),
-        (
-            "held = bytearray(300_000_000)\ntime.sleep(60)",
-            Limits(memory_mb=100.0),
-            "at most 100 MB of memory",
-        ),
+        (HOLD, Limits(memory_mb=100.0), "at most 100 MB of memory"),
         ("sys.exit('no such camera')", Limits(), "exit code 1; its last words: no such camera"),
         ("print('only this')\nsys.exit(3)", Limits(), "exit code 3; its last words: only this"),
         ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "signal SIGSEGV"),
-        (
-            "signal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nfile = open('big', 'wb')\n"
-            "while True: file.write(bytes(100_000))",
-            Limits(output_mb=1.0),
-            "no file larger than 1 MB",
-        ),
-        (
-            "for i in range(40): open(str(i), 'wb').write(bytes(500_000))\ntime.sleep(60)",
-            Limits(output_mb=1.0),
-            "at most 1 MB of files",
-        ),
-        (
-            "while True: print('x' * 1000, file=sys.stderr)",
-            Limits(time_s=0.5),
-            "still running; its last words: xxx",
-        ),
-        (
-            r"sys.stderr.write('\x1b[2J\x07evil ' + 'y' * 100_000)" + "\nsys.exit(1)",
-            Limits(),
-            "its last words: y",
-        ),
+        (ONE_FILE, Limits(output_mb=1.0), "no file larger than 1 MB"),
+        (FILES, Limits(output_mb=1.0), "at most 1 MB of files"),
+        (ENDLESS, Limits(time_s=0.5), "still running; its last words: xxx"),
+        (CONTROLS, Limits(), "its last words: y"),
     ],
 )
 def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, words: str) -> None:
@@ -237,12 +224,8 @@ def test_code_that_fails_or_hangs_is_a_sentence() -> None:
 
 
 def test_ends_have_names() -> None:
-    assert [describe_end(code) for code in (0, 3, -6, -1000)] == [
-        "exit code 0",
-        "exit code 3",
-        "signal SIGABRT",
-        "signal 1000",
-    ]
+    names = [describe_end(code) for code in (0, 3, -6, -1000)]
+    assert names == ["exit code 0", "exit code 3", "signal SIGABRT", "signal 1000"]
     check_end("it", 0, "")
     with pytest.raises(InputError, match=r"^it: expected exit code 0, but .* exit code 2$"):
         check_end("it", 2, "")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
-from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from sabench.api.truth import Solid
@@ -85,68 +84,48 @@ def test_bodies_are_one_closed_surface_that_scenes_take(
     [("0012", 0.0, 0.5, 0.12), ("2412", 0.02, 0.4, 0.12), ("6721", 0.06, 0.7, 0.21)],
 )
 def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio: float) -> None:
-    """A section's area does not depend on the curvature of its mean line. With thickness at right
-    angles to the line, it is twice the integral of half the thickness along the line."""
+    """A section's area is twice the integral of half the thickness along its mean line."""
+    powers = np.polynomial.Polynomial([0.0, -0.126, -0.3516, 0.2843, -0.1036])
 
     def strip(x: float) -> float:
-        half = (
-            5.0
-            * ratio
-            * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
-        )
-        slope = (
-            2.0 * height / place**2 * (place - x)
-            if x < place
-            else 2.0 * height / (1.0 - place) ** 2 * (place - x)
-        )
+        half = 5.0 * ratio * (0.2969 * np.sqrt(x) + powers(x))
+        slope = 2.0 * height / (place if x < place else 1.0 - place) ** 2 * (place - x)
         return float(2.0 * half * np.hypot(1.0, slope))
 
     exact = 20.0**2 * 40.0 * (quad(strip, 0.0, place)[0] + quad(strip, place, 1.0)[0])
-    off = [
-        volume(body("hydrofoil", digits=digits, points=points)) / exact - 1.0
-        for points in (100, 200, 400)
-    ]
-    assert abs(off[-1]) < 2e-4
-    assert abs(off[1]) < abs(off[0]) / 3.5
-    made = body("hydrofoil", digits=digits)
-    assert_allclose(np.unique(made.vertices_mm[:, 1]), [-20.0, 20.0])
-    tail = made.vertices_mm[
-        made.vertices_mm[:, 0] > 15.0 - 1e-9
-    ]  # the chord is 20 mm long, a quarter of it in front of the origin
-    assert_allclose(tail, [[15.0, -20.0, 0.0], [15.0, 20.0, 0.0]], atol=1e-9)  # closed
-    assert (
-        made.vertices_mm[:, 2].max() >= -made.vertices_mm[:, 2].min() - 1e-9
-    )  # the upper side is +Z
+    made = [body("hydrofoil", digits=digits, points=points) for points in (100, 200, 400)]
+    off = [abs(volume(one) / exact - 1.0) for one in made]
+    assert off[-1] < 2e-4
+    assert off[1] < off[0] / 3.5
+    x, y, z = body("hydrofoil", digits=digits).vertices_mm.T
+    assert_allclose(np.unique(y), [-20.0, 20.0])
+    tail = x > 15.0 - 1e-9  # the chord is 20 mm long, a quarter of it in front of the origin
+    assert_allclose(x[tail], [15.0, 15.0], atol=1e-9)
+    assert_allclose(z[tail], 0.0, atol=1e-9)  # closed
+    assert z.max() >= -z.min() - 1e-9  # the upper side is +Z
+
+
+def ball(points: F64) -> F64:
+    return np.asarray(np.linalg.norm(points - [0.1, 0.2, -0.3], axis=1) - 2.0)
+
+
+def capsule(points: F64) -> F64:
+    ends = np.array([[-2.0, 0.3, 0.1]]), np.array([[1.5, 0.3, 0.1]])
+    return capsules(points, *ends, np.ones(1), np.ones(1))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("function", "radius", "inside", "outside"),
-    [
-        (
-            lambda p: np.linalg.norm(p - [0.1, 0.2, -0.3], axis=1) - 2.0,
-            2.0,
-            4.0 / 3.0 * np.pi * 8.0,
-            4.0 * np.pi * 4.0,
-        ),
-        (
-            lambda p: capsules(
-                p, np.array([[-2.0, 0.3, 0.1]]), np.array([[1.5, 0.3, 0.1]]), np.ones(1), np.ones(1)
-            ),
-            1.0,
-            4.0 / 3.0 * np.pi + 3.5 * np.pi,
-            4.0 * np.pi + 7.0 * np.pi,
-        ),
-    ],
-    ids=["ball", "capsule"],
+    [(ball, 2.0, 32.0 / 3.0, 16.0), (capsule, 1.0, 4.0 / 3.0 + 3.5, 11.0)],
 )
 def test_surfaces_are_exact_to_the_second_order(
     function: Callable[[F64], F64], radius: float, inside: float, outside: float
 ) -> None:
-    """Triangles are off by at most 3/8 step^2 / radius. It is the height of an arc over a cell's
+    """Triangles are off by at most 3/8 step^2 / radius, the height of an arc over a cell's
     diagonal."""
     made = [surface_of(function, [-4.0, -3.0, -3.0], [4.0, 3.0, 3.0], step) for step in (0.3, 0.15)]
-    for measure, exact in ((volume, inside), (area, outside)):
+    for measure, exact in ((volume, np.pi * inside), (area, np.pi * outside)):
         coarse, fine = (abs(measure(one) / exact - 1.0) for one in made)
         assert coarse < 3.0 * 3.0 / 8.0 * (0.3 / radius) ** 2
         assert coarse / 4.5 < fine < coarse / 3.5
@@ -157,33 +136,24 @@ def test_distances_to_cones_are_those_of_all_their_balls() -> None:
     starts, ends = rng.uniform(-1.0, 1.0, (2, 6, 3))
     first, last = rng.uniform(0.1, 0.9, (2, 6))
     ends[0], last[1] = starts[0], first[1] + 9.0  # a ball, and one that holds the other
-    points = rng.uniform(-3.0, 3.0, (40, 3))
+    points, cones = rng.uniform(-3.0, 3.0, (40, 3)), (starts, ends, first, last)
+    share = np.linspace(0.0, 1.0, 20001)[:, None]
 
     def least(point: F64, k: int) -> float:
-        def ball(t: float) -> float:
-            return float(
-                np.linalg.norm(point - starts[k] - t * (ends[k] - starts[k]))
-                - first[k]
-                - t * (last[k] - first[k])
-            )
+        balls = starts[k] + share * (ends[k] - starts[k])
+        radii = first[k] + share[:, 0] * (last[k] - first[k])
+        return float((np.linalg.norm(point - balls, axis=1) - radii).min())
 
-        inner = minimize_scalar(ball, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-10})
-        return min(ball(0.0), ball(1.0), float(inner.fun))
-
-    alone = np.array(
-        [
-            capsules(points, starts[k : k + 1], ends[k : k + 1], first[k : k + 1], last[k : k + 1])
-            for k in range(6)
-        ]
-    )
+    alone = np.array([capsules(points, *(part[k : k + 1] for part in cones)) for k in range(6)])
     assert_allclose(alone, [[least(point, k) for point in points] for k in range(6)], atol=1e-7)
     some = [0, 2, 3, 4, 5]
-    every = capsules(points, starts[some], ends[some], first[some], last[some])
+    chosen = [part[some] for part in cones]
+    every = capsules(points, *chosen)
     assert_allclose(every, alone[some].min(axis=0), atol=1e-12)
-    blended = capsules(points, starts[some], ends[some], first[some], last[some], 0.2)
+    blended = capsules(points, *chosen, 0.2)
     assert_allclose(blended, smooth_minimum(alone[some], 0.2), atol=1e-4)
     assert (blended < every).all()
-    assert (capsules(points, starts[:0], ends[:0], first[:0], last[:0]) == np.inf).all()
+    assert (capsules(points, *(part[:0] for part in cones)) == np.inf).all()
 
 
 def test_a_smooth_minimum_is_between_its_bounds_in_any_order() -> None:
@@ -199,11 +169,8 @@ def test_a_smooth_minimum_is_between_its_bounds_in_any_order() -> None:
 def test_hollows_are_filled_and_islands_gone() -> None:
     def shell_and_island(points: F64) -> F64:
         radius = np.linalg.norm(points, axis=1)
-        return np.asarray(
-            np.minimum(
-                np.abs(radius - 1.5) - 0.4, np.linalg.norm(points - [2.8, 0.0, 0.0], axis=1) - 0.5
-            )
-        )
+        island = np.linalg.norm(points - [2.8, 0.0, 0.0], axis=1) - 0.5
+        return np.asarray(np.minimum(np.abs(radius - 1.5) - 0.4, island))
 
     every = surface_of(shell_and_island, [-4.0] * 3, [4.0] * 3, 0.1)
     assert volume(every) == pytest.approx(4.0 / 3.0 * np.pi * (1.9**3 - 1.1**3 + 0.5**3), rel=0.01)

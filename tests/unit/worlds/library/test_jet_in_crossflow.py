@@ -18,12 +18,8 @@ from sabench.worlds.library.overlaps import overlapping, touching
 
 NOZZLE = (5.0, 2.0, -1.0)
 DOMAIN = Domain((35.0, -28.0, 0.0), (70.0, 60.0, 60.0), 1000)
-JET: dict[str, Any] = {
-    "nozzle_mm": NOZZLE,
-    "diameter_mm": 2.0,
-    "momentum_ratio": 12.0,
-    "ligaments": 12,
-}
+FLOW = {"nozzle_mm": NOZZLE, "diameter_mm": 2.0, "momentum_ratio": 12.0}
+JET: dict[str, Any] = FLOW | {"ligaments": 12}
 
 
 def drops(time_s: float = 0.0, seed: int = 1, **more: Any) -> Bubbles:
