@@ -22,7 +22,7 @@ from sabench.algorithms.bubbles.rim_fit import (
 )
 from sabench.simulation.rendering.pixel_truth import outlines
 from sabench.utils.arrays import F64
-from tests.unit.algorithms.particles.test_matching import CAMERAS, COLUMNS, ROWS
+from tests.helpers.particle_box import CAMERAS, COLUMNS, ROWS
 from tests.unit.simulation.rendering.test_bubbles_traced import bubbles
 
 PROFILE = Profile.tabulate(1.0 / 1.333, 0.4, 0.8)

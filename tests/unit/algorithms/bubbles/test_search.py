@@ -10,8 +10,8 @@ from sabench.algorithms.bubbles.feature_potential import find_outlines
 from sabench.algorithms.bubbles.rim_fit import start_of
 from sabench.algorithms.bubbles.search import Hypotheses, Limits, search_bubbles
 from sabench.utils.arrays import F32
+from tests.helpers.particle_box import CAMERAS
 from tests.unit.algorithms.bubbles.test_rim_fit import PROFILE, SHAPE, model_of
-from tests.unit.algorithms.particles.test_matching import CAMERAS
 
 LIMITS = Limits(0.2, 4.5, 0.5)
 

@@ -22,13 +22,10 @@ from sabench.algorithms.particles.image_model import ImageModel, ModelParticles,
 from sabench.algorithms.particles.joint_fit import fit_particles
 from sabench.algorithms.particles.learned_model import add_camera_misses, camera_misses
 from sabench.algorithms.particles.model_moves import find_neighbours, measure_misfit
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.geometry.volume_polynomials import project_points
 from sabench.utils.arrays import F32, F64, I64
 from tests.helpers.image_model import NOISE, SIGMA, TYPICAL, model_of, paint, particles_of, room_of
-from tests.unit.algorithms.particles.test_matching import COLUMNS, ROWS, maps, unit_points
-
-__all__ = ["maps"]
-
+from tests.helpers.particle_box import COLUMNS, ROWS, Maps, unit_points
 
 COUNT, SIGMAS = 120, np.tile(np.array(SIGMA), (4, 1))
 
@@ -36,7 +33,7 @@ COUNT, SIGMAS = 120, np.tile(np.array(SIGMA), (4, 1))
 MOST = numba.config.NUMBA_NUM_THREADS
 
 
-def case(maps: VolumePolynomials) -> tuple[ImageModel, ModelParticles]:
+def case(maps: Maps) -> tuple[ImageModel, ModelParticles]:
     """A model of noisy images, and particles that are a little off."""
     rng = np.random.default_rng(2)
     points = unit_points(COUNT)
@@ -46,7 +43,7 @@ def case(maps: VolumePolynomials) -> tuple[ImageModel, ModelParticles]:
     return model_of(maps, images), particles_of(points + 0.001, light)
 
 
-def outcome(maps: VolumePolynomials) -> list[F64 | F32]:
+def outcome(maps: Maps) -> list[F64 | F32]:
     """Results of all passes."""
     model, particles = case(maps)
     paint_particles(model, SIGMAS, particles, -1.0)
@@ -59,7 +56,7 @@ def outcome(maps: VolumePolynomials) -> list[F64 | F32]:
     ]
 
 
-def test_passes_give_what_one_thread_gives(maps: VolumePolynomials) -> None:
+def test_passes_give_what_one_thread_gives(maps: Maps) -> None:
     left, misfit, misses, *_ = outcome(maps)
     model, particles = case(maps)
     room, alone, sums = room_of(maps), np.zeros(COUNT), np.zeros((4, 5))
@@ -72,7 +69,7 @@ def test_passes_give_what_one_thread_gives(maps: VolumePolynomials) -> None:
 
 
 @pytest.mark.skipif(MOST < 2, reason="one core")
-def test_threads_change_nothing(maps: VolumePolynomials) -> None:
+def test_threads_change_nothing(maps: Maps) -> None:
     many = outcome(maps)
     numba.set_num_threads(1)
     try:
@@ -83,7 +80,7 @@ def test_threads_change_nothing(maps: VolumePolynomials) -> None:
         assert_array_equal(a, b)
 
 
-def test_a_fit_takes_as_much_as_it_has_unknowns(maps: VolumePolynomials) -> None:
+def test_a_fit_takes_as_much_as_it_has_unknowns(maps: Maps) -> None:
     points = unit_points(COUNT)[:1]
     light = np.full((1, 4), 1000.0 * TYPICAL)  # the prior tells nothing
     model = model_of(maps, paint(maps, points, light, ROWS, COLUMNS), between=1.0)
@@ -100,7 +97,7 @@ RNG = np.random.default_rng(12)
 Neighbours = tuple[I64, I64] | None
 
 
-def spans(maps: VolumePolynomials, points: F64, rows: I64, neighbours: Neighbours) -> F64:
+def spans(maps: Maps, points: F64, rows: I64, neighbours: Neighbours) -> F64:
     """Windows' first and last pixels (k, camera, 2, 2) of particles and their neighbours."""
     touched = set(rows.tolist())
     if neighbours is not None:
@@ -114,16 +111,14 @@ def spans(maps: VolumePolynomials, points: F64, rows: I64, neighbours: Neighbour
 
 @pytest.mark.parametrize("whole", [False, True])
 def test_groups_of_a_turn_share_no_pixel(
-    maps: VolumePolynomials, whole: bool, monkeypatch: pytest.MonkeyPatch
+    maps: Maps, whole: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
     points = unit_points(GROUPED)
     neighbours = find_neighbours(maps, np.full((4, 2), 0.7), points) if whole else None
     rows = np.sort(RNG.permutation(GROUPED)[:500])
     turns = disjoint_groups(maps, points, rows, WINDOW, 0.3 * pixel_mm(maps), PORTIONS, neighbours)
-    assert (
-        np.sort(np.concatenate([one for turn in turns for one in turn])).tolist() == rows.tolist()
-    )
+    assert sorted(row for turn in turns for one in turn for row in one.tolist()) == rows.tolist()
     assert max(len(turn) for turn in turns) > 1
     for turn in turns:
         all_spans = [spans(maps, points, group, neighbours) for group in turn]
@@ -134,7 +129,7 @@ def test_groups_of_a_turn_share_no_pixel(
                 assert not (below & above).all(axis=3).any()
 
 
-def fitted(maps: VolumePolynomials, points: F64, turns: list[list[I64]], threads: int) -> list[F64]:
+def fitted(maps: Maps, points: F64, turns: list[list[I64]], threads: int) -> list[F64]:
     """Positions, light and what is left of images after three rounds of fits."""
     light = np.full((GROUPED, 4), TYPICAL)
     images = paint(maps, points, light, ROWS, COLUMNS)
@@ -152,14 +147,14 @@ def fitted(maps: VolumePolynomials, points: F64, turns: list[list[I64]], threads
     return [particles.position, particles.light, model.left.astype(np.float64)]
 
 
-def test_few_rows_keep_their_order(maps: VolumePolynomials) -> None:
+def test_few_rows_keep_their_order(maps: Maps) -> None:
     rows = RNG.permutation(GROUPED)
     turns = disjoint_groups(maps, unit_points(GROUPED), rows, WINDOW, pixel_mm(maps), PORTIONS)
     assert [one.tolist() for turn in turns for one in turn] == [rows.tolist()]
 
 
 def test_the_number_of_threads_does_not_change_a_fit(
-    maps: VolumePolynomials, monkeypatch: pytest.MonkeyPatch
+    maps: Maps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
     points = 0.95 * unit_points(GROUPED)

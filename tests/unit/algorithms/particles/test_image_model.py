@@ -19,21 +19,16 @@ from sabench.algorithms.particles.image_model import (
     paint_here,
     place_windows,
 )
-from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import SIGMA, model_of, particles_of, room_of
-from tests.unit.algorithms.particles.test_matching import COLUMNS, ROWS, maps
-
-__all__ = ["maps"]
+from tests.helpers.particle_box import COLUMNS, ROWS, Maps
 
 CAMERA, PLACE, FINE = 1, np.array([0.3, -0.2, 0.4]), 20
 # of the covariance, px2, and flatness over the box
 CHANGE = np.array([[0.0, 0.02, -0.03, 0.01], [0.0, 0.005, 0.002, -0.01]])
 
 
-def shaped(
-    maps: VolumePolynomials, correlation: float, flatness: float = 0.0
-) -> tuple[ImageModel, Room]:
+def shaped(maps: Maps, correlation: float, flatness: float = 0.0) -> tuple[ImageModel, Room]:
     """Make a model of dark images, with one camera whose images are shaped so where `PLACE` is."""
     model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
     shape = model.shapes[CAMERA, 2:]
@@ -67,7 +62,7 @@ def over_pixels(shown: F64, room: Room) -> F64:
 
 @pytest.mark.parametrize(("correlation", "share"), [(0.1, 0.001), (0.3, 0.01), (-0.3, 0.01)])
 def test_an_image_is_the_integral_of_a_tilted_gaussian(
-    maps: VolumePolynomials, correlation: float, share: float
+    maps: Maps, correlation: float, share: float
 ) -> None:
     """To a share of the peak; without the tilt, it would be off by far more."""
     model, room = shaped(maps, correlation)
@@ -83,9 +78,7 @@ def test_an_image_is_the_integral_of_a_tilted_gaussian(
 
 
 @pytest.mark.parametrize("flatness", [0.01, 0.05])
-def test_a_flat_image_is_a_gaussian_times_a_polynomial(
-    maps: VolumePolynomials, flatness: float
-) -> None:
+def test_a_flat_image_is_a_gaussian_times_a_polynomial(maps: Maps, flatness: float) -> None:
     model, room = shaped(maps, 0.0, flatness)
     found = image_of(model, room, PLACE)
     u = (((points_in_pixels(room) - room.here[CAMERA]) / SIGMA) ** 2).sum(axis=2)
@@ -98,7 +91,7 @@ def test_a_flat_image_is_a_gaussian_times_a_polynomial(
 
 @pytest.mark.parametrize(("flatness", "as_if"), [(-0.01, 0.0), (0.1, MOST_FLAT)])
 def test_images_are_neither_peaked_nor_flatter_than_the_series_has_them(
-    maps: VolumePolynomials, flatness: float, as_if: float
+    maps: Maps, flatness: float, as_if: float
 ) -> None:
     model, room = shaped(maps, 0.0)
     model.shapes[CAMERA, 3, 0] = flatness
@@ -111,9 +104,7 @@ def test_images_are_neither_peaked_nor_flatter_than_the_series_has_them(
 @pytest.mark.parametrize(
     ("correlation", "flatness"), [(0.1, 0.0), (0.3, 0.0), (0.0, 0.05), (-0.2, 0.05)]
 )
-def test_slopes_are_the_images(
-    maps: VolumePolynomials, correlation: float, flatness: float
-) -> None:
+def test_slopes_are_the_images(maps: Maps, correlation: float, flatness: float) -> None:
     """Against differences of images of particles that are moved in the box. Steps of fits need no
     more: the shape's own change is left out."""
     model, room = shaped(maps, correlation, flatness)
@@ -130,7 +121,7 @@ def test_slopes_are_the_images(
         assert np.abs(found - expected).max() < 0.005 * np.abs(expected).max()
 
 
-def test_what_is_painted_is_the_image(maps: VolumePolynomials) -> None:
+def test_what_is_painted_is_the_image(maps: Maps) -> None:
     model, room = shaped(maps, 0.3, 0.04)
     light = np.array([10.0, 20.0, 30.0, 40.0])
     place_windows(model, room, PLACE)
@@ -161,9 +152,7 @@ def all_images(model: ImageModel, position: F64) -> F64:
 @pytest.mark.parametrize(
     ("correlation", "flatness"), [(0.0, 0.0), (0.3, 0.0), (-0.4, 0.0), (0.0, 0.05), (0.3, 0.03)]
 )
-def test_a_claim_is_the_bound_of_the_shape(
-    maps: VolumePolynomials, correlation: float, flatness: float
-) -> None:
+def test_a_claim_is_the_bound_of_the_shape(maps: Maps, correlation: float, flatness: float) -> None:
     """With ellipses of which one axis is a quarter longer, as they are or aslant."""
     model = model_of(maps, np.zeros((4, ROWS, COLUMNS)))
     model.shapes[:, :2, 0] = WIDTHS

@@ -33,7 +33,6 @@ from sabench.algorithms.particles.joint_fit import (
     solve_three,
     start_light,
 )
-from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, Bool
 from tests.helpers.image_model import (
     NOISE,
@@ -44,16 +43,7 @@ from tests.helpers.image_model import (
     refine_all,
     room_of,
 )
-from tests.unit.algorithms.particles.test_matching import (
-    COLUMNS,
-    ROWS,
-    distances,
-    maps,
-    unit_points,
-)
-
-__all__ = ["maps"]
-
+from tests.helpers.particle_box import COLUMNS, ROWS, Maps, distances, unit_points
 
 RNG = np.random.default_rng(8)
 
@@ -72,7 +62,7 @@ def whole_cost(model: ImageModel, particles: ModelParticles, images: F64) -> flo
     return float(0.5 * (left**2 * without_margins(model.weight)).sum() + 0.5 * prior)
 
 
-def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) -> None:
+def test_changes_of_cost_are_those_of_the_whole_images(maps: Maps) -> None:
     points = 0.3 * unit_points(COUNT)  # many overlap
     images = paint(maps, points, LIGHT, ROWS, COLUMNS)
     images += NOISE * RNG.standard_normal(images.shape)
@@ -91,7 +81,7 @@ def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) 
     assert_allclose(without_margins(model.left), left, atol=5e-3)  # the images end at their windows
 
 
-def test_overlapping_particles_are_found_where_they_are(maps: VolumePolynomials) -> None:
+def test_overlapping_particles_are_found_where_they_are(maps: Maps) -> None:
     points = 0.5 * unit_points(COUNT)
     images = paint(maps, points, LIGHT, ROWS, COLUMNS)
     model, room = model_of(maps, images, between=0.3), room_of(maps)
@@ -114,7 +104,7 @@ def saturate(model: ImageModel, most: float) -> tuple[ImageModel, Bool]:
 
 
 def test_saturated_pixels_ask_for_as_much_light_as_they_show_or_more(
-    maps: VolumePolynomials,
+    maps: Maps,
 ) -> None:
     points = 0.5 * unit_points(COUNT)
     images = paint(maps, points, LIGHT, ROWS, COLUMNS)
@@ -133,7 +123,7 @@ def test_saturated_pixels_ask_for_as_much_light_as_they_show_or_more(
     assert errors[1] > 10.0 * errors[0]  # as if the light ended where the sensor's range does
 
 
-def test_light_beyond_saturation_costs_nothing_and_less_does(maps: VolumePolynomials) -> None:
+def test_light_beyond_saturation_costs_nothing_and_less_does(maps: Maps) -> None:
     point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
     images = paint(maps, point, light, ROWS, COLUMNS)
     model, saturated = saturate(model_of(maps, images), 0.2 * TYPICAL)
@@ -151,7 +141,7 @@ def test_light_beyond_saturation_costs_nothing_and_less_does(maps: VolumePolynom
     assert costs[0] < costs[1]
 
 
-def test_errors_of_places_are_as_large_as_the_price_says(maps: VolumePolynomials) -> None:
+def test_errors_of_places_are_as_large_as_the_price_says(maps: Maps) -> None:
     """A penalty grows by the logarithm of how much better places are known."""
     point, light = np.zeros(3), np.full(4, TYPICAL)
     images = np.zeros((4, ROWS, COLUMNS))
@@ -241,18 +231,12 @@ def test_scatter_between_cameras_leaves_out_what_they_share() -> None:
     assert scatter_between(np.array([[0.2]])) == pytest.approx(math.sqrt(0.2))
 
 
-def test_factors_give_the_determinant() -> None:
-    matrix = even_covariance(6, 0.3, 0.4)
-    factor = matrix.copy()
-    factorise_cholesky(factor)
-    assert log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
-    assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
-
-
-def test_the_inverse_of_a_factorised_matrix_has_this_diagonal() -> None:
+def test_factors_give_the_determinant_and_the_diagonal_of_the_inverse() -> None:
     matrix = np.random.default_rng(6).standard_normal((5, 5))
     matrix = matrix @ matrix.T + np.eye(5)
     factor, diagonal = matrix.copy(), np.zeros(5)
     factorise_cholesky(factor)
+    assert log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
+    assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
     fill_inverse_diagonal(factor, diagonal, np.zeros(5))
     assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))

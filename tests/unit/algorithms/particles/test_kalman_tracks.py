@@ -104,12 +104,9 @@ _WIDE = 1e18
 
 
 def _estimate(position: F64, variance: F64, times: F64 = _TIMES, jerk: float = 0.0) -> F64:
-    count = len(position)
-    still = np.zeros((count, 3))
-    state, _ = most_probable_motion(
-        times, position, variance, still, np.full((count, 3), _WIDE), _WIDE, jerk
-    )
-    return state
+    still = np.zeros((len(position), 3))
+    wide = np.full(still.shape, _WIDE)
+    return most_probable_motion(times, position, variance, still, wide, _WIDE, jerk)[0]
 
 
 def test_a_parabola_is_found_exactly() -> None:
