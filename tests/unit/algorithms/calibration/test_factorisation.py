@@ -32,20 +32,14 @@ def points_by(answer: Calibration, exact: F64) -> F64:
     return triangulate(answer.cameras, exact.reshape(len(exact), -1, 2))
 
 
-def test_pinholes_are_found_from_exact_images() -> None:
-    case, _, points, exact = case_of(calibration_scene(**IN_AIR))
+@pytest.mark.parametrize("wall", [False, True])
+def test_pinholes_are_found_from_exact_images_and_a_wall_spoils_it(wall: bool) -> None:
+    changes = {key: value for key, value in IN_AIR.items() if key != "wall" or not wall}
+    case, _, points, exact = case_of(calibration_scene(**changes))
     plugin = load("solvers", "linear_autocal")
     found = points_by(plugin(plugin.Parameters()).solve(case), exact)
-    assert np.abs(found - points.reshape(-1, 3)).max() < 0.01
-
-
-def test_a_wall_spoils_it() -> None:
-    case, _, points, exact = case_of(
-        calibration_scene(detection=None, calibration={"points": 0.0, "known": []})
-    )
-    plugin = load("solvers", "linear_autocal")
-    found = points_by(plugin(plugin.Parameters()).solve(case), exact)
-    assert np.abs(found - points.reshape(-1, 3)).max() > 0.3
+    off = np.abs(found - points.reshape(-1, 3)).max()
+    assert off > 0.3 if wall else off < 0.01
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.2])
@@ -71,17 +65,16 @@ LEVEL = {"tilt_deg": 0.0, "roll_deg": 0.0, "wander": 0.3}
 EXACT = {"points": 0.0, "known": []}
 
 
-def air(noise_px: float = 0.0, **changes: Any) -> Any:
-    return case_of(
-        calibration_scene(
-            wall=None,
-            targets=LEVEL,
-            frames=7,
-            calibration=EXACT,
-            detection={"noise_px": noise_px},
-            **changes,
-        )
+def level(noise_px: float = 0.0, **changes: Any) -> Any:
+    noise = {"noise_px": noise_px}
+    scene = calibration_scene(
+        targets=LEVEL, frames=7, calibration=EXACT, detection=noise, **changes
     )
+    return case_of(scene)
+
+
+def air(noise_px: float = 0.0, **changes: Any) -> Any:
+    return level(noise_px, wall=None, **changes)
 
 
 def solved(case: CalibrationCase) -> Any:
@@ -156,9 +149,7 @@ def test_the_cameras_refocus_as_the_true_ones() -> None:
 def test_noise_passes_without_a_warning_and_a_departure_does_not() -> None:
     case, _, points, exact = air(0.1)
     assert true_error_px(solved(case).cameras, points, exact) < 0.04
-    moved, *_ = case_of(
-        calibration_scene(targets=LEVEL, frames=7, calibration=EXACT, detection={"noise_px": 0.1})
-    )
+    moved, *_ = level(0.1)
     with pytest.warns(UserWarning, match="plane_parallax: neighbouring points share errors of 0.1"):
         solved(moved)
 
