@@ -39,8 +39,8 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
         assert not slopes[pixels:].any()
         edges = (first - 0.5 - center + np.arange(pixels + 1)) / sigma
         density = np.exp(-0.5 * edges**2) / np.sqrt(2.0 * np.pi)
-        reached = np.testing.assert_allclose
-        reached(slopes[:pixels] * sigma, -np.diff(density), rtol=0.0, atol=4e-8 + 2 * rounding)
+        error = np.abs(slopes[:pixels] * sigma + np.diff(density)).max()
+        assert error <= 4e-8 + 2 * rounding
 
 
 @pytest.mark.parametrize("sigma", [0.3, 0.8, 2.5])

@@ -37,14 +37,20 @@ from tests.unit.algorithms.tomography.test_projection_operator import (
 )
 
 Step = Callable[[Iterate, RecordedLight], float]
+
+
+def sart_step(state: Iterate, measured: RecordedLight) -> float:
+    return sart(state, measured, state.lines.forward(np.ones_like(state.values)), 0.8)
+
+
 STEPS: dict[str, Step] = {
     "smart": lambda state, measured: smart(state, measured, 0.9),
-    "sart": lambda state, measured: sart(
-        state, measured, state.lines.forward(np.ones_like(state.values)), 0.8
-    ),
+    "sart": sart_step,
     "block_mart": lambda state, measured: block_mart(state, measured, 0.7),
     "mart": lambda state, measured: mart(state, measured, 0.9),
 }
+WHITE = np.ones((3, ROWS, COLUMNS), dtype=np.float32)
+NOWHERE = np.zeros(WHITE.shape, dtype=np.bool_)
 
 
 def matrices(lines: ProjectionOperator) -> F64:
@@ -59,22 +65,20 @@ def matrices(lines: ProjectionOperator) -> F64:
 
 def make_state(footprint: Footprint = BLOB, every: int = 4) -> Iterate:
     lines = lines_of(array(TILTED), footprint, every=every)
-    seen = np.maximum(
-        np.rint(lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32))), np.float32(1.0)
-    )
-    return Iterate(
-        lines,
-        np.random.default_rng(1).random(len(lines.support), dtype=np.float32) + np.float32(0.5),
-        seen,
-    )
+    seen = np.maximum(np.rint(lines.adjoint(WHITE)), np.float32(1.0))
+    values = np.random.default_rng(1).random(len(lines.support), dtype=np.float32)
+    return Iterate(lines, values + np.float32(0.5), seen)
+
+
+def with_values(state: Iterate, values: F32) -> Iterate:
+    return Iterate(state.lines, values, state.seen)
 
 
 def recorded(state: Iterate, seed: int) -> RecordedLight:
     """Return the light that other values than the state's would cast."""
-    light = state.lines.forward(
-        np.random.default_rng(seed).random(len(state.values), dtype=np.float32) * np.float32(2.0)
-    )
-    return RecordedLight(np.maximum(light, np.float32(1e-6)), np.zeros(light.shape, dtype=np.bool_))
+    values = np.random.default_rng(seed).random(len(state.values), dtype=np.float32)
+    light = state.lines.forward(values * np.float32(2.0))
+    return RecordedLight(np.maximum(light, np.float32(1e-6)), NOWHERE)
 
 
 def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
@@ -89,20 +93,15 @@ def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
         missing = np.divide(p - cast, lengths, out=np.zeros_like(p), where=lengths > 0.0)
         return np.asarray(np.maximum(values + 0.8 * np.tensordot(missing, w, 2) / seen, 0.0))
     for camera, image in zip(w, p, strict=True):
-        values = (
-            block_by_formula(camera, image, values)
-            if name == "block_mart"
-            else mart_by_formula(camera, image, values)
-        )
+        by_camera = block_by_formula if name == "block_mart" else mart_by_formula
+        values = by_camera(camera, image, values)
     return values
 
 
 def block_by_formula(w: F64, p: F64, values: F64) -> F64:
     cast = w @ values
-    return np.asarray(
-        values
-        * np.exp(0.7 * w.T @ np.log(np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)))
-    )
+    ratio = np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)
+    return np.asarray(values * np.exp(0.7 * w.T @ np.log(ratio)))
 
 
 def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
@@ -132,37 +131,21 @@ def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
 @pytest.mark.parametrize("name", STEPS)
 def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
     state = make_state()
-    measured = recorded(state, 2)
-    everywhere, before = (
-        RecordedLight(measured.light, np.ones_like(measured.saturated)),
-        state.values.copy(),
-    )
-    bright = Iterate(state.lines, before * np.float32(50.0), state.seen)
-    assert STEPS[name](bright, everywhere) == pytest.approx(
-        residual_of_dark_pixels(bright, everywhere), rel=1e-4
-    )
+    measured, before = recorded(state, 2), state.values.copy()
+    everywhere = RecordedLight(measured.light, ~NOWHERE)
+    bright = with_values(state, before * np.float32(50.0))
+    missed = np.maximum(measured.light - bright.lines.forward(bright.values), 0.0)
+    expected = (missed.astype(np.float64) ** 2).sum()  # only what was not projected
+    assert STEPS[name](bright, everywhere) == pytest.approx(expected, rel=1e-4)
     assert_allclose(bright.values, before * 50.0, rtol=1e-6)
     assert STEPS[name](bright, measured) > 0.0
     assert (bright.values < before * 40.0).mean() > 0.8
-    dark = [Iterate(state.lines, before * np.float32(0.02), state.seen) for _ in range(2)]
-    for one, what in zip(dark, (measured, everywhere), strict=True):
-        STEPS[name](one, what)
+    dark = [with_values(state, before * np.float32(0.02)) for _ in range(2)]
+    for one, light in zip(dark, (measured, everywhere), strict=True):
+        STEPS[name](one, light)
     assert (dark[1].values > before * 0.03).mean() > 0.8
-    if name in (
-        "smart",
-        "sart",
-    ):  # the others turn to other cameras in between, which may then see too much
+    if name in ("smart", "sart"):  # in between, the others turn to cameras that may see too much
         assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
-
-
-def residual_of_dark_pixels(state: Iterate, measured: RecordedLight) -> float:
-    """Saturated pixels miss only what was not projected."""
-    return float(
-        (
-            np.maximum(measured.light - state.lines.forward(state.values), 0.0).astype(np.float64)
-            ** 2
-        ).sum()
-    )
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -194,7 +177,7 @@ def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
 def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     state = make_state(every=9)
     light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(DARKEST))
-    measured = RecordedLight(light, np.zeros(light.shape, dtype=np.bool_))
+    measured = RecordedLight(light, NOWHERE)
     residuals = list(iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name))
     assert len(residuals) == 40
     assert (np.diff(residuals[:10]) < 0.0).all()
@@ -207,27 +190,19 @@ def recorded_values(state: Iterate) -> F32:
 
 
 def test_iteration_stops_when_little_changes() -> None:
-    measured = RecordedLight(
-        np.full((1, 2, 2), 2.0, dtype=np.float32), np.zeros((1, 2, 2), dtype=np.bool_)
-    )
+    measured = RecordedLight(2.0 * WHITE[:1, :2, :2], NOWHERE[:1, :2, :2])
     squares = iter([16.0, 4.0, 3.24, 3.0, 1.0])
     found = list(iterate(lambda: next(squares), measured, 5, 0.15, "test"))
     assert_allclose(found, [1.0, 0.5, 0.45])
 
 
-def test_black_pixels_leave_no_light_but_finite_values() -> None:
-    state = make_state()
-    measured = RecordedLight(
-        np.full((3, ROWS, COLUMNS), DARKEST, dtype=np.float32),
-        np.zeros((3, ROWS, COLUMNS), dtype=np.bool_),
-    )
-    for name in STEPS:
-        fresh = Iterate(state.lines, state.values.copy(), state.seen)
-        for _ in range(5):
-            STEPS[name](fresh, measured)
-        inside = state.lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32)) > 0.5
-        assert np.isfinite(fresh.values).all()
-        assert fresh.values[inside].max() < 0.5
+@pytest.mark.parametrize("name", STEPS)
+def test_black_pixels_leave_no_light_but_finite_values(name: str) -> None:
+    state, measured = make_state(), RecordedLight(np.float32(DARKEST) * WHITE, NOWHERE)
+    for _ in range(5):
+        STEPS[name](state, measured)
+    assert np.isfinite(state.values).all()
+    assert state.values[state.lines.adjoint(WHITE) > 0.5].max() < 0.5
 
 
 @pytest.mark.slow
@@ -236,8 +211,7 @@ def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
     the more cameras see them."""
     state = make_state(every=1)
     lines = state.lines
-    ones = np.ones((3, ROWS, COLUMNS), dtype=np.float32)
-    counts, last = np.rint(lines.adjoint(ones)), np.rint(lines.adjoint(ones[2:], [2])) > 0.0
+    counts, last = np.rint(lines.adjoint(WHITE)), np.rint(lines.adjoint(WHITE[2:], [2])) > 0.0
     assert set(np.unique(counts[last])) == {2.0, 3.0}
     assert set(np.unique(counts[~last])) == {1.0, 2.0}
     measured = recorded(state, 5)
@@ -245,7 +219,7 @@ def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
     other.light[2] *= np.float32(3.0)
     results = []
     for what in (measured, other):
-        fresh = Iterate(lines, state.values.copy(), state.seen)
+        fresh = with_values(state, state.values.copy())
         smart(fresh, what, 1.0)
         results.append(fresh.values)
     assert_array_equal(results[0][~last], results[1][~last])

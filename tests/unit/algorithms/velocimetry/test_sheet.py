@@ -88,9 +88,8 @@ def test_without_its_wall_a_camera_shows_another_scale(camera: Camera) -> None:
     motion = lambda points: np.tile([0.14, 0.0, 0.0], (len(points), 1))  # noqa: E731
     case = image_pair((camera,), motion)
     bare = replace(camera, wall=None)
-    dry = ImagePair(
-        replace(case.first, cameras=(bare,)), replace(case.second, cameras=(bare,)), INTERVAL_S
-    )
+    frames = [replace(one, cameras=(bare,)) for one in (case.first, case.second)]
+    dry = ImagePair(frames[0], frames[1], INTERVAL_S)
     wet, air = (solved(one) for one in (case, dry))
     assert np.median(wet.velocity_mm_s[..., 0]) == pytest.approx(14.0, rel=0.003)
     assert np.median(air.velocity_mm_s[..., 0]) > 14.0 * 1.03
@@ -139,9 +138,7 @@ def test_the_sheet_lies_as_the_image_shows_it(camera: Camera) -> None:
 
 
 def test_of_several_cameras_the_squarest_or_the_named_one_is_taken(camera: Camera) -> None:
-    oblique = replace(
-        tank_camera(**{"cameras.layout.places": [{"center_mm": [250.0, 0.0, -580.0]}]})
-    )
+    oblique = tank_camera(**{"cameras.layout.places": [{"center_mm": [250.0, 0.0, -580.0]}]})
     pair = (replace(oblique, name="left"), replace(camera, name="front"))
     point, normal = (0.0, 0.0, 131.5), (0.0, 0.0, 1.0)
     assert find_sheet(pair, GRID, point, normal).camera == 1
@@ -157,9 +154,7 @@ def test_a_camera_that_does_not_see_the_sheet_declines(camera: Camera) -> None:
         find_sheet((camera,), beyond, (305.0, 5.0, 131.5), (0.0, 0.0, 1.0))
     with pytest.raises(DeclinedError, match="none of 2 cameras sees a point of the light sheet"):
         find_sheet((camera, camera), beyond, (305.0, 5.0, 131.5), (0.0, 0.0, 1.0))
-    with pytest.raises(
-        DeclinedError, match=r"camera_00 sees the light sheet edge-on, at \d degrees"
-    ):
+    with pytest.raises(DeclinedError, match=r"camera_00 sees the light sheet edge-on, at \d deg"):
         find_sheet((camera,), GRID, (0.0, 0.0, 131.5), (1.0, 0.0, 0.0))
 
 
