@@ -10,27 +10,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench.algorithms.particles.image_model import GIVEN, PULL, WEIGHT, XX, XY, YY, X, Y
-from sabench.utils.vector_units import (
-    LANES,
-    PLAIN,
-    PLAIN_BY_X,
-    PLAIN_BY_Y,
-    PROFILES,
-    SHAPED,
-    SHAPED_BY_X,
-    SHAPED_BY_Y,
-    Pairs,
-    add_product,
-    match_shaped,
-    match_window,
-    sum_shaped,
-    sum_window,
-)
+from sabench.utils import vector_units
 
 
 @numba.njit
 def _add(out: Any, left: Any, right: Any) -> None:
-    add_product(out, 1, left, 2, right, 0)
+    vector_units.add_product(out, 1, left, 2, right, 0)
 
 
 def test_a_product_of_matrices_is_added_to_one_of_many() -> None:
@@ -44,27 +29,30 @@ def test_a_product_of_matrices_is_added_to_one_of_many() -> None:
 
 
 CAMERA, TOP, START, LIGHT = 1, 5, 9, np.float32(3.0)
-ALL_PLAIN, ALL_SHAPED = (PLAIN, PLAIN_BY_X, PLAIN_BY_Y), (SHAPED, SHAPED_BY_X, SHAPED_BY_Y)
+ALL_PLAIN, ALL_SHAPED = (
+    (vector_units.PLAIN, vector_units.PLAIN_BY_X, vector_units.PLAIN_BY_Y),
+    (vector_units.SHAPED, vector_units.SHAPED_BY_X, vector_units.SHAPED_BY_Y),
+)
 
 
 @numba.njit
 def _match(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return match_window(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+    return vector_units.match_window(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
 
 
 @numba.njit
 def _match_shaped(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return match_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+    return vector_units.match_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
 
 
 @numba.njit
 def _sum(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return sum_window(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+    return vector_units.sum_window(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
 
 
 @numba.njit
 def _sum_shaped(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
-    return sum_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+    return vector_units.sum_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
 
 
 @pytest.fixture(params=[5, 7, 11])
@@ -73,7 +61,9 @@ def window(request: pytest.FixtureRequest) -> tuple[Any, Any, Any, int]:
     size, random = request.param, np.random.default_rng(request.param)
     left, weight = (random.normal(size=(2, 40, 48)).astype(np.float32) for _ in range(2))
     weight = np.where(random.random(weight.shape) < 0.2, -np.abs(weight), np.abs(weight))
-    profiles = random.normal(size=(2, PROFILES, LANES * -(-size // LANES))).astype(np.float32)
+    profiles = random.normal(
+        size=(2, vector_units.PROFILES, vector_units.LANES * -(-size // vector_units.LANES))
+    ).astype(np.float32)
     profiles[:, :, size:] = 0.0
     return left, weight, profiles, size
 
@@ -84,7 +74,7 @@ def _pixels(window: tuple[Any, Any, Any, int]) -> tuple[Any, Any]:
     return left[part].astype(float), weight[part].astype(float)
 
 
-def _image(window: tuple[Any, Any, Any, int], pairs: Pairs) -> Any:
+def _image(window: tuple[Any, Any, Any, int], pairs: vector_units.Pairs) -> Any:
     *_, profiles, size = window
     own = profiles[CAMERA].astype(float)
     return np.sum([np.outer(own[down, :size], own[across]) for across, down in pairs], axis=0)

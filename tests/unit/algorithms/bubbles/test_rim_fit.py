@@ -6,20 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from sabench.algorithms.bubbles import rim_fit
 from sabench.algorithms.bubbles.backlit_images import Profile
-from sabench.algorithms.bubbles.rim_fit import (
-    DIM,
-    Model,
-    darken,
-    ellipses_of,
-    fit,
-    gain,
-    misfit,
-    shade_at,
-    slopes_at,
-    start_of,
-    unexplained,
-)
 from sabench.simulation.rendering.pixel_truth import outlines
 from sabench.utils.arrays import F64
 from tests.helpers.particle_box import CAMERAS, COLUMNS, ROWS
@@ -30,18 +18,18 @@ PLACE = np.array([0.5, -0.4, 36.0])
 SHAPE = (4, ROWS, COLUMNS)
 
 
-def model_of(*shown: F64) -> Model:
+def model_of(*shown: F64) -> rim_fit.Model:
     """Images of the bubbles shown, and a model without any."""
-    model = Model(np.ones(SHAPE, np.float32), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
+    model = rim_fit.Model(np.ones(SHAPE, np.float32), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
     for one in shown:
-        darken(model, one, 1.0)
-    return Model(np.exp(model.logs), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
+        rim_fit.darken(model, one, 1.0)
+    return rim_fit.Model(np.exp(model.logs), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
 
 
 @pytest.mark.parametrize("radius_mm", [0.15, 1.0])
 def test_a_ball_darkens_pixels_by_its_profile_inside_its_outline(radius_mm: float) -> None:
     """Radii in all directions are those of the outline that refracted lines of sight touch."""
-    images = model_of(start_of(PLACE, radius_mm)).images
+    images = model_of(rim_fit.start_of(PLACE, radius_mm)).images
     ball = bubbles([PLACE.tolist()], [[radius_mm] * 3])
     row, column = np.mgrid[0:ROWS, 0:COLUMNS]
     for image, lens in zip(images, CAMERAS, strict=True):
@@ -57,40 +45,44 @@ def test_a_ball_darkens_pixels_by_its_profile_inside_its_outline(radius_mm: floa
 
 
 def test_what_is_put_in_is_taken_out() -> None:
-    model, ball = model_of(), start_of(PLACE, 0.8, 0.7)
-    darken(model, ball, 1.0)
+    model, ball = model_of(), rim_fit.start_of(PLACE, 0.8, 0.7)
+    rim_fit.darken(model, ball, 1.0)
     assert model.logs.min() < -1.0
-    darken(model, ball, -1.0)
+    rim_fit.darken(model, ball, -1.0)
     assert_allclose(model.logs, 0.0, atol=1e-6)
 
 
 def test_gain_is_the_part_of_the_shadow_that_nothing_explains() -> None:
-    ball = start_of(PLACE, 0.8)
+    ball = rim_fit.start_of(PLACE, 0.8)
     dark, empty = model_of(ball), model_of()
-    assert_allclose(gain(dark, ball), 1.0, atol=1e-5)
-    assert_allclose(gain(empty, ball), -1.0, atol=1e-5)
-    darken(dark, ball, 1.0)
-    assert (gain(dark, ball) < 0.0).all()
-    assert np.isnan(gain(empty, start_of(PLACE + np.array([200.0, 0.0, 0.0]), 0.8))).all()
+    assert_allclose(rim_fit.gain(dark, ball), 1.0, atol=1e-5)
+    assert_allclose(rim_fit.gain(empty, ball), -1.0, atol=1e-5)
+    rim_fit.darken(dark, ball, 1.0)
+    assert (rim_fit.gain(dark, ball) < 0.0).all()
+    assert np.isnan(
+        rim_fit.gain(empty, rim_fit.start_of(PLACE + np.array([200.0, 0.0, 0.0]), 0.8))
+    ).all()
 
 
 def test_misfit_is_least_for_the_bubble_itself() -> None:
-    ball = start_of(PLACE, 0.8)
+    ball = rim_fit.start_of(PLACE, 0.8)
     model = model_of(ball)
-    assert misfit(model, ball) == pytest.approx(0.0, abs=1e-12)
-    moved = [misfit(model, ball + np.array([x, 0, 0, 0, 0, 0, 0])) for x in (0.02, 0.05, 0.1)]
+    assert rim_fit.misfit(model, ball) == pytest.approx(0.0, abs=1e-12)
+    moved = [
+        rim_fit.misfit(model, ball + np.array([x, 0, 0, 0, 0, 0, 0])) for x in (0.02, 0.05, 0.1)
+    ]
     assert 1e-5 < moved[0] < moved[1] < moved[2]
 
 
 @pytest.mark.parametrize("off", [0.01, 0.06, 0.12, 0.5])
 def test_a_pixel_that_is_far_off_counts_less(off: float) -> None:
     """Geman and McClure's function rises to half at its width, 0.12, and ends there squared."""
-    model, ellipses = model_of(), ellipses_of(model_of(), start_of(PLACE, 0.8))
+    model, ellipses = model_of(), rim_fit.ellipses_of(model_of(), rim_fit.start_of(PLACE, 0.8))
     model.logs[:] = np.log(1.0 - off)
-    value = unexplained(model, ellipses)
+    value = rim_fit.unexplained(model, ellipses)
     model.logs[:] = np.log(0.88)
     expected = 2.0 * off**2 / (off**2 + 0.12**2)
-    assert value / unexplained(model, ellipses) == pytest.approx(expected, rel=1e-4)
+    assert value / rim_fit.unexplained(model, ellipses) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.slow
@@ -103,7 +95,7 @@ def test_a_spheroid_is_found_again(spoiled: bool) -> None:
         column, row = CAMERAS[1].project(PLACE[None])[0][0].astype(int)
         model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
     start = true + np.array([0.15, -0.1, 0.2, 0.1, 0.05, -0.1, 0.05])
-    found = fit(model, start, 40)
+    found = rim_fit.fit(model, start, 40)
     assert_allclose(found[:3], PLACE, atol=0.03)
     assert_allclose(np.exp(found[3:5]), [1.0, 0.75], rtol=0.03)
     assert_allclose(found[5:], true[5:], atol=0.06)
@@ -126,11 +118,14 @@ def test_derivatives_are_those_of_differences() -> None:
     for _ in range(2000):
         ellipse, (column, row) = ellipse_of(rng), rng.integers(10, 30, 2).tolist()
         found = np.zeros(5)
-        here = slopes_at(ellipse, column, row, 4.0, table, blur, found)
-        assert here == max(shade_at(ellipse, column, row, 4.0, table, blur), DIM)
+        here = rim_fit.slopes_at(ellipse, column, row, 4.0, table, blur, found)
+        assert here == max(rim_fit.shade_at(ellipse, column, row, 4.0, table, blur), rim_fit.DIM)
         for number, step in enumerate(STEPS):
             near = ellipse + step * np.eye(5)[number] * np.array([[1.0], [0.0], [-1.0]])
-            ends = [max(shade_at(one, column, row, 4.0, table, blur), DIM) for one in near]
+            ends = [
+                max(rim_fit.shade_at(one, column, row, 4.0, table, blur), rim_fit.DIM)
+                for one in near
+            ]
             one_sided = np.diff(ends)
             if abs(one_sided[0] - one_sided[1]) > 1e-4 * np.abs(one_sided).max() + 1e-13:
                 continue

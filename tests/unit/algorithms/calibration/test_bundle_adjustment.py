@@ -10,14 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sabench.algorithms.calibration import kernels
-from sabench.algorithms.calibration.bundle_adjustment import (
-    BoardImages,
-    Moving,
-    normal_equations,
-    refine,
-    residuals,
-)
+from sabench.algorithms.calibration import bundle_adjustment, kernels
 from sabench.algorithms.calibration.cramer_rao import limit
 from sabench.algorithms.calibration.joint_fit import adjust
 from sabench.algorithms.calibration.normal_equations import spreads
@@ -37,17 +30,19 @@ ALL = FreeParameters(True, ("k1", "k2", "p1", "p2", "k3"), (0, 1, 2), (0,), tilt
 NOISELESS = {"detection": None, "calibration": {"points": 0.0}}
 
 
-def truth(**changes: Any) -> tuple[Frame, State, BoardImages]:
+def truth(**changes: Any) -> tuple[Frame, State, bundle_adjustment.BoardImages]:
     case, cameras, points, exact = case_of(calibration_scene(**(NOISELESS | changes)))
     frame = Frame.from_cameras(cameras, points)
     return frame, frame.state(case.target.points_mm, points), board_images(case, exact)
 
 
-def noisy(seen: BoardImages, sigma_px: float, rng: np.random.Generator) -> BoardImages:
+def noisy(
+    seen: bundle_adjustment.BoardImages, sigma_px: float, rng: np.random.Generator
+) -> bundle_adjustment.BoardImages:
     return replace(seen, pixels=seen.pixels + rng.normal(0.0, sigma_px, seen.pixels.shape))
 
 
-def mean_px(state: State, seen: BoardImages) -> float:
+def mean_px(state: State, seen: bundle_adjustment.BoardImages) -> float:
     return float(np.linalg.norm(misses(state, seen), axis=-1).mean())
 
 
@@ -73,7 +68,9 @@ def test_the_kernel_projects_as_cameras_do(changes: dict[str, object]) -> None:
     assert np.abs(errors).max() < 1e-9
 
 
-def observe(state: State, seen: BoardImages, place: tuple[int, int, int], row: F64) -> F64:
+def observe(
+    state: State, seen: bundle_adjustment.BoardImages, place: tuple[int, int, int], row: F64
+) -> F64:
     """Project a point (camera, board, point), and fill in the derivatives."""
     c, k, i = place
     arm = state.board_rotations[k] @ seen.board[i]
@@ -105,7 +102,7 @@ def test_all_derivatives_are_those_of_finite_differences() -> None:
 
 
 def dense_jacobian(
-    state: State, seen: BoardImages, free: FreeParameters
+    state: State, seen: bundle_adjustment.BoardImages, free: FreeParameters
 ) -> tuple[F64, list[list[int]]]:
     """Derivatives (n, 2, unknowns) of all pixels seen, and the camera, board and point of each."""
     own, shared = free.columns(3)
@@ -127,10 +124,10 @@ def test_the_equations_are_those_of_a_dense_jacobian() -> None:
     rng = np.random.default_rng(0)
     seen = noisy(seen, 0.5, rng)
     free = FreeParameters(True, ("k1",), (2,), (0,))
-    normal = normal_equations(state, seen, free)
+    normal = bundle_adjustment.normal_equations(state, seen, free)
     own, shared = free.columns(3)
     jacobian, places = dense_jacobian(state, seen, free)
-    errors = residuals(state, seen)
+    errors = bundle_adjustment.residuals(state, seen)
     dense = jacobian.reshape(-1, jacobian.shape[2])
     right = np.concatenate([errors[c, k, i] for c, k, i in places])
     whole, split = dense.T @ dense, 9 * len(own) + len(shared)
@@ -182,7 +179,9 @@ def test_the_kernel_of_covariances_reads_and_writes_nothing_beyond_its_arrays() 
 
 
 @pytest.mark.parametrize("moving", ["cameras", "boards"])
-def test_one_half_is_found_while_the_other_is_right_and_stays(moving: Moving) -> None:
+def test_one_half_is_found_while_the_other_is_right_and_stays(
+    moving: bundle_adjustment.Moving,
+) -> None:
     _, state, seen = truth()
     rng, free, boards = np.random.default_rng(5), FreeParameters(), moving == "boards"
     own, shared = free.columns(3)
@@ -191,7 +190,7 @@ def test_one_half_is_found_while_the_other_is_right_and_stays(moving: Moving) ->
         0.0 * off[0] if boards else off[0], np.zeros(len(shared)), off[1] * boards, free
     )
     assert np.nanmax(np.abs(misses(wrong, seen))) > 0.1
-    found = refine(wrong, seen, free, moving=moving).state
+    found = bundle_adjustment.refine(wrong, seen, free, moving=moving).state
     assert np.nanmax(np.abs(misses(found, seen))) < 1e-4
     assert_allclose(found.centers, state.centers, atol=1e-3)
     if boards:
@@ -213,7 +212,7 @@ def test_exact_points_give_exact_cameras_from_any_start(cameras: int, blank: boo
     scene = calibration_scene(detection=None, calibration=rough, cameras=layout)
     case, _, points, exact = case_of(scene)
     problem = CalibrationProblem.from_case(case, FreeParameters())
-    fit = refine(problem.start, problem.seen, FreeParameters())
+    fit = bundle_adjustment.refine(problem.start, problem.seen, FreeParameters())
     answer = problem.answer(problem.align_to_nominal(fit.state))
     found = answer.points_mm
     assert found is not None
@@ -232,11 +231,7 @@ def test_noise_comes_out_at_the_bound() -> None:
     true, scatter, depth = [], [], []
     points = state.points(seen.board).reshape(-1, 3)
     for _ in range(16):
-        fit = refine(
-            state,
-            noisy(seen, noise, rng),
-            free,
-        )
+        fit = bundle_adjustment.refine(state, noisy(seen, noise, rng), free)
         assert fit.converged
         true.append(mean_px(fit.state, seen))
         found = fit.state.points(seen.board).reshape(-1, 3)
@@ -256,7 +251,7 @@ def test_the_measured_error_tells_the_true_one() -> None:
     bound, ratios = limit(state, seen, FreeParameters(), 0.3), []
     for _ in range(6):
         measured = noisy(seen, 0.3, rng)
-        found = refine(state, measured, FreeParameters()).state
+        found = bundle_adjustment.refine(state, measured, FreeParameters()).state
         ratios.append(mean_px(found, seen) / mean_px(found, measured))
     assert np.mean(ratios) == pytest.approx(bound.efficiency, rel=0.06)
 
@@ -296,11 +291,7 @@ def test_the_fluid_s_index_can_be_estimated() -> None:
     _, state, seen = truth()
     rng = np.random.default_rng(6)
     wrong = replace(state, indices=state.indices + np.array([0.0, 0.0, 0.003]))
-    fit = refine(
-        wrong,
-        noisy(seen, 0.1, rng),
-        FreeParameters(indices=(2,)),
-    )
+    fit = bundle_adjustment.refine(wrong, noisy(seen, 0.1, rng), FreeParameters(indices=(2,)))
     assert abs(fit.state.indices[2] - state.indices[2]) < 0.0025
 
 

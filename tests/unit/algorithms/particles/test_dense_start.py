@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.dense_start import (
-    Finds,
-    are_mostly_wrong,
-    collect_votes,
-    confirm_tracks,
-    estimate_velocity,
-)
+from sabench.algorithms.particles import dense_start
 from sabench.utils.arrays import F64
 
 BOX, CLOUD, STEP = 6.0, 2000, 0.01  # mm, particles, s
@@ -48,10 +42,10 @@ def truth() -> list[F64]:
 
 
 @pytest.fixture(scope="module")
-def frames(truth: list[F64]) -> list[Finds]:
+def frames(truth: list[F64]) -> list[dense_start.Finds]:
     found = [find(position, number) for number, position in enumerate(truth)]
     return [
-        Finds(float(time), one, np.full(one.shape, NOISE**2), np.ones((len(one), 4)))
+        dense_start.Finds(float(time), one, np.full(one.shape, NOISE**2), np.ones((len(one), 4)))
         for time, one in zip(TIMES, found, strict=True)
     ]
 
@@ -60,9 +54,9 @@ def distances(position: F64, truth: F64) -> F64:
     return np.asarray(cKDTree(truth).query(position)[0])
 
 
-def test_confirmed_particles_are_real(frames: list[Finds], truth: list[F64]) -> None:
+def test_confirmed_particles_are_real(frames: list[dense_start.Finds], truth: list[F64]) -> None:
     """Of what is found in a frame, half is real; of what several frames show, nearly all is."""
-    for slot, known in enumerate(confirm_tracks(frames, DISTANCE)):
+    for slot, known in enumerate(dense_start.confirm_tracks(frames, DISTANCE)):
         off = distances(known.position, truth[slot])
         assert len(off) > 0.35 * CLOUD
         assert known.light.shape == (len(off), 4)
@@ -73,12 +67,14 @@ def test_confirmed_particles_are_real(frames: list[Finds], truth: list[F64]) -> 
 
 
 def test_velocities_come_from_links_of_which_most_are_wrong(
-    frames: list[Finds], truth: list[F64]
+    frames: list[dense_start.Finds], truth: list[F64]
 ) -> None:
-    votes = collect_votes([one.position for one in frames], [one.time for one in frames])
+    votes = dense_start.collect_votes(
+        [one.position for one in frames], [one.time for one in frames]
+    )
     wrong = np.linalg.norm(votes.velocity - velocity_of(votes.position), axis=1) > 0.5 * SPEED
     assert wrong.mean() > 0.4
-    velocity, variance = estimate_velocity(votes, truth[2], float(TIMES[2]), DISTANCE)
+    velocity, variance = dense_start.estimate_velocity(votes, truth[2], float(TIMES[2]), DISTANCE)
     off = np.linalg.norm(velocity - velocity_of(truth[2]), axis=1)
     assert np.median(off) < 0.2 * SPEED
     assert (variance > 0.0).all()
@@ -88,7 +84,7 @@ def test_links_are_wrong_where_they_differ_from_those_around() -> None:
     rng = np.random.default_rng(5)
     position = rng.uniform(0.0, BOX, (500, 3))
     shift = STEP * velocity_of(position)
-    assert not are_mostly_wrong(position, shift)
+    assert not dense_start.are_mostly_wrong(position, shift)
     shift[::3] = rng.uniform(-DISTANCE, DISTANCE, shift[::3].shape)
-    assert are_mostly_wrong(position, shift)
-    assert not are_mostly_wrong(position[:5], rng.standard_normal((5, 3)))
+    assert dense_start.are_mostly_wrong(position, shift)
+    assert not dense_start.are_mostly_wrong(position[:5], rng.standard_normal((5, 3)))

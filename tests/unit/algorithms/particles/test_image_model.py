@@ -7,18 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
+from sabench.algorithms.particles import image_model
 from sabench.algorithms.particles.claimed_errors import claimed_covariances
-from sabench.algorithms.particles.image_model import (
-    MARGIN_PX,
-    MOST_FLAT,
-    ImageModel,
-    Room,
-    fill_image,
-    fill_slopes,
-    make_room,
-    paint_here,
-    place_windows,
-)
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import SIGMA, model_of, particles_of, room_of
 from tests.helpers.particle_box import COLUMNS, ROWS, Maps
@@ -28,7 +18,9 @@ CAMERA, PLACE, FINE = 1, np.array([0.3, -0.2, 0.4]), 20
 CHANGE = np.array([[0.0, 0.02, -0.03, 0.01], [0.0, 0.005, 0.002, -0.01]])
 
 
-def shaped(maps: Maps, correlation: float, flatness: float = 0.0) -> tuple[ImageModel, Room]:
+def shaped(
+    maps: Maps, correlation: float, flatness: float = 0.0
+) -> tuple[image_model.ImageModel, image_model.Room]:
     """Make a model of dark images, with one camera whose images are shaped so where `PLACE` is."""
     model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
     shape = model.shapes[CAMERA, 2:]
@@ -39,24 +31,26 @@ def shaped(maps: Maps, correlation: float, flatness: float = 0.0) -> tuple[Image
     return model, room
 
 
-def image_of(model: ImageModel, room: Room, position: F64) -> F64:
+def image_of(model: image_model.ImageModel, room: image_model.Room, position: F64) -> F64:
     """Fill in the image (row, column) of a particle in the shaped camera."""
-    place_windows(model, room, position)
-    fill_image(model, room, CAMERA, image := np.zeros((room.window, room.window)))
+    image_model.place_windows(model, room, position)
+    image_model.fill_image(model, room, CAMERA, image := np.zeros((room.window, room.window)))
     return image
 
 
-def points_in_pixels(room: Room) -> F64:
+def points_in_pixels(room: image_model.Room) -> F64:
     """Places (row, column, 2) as (column, row) within pixels of the window, px."""
     fine = (np.arange(FINE) + 0.5) / FINE - 0.5
     column, row = (
-        (room.corner[CAMERA, k] - MARGIN_PX + np.arange(room.window)[:, None] + fine).ravel()
+        (
+            room.corner[CAMERA, k] - image_model.MARGIN_PX + np.arange(room.window)[:, None] + fine
+        ).ravel()
         for k in range(2)
     )
     return np.stack(np.meshgrid(column, row), axis=-1)
 
 
-def over_pixels(shown: F64, room: Room) -> F64:
+def over_pixels(shown: F64, room: image_model.Room) -> F64:
     return np.asarray(shown.reshape(room.window, FINE, room.window, FINE).mean(axis=(1, 3)))
 
 
@@ -89,7 +83,7 @@ def test_a_flat_image_is_a_gaussian_times_a_polynomial(maps: Maps, flatness: flo
     assert found.max() < (1.0 - 3.0 * flatness) * plain.max()
 
 
-@pytest.mark.parametrize(("flatness", "as_if"), [(-0.01, 0.0), (0.1, MOST_FLAT)])
+@pytest.mark.parametrize(("flatness", "as_if"), [(-0.01, 0.0), (0.1, image_model.MOST_FLAT)])
 def test_images_are_neither_peaked_nor_flatter_than_the_series_has_them(
     maps: Maps, flatness: float, as_if: float
 ) -> None:
@@ -109,13 +103,13 @@ def test_slopes_are_the_images(maps: Maps, correlation: float, flatness: float) 
     more: the shape's own change is left out."""
     model, room = shaped(maps, correlation, flatness)
     step = 1e-3
-    place_windows(model, room, PLACE)
+    image_model.place_windows(model, room, PLACE)
     by_x, by_y = np.zeros((2, room.window, room.window))
-    fill_slopes(model, room, CAMERA, by_x, by_y)
+    image_model.fill_slopes(model, room, CAMERA, by_x, by_y)
     for axis in range(3):
         along = room.slope[CAMERA, :, axis].copy()
         moved = [image_of(model, room, PLACE + sign * step * np.eye(3)[axis]) for sign in (-1, 1)]
-        place_windows(model, room, PLACE)
+        image_model.place_windows(model, room, PLACE)
         expected = (moved[1] - moved[0]) / (2.0 * step)
         found = along[0] * by_x + along[1] * by_y
         assert np.abs(found - expected).max() < 0.005 * np.abs(expected).max()
@@ -124,8 +118,8 @@ def test_slopes_are_the_images(maps: Maps, correlation: float, flatness: float) 
 def test_what_is_painted_is_the_image(maps: Maps) -> None:
     model, room = shaped(maps, 0.3, 0.04)
     light = np.array([10.0, 20.0, 30.0, 40.0])
-    place_windows(model, room, PLACE)
-    paint_here(model, room, light, 1.0)
+    image_model.place_windows(model, room, PLACE)
+    image_model.paint_here(model, room, light, 1.0)
     expected = light[CAMERA] * image_of(model, room, PLACE)
     column, row = room.corner[CAMERA]
     shown = model.left[CAMERA, row : row + room.window, column : column + room.window]
@@ -137,14 +131,14 @@ WIDTHS, POINT, LIGHT, NOISE = ((1.2, 1.5), np.array([0.2, -0.1, 0.3]), 300.0, 2.
 STEP = 1e-3
 
 
-def all_images(model: ImageModel, position: F64) -> F64:
+def all_images(model: image_model.ImageModel, position: F64) -> F64:
     """Images (camera, pixel) of a particle, where its windows lie."""
-    room = make_room(np.tile(WIDTHS, (4, 1)))
+    room = image_model.make_room(np.tile(WIDTHS, (4, 1)))
     shown = np.zeros((4, ROWS, COLUMNS))
-    place_windows(model, room, position)
+    image_model.place_windows(model, room, position)
     for camera in range(4):
-        fill_image(model, room, camera, image := np.zeros((room.window, room.window)))
-        column, row = room.corner[camera] - MARGIN_PX
+        image_model.fill_image(model, room, camera, image := np.zeros((room.window, room.window)))
+        column, row = room.corner[camera] - image_model.MARGIN_PX
         shown[camera, row : row + room.window, column : column + room.window] = image
     return LIGHT * shown.reshape(4, -1)
 

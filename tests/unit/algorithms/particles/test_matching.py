@@ -12,23 +12,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench.algorithms.calibration.disparity import match, pair_up
-from sabench.algorithms.particles import matching as module
-from sabench.algorithms.particles.matching import (
-    PeakSets,
-    TriangulationSettings,
-    count_by_chance,
-    find_peak_sets,
-    fit_cameras,
-    move_to_pixel,
-    select_best,
-    triangulate_particles,
-)
+from sabench.algorithms.particles import matching, matching as module
 from sabench.api import Observation
-from sabench.geometry.volume_polynomials import (
-    VolumePolynomials,
-    project_point,
-    project_points,
-)
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.peaks import Peaks, find_near, keep_peaks, sort_peaks
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64, Bool
@@ -72,18 +58,16 @@ def open_sensors(cameras: int) -> Bool:
 def test_all_particles_are_found_where_they_are(maps: Maps, cameras: int, count: int) -> None:
     points = unit_points(count)
     peaks = peaks_of(images_of(points, maps, cameras))
-    found = find_peak_sets(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
+    found = matching.find_peak_sets(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
     assert distances(found.position, points, maps).max() < 2e-3
     assert found.error_px.max() < 0.1
-    best = select_best(found, peaks)
+    best = matching.select_best(found, peaks)
     assert len(best) == count
     for number in range(cameras):  # each particle image once
         assert sorted(found.hit[best, number]) == list(range(count))
 
 
-def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
-    maps: Maps,
-) -> None:
+def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(maps: Maps) -> None:
     points = unit_points(10)
     pixels = images_of(points, maps)
     peaks = peaks_of((*pixels[:2], pixels[2][1:], pixels[3]))
@@ -91,7 +75,7 @@ def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
     covered = open_sensors(4)
     covered[2, row, column] = True
     strict, tolerant = (
-        find_peak_sets(maps, peaks, 0.1, area) for area in (open_sensors(4), covered)
+        matching.find_peak_sets(maps, peaks, 0.1, area) for area in (open_sensors(4), covered)
     )
     assert distances(strict.position, points, maps)[0] > 0.1
     assert distances(strict.position, points[1:], maps).max() < 2e-3
@@ -99,7 +83,7 @@ def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
     lost = np.argmin(np.linalg.norm(tolerant.position - points[0], axis=1))
     assert np.flatnonzero(tolerant.hit[lost] < 0).tolist() == [2]
     # a sensor that ends before the particle's image misses nothing
-    cut = find_peak_sets(maps, peaks, 0.1, open_sensors(4)[:, :, : int(pixels[2][0, 0])])
+    cut = matching.find_peak_sets(maps, peaks, 0.1, open_sensors(4)[:, :, : int(pixels[2][0, 0])])
     assert distances(cut.position, points[:1], maps)[0] < 2e-3
 
 
@@ -107,7 +91,7 @@ def test_each_peak_goes_to_the_complete_set_that_fits_best() -> None:
     hit = np.array([[0, 0, 0], [0, 1, 1], [1, 1, -1], [1, 2, 2], [2, 0, -1]])
     error = np.array([0.3, 0.1, 0.0, 0.2, 0.0])
     peaks = tuple(Peaks(np.zeros((3, 2)), np.zeros(2, dtype=np.int64), 1, 1) for _ in range(3))
-    kept = select_best(PeakSets(np.zeros((5, 3)), hit, error), peaks)
+    kept = matching.select_best(matching.PeakSets(np.zeros((5, 3)), hit, error), peaks)
     assert kept.tolist() == [1, 3, 4]
 
 
@@ -144,7 +128,7 @@ def test_a_line_of_sight_is_followed_as_far_as_the_box_goes(maps: Maps) -> None:
     for goal in ([0.3, 0.4, -0.5], [0.3, 1.3, -0.5], [-1.2, 0.2, 0.6], [0.9, -1.1, 0.0]):
         pixel = project_points(maps, 0, np.array([goal]))[0]
         position = np.array([0.0, 0.0, goal[2]])
-        inside = move_to_pixel(maps, pixel, position, 2, here, slope)
+        inside = matching.move_to_pixel(maps, pixel, position, 2, here, slope)
         assert inside == (max(np.abs(goal)) <= 1.0)
         if inside:
             assert_allclose(position, goal, atol=1e-4)
@@ -162,7 +146,7 @@ def test_pairs_are_those_within_the_radius_until_the_room_is_full() -> None:
 
 def test_particles_are_looked_for_in_whole_border_voxels() -> None:
     case = simulate(make_scene(particles={"count": 5}), seed=1).observation
-    maps, grid = fit_cameras(case), case.grid
+    maps, grid = matching.fit_cameras(case), case.grid
     low = np.asarray(grid.low_mm) - np.asarray(grid.voxel_mm) / 2.0
     assert (maps.middle_mm - maps.half_mm < low).all()
     high = low + np.asarray(grid.shape[::-1]) * np.asarray(grid.voxel_mm)
@@ -185,7 +169,7 @@ def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_de
     points = np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)])
     for point in points:
         peaks = peaks_of(tuple(project_points(maps, number, point[None]) for number in range(3)))
-        found = find_peak_sets(maps, peaks, 0.5, open_sensors(3))
+        found = matching.find_peak_sets(maps, peaks, 0.5, open_sensors(3))
         assert len(found.position) == 1
         assert_allclose(found.position[0], point, atol=1e-6)
 
@@ -205,7 +189,9 @@ CLOCK = "sabench.utils.threads.time.monotonic"
 
 
 def solve(case: Observation, **changes: Any) -> Any:
-    return triangulate_particles(case, fit_cameras(case), TriangulationSettings(**changes))
+    return matching.triangulate_particles(
+        case, matching.fit_cameras(case), matching.TriangulationSettings(**changes)
+    )
 
 
 def noisy(case: Observation, black: float = 0.0) -> Observation:
@@ -254,15 +240,15 @@ def test_peaks_that_agree_by_chance_are_thinned_with_a_sentence(
 
 def test_the_number_of_sets_by_chance_is_about_right() -> None:
     case = make_small(3).observation
-    rng, maps = np.random.default_rng(2), fit_cameras(case)
+    rng, maps = np.random.default_rng(2), matching.fit_cameras(case)
     rows, columns = case.images.shape[1:]
     peaks = tuple(
         sort_peaks(rng.uniform([1.0, 1.0], [columns - 2.0, rows - 2.0], (400, 2)), (rows, columns))
         for _ in case.cameras
     )
     covered = np.zeros(case.images.shape, dtype=np.bool_)
-    found = find_peak_sets(maps, peaks, 0.8, covered)
-    expected = count_by_chance(maps, peaks, 0.8, rows * columns)
+    found = matching.find_peak_sets(maps, peaks, 0.8, covered)
+    expected = matching.count_by_chance(maps, peaks, 0.8, rows * columns)
     assert 0.2 < len(found.position) / 400.0 / expected < 1.5
 
 

@@ -10,16 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sabench.algorithms.tomography.art_updates import (
-    DARKEST,
-    Iterate,
-    RecordedLight,
-    block_mart,
-    iterate,
-    mart,
-    sart,
-    smart,
-)
+from sabench.algorithms.tomography import art_updates
 from sabench.algorithms.tomography.mart_sweep import STRIP
 from sabench.algorithms.tomography.projection_operator import (
     BILINEAR,
@@ -36,18 +27,18 @@ from tests.unit.algorithms.tomography.test_projection_operator import (
     lines_of,
 )
 
-Step = Callable[[Iterate, RecordedLight], float]
+Step = Callable[[art_updates.Iterate, art_updates.RecordedLight], float]
 
 
-def sart_step(state: Iterate, measured: RecordedLight) -> float:
-    return sart(state, measured, state.lines.forward(np.ones_like(state.values)), 0.8)
+def sart_step(state: art_updates.Iterate, measured: art_updates.RecordedLight) -> float:
+    return art_updates.sart(state, measured, state.lines.forward(np.ones_like(state.values)), 0.8)
 
 
 STEPS: dict[str, Step] = {
-    "smart": lambda state, measured: smart(state, measured, 0.9),
+    "smart": lambda state, measured: art_updates.smart(state, measured, 0.9),
     "sart": sart_step,
-    "block_mart": lambda state, measured: block_mart(state, measured, 0.7),
-    "mart": lambda state, measured: mart(state, measured, 0.9),
+    "block_mart": lambda state, measured: art_updates.block_mart(state, measured, 0.7),
+    "mart": lambda state, measured: art_updates.mart(state, measured, 0.9),
 }
 WHITE = np.ones((3, ROWS, COLUMNS), dtype=np.float32)
 NOWHERE = np.zeros(WHITE.shape, dtype=np.bool_)
@@ -63,22 +54,22 @@ def matrices(lines: ProjectionOperator) -> F64:
     return np.stack(columns, axis=-1).astype(np.float64)
 
 
-def make_state(footprint: Footprint = BLOB, every: int = 4) -> Iterate:
+def make_state(footprint: Footprint = BLOB, every: int = 4) -> art_updates.Iterate:
     lines = lines_of(array(TILTED), footprint, every=every)
     seen = np.maximum(np.rint(lines.adjoint(WHITE)), np.float32(1.0))
     values = np.random.default_rng(1).random(len(lines.support), dtype=np.float32)
-    return Iterate(lines, values + np.float32(0.5), seen)
+    return art_updates.Iterate(lines, values + np.float32(0.5), seen)
 
 
-def with_values(state: Iterate, values: F32) -> Iterate:
-    return Iterate(state.lines, values, state.seen)
+def with_values(state: art_updates.Iterate, values: F32) -> art_updates.Iterate:
+    return art_updates.Iterate(state.lines, values, state.seen)
 
 
-def recorded(state: Iterate, seed: int) -> RecordedLight:
+def recorded(state: art_updates.Iterate, seed: int) -> art_updates.RecordedLight:
     """Return the light that other values than the state's would cast."""
     values = np.random.default_rng(seed).random(len(state.values), dtype=np.float32)
     light = state.lines.forward(values * np.float32(2.0))
-    return RecordedLight(np.maximum(light, np.float32(1e-6)), NOWHERE)
+    return art_updates.RecordedLight(np.maximum(light, np.float32(1e-6)), NOWHERE)
 
 
 def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
@@ -132,7 +123,7 @@ def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
 def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
     state = make_state()
     measured, before = recorded(state, 2), state.values.copy()
-    everywhere = RecordedLight(measured.light, ~NOWHERE)
+    everywhere = art_updates.RecordedLight(measured.light, ~NOWHERE)
     bright = with_values(state, before * np.float32(50.0))
     missed = np.maximum(measured.light - bright.lines.forward(bright.values), 0.0)
     expected = (missed.astype(np.float64) ** 2).sum()  # only what was not projected
@@ -176,29 +167,34 @@ def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
 @pytest.mark.parametrize("name", STEPS)
 def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     state = make_state(every=9)
-    light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(DARKEST))
-    measured = RecordedLight(light, NOWHERE)
-    residuals = list(iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name))
+    light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(art_updates.DARKEST))
+    measured = art_updates.RecordedLight(light, NOWHERE)
+    residuals = list(
+        art_updates.iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name)
+    )
     assert len(residuals) == 40
     assert (np.diff(residuals[:10]) < 0.0).all()
     assert residuals[-1] < 0.1 * residuals[0]
 
 
-def recorded_values(state: Iterate) -> F32:
+def recorded_values(state: art_updates.Iterate) -> F32:
     """Values that cast what is recorded: a few bright voxels in the dark."""
     return np.where(np.arange(len(state.values)) % 7 == 0, np.float32(1.0), np.float32(1e-3))
 
 
 def test_iteration_stops_when_little_changes() -> None:
-    measured = RecordedLight(2.0 * WHITE[:1, :2, :2], NOWHERE[:1, :2, :2])
+    measured = art_updates.RecordedLight(2.0 * WHITE[:1, :2, :2], NOWHERE[:1, :2, :2])
     squares = iter([16.0, 4.0, 3.24, 3.0, 1.0])
-    found = list(iterate(lambda: next(squares), measured, 5, 0.15, "test"))
+    found = list(art_updates.iterate(lambda: next(squares), measured, 5, 0.15, "test"))
     assert_allclose(found, [1.0, 0.5, 0.45])
 
 
 @pytest.mark.parametrize("name", STEPS)
 def test_black_pixels_leave_no_light_but_finite_values(name: str) -> None:
-    state, measured = make_state(), RecordedLight(np.float32(DARKEST) * WHITE, NOWHERE)
+    state, measured = (
+        make_state(),
+        art_updates.RecordedLight(np.float32(art_updates.DARKEST) * WHITE, NOWHERE),
+    )
     for _ in range(5):
         STEPS[name](state, measured)
     assert np.isfinite(state.values).all()
@@ -215,12 +211,12 @@ def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
     assert set(np.unique(counts[last])) == {2.0, 3.0}
     assert set(np.unique(counts[~last])) == {1.0, 2.0}
     measured = recorded(state, 5)
-    other = RecordedLight(measured.light.copy(), measured.saturated)
+    other = art_updates.RecordedLight(measured.light.copy(), measured.saturated)
     other.light[2] *= np.float32(3.0)
     results = []
     for what in (measured, other):
         fresh = with_values(state, state.values.copy())
-        smart(fresh, what, 1.0)
+        art_updates.smart(fresh, what, 1.0)
         results.append(fresh.values)
     assert_array_equal(results[0][~last], results[1][~last])
     assert_allclose(results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4)
