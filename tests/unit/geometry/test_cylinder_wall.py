@@ -275,6 +275,5 @@ def test_moving_the_whole_world_moves_no_pixel() -> None:
             wall, axis_point_mm=moved(wall.axis_point_mm), axis=triple(turn @ np.asarray(wall.axis))
         ),
     )
-    assert_allclose(
-        other.project(points @ turn.T + shift)[0], camera.project(points)[0], rtol=0, atol=1e-8
-    )
+    expected = camera.project(points)[0]
+    assert_allclose(other.project(points @ turn.T + shift)[0], expected, rtol=0, atol=1e-8)

@@ -82,9 +82,8 @@ def test_field_keeps_integral_and_place(sigma_mm: float) -> None:
     for place, weight in zip(inner_points(12, 2.2, 1), (0.5, 1.0, 3.0) * 4, strict=True):
         field = synthesise(GRID, place[None], np.array([weight]), sigma_mm).astype(np.float64)
         assert field.dtype == np.float64
-        assert field.sum() * math.prod(GRID.voxel_mm) == pytest.approx(
-            weight * peak_integral(sigma_mm), rel=3e-4
-        )
+        expected = weight * peak_integral(sigma_mm)
+        assert field.sum() * math.prod(GRID.voxel_mm) == pytest.approx(expected, rel=3e-4)
         if sigma_mm >= 0.5:  # at least one voxel along each axis: the voxels' own shape is not seen
             centroid = [
                 np.average(axis, weights=field.sum(axis=other))

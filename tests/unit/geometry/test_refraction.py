@@ -36,10 +36,7 @@ def unit(vector: Any) -> F64:
 
 
 def make_wall(
-    indices: list[float],
-    thicknesses: list[float],
-    normal: Any = UP,
-    point: Any = ANYWHERE,
+    indices: list[float], thicknesses: list[float], normal: Any = UP, point: Any = ANYWHERE
 ) -> Wall:
     pairs = zip(indices[1:-1], thicknesses, strict=True)
     layers = tuple(Layer("layer", index, thickness) for index, thickness in pairs)
@@ -118,9 +115,8 @@ def test_finds_the_path_that_was_built_by_hand(wall: Wall) -> None:
     found = trace_to_points(wall, paths[0][0], np.stack([path[-1] for path in paths]))
     assert found.valid.all()
     assert_allclose(found.leaving, [unit(path[1] - path[0]) for path in paths], rtol=0, atol=1e-11)
-    assert_allclose(
-        found.arriving, [unit(path[-1] - path[-2]) for path in paths], rtol=0, atol=1e-10
-    )
+    expected = [unit(path[-1] - path[-2]) for path in paths]
+    assert_allclose(found.arriving, expected, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("wall", WALLS)
@@ -251,12 +247,8 @@ def test_transmittance_is_the_same_in_both_directions(wall: Wall) -> None:
         [layer.thickness_mm for layer in wall.layers][::-1],
         normal=-np.asarray(wall.normal),
     )
-    assert_allclose(
-        transmittance(wall, ANYWHERE, found.leaving),
-        transmittance(back, ANYWHERE, -found.arriving),
-        rtol=0,
-        atol=1e-11,
-    )
+    expected = transmittance(back, ANYWHERE, -found.arriving)
+    assert_allclose(transmittance(wall, ANYWHERE, found.leaving), expected, rtol=0, atol=1e-11)
 
 
 def test_moving_the_whole_world_moves_no_pixel() -> None:

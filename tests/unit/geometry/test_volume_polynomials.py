@@ -49,7 +49,5 @@ def test_a_million_kilometres_are_the_largest_length(sign: float) -> None:
     far = {**record, "center_mm": (0.0, 0.0, sign * 1e12)}
     assert record_camera(read_camera(far, "cameras.json")) == far
     beyond = {**record, "center_mm": (0.0, 0.0, sign * math.nextafter(1e12, math.inf))}
-    with pytest.raises(
-        InputError, match=r"cameras\.json: center_mm: expected finite numbers of at most 1e\+12"
-    ):
+    with pytest.raises(InputError, match=r"cameras\.json: center_mm: expected finite"):
         read_camera(beyond, "cameras.json")

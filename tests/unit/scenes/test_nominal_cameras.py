@@ -132,7 +132,5 @@ def test_true_cameras_must_match_the_nominal_ones(wrong: Dataset) -> None:
 
 @pytest.mark.parametrize("shift", [-0.1, float("nan"), "much"])
 def test_a_shift_is_a_length(shift: Any) -> None:
-    with pytest.raises(
-        InputError, match=r"^test: calibration.shift_px: expected a .*number.*, got"
-    ):
+    with pytest.raises(InputError, match=r"^test: calibration.shift_px: expected a"):
         shifted_scene(shift)

@@ -201,9 +201,7 @@ def test_a_prior_holds_known_points_along_their_axes_only() -> None:
     assert np.isfinite(known.known_mm).sum() == 2
     assert_allclose(known.known_mm[1, 5, [0, 2]], placed.points_mm[1, 5, [0, 2]], atol=0.1)
     wrong = calibration_scene(calibration={"known": [{"frame": 9, "point": 5}]})
-    with pytest.raises(
-        InputError, match=r"calibration\.known\.0: expected one of 5 frames and of 121 points"
-    ):
+    with pytest.raises(InputError, match=r"calibration\.known\.0: expected one of 5"):
         prior(wrong, place(wrong, 1), 1)
 
 

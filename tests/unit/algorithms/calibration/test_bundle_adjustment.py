@@ -136,9 +136,8 @@ def test_the_equations_are_those_of_a_dense_jacobian() -> None:
         part = slice(split + k * kernels.BOARD, split + (k + 1) * kernels.BOARD)
         assert_allclose(normal.ab[k], whole[:split, part], rtol=1e-9, atol=1e-6)
         assert_allclose(normal.bb[k], whole[part, part], rtol=1e-9, atol=1e-6)
-    assert_allclose(
-        np.concatenate([normal.a, normal.d.ravel()]), dense.T @ right, rtol=1e-7, atol=1e-5
-    )
+    expected = dense.T @ right
+    assert_allclose(np.concatenate([normal.a, normal.d.ravel()]), expected, rtol=1e-7, atol=1e-5)
     assert normal.cost == pytest.approx(right @ right)
 
 

@@ -96,10 +96,8 @@ def test_a_value_at_the_threshold_is_left_out() -> None:
     volume = np.zeros((1, 2, 2), dtype=np.float32)
     volume[0, 0, 0] = 2.0  # mean 1/2, standard deviation sqrt(3) / 2
     ks = np.array([1.0, math.sqrt(3.0), 2.0])
-    assert_allclose(
-        quality_of_k(volume, volume, ks, "whole"),
-        [quality(extract(volume.copy(), k, "whole"), volume) for k in ks],
-    )
+    expected = [quality(extract(volume.copy(), k, "whole"), volume) for k in ks]
+    assert_allclose(quality_of_k(volume, volume, ks, "whole"), expected)
 
 
 @pytest.mark.parametrize("keep", KEEPS)

@@ -166,11 +166,8 @@ def test_a_box_repeats_and_time_goes_on(tmp_path: Path) -> None:
     field = field_of(as_hdf5(tmp_path / "field.h5", arrays), periodic="xyz", time="t")
     far = points() + np.array([600.0, -1200.0, 60.0])
     assert_allclose(field.velocity(far, 0.7), 0.49 * 1e3 * cellular(far / 1e3), atol=0.3)
-    assert_allclose(
-        np.trace(field.gradient(far, 0.7), axis1=1, axis2=2),
-        -0.49e3 * np.pi / SIDE / 1e3 * np.sin(far[:, 2] / 30.0 * np.pi),
-        atol=0.1,
-    )
+    expected = -0.49e3 * np.pi / SIDE / 1e3 * np.sin(far[:, 2] / 30.0 * np.pi)
+    assert_allclose(np.trace(field.gradient(far, 0.7), axis1=1, axis2=2), expected, atol=0.1)
 
 
 def broken(change: Callable[[Arrays], Arrays], **parameters: Any) -> Callable[[Path], Flow]:
@@ -368,9 +365,8 @@ def test_what_trackpy_linked_is_read() -> None:
     for frame, particles in enumerate(frames):
         order, first = np.argsort(particles.id), np.argsort(frames[0].id)
         moved = particles.position_mm[order] - frames[0].position_mm[first]
-        assert_allclose(
-            moved, np.tile([0.2 * frame, 0.05 * frame * (frame - 1), 0.0], (25, 1)), atol=2e-5
-        )
+        expected = np.tile([0.2 * frame, 0.05 * frame * (frame - 1), 0.0], (25, 1))
+        assert_allclose(moved, expected, atol=2e-5)
         assert_allclose(
             particles.velocity_mm_s, np.tile([2.0, frame - 0.5, 0.0], (25, 1)), atol=1e-3
         )
