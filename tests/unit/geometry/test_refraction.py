@@ -86,8 +86,6 @@ def hand_paths(wall: Wall, count: int, seed: int) -> list[F64]:
 
 
 def crossings(wall: Wall, start: F64, leaving: F64) -> list[F64]:
-    """Return the points where a ray meets the interfaces. Planes are intersected by hand and turned
-    in the plane of incidence by angles."""
     normal, here, direction, met = np.asarray(wall.normal), start, leaving, []
     for depth, n1, n2 in zip(
         wall.interface_depths_mm, wall.indices[:-1], wall.indices[1:], strict=True

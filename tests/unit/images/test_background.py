@@ -18,8 +18,6 @@ from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import profile
 
 ROWS, COLUMNS = 240, 320
-
-
 NOISE, LIGHT = 2.0, 200.0
 
 

@@ -45,7 +45,6 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
 
 @pytest.mark.parametrize("sigma", [0.3, 0.8, 2.5])
 def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
-    """Each against central differences of the one before it."""
     center, first, pixels, step = 3.3, -2, 11, 1e-4 * sigma
     found, before, after = np.zeros((3, 5, pixels))
     for at, each in zip(
@@ -64,7 +63,6 @@ def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
 
 
 def test_shares_in_numpy_are_those_of_kernels() -> None:
-    """Both compute the same integrals."""
     shares = np.zeros(whole_lanes(11))
     fill_shares(0.3, 0.8, -5, 11, shares)
     edges = np.arange(-5.0, 7.0)[None] - 0.5 - 0.3

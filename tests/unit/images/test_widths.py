@@ -21,8 +21,6 @@ from sabench.utils.arrays import F64
 from tests.helpers.image_model import profile
 
 ROWS, COLUMNS = 400, 500
-
-
 FINE = 5  # points to a pixel's edge
 
 
@@ -96,7 +94,6 @@ def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: fl
 
 
 def disc(radius: float) -> F64:
-    """A kernel of a particle out of focus: a disc of a radius in px, blurred."""
     across = np.arange(-35, 36) / FINE
     shown = (np.hypot(across, across[:, None]) <= radius).astype(float)
     return np.asarray(gaussian_filter(shown, 0.7 * FINE, mode="constant"))

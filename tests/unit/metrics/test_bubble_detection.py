@@ -156,7 +156,6 @@ def test_a_place_is_dense_from_its_void_fraction_on(dense: bool) -> None:
 
 
 def area_between(one: F64, other: F64) -> float:
-    """Integrate the difference of two empirical distribution functions."""
     ends = np.sort(np.concatenate([one, other]))
     first, second = (
         np.searchsorted(np.sort(part), ends[:-1], side="right") / len(part) for part in (one, other)

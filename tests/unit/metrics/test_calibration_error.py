@@ -27,7 +27,6 @@ from tests.helpers.calibration_cases import calibration_scene, case_of
 
 
 def moved(cameras: tuple[Camera, ...], *shifts_px: tuple[float, float]) -> tuple[Camera, ...]:
-    """Cameras with shifted principal points, all alike or each by its own shift."""
     return tuple(
         replace(one, principal_point_px=tuple(np.add(one.principal_point_px, shift)))
         for one, shift in zip(cameras, itertools.cycle(shifts_px), strict=False)

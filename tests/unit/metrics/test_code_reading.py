@@ -39,7 +39,6 @@ def test_a_negative_is_read_wrong_and_what_is_not_shown_is_not_read() -> None:
 
 
 def test_otsu_parts_two_groups() -> None:
-    """Against every threshold there is."""
     values = np.random.default_rng(3).normal(size=50) + np.repeat([0.0, 3.0], [20, 30])
 
     def between(level: float) -> float:

@@ -51,8 +51,6 @@ def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(arrays(np.float32, (4, 5, 6), elements=st.integers(0, 4).map(float)))
 def test_plateaus_are_maxima_once_each(volume: F32) -> None:
-    """Every plateau is found once. Few different values make many plateaus of odd shapes. A single
-    voxel may be fitted up to half a voxel away."""
     found, expected = fitted_maxima(volume, 1.0), slow_maxima(volume, 1.0)
     assert len(found) == len(expected)
     for place in found:

@@ -48,8 +48,6 @@ def test_quality_is_the_cosine_between_the_volumes() -> None:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(volumes, volumes)
 def test_quality_falls_with_what_is_added_elsewhere(a: F32, b: F32) -> None:
-    """Light where the truth has none can only lower Q. It does so by the share of the energy that
-    it adds."""
     truth, ghosts = a.copy(), b.copy()
     truth[1:], ghosts[:1] = 0.0, 0.0
     with_ghosts = quality(truth + ghosts, truth)
@@ -62,7 +60,6 @@ def test_quality_falls_with_what_is_added_elsewhere(a: F32, b: F32) -> None:
 
 
 def labelled_centroids(volume: F32) -> F64:
-    """Centroids by scipy's labels, from the rule as it is written."""
     lit = (volume > 0.0) & (volume >= np.quantile(volume[volume > 0.0], 0.1))
     labels, count = ndimage.label(lit, structure=np.ones((3, 3, 3)))
     z, y, x = np.nonzero(labels)

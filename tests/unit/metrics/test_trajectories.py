@@ -119,7 +119,6 @@ def test_where_there_is_nothing_to_count() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_as_counted_one_by_one(seed: int) -> None:
-    """Random trajectories, missing bubbles and ghosts, against loops over ids."""
     rng, true = np.random.default_rng(seed), true_bubbles()
     owner: list[dict[int, int]] = []
     found, track = [], []

@@ -92,7 +92,6 @@ def shear(points_mm: F64) -> F64:
 
 
 def field_of(step_voxels: float, low_voxels: float = 0.0) -> Velocity:
-    """Sample a linear field over the whole grid."""
     size = np.asarray(GRID.shape[::-1])
     counts = ((size - 1 - low_voxels) // step_voxels + 1).astype(int)
     low = triple(np.asarray(GRID.low_mm) + low_voxels * np.asarray(GRID.voxel_mm))

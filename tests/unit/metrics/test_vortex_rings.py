@@ -25,7 +25,6 @@ def flow_of(name: str, **parameters: Any) -> Any:
 
 
 def on_lattice(flow: Any, counts: tuple[int, int, int] = (31, 41, 51)) -> Velocity:
-    """A flow at nodes 1 mm apart, other counts along each axis."""
     low = triple([-(count - 1) / 2.0 for count in counts[::-1]])
     field = Velocity(low, (1.0, 1.0, 1.0), np.zeros((*counts, 3)), np.ones(counts, dtype=np.bool_))
     velocity = flow.velocity(field.positions_mm.reshape(-1, 3), 0.0)

@@ -73,7 +73,6 @@ def test_fault_names_key_and_expectation(
 
 
 def test_all_faults_are_named_together(tmp_path: Path, quick_toml: str) -> None:
-    """Keys, numbers, a generator's parameters and missing tables give a line each."""
     file = tmp_path / "bad.toml"
     text = re.sub(r"(?s)\[illumination\].*?(?=\n\[)", "", quick_toml)
     text = change(text, "focal_length_mm", "focal_lenght_mm")
@@ -129,7 +128,6 @@ WORLDS = {
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_scene_has_one_world(name: str) -> None:
-    """A world's required tables are present. Particles need their laser, and only they do."""
     scene = load_scene(name)
     assert isinstance(scene.world, WORLDS[name])
     assert (scene.tracers is None) == (scene.particles is None)
@@ -260,7 +258,6 @@ MIRROR = {"wall.depth_mm": 200.0, "wall.mirrors": True}
 
 
 def changed(name: str, changes: dict[str, Any]) -> dict[str, Any]:
-    """Read a bundled scene and set values by their dotted keys."""
     values = tomllib.loads(find(name, "scenes").read_text(encoding="utf-8"))
     for dotted, value in changes.items():
         table, key = dotted.split(".")

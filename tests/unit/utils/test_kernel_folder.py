@@ -42,7 +42,6 @@ def caller() -> int:
 
 
 def write_package(folder: Path) -> Path:
-    """Copy what stores kernels, with a kernel that calls another one."""
     source, own = Path(sabench.__file__).parent, folder / "sabench"
     (own / "utils").mkdir(parents=True)
     for name in UTILS:

@@ -100,7 +100,6 @@ def test_a_window_is_matched_as_in_numpy(
 def test_a_window_is_summed_up_as_in_numpy(
     window: tuple[Any, Any, Any, int], add: Any, pairs: Any
 ) -> None:
-    """All sums stand where their names say."""
     left, weight = _pixels(window)
     own, along_x, along_y = (_image(window, each) for each in pairs)
     counts = np.where((weight >= 0.0) | (left > 0.0), np.abs(weight), 0.0)

@@ -214,8 +214,6 @@ def test_particles_spiral_out_of_a_vortex_or_into_it(inertia: Inertia) -> None:
 
 
 class Swing(Flow):
-    """Fluid that swings to and fro."""
-
     name = "swing"
     rate = 40.0
 

@@ -238,7 +238,6 @@ def test_impossible_bubbles_are_refused(change: dict[str, object], sentence: str
 
 
 def coarse(**changes: Any) -> Scene:
-    """The reef on a coarse lattice, in few steps."""
     values = load_scene("flow-behind-reef").to_dict()
     values["flow"] |= {"step_mm": 0.8}
     values["solids"][0] |= {"branches": 12, "step_mm": 0.5}

@@ -43,8 +43,6 @@ POSE = Pose(
     np.array([[0.98, -0.1, 0.0], [0.1, 0.98, 0.0], [0.0, 0.0, 1.0]]) / np.hypot(0.98, 0.1),
     np.array([1.0, -2.0, 40.0]),
 )
-
-
 ROUND = CylinderWall(
     (0.0, 0.0, 90.0), (0.0, 1.0, 0.0), 90.0, 1.0, (Layer("glass", 1.5, 5.0),), 1.333
 )
@@ -119,7 +117,6 @@ def test_exposure_is_what_was_asked_for() -> None:
 
 
 def test_our_charuco_board_is_opencv_s() -> None:
-    """The board that OpenCV draws has the markers that we paint, square by square."""
     target, cell = BOARDS["charuco"], 16
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
     board = cv2.aruco.CharucoBoard((10, 8), target.pitch_mm, target.mark_mm, dictionary)
@@ -179,7 +176,6 @@ def test_what_detection_does_to_points() -> None:
 
 
 def test_something_may_hide_a_part_of_a_board() -> None:
-    """A straight edge parts what is seen from what is not."""
     scene = calibration_scene()
     exact = exact_pixels(build_rig(scene).cameras[0], place(scene, 1).points_mm)
     found, _ = found_pixels(Detection(hidden=0.99), exact, 2, 0)

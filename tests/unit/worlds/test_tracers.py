@@ -64,8 +64,6 @@ def test_any_frame_is_the_same_by_itself() -> None:
 
 @pytest.mark.parametrize("flow", [ABC, WIND])
 def test_the_density_stays_even(flow: dict[str, Any]) -> None:
-    """After many frames the volume is as full as at the start. It is uniformly full up to its
-    faces."""
     scene = moving_scene(flow=flow, frames=40)
     motion = Motion(scene, 1)
     particles = [motion.at(frame) for frame in range(40)][-1]

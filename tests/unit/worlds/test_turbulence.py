@@ -25,7 +25,6 @@ def places(count: int, size_mm: float) -> F64:
 
 
 def integral_length_mm(field: Flow, length_mm: float) -> float:
-    """Integrate f(r) up to 5 lengths, from velocities along random lines."""
     rng, lines, count, step = np.random.default_rng(2), 3000, 28, 0.25 * length_mm
     along = rng.standard_normal((lines, 1, 3))
     along /= np.linalg.norm(along, axis=2, keepdims=True)

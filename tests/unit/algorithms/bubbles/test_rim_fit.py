@@ -19,7 +19,6 @@ SHAPE = (4, ROWS, COLUMNS)
 
 
 def model_of(*shown: F64) -> rim_fit.Model:
-    """Images of the bubbles shown, and a model without any."""
     model = rim_fit.Model(np.ones(SHAPE, np.float32), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
     for one in shown:
         rim_fit.darken(model, one, 1.0)

@@ -17,7 +17,6 @@ LIMITS = Limits(0.2, 4.5, 0.5)
 
 
 def disc(column: float, row: float, radius: float) -> F32:
-    """Darkness of a disc with an edge of two voxels."""
     y, x = np.mgrid[0:70, 0:90]
     apart = radius - np.hypot(x - column, y - row)
     return np.asarray(np.clip(0.5 + apart / 2.0, 0.0, 1.0), dtype=np.float32)

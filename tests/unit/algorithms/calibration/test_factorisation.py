@@ -107,7 +107,6 @@ def test_offsets_and_depths_of_lines_through_a_plane() -> None:
 
 
 def test_offsets_are_those_of_the_array_up_to_a_factor() -> None:
-    """Without any known place: only the images of points at unknown positions."""
     cut, centers, _, _ = similar_triangles()
     seen = np.random.default_rng(5).random(cut.shape[:2]) > 0.2
     found = factorise_parallax(np.where(seen[..., None], cut, np.nan), seen)

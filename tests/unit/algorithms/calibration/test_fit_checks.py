@@ -24,7 +24,6 @@ from tests.helpers.calibration_tanks import make_tank, off_wall, solve, with_pla
 
 
 def problem_of() -> tuple[CalibrationProblem, State]:
-    """Return the problem of a tank and its true state."""
     case, cameras, places = make_tank()
     problem = CalibrationProblem.from_case(
         replace(case, cameras=cameras, initial_mm=places), FreeParameters()

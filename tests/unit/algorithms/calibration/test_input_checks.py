@@ -25,7 +25,6 @@ def case(**changes: Any) -> CalibrationCase:
 
 
 def with_pixels(places: Any, sources: Any) -> Change:
-    """Replace some images by others."""
 
     def changed(given: CalibrationCase) -> CalibrationCase:
         pixels = given.pixels.copy()
@@ -70,7 +69,6 @@ def test_one_plane_is_not_enough() -> None:
 
 @pytest.mark.slow
 def test_points_in_no_order_are_named() -> None:
-    """Points in another order in every image cannot give a calibration."""
     few = {"columns": 5, "rows": 5}
     given, rng = case(frames=3, targets=few), np.random.default_rng(0)
     pixels = given.pixels.copy()

@@ -28,7 +28,6 @@ ALL: tuple[Unknown, ...] = ("wall", "thickness", "layer_index", "fluid_index")
 
 
 def known_case(unknown: tuple[Unknown, ...] = ALL) -> tuple[CalibrationCase, F64]:
-    """Return a case with known cameras and places, and the true places."""
     case, cameras, places = make_tank()
     case = replace(with_places(case, places), cameras=cameras, initial_mm=places + 0.3)
     return replace(case, known_cameras=True, unknown=unknown), places

@@ -28,8 +28,6 @@ from tests.helpers.image_model import NOISE, SIGMA, TYPICAL, model_of, paint, pa
 from tests.helpers.particle_box import COLUMNS, ROWS, Maps, unit_points
 
 COUNT, SIGMAS = 120, np.tile(np.array(SIGMA), (4, 1))
-
-
 MOST = numba.config.NUMBA_NUM_THREADS
 
 
@@ -44,7 +42,6 @@ def case(maps: Maps) -> tuple[ImageModel, ModelParticles]:
 
 
 def outcome(maps: Maps) -> list[F64 | F32]:
-    """Results of all passes."""
     model, particles = case(maps)
     paint_particles(model, SIGMAS, particles, -1.0)
     return [
@@ -89,11 +86,7 @@ def test_a_fit_takes_as_much_as_it_has_unknowns(maps: Maps) -> None:
 
 
 GROUPED, WINDOW, PORTIONS = 600, 8, 3
-
-
 RNG = np.random.default_rng(12)
-
-
 Neighbours = tuple[I64, I64] | None
 
 

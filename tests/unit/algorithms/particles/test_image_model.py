@@ -32,7 +32,6 @@ def shaped(
 
 
 def image_of(model: image_model.ImageModel, room: image_model.Room, position: F64) -> F64:
-    """Fill in the image (row, column) of a particle in the shaped camera."""
     image_model.place_windows(model, room, position)
     image_model.fill_image(model, room, CAMERA, image := np.zeros((room.window, room.window)))
     return image

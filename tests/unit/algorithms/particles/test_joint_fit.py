@@ -31,11 +31,7 @@ from tests.helpers.image_model import (
 from tests.helpers.particle_box import COLUMNS, ROWS, Maps, distances, unit_points
 
 RNG = np.random.default_rng(8)
-
-
 COUNT = 30
-
-
 LIGHT = TYPICAL * np.exp(0.3 * RNG.standard_normal((COUNT, 1)) + 0.1 * RNG.standard_normal((30, 4)))
 
 
@@ -81,7 +77,6 @@ def test_overlapping_particles_are_found_where_they_are(maps: Maps) -> None:
 
 
 def saturate(model: ImageModel, most: float) -> tuple[ImageModel, Bool]:
-    """Cut images off, and say where."""
     saturated = model.images >= most
     cut = np.minimum(model.images, np.float32(most))
     weight = np.where(saturated, -model.weight, model.weight)

@@ -14,8 +14,6 @@ from sabench.algorithms.particles.kalman_tracks import (
 from sabench.utils.arrays import F64
 
 STEP, ERROR = 0.01, 0.002  # s, mm
-
-
 COUNT = 400
 
 
@@ -98,8 +96,6 @@ def test_a_new_track_moves_as_its_neighbours_do() -> None:
 
 
 _TIMES = 1e-3 * np.arange(-3.0, 4.0)
-
-
 _WIDE = 1e18
 
 

@@ -137,7 +137,6 @@ def test_times_must_increase() -> None:
 
 @pytest.mark.parametrize("seed", range(30))
 def test_the_choice_is_the_best_of_all(seed: int) -> None:
-    """Against every possible choice of small cases."""
     rng = np.random.default_rng(seed)
     shape = (int(rng.integers(1, 5)), int(rng.integers(1, 5)))
     row, column = np.nonzero(rng.random(shape) < 0.7)

@@ -49,7 +49,6 @@ def test_slopes_of_maps_are_their_differences(maps: Maps) -> None:
 
 
 def open_sensors(cameras: int) -> Bool:
-    """No pixel is covered."""
     return np.zeros((cameras, ROWS, COLUMNS), dtype=np.bool_)
 
 

@@ -54,7 +54,6 @@ def split(
     particles: image_model.ModelParticles,
     steps: F64,
 ) -> None:
-    """Try to split the first particle."""
     order, row = np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)
     model_moves.split_pairs(model, room, particles, order, row, steps)
 

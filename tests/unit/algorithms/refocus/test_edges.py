@@ -75,7 +75,6 @@ def test_the_gradient_of_a_step_is_its_height() -> None:
 
 
 def cylinder(radius: float, depth: float) -> Solid:
-    """Return a closed cylinder along Y."""
     angles = np.linspace(0.0, 2.0 * np.pi, 96, endpoint=False)
     ring = np.column_stack([radius * np.cos(angles), np.zeros(96), depth + radius * np.sin(angles)])
     levels = np.linspace(-9.0, 9.0, 37)

@@ -66,7 +66,6 @@ def with_values(state: art_updates.Iterate, values: F32) -> art_updates.Iterate:
 
 
 def recorded(state: art_updates.Iterate, seed: int) -> art_updates.RecordedLight:
-    """Return the light that other values than the state's would cast."""
     values = np.random.default_rng(seed).random(len(state.values), dtype=np.float32)
     light = state.lines.forward(values * np.float32(2.0))
     return art_updates.RecordedLight(np.maximum(light, np.float32(1e-6)), NOWHERE)

@@ -27,7 +27,6 @@ from sabench.utils.processes.python import Reply, Servers, run_code, start_pytho
 
 
 def program(folder: Path, body: str, name: str = "program") -> list[str]:
-    """A Python program; what follows its path are its arguments."""
     path = folder.parent / name
     path.write_text(f"#!{sys.executable} -I\nimport os, signal, subprocess, sys, time\n{body}\n")
     path.chmod(0o755)

@@ -32,7 +32,6 @@ Arrays = dict[str, tuple[F64, str | None]]
 
 
 def cellular(points: F64) -> F64:
-    """A field in m/s at points in m."""
     x, y, z = 2.0 * np.pi / SIDE * points.T
     return np.stack([np.sin(x) * np.cos(y), -np.cos(x) * np.sin(y), 0.5 * np.cos(z)], axis=1)
 
@@ -70,7 +69,6 @@ def as_netcdf(path: Path, arrays: Arrays) -> Path:
 
 
 def as_vtk(path: Path, arrays: Arrays) -> Path:
-    """By VTK's own writer."""
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonDataModel import vtkRectilinearGrid
     from vtkmodules.vtkIOXML import vtkXMLRectilinearGridWriter
@@ -236,7 +234,6 @@ XYZ, UNITS = "particle,frame,x,y,z", {"length": 1.0, "seconds": 1.0}
 
 
 def path_of(number: float, time: F64) -> F64:
-    """A parabola in mm over seconds."""
     return np.stack([number + 10.0 * time, 2.0 * number - 5.0 * time**2, 3.0 + 0.0 * time], axis=-1)
 
 
@@ -417,7 +414,6 @@ def test_a_share_of_the_tracks_is_kept_in_all_frames(tmp_path: Path) -> None:
 
 
 def test_a_data_set_keeps_a_series(tmp_path: Path) -> None:
-    """A data set of a series is complete, and its scene generates it again elsewhere."""
     from sabench.scenes import load_scene
 
     path = series_of(tmp_path / "series")

@@ -203,7 +203,6 @@ def test_a_body_must_be_in_its_lattice(low: float, high: float, step: float, sen
 
 
 def turned(points_mm: F64, angle: float) -> F64:
-    """About X."""
     c, s = np.cos(angle), np.sin(angle)
     return np.asarray(points_mm @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]).T)
 
