@@ -201,45 +201,34 @@ def _frame(
 
 def test_the_truth_is_complete() -> None:
     scores = identity_scores([[_frame([4, 9], [1, 2], [(0, 0), (1, 1)])] * 5])
+    halves = identity_scores([HALF])["complete"], identity_scores([[SEEN, OTHER]])["complete"]
+    assert halves == (0.5, 0.0)
     percents = {"switch_percent": 0.0, "fragment_percent": 0.0}
     assert scores == {"hota": 1.0, "complete": 1.0} | percents
 
 
-def test_half_missed_detections_halve_hota() -> None:
-    # detection: 5 of 10; association: each pair's trajectory is one true one, in all its frames
-    frames = [_frame([4], [1, 2], [(0, 0)]) for _ in range(5)]
-    scores = identity_scores([frames])
-    assert scores["hota"] == pytest.approx(math.sqrt(0.5))
-    assert scores["complete"] == 0.5
+SEEN, OTHER, GONE = _frame([4], [1], [(0, 0)]), _frame([5], [1], [(0, 0)]), _frame([], [1], [])
+HALF = [_frame([4], [1, 2], [(0, 0)])] * 5  # 5 of 10 are detected, each by a trajectory of its own
+GHOSTS = [_frame([4, 100 + n], [1], [(0, 0)]) for n in range(4)]
 
 
-def test_a_switch_in_the_middle_splits_a_trajectory() -> None:
-    frames = [_frame([4], [1], [(0, 0)]) for _ in range(3)]
-    frames += [_frame([5], [1], [(0, 0)]) for _ in range(3)]
-    scores = identity_scores([frames])
-    # association: 3 / (3 + 6 - 3) for all pairs
-    assert scores["hota"] == pytest.approx(math.sqrt(0.5))
-    assert scores["switch_percent"] == pytest.approx(20.0)
-    assert scores["fragment_percent"] == 0.0
-    assert scores["complete"] == 0.0
-
-
-def test_a_gap_is_a_fragment_but_no_switch() -> None:
-    there, gone = _frame([4], [1], [(0, 0)]), _frame([], [1], [])
-    scores = identity_scores([[there, there, gone, there]])
-    assert scores["switch_percent"] == 0.0
-    assert scores["fragment_percent"] == pytest.approx(100.0 / 3.0)
-
-
-def test_ghost_trajectories_lower_hota() -> None:
-    frames = [_frame([4, 100 + n], [1], [(0, 0)]) for n in range(4)]
-    assert identity_scores([frames])["hota"] == pytest.approx(math.sqrt(0.5))
-
-
-def test_sequences_are_scored_apart() -> None:
-    one = [_frame([4], [1], [(0, 0)])] * 2
-    other = [_frame([5], [1], [(0, 0)])] * 2
-    assert identity_scores([one, other])["switch_percent"] == 0.0
+@pytest.mark.parametrize(
+    ("sequences", "hota", "switch", "fragment"),
+    [
+        ([HALF], math.sqrt(0.5), 0.0, 0.0),
+        ([[SEEN] * 3 + [OTHER] * 3], math.sqrt(0.5), 20.0, 0.0),  # association: 3 / (3 + 6 - 3)
+        ([GHOSTS], math.sqrt(0.5), 0.0, 0.0),
+        ([[SEEN, SEEN, GONE, SEEN]], 0.75, 0.0, 100.0 / 3.0),
+        ([[SEEN] * 2, [OTHER] * 2], 1.0, 0.0, 0.0),
+    ],
+)
+def test_missed_switched_and_ghost_trajectories_lower_hota(
+    sequences: list[list[Sightings]], hota: float, switch: float, fragment: float
+) -> None:
+    scores = identity_scores(sequences)
+    assert scores["hota"] == pytest.approx(hota)
+    assert scores["switch_percent"] == pytest.approx(switch)
+    assert scores["fragment_percent"] == pytest.approx(fragment)
 
 
 @pytest.mark.parametrize(
