@@ -103,7 +103,8 @@ def test_a_face_beside_the_line_of_sight_is_not_chosen() -> None:
     normals = np.column_stack([np.sin(angles), np.zeros(3), np.cos(angles)])
     values["volume"]["center_mm"] = [0.0, 0.0, 0.0]
     values["wall"] = [
-        {"point_mm": -80.0 * normal, "normal": normal, "fluid_index": 1.333} for normal in normals
+        {"point_mm": (-80.0 * normal).tolist(), "normal": normal.tolist(), "fluid_index": 1.333}
+        for normal in normals
     ]
     place([0.0, 0.0, -500.0], [350.0, 0.0, -350.0], [-350.0, 0.0, -350.0])(values)
     rig = build_rig(parse_scene(values, "octagon"))
