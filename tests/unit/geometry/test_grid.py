@@ -65,7 +65,7 @@ def test_scored_part_is_the_same_for_voxels_and_positions() -> None:
 # The field of a perfect reconstruction
 
 
-def test_a_volume_that_fills_the_memory_fits_and_a_larger_one_does_not(
+def test_a_volume_that_fills_the_memory_fits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     need_mb = 12 * 30 * 41 * 4 / 1e6

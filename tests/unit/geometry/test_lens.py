@@ -47,9 +47,7 @@ def on_a_plane_in_space(camera: Camera, leaving: F64) -> F64:
 
 @pytest.mark.parametrize("wall", [None, GLASS, TILTED])
 @pytest.mark.parametrize("tilt", TILTS)
-def test_a_pixel_is_where_the_chief_ray_meets_a_plane_in_space(
-    tilt: tuple[float, float], wall: Wall | None
-) -> None:
+def test_a_pixel_is_where_the_chief_ray_ends(tilt: tuple[float, float], wall: Wall | None) -> None:
     camera, points = make_camera(tilt_deg=tilt, distortion=BROWN, wall=wall), points_in_view()
     paths = trace_to_points(wall, np.asarray(camera.center_mm), points)
     pixels, valid = camera.project(points)
@@ -62,9 +60,7 @@ def test_a_pixel_is_where_the_chief_ray_meets_a_plane_in_space(
 
 @pytest.mark.parametrize("lens", [Distortion(), BROWN])
 @pytest.mark.parametrize("tilt", TILTS)
-def test_projection_is_that_of_the_tilted_model_of_opencv(
-    tilt: tuple[float, float], lens: Distortion
-) -> None:
+def test_projection_is_opencv_s_tilted_one(tilt: tuple[float, float], lens: Distortion) -> None:
     camera, points = make_camera(tilt_deg=tilt, distortion=lens), points_in_view()
     pixels, valid = camera.project(points)
     assert valid.mean() > 0.99

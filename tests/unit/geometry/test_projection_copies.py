@@ -44,9 +44,7 @@ def record(one: Camera) -> tuple[dict[str, Any], dict[str, Any] | None]:
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (8.0, -11.0)])
 @pytest.mark.parametrize("wall", [None, WALL])
-def test_the_example_program_projects_as_cameras_do(
-    wall: Wall | None, tilt: tuple[float, float]
-) -> None:
+def test_the_example_program_projects(wall: Wall | None, tilt: tuple[float, float]) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "python" / "synthetic_aperture.py"))
     points = np.random.default_rng(1).uniform([-8.0, -6.0, 20.0], [8.0, 6.0, 40.0], (200, 3))
     one = replace(camera(wall), tilt_deg=tilt)

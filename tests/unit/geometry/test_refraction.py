@@ -305,9 +305,7 @@ PATHS: list[tuple[F64, list[F64 | float]]] = [
 
 
 @pytest.mark.parametrize(("relative", "depths_mm"), PATHS)
-def test_derivatives_are_those_of_the_lateral_distance(
-    relative: F64, depths_mm: list[F64 | float]
-) -> None:
+def test_derivatives_are_those_of_lateral(relative: F64, depths_mm: list[F64 | float]) -> None:
     """Central differences; the second derivative is stated over -3 t."""
     slope, step = np.array([0.05, 0.3, 0.8, 2.0]), 1e-4
     value, gradient, curvature = _lateral_distance(relative, depths_mm, slope)
@@ -318,9 +316,7 @@ def test_derivatives_are_those_of_the_lateral_distance(
 
 
 @pytest.mark.parametrize(("relative", "depths_mm"), PATHS)
-def test_the_first_slope_is_right_to_the_third_power(
-    relative: F64, depths_mm: list[F64 | float]
-) -> None:
+def test_the_first_slope_is_of_fifth_order(relative: F64, depths_mm: list[F64 | float]) -> None:
     """Half the slope leaves a 32nd of the error: it is of fifth order."""
     slope = np.array([2e-2, 1e-2])
     error = _start(relative, depths_mm, _lateral(relative, depths_mm, slope)[0]) - slope
@@ -328,9 +324,7 @@ def test_the_first_slope_is_right_to_the_third_power(
 
 
 @pytest.mark.parametrize(("relative", "depths_mm"), PATHS)
-def test_the_first_slope_is_right_for_flat_paths(
-    relative: F64, depths_mm: list[F64 | float]
-) -> None:
+def test_the_first_slope_fits_flat_paths(relative: F64, depths_mm: list[F64 | float]) -> None:
     """A path far longer than it is deep lies in the rarest medium."""
     slope = np.array([1e5])
     start = _start(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])

@@ -48,9 +48,7 @@ def found(folder: Path, pattern: str | None = None) -> dict[str, list[str]]:
         (["a/i1.png", "a/notes.txt", "a/.i2.png", "Thumbs.db"], {"a": ["i1.png"]}),
     ],
 )
-def test_folders_of_recorders(
-    names: list[str], expected: dict[str, list[str]], tmp_path: Path
-) -> None:
+def test_folders(names: list[str], expected: dict[str, list[str]], tmp_path: Path) -> None:
     assert found(touch(tmp_path, *names)) == expected
 
 

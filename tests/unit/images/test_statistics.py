@@ -19,9 +19,7 @@ def stack(fixed: float, temporal: float, frames: int, light: F64 | float = 0.0) 
 
 @pytest.mark.parametrize(("fixed", "temporal"), [(5.5, 0.9), (2.0, 0.9), (0.5, 4.0), (8.0, 3.0)])
 @pytest.mark.parametrize("frames", [4, 20])
-def test_fixed_and_temporal_noise_are_told_apart(
-    fixed: float, temporal: float, frames: int
-) -> None:
+def test_fixed_and_temporal_noise_differ(fixed: float, temporal: float, frames: int) -> None:
     found = statistics.measure_noise(stack(fixed, temporal, frames))
     drawn = np.hypot(temporal, 12**-0.5)  # rounding
     assert found[0] == pytest.approx(fixed, rel=0.03, abs=0.25)

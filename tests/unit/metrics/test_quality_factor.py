@@ -141,7 +141,7 @@ def test_nothing_found_and_nothing_there(count: Rule) -> None:
         ((1.0, 1.0, 0.6), 0),
     ],
 )
-def test_thesis_radius_is_euclidean_and_includes_its_border(
+def test_thesis_radius_includes_its_border(
     offset: tuple[float, float, float], matched: int
 ) -> None:
     counts = thesis(points(offset), points((0.0, 0.0, 0.0)))

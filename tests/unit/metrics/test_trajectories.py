@@ -234,9 +234,7 @@ def test_missed_switched_and_ghost_trajectories_lower_hota(
 @pytest.mark.parametrize(
     ("similarity", "levels"), [(0.04, 0), (0.06, 1), (0.52, 10), (0.94, 18), (0.96, 19)]
 )
-def test_hota_is_the_share_of_levels_that_a_pair_is_near_enough_for(
-    similarity: float, levels: int
-) -> None:
+def test_hota_is_the_share_of_levels_that_pairs_reach(similarity: float, levels: int) -> None:
     """Levels are 0.05, 0.10 to 0.95; complete pairs count fully at each."""
     scores = identity_scores([[_frame([4], [1], [(0, 0)], 1.0 - similarity)] * 3])
     assert scores["hota"] == pytest.approx(levels / 19.0)

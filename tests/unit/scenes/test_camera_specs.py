@@ -110,7 +110,7 @@ def test_a_tilt_moves_projections_little_and_focus_much() -> None:
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, -0.5, 1.0), (-1.0, 0.4, 2.0)])
-def test_a_plane_in_focus_in_air_has_the_tilt_of_the_hinge_rule(
+def test_a_plane_in_focus_has_the_tilt_of_the_hinge_rule(
     normal: tuple[float, float, float],
 ) -> None:
     """The formula of docs/physics/imaging.md, in the lens's frame."""

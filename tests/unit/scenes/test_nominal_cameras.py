@@ -88,9 +88,7 @@ def wrong(tmp_path: Path) -> Dataset:
     )
 
 
-def test_a_data_set_keeps_both_the_nominal_and_the_true_cameras(
-    wrong: Dataset, tmp_path: Path
-) -> None:
+def test_a_data_set_keeps_nominal_and_true_cameras(wrong: Dataset, tmp_path: Path) -> None:
     scene = make_scene(particles={"count": 30})
     exact = sabench.generate(scene, tmp_path / "exact", seed=9, backend="splat", name="s")
     rig = build_rig(shifted_scene(1.5))

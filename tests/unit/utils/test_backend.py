@@ -56,7 +56,7 @@ def test_candidates_put_the_wheel_before_the_system(monkeypatch: pytest.MonkeyPa
     ]
 
 
-def test_a_wheel_that_cannot_be_loaded_is_replaced_by_the_system(
+def test_a_broken_wheel_is_replaced_by_the_system(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv(backend.LLVM_VARIABLE, raising=False)

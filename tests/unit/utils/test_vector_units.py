@@ -85,9 +85,7 @@ def _spared(weight: Any, counts: Any, light: Any) -> float:
 
 
 @pytest.mark.parametrize(("match", "pairs"), [(_match, ALL_PLAIN), (_match_shaped, ALL_SHAPED)])
-def test_a_window_is_matched_as_in_numpy(
-    window: tuple[Any, Any, Any, int], match: Any, pairs: Any
-) -> None:
+def test_matches_are_numpys(window: tuple[Any, Any, Any, int], match: Any, pairs: Any) -> None:
     """Saturated pixels count where the light is not enough."""
     left, weight = _pixels(window)
     own = _image(window, pairs[0])
@@ -97,9 +95,7 @@ def test_a_window_is_matched_as_in_numpy(
 
 
 @pytest.mark.parametrize(("add", "pairs"), [(_sum, ALL_PLAIN), (_sum_shaped, ALL_SHAPED)])
-def test_a_window_is_summed_up_as_in_numpy(
-    window: tuple[Any, Any, Any, int], add: Any, pairs: Any
-) -> None:
+def test_sums_are_numpys(window: tuple[Any, Any, Any, int], add: Any, pairs: Any) -> None:
     left, weight = _pixels(window)
     own, along_x, along_y = (_image(window, each) for each in pairs)
     counts = np.where((weight >= 0.0) | (left > 0.0), np.abs(weight), 0.0)

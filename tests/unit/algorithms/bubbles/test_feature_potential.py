@@ -23,7 +23,7 @@ def observation() -> Observation:
     return simulate(make_scene(), backend="splat").observation
 
 
-def test_darkness_is_the_cube_root_of_the_product(
+def test_darkness_is_equation_5_7(
     observation: Observation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Equation 5.7 with n = 1/3, at voxels that all cameras see."""

@@ -178,7 +178,7 @@ def test_the_kernel_of_covariances_reads_and_writes_nothing_beyond_its_arrays() 
 
 
 @pytest.mark.parametrize("moving", ["cameras", "boards"])
-def test_one_half_is_found_while_the_other_is_right_and_stays(
+def test_one_half_is_found_while_the_other_stays(
     moving: bundle_adjustment.Moving,
 ) -> None:
     _, state, seen = truth()

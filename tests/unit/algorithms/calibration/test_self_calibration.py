@@ -75,9 +75,7 @@ def test_cameras_two_pixels_off_agree_again() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("shift_px", "reach_px"), [(0.0, 4.0), (8.0, 10.0)])
-def test_exact_cameras_stay_and_larger_errors_need_a_larger_reach(
-    shift_px: float, reach_px: float
-) -> None:
+def test_exact_cameras_stay_and_others_are_reached(shift_px: float, reach_px: float) -> None:
     scene = particle_scene(shift_px, per_pixel=0.012)
     shot = simulate(scene, seed=4)
     answer = corrected(shot.observation, reach_px=reach_px)
@@ -91,7 +89,7 @@ def test_sets_that_agree_by_chance_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_where_there_is_no_room_for_all_sets_some_images_are_left_out(
+def test_without_room_for_all_sets_images_are_left_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene = particle_scene(2.0)

@@ -103,9 +103,7 @@ def spans(maps: Maps, points: F64, rows: I64, neighbours: Neighbours) -> F64:
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_groups_of_a_turn_share_no_pixel(
-    maps: Maps, whole: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_groups_share_no_pixel(maps: Maps, whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
     points = unit_points(GROUPED)
     neighbours = find_neighbours(maps, np.full((4, 2), 0.7), points) if whole else None
@@ -146,9 +144,7 @@ def test_few_rows_keep_their_order(maps: Maps) -> None:
     assert [one.tolist() for turn in turns for one in turn] == [rows.tolist()]
 
 
-def test_the_number_of_threads_does_not_change_a_fit(
-    maps: Maps, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_is_the_same_with_more_threads(maps: Maps, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
     points = 0.95 * unit_points(GROUPED)
     turns = disjoint_groups(

@@ -90,7 +90,7 @@ def test_dark_images_have_no_candidates(maps: Maps) -> None:
     assert find_candidates(maps, dark, math.log(0.1), 0.2).shape == (0, 3)
 
 
-def test_the_lattice_is_as_fine_as_pixels_across_and_coarser_along_the_view(
+def test_the_lattice_is_coarser_along_the_view(
     maps: Maps,
 ) -> None:
     z, y, x = lattice_shape(maps)

@@ -54,7 +54,7 @@ def over_pixels(shown: F64, room: image_model.Room) -> F64:
 
 
 @pytest.mark.parametrize(("correlation", "share"), [(0.1, 0.001), (0.3, 0.01), (-0.3, 0.01)])
-def test_an_image_is_the_integral_of_a_tilted_gaussian(
+def test_an_image_integrates_a_tilted_gaussian(
     maps: Maps, correlation: float, share: float
 ) -> None:
     """To a share of the peak; without the tilt, it would be off by far more."""
@@ -83,9 +83,7 @@ def test_a_flat_image_is_a_gaussian_times_a_polynomial(maps: Maps, flatness: flo
 
 
 @pytest.mark.parametrize(("flatness", "as_if"), [(-0.01, 0.0), (0.1, image_model.MOST_FLAT)])
-def test_images_are_neither_peaked_nor_flatter_than_the_series_has_them(
-    maps: Maps, flatness: float, as_if: float
-) -> None:
+def test_flatness_is_limited(maps: Maps, flatness: float, as_if: float) -> None:
     model, room = shaped(maps, 0.0)
     model.shapes[CAMERA, 3, 0] = flatness
     one = image_of(model, room, PLACE)

@@ -181,9 +181,7 @@ def guess(count: int, wavelength: float, speed: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("wavelength", "speed"), [(8.0, 3.0), (20.0, 3.0), (8.0, 12.0)])
-def test_accelerations_are_guessed_from_velocities_and_their_gradient(
-    wavelength: float, speed: float
-) -> None:
+def test_accelerations_are_guessed_from_velocities(wavelength: float, speed: float) -> None:
     """Not from the distance of particles: with four times as many it is the same."""
     few, true = guess(2000, wavelength, speed)
     many, _ = guess(8000, wavelength, speed)

@@ -67,9 +67,7 @@ def test_paths_that_cross_are_not_swapped() -> None:
     ("absent", "gap", "whole"),
     [([3], 1, True), ([3, 4], 1, False), ([3, 4], 2, True), ([3], 0, False)],
 )
-def test_a_track_may_miss_as_many_frames_as_allowed(
-    absent: list[int], gap: int, whole: bool
-) -> None:
+def test_a_track_may_miss_some_frames(absent: list[int], gap: int, whole: bool) -> None:
     made = make_sequence(0.8, count=60, frames=8)
     lost = int(np.intersect1d(made.id[0], made.id[-1])[0])
     for frame in absent:

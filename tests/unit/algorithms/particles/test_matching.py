@@ -161,7 +161,7 @@ def straight_and_oblique(*tilts: float) -> VolumePolynomials:
 
 
 @pytest.mark.parametrize("tilts", [(25.0, 0.0), (0.0, 25.0), (25.0, -25.0)])
-def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_depth(
+def test_lines_of_sight_are_followed_closely(
     tilts: tuple[float, float],
 ) -> None:
     maps = straight_and_oblique(*tilts)
@@ -226,7 +226,7 @@ def test_noise_without_particles_makes_none() -> None:
     assert len(solve(case, floor=1e-6).position_mm) == 0
 
 
-def test_peaks_that_agree_by_chance_are_thinned_with_a_sentence(
+def test_peaks_that_agree_by_chance_are_thinned(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     case = noisy(make_small(3).observation, black=20.0)

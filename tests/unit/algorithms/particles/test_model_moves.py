@@ -143,7 +143,7 @@ def test_true_particles_stay_and_nothing_moves(maps: Maps) -> None:
 
 
 @pytest.mark.slow
-def test_squares_left_are_those_of_noise_where_particles_fit_and_more_where_they_do_not(
+def test_squares_left_are_those_of_noise_where_particles_fit(
     maps: Maps,
 ) -> None:
     points, light = 0.8 * unit_points(30), even_light(30)
@@ -199,7 +199,7 @@ def test_shapes_that_change_over_the_box_are_learned(maps: Maps, shaped: bool) -
     assert_allclose(model.shapes, expected, atol=2e-3)
 
 
-def test_a_particle_of_which_a_camera_knows_a_far_tail_alone_says_nothing_of_widths(
+def test_a_far_tail_alone_says_nothing_of_widths(
     maps: Maps,
 ) -> None:
     """Its squared image there is less than the least number: quotients by it have no bound."""

@@ -177,9 +177,7 @@ def test_sum_is_linear() -> None:
 
 @pytest.mark.parametrize("refocused", [refocus_sum, functools.partial(refocus_log2, floor=FLOOR)])
 @pytest.mark.parametrize("outside", [0.0, 1.0])
-def test_even_images_show_how_many_cameras_see_a_voxel(
-    refocused: Callable[..., F32], outside: float
-) -> None:
+def test_even_images_count_the_cameras(refocused: Callable[..., F32], outside: float) -> None:
     rig = array(FLAT)
     z, y, x = np.meshgrid(*GRID.axes_mm[::-1], indexing="ij")
     points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
@@ -206,9 +204,7 @@ def test_grids_of_one_voxel_along_an_axis(shape: tuple[int, int, int]) -> None:
 
 
 @pytest.mark.parametrize("wall", [None, TILTED])
-def test_both_back_ends_make_the_same_volume(
-    wall: Wall | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_both_back_ends_agree(wall: Wall | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """But at the borders of images, where a sample is in or out."""
     rig, images = array(wall), smooth_images(10)
     on_cpu = refocus_sum(images, rig, GRID), refocus_log2(images, rig, GRID, FLOOR)

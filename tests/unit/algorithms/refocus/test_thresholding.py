@@ -82,9 +82,7 @@ def random_volumes() -> tuple[F32, F32]:
 
 @pytest.mark.parametrize("keep", KEEPS)
 @pytest.mark.parametrize("scored", [(slice(None),) * 3, (slice(1, -1), slice(4, -3), slice(2, -5))])
-def test_one_pass_gives_the_q_of_every_extraction(
-    keep: Keep, scored: tuple[slice, slice, slice]
-) -> None:
+def test_one_pass_gives_all_q(keep: Keep, scored: tuple[slice, slice, slice]) -> None:
     volume, truth = random_volumes()
     ks = np.array([0.0, 0.3, 1.0, 2.2, 3.0, 5.0, 50.0])
     expected = [quality(extract(volume.copy(), k, keep)[scored], truth[scored]) for k in ks]

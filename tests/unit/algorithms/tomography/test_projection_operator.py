@@ -164,9 +164,7 @@ def test_parts_hold_every_voxel_once() -> None:
 
 @pytest.mark.parametrize("wall", [None, TILTED])
 @pytest.mark.parametrize("nearest", [False, True])
-def test_first_guess_is_the_root_of_the_product_where_nothing_is_black(
-    wall: Wall | None, nearest: bool
-) -> None:
+def test_first_guess_is_the_root_of_the_product(wall: Wall | None, nearest: bool) -> None:
     rig, threshold = array(wall), 0.45
     images = np.random.default_rng(4).random((3, ROWS, COLUMNS), dtype=np.float32) + np.float32(0.1)
     geometry = make_geometry(rig, GRID, 0)

@@ -132,9 +132,7 @@ def test_a_file_that_sends_a_library_round_in_circles_is_not_called_damaged(file
 
 
 @pytest.mark.usefixtures("one_second")
-def test_a_reader_that_sleeps_is_killed_in_the_end(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reader_that_sleeps_is_killed(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(call, "_PATIENCE", 0.5)
     with pytest.raises(UncheckedError, match=r"could not be checked.* 0\.5 s$"):
         read_isolated(wait, file, 60.0)

@@ -56,9 +56,7 @@ def test_memory_of_children_counts(folder: Path) -> None:
     assert run_limited(program(folder, body), folder, Limits(), "p").peak_mb > 120.0
 
 
-def test_it_gets_a_clean_environment_and_no_input(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_gets_a_clean_environment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SECRET", "1")
     body = (
         "print(sorted(os.environ), os.environ['HOME'] == os.getcwd(), sys.stdin.read() == '', "

@@ -60,9 +60,7 @@ def characteristic(solid: Solid) -> int:
 
 
 @pytest.mark.parametrize(("name", "parameters"), BODIES)
-def test_bodies_are_one_closed_surface_that_scenes_take(
-    name: str, parameters: dict[str, Any]
-) -> None:
+def test_bodies_are_one_closed_surface(name: str, parameters: dict[str, Any]) -> None:
     made = body(name, **parameters)
     edges = np.concatenate([made.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
     assert len(np.unique(edges, axis=0)) == len(edges)  # every edge once ...
@@ -277,8 +275,6 @@ def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
         ("reef", {"step_mm": 0.01}, "step_mm: expected a lattice of at most 64000000 nodes"),
     ],
 )
-def test_bodies_that_cannot_be_are_named(
-    name: str, parameters: dict[str, Any], sentence: str
-) -> None:
+def test_impossible_bodies_are_named(name: str, parameters: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         body(name, **parameters)
