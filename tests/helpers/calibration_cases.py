@@ -57,7 +57,7 @@ def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera,
 
 def board_images(case: CalibrationCase, pixels: F64) -> BoardImages:
     """The images of a case's points, with other pixels; NaN is not seen."""
-    weights = np.isfinite(pixels).all(axis=-1).astype(np.float64)
+    weights = np.asarray(np.isfinite(pixels).all(axis=-1), dtype=np.float64)
     return BoardImages(case.target.points_mm, np.nan_to_num(pixels), weights)
 
 

@@ -63,7 +63,7 @@ def test_a_principal_point_aside_is_the_mean_reprojection_error() -> None:
 def test_efficiency_is_relative_to_the_bound(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    bounds: list[Any] = []
+    bounds: list[Limit | None] = []
 
     def spy(*arguments: Any) -> Limit | None:
         bounds.append(lower_bound(*arguments))
@@ -74,6 +74,7 @@ def test_efficiency_is_relative_to_the_bound(
     estimate = Calibration(cameras, points + np.array([0.02, 0.0, 0.0]))
     scores: Any = calibration_scores(estimate, case, cameras, points, exact, case.found)
     (bound,) = bounds
+    assert bound is not None
     assert 0.0 < bound.efficiency < 1.0
     ratio = scores["true_px"] / scores["measured_px"]
     assert scores["efficiency_ratio"] * bound.efficiency == pytest.approx(ratio)
@@ -86,9 +87,14 @@ def test_alignments_take_away_their_motion_and_leave_the_scatter_of_each_axis() 
     rng = np.random.default_rng(4)
     truth, seen = rng.normal(0.0, 10.0, (3, 20, 3)), np.ones((3, 20), dtype=np.bool_)
     still, shift = RigidMotion(np.eye(3), np.zeros(3)), np.array([0.1, -0.2, 0.3])
-    scores = point_scores(truth + shift, truth, seen, still)
+    scores: Any = point_scores(truth + shift, truth, seen, still)
     # no prefix: lateral, in the plane of the wall
-    means = {"raw_": shift, "": [0.0, 0.0, 0.3], "shift_": [0.0, 0.0, 0.3], "rigid_": [0.0] * 3}
+    means: dict[str, Any] = {
+        "raw_": shift,
+        "": [0.0, 0.0, 0.3],
+        "shift_": [0.0, 0.0, 0.3],
+        "rigid_": [0.0] * 3,
+    }
     for how, expected in means.items():
         found = [scores[f"{how}{axis}_mean_mm"] for axis in "xyz"]
         assert_allclose(found, expected, atol=1e-9)

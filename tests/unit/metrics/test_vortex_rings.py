@@ -109,7 +109,7 @@ def picture(*panels: Panel) -> F64:
 
 def test_slices_are_the_right_way_up() -> None:
     """Positive values are red; the first row is at the top."""
-    values = np.kron(np.diag([1.0, -1.0]), np.ones((10, 10)))
+    values: F64 = np.kron(np.diag([1.0, -1.0]), np.ones((10, 10))).astype(np.float64)
     axis, arrows = np.arange(20.0), np.full((20, 20, 2), np.nan)
     part = Slice("", axis, axis, values, signed=True, arrows=arrows)
     image = picture(Panel("", "x", "y", (part,)))[:, :330]  # without the scale

@@ -185,8 +185,8 @@ def test_without_distortion_tilt_and_principal_point_are_one() -> None:
 def test_a_linear_calibration_takes_nominal_tilts_for_what_they_are() -> None:
     """In air, without distortion: as for the upright cameras that project alike."""
     each = [{"camera": f"camera_{n:02d}", "tilt_deg": [8.0 - n, 2.0 * n]} for n in range(9)]
-    exact, noise = {"points": 0.0}, {"noise_px": NOISE_PX}
-    scene = calibration_scene(wall=None, cameras={"each": each}, detection=noise, calibration=exact)
+    known, noise = {"points": 0.0}, {"noise_px": NOISE_PX}
+    scene = calibration_scene(wall=None, cameras={"each": each}, detection=noise, calibration=known)
     case, _, points, exact = case_of(scene)
     upright = tuple(camera.upright() for camera in case.cameras)
     flat = tuple(replace(camera, tilt_deg=(0.0, 0.0)) for camera in case.cameras)

@@ -230,7 +230,7 @@ def test_a_particle_in_all_images_is_brightest_where_it_is() -> None:
     pixels = [camera.project([[x[i], y[j], z[k]]])[0][0] for camera in rig]
     images = np.stack([spot(*pixel) for pixel in pixels]).astype(np.float32)
     found = refocus_log2(images, rig, GRID, FLOOR)
-    assert np.unravel_index(found.argmax(), GRID.shape) == (k, j, i)
+    assert found.argmax() == np.ravel_multi_index((k, j, i), GRID.shape)
 
 
 def test_spline_passes_through_pixels_and_is_scipys() -> None:
