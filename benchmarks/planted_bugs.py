@@ -361,7 +361,7 @@ BUGS = (
         "sabench/geometry/lens.py",
         "np.array(about_y) @ np.array(about_x)",
         "np.array(about_x) @ np.array(about_y)",
-        tests="tests/unit/geometry/test_sensor_tilt.py",
+        tests="tests/unit/geometry/test_lens.py",
     ),
     Bug(
         "the plane of focus tilted to the other side",

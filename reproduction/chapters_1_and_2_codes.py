@@ -143,7 +143,7 @@ def _measure(
 ) -> list[Panel]:
     """Read the code on the cylinder, and in the plane in which it is read best."""
     code, flat = code_of(scene, seed, 0), _flat_code(scene, seed)
-    plate = bodies_of(scene)[0]
+    plate = scene.world.solids[0]
     reach = 2.0 * np.abs(flat.points_mm).max(axis=(0, 1)) + _MARGIN_MM
     curved = Cylinder(
         center_mm=tuple(plate["place_mm"]),

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, residuals
+from sabench.algorithms.calibration.parameters import State
 from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
@@ -51,6 +53,17 @@ def case_of(scene: Scene, seed: int = 1) -> tuple[CalibrationCase, tuple[Camera,
         bool(scene.calibration and scene.calibration.known_cameras),
     )
     return case, cameras, placed.points_mm, exact
+
+
+def board_images(case: CalibrationCase, pixels: F64) -> BoardImages:
+    """The images of a case's points, with other pixels; NaN is not seen."""
+    weights = np.asarray(np.isfinite(pixels).all(axis=-1), dtype=np.float64)
+    return BoardImages(case.target.points_mm, np.nan_to_num(pixels), weights)
+
+
+def misses(state: State, seen: BoardImages) -> F64:
+    """Residuals (n, 2) of the points that are seen, px."""
+    return np.asarray(residuals(state, seen)[seen.weights > 0.0])
 
 
 def true_error_px(cameras: Any, points_mm: F64, exact: F64) -> float:

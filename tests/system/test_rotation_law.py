@@ -18,7 +18,7 @@ from tests.helpers.bubble_scenes import small
 from tests.helpers.calibration_cases import calibration_scene, case_of
 from tests.helpers.light_sheets import GRID, image_pair, tank_camera
 from tests.helpers.small_particles import make_small, rotate_cameras, rotate_rig
-from tests.unit.algorithms.calibration.test_plane_parallax import air
+from tests.unit.algorithms.calibration.test_factorisation import air
 from tests.unit.algorithms.particles.test_defocusing import sparse_shot
 
 ROTATIONS = [

@@ -84,7 +84,7 @@ def _distorted(camera: Camera, column: Any, row: Any) -> tuple[Any, Any]:
     """Return distorted image coordinates on the plane of an upright sensor.
 
     A copy of `sensor_tilt.from_sensor` for arrays of Dr.Jit; tied to it by
-    test_sensor_tilt.py::test_renderers_have_the_rays_of_tilted_cameras.
+    test_lens.py::test_renderers_have_the_rays_of_tilted_cameras.
     """
     center, scale = camera.principal_point_px, dr.opaque(mi.Float, 1.0 / camera.focal_px)
     u = (column - dr.opaque(mi.Float, center[0])) * scale

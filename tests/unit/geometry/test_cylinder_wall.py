@@ -1,7 +1,5 @@
-"""Light paths through cylinders, against rays that another program follows.
-
-And their limits: a flat wall, and rays in a plane through the axis.
-"""
+"""Light paths through cylinders, against rays that another program follows. And their limits: a
+flat wall, and rays in a plane through the axis."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.evaluation.gates.independent_projection import aim_at, shoot
 from sabench.geometry import cylinder_wall
@@ -28,34 +27,29 @@ from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.scenes.tank import build_wall
 from sabench.scenes.wall import CylinderSpec, LayerSpec
 from sabench.utils.arrays import F64, triple
+from tests.helpers.cameras import make_camera
 
 GLASS = LayerSpec(index=1.52, thickness_mm=5.0)
+
+
+def cylinder(outer_radius_mm: float, *layers: LayerSpec, **more: Any) -> CylinderSpec:
+    own: dict[str, Any] = {"shape": "cylinder", "fluid_index": 1.333, "layers": layers}
+    return CylinderSpec(outer_radius_mm=outer_radius_mm, **(own | more))
+
+
 SPECS = {
-    "glass": CylinderSpec(
-        shape="cylinder", outer_radius_mm=40.0, layers=(GLASS,), fluid_index=1.333
-    ),
-    "bare": CylinderSpec(shape="cylinder", outer_radius_mm=40.0, fluid_index=1.333),
-    "tilted": CylinderSpec(
-        shape="cylinder",
+    "glass": cylinder(40.0, GLASS),
+    "bare": cylinder(40.0),
+    "tilted": cylinder(
+        55.0,
+        GLASS,
+        LayerSpec(index=1.49, thickness_mm=2.0),
         axis_point_mm=(3.0, -2.0, 5.0),
         axis=(0.3, 1.0, -0.2),
-        outer_radius_mm=55.0,
-        layers=(GLASS, LayerSpec(index=1.49, thickness_mm=2.0)),
         fluid_index=1.36,
     ),
-    "air gap": CylinderSpec(
-        shape="cylinder",
-        outer_radius_mm=60.0,
-        layers=(GLASS, LayerSpec(index=1.0, thickness_mm=4.0), GLASS),
-        fluid_index=1.333,
-    ),
-    "denser outside": CylinderSpec(
-        shape="cylinder",
-        outer_radius_mm=40.0,
-        air_index=1.333,
-        layers=(GLASS,),
-        fluid_index=1.0,
-    ),
+    "air gap": cylinder(60.0, GLASS, LayerSpec(index=1.0, thickness_mm=4.0), GLASS),
+    "denser outside": cylinder(40.0, GLASS, air_index=1.333, fluid_index=1.0),
 }
 PINHOLE = np.array([60.0, -150.0, -480.0])
 
@@ -72,25 +66,18 @@ def points_in(spec: CylinderSpec, share: float, count: int, seed: int) -> F64:
     return np.asarray(np.asarray(spec.axis_point_mm) + local @ frame)
 
 
-def camera_behind(
-    wall: Wall | CylinderWall, target: tuple[float, float, float] = (0.0, 0.0, 0.0)
-) -> Camera:
-    """A camera with a distorted lens, aimed at a point."""
-    made = Camera(
-        "one",
-        800,
-        1000,
-        triple(PINHOLE),
-        aimed_rotation(-PINHOLE),
-        100.0,
-        0.01,
-        (500.0, 400.0),
-        Distortion(k1=-0.2, p1=1e-3),
-        85.0,
-        16.0,
-        wall,
+def camera_behind(wall: Wall | CylinderWall) -> Camera:
+    """A camera with a distorted lens, aimed at the origin."""
+    camera = make_camera(
+        rows=800,
+        columns=1000,
+        center_mm=triple(PINHOLE),
+        principal_distance_mm=100.0,
+        principal_point_px=(500.0, 400.0),
+        distortion=Distortion(k1=-0.2, p1=1e-3),
+        wall=wall,
     )
-    return aim(made, target)
+    return aim(camera, (0.0, 0.0, 0.0))
 
 
 def misses(at: F64, along: F64, points: F64) -> F64:
@@ -110,10 +97,10 @@ def test_paths_and_rays_are_those_of_a_vector_tracer(kind: str) -> None:
     rays = trace_into_fluid(wall, PINHOLE, paths.leaving)
     assert rays.valid.all()
     assert misses(rays.origins_mm, rays.directions, points).max() < 1e-9
-    np.testing.assert_allclose(rays.origins_mm, at, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(rays.directions, along, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(paths.arriving, along, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(paths.leaving, aim_at(spec, PINHOLE, points), rtol=0, atol=1e-11)
+    assert_allclose(rays.origins_mm, at, rtol=0, atol=1e-10)
+    assert_allclose(rays.directions, along, rtol=0, atol=1e-12)
+    assert_allclose(paths.arriving, along, rtol=0, atol=1e-12)
+    assert_allclose(paths.leaving, aim_at(spec, PINHOLE, points), rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("kind", SPECS)
@@ -129,7 +116,7 @@ def test_a_camera_projects_and_back_projects(kind: str) -> None:
     again = camera.project(np.column_stack([there, np.ones(len(there))]))[0]
     near = np.isfinite(again).all(axis=1)
     assert near.sum() > 100
-    np.testing.assert_allclose(again[near], pixels[near], rtol=0, atol=1e-8)
+    assert_allclose(again[near], pixels[near], rtol=0, atol=1e-8)
 
 
 def _near(wall: CylinderWall, leaving: F64, points: F64) -> F64:
@@ -141,9 +128,7 @@ def _near(wall: CylinderWall, leaving: F64, points: F64) -> F64:
 
 def forward(spec: CylinderSpec, count: int) -> tuple[F64, F64, F64]:
     """Return rays all over the cylinder and a point on each: directions, points, area of a bundle.
-
-    The area is positive where neighbouring rays have not crossed yet.
-    """
+    The area is positive where neighbouring rays have not crossed yet."""
     rng = np.random.default_rng(3)
     wall = build_wall(spec)
     inwards, axis = wall.normal_at(PINHOLE), np.asarray(wall.axis)
@@ -178,7 +163,7 @@ def test_every_path_before_a_caustic_is_found(kind: str) -> None:
     before = area > 0.0
     assert before.mean() > 0.9
     assert paths.valid[before].all()
-    np.testing.assert_allclose(paths.leaving[before], leaving[before], rtol=0, atol=1e-9)
+    assert_allclose(paths.leaving[before], leaving[before], rtol=0, atol=1e-9)
     crossed = paths.leaving[~before] - leaving[~before]
     assert not (np.linalg.norm(crossed, axis=1) < 1e-6).any()
 
@@ -240,18 +225,14 @@ def test_without_curvature_the_kernels_are_a_plane_wall(kind: str) -> None:
     assert cylinder_wall.find(gap, faces, wall.indices, local, leaving, arriving).all()
     points = pinhole + (local + np.array([gap, 0.0, 0.0])) @ frame
     paths = trace_to_points(flat, pinhole, points)
-    np.testing.assert_allclose(leaving @ frame, paths.leaving, rtol=0, atol=1e-15 * 5)
-    np.testing.assert_allclose(arriving @ frame, paths.arriving, rtol=0, atol=1e-15 * 5)
+    assert_allclose(leaving @ frame, paths.leaving, rtol=0, atol=1e-15 * 5)
+    assert_allclose(arriving @ frame, paths.arriving, rtol=0, atol=1e-15 * 5)
     ends, length, passed = np.zeros_like(local), np.zeros(200), np.zeros(200)
     there = leaving.copy()
     assert cylinder_wall.follow(gap, faces, wall.indices, there, ends, length, passed).all()
-    np.testing.assert_allclose(there, arriving, rtol=0, atol=1e-15 * 5)
-    np.testing.assert_allclose(
-        length, length_to_fluid(flat, pinhole, paths.leaving), rtol=1e-14, atol=0
-    )
-    np.testing.assert_allclose(
-        passed, transmittance(flat, pinhole, paths.leaving), rtol=1e-14, atol=0
-    )
+    assert_allclose(there, arriving, rtol=0, atol=1e-15 * 5)
+    assert_allclose(length, length_to_fluid(flat, pinhole, paths.leaving), rtol=1e-14, atol=0)
+    assert_allclose(passed, transmittance(flat, pinhole, paths.leaving), rtol=1e-14, atol=0)
 
 
 @pytest.mark.parametrize("kind", SPECS)
@@ -265,14 +246,14 @@ def test_rays_in_a_plane_through_the_axis_see_a_plane_wall(kind: str) -> None:
     points = foot + depth[:, None] * normal + rng.uniform(-80.0, 80.0, 100)[:, None] * axis
     flat = plane_twin(wall, PINHOLE)
     round_, plane = (trace_to_points(one, PINHOLE, points) for one in (wall, flat))
-    np.testing.assert_allclose(round_.leaving, plane.leaving, rtol=0, atol=2e-14)
-    np.testing.assert_allclose(round_.arriving, plane.arriving, rtol=0, atol=2e-14)
+    assert_allclose(round_.leaving, plane.leaving, rtol=0, atol=2e-14)
+    assert_allclose(round_.arriving, plane.arriving, rtol=0, atol=2e-14)
     lengths, passed = (
         [function(one, PINHOLE, plane.leaving) for one in (wall, flat)]
         for function in (length_to_fluid, transmittance)
     )
-    np.testing.assert_allclose(lengths[0], lengths[1], rtol=1e-12)
-    np.testing.assert_allclose(passed[0], passed[1], rtol=1e-12)
+    assert_allclose(lengths[0], lengths[1], rtol=1e-12)
+    assert_allclose(passed[0], passed[1], rtol=1e-12)
 
 
 def test_moving_the_whole_world_moves_no_pixel() -> None:
@@ -294,6 +275,5 @@ def test_moving_the_whole_world_moves_no_pixel() -> None:
             wall, axis_point_mm=moved(wall.axis_point_mm), axis=triple(turn @ np.asarray(wall.axis))
         ),
     )
-    np.testing.assert_allclose(
-        other.project(points @ turn.T + shift)[0], camera.project(points)[0], rtol=0, atol=1e-8
-    )
+    expected = camera.project(points)[0]
+    assert_allclose(other.project(points @ turn.T + shift)[0], expected, rtol=0, atol=1e-8)

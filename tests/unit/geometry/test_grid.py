@@ -1,7 +1,5 @@
-"""Voxel grids, ideal fields, and maps of planes against exact projection.
-
-An ideal field is that of a perfect reconstruction.
-"""
+"""Voxel grids, ideal fields, and maps of planes against exact projection. An ideal field is that of
+a perfect reconstruction."""
 
 from __future__ import annotations
 
@@ -10,16 +8,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial import ConvexHull
+from scipy.stats import norm
 
-from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.grid import Grid, check_volume, synthesise
+from sabench.geometry.camera import Camera, aim
+from sabench.geometry.grid import Grid, check_volume, cut_box, synthesise
 from sabench.geometry.lens import Distortion
 from sabench.geometry.plane_polynomials import TOLERANCE_PX, plane_map, plane_maps
 from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.rigid_motion import frame_of_normal
 from sabench.utils import memory
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
+from tests.helpers import cameras
 
 GRID = Grid((-4.0, 2.0, 40.0), (0.25, 0.2, 0.5), (12, 30, 41), crop=(3, 2, 1))
 
@@ -42,10 +44,8 @@ def inner_points(count: int, margin_mm: float, seed: int) -> F64:
 def test_axes_are_x_y_z_and_volumes_z_y_x() -> None:
     x, y, z = GRID.axes_mm
     assert (len(x), len(y), len(z)) == (41, 30, 12)
-    np.testing.assert_allclose(
-        [x[0], x[-1], y[0], y[-1], z[0], z[-1]], [-4.0, 6.0, 2.0, 7.8, 40.0, 45.5]
-    )
-    np.testing.assert_allclose(
+    assert_allclose([x[0], x[-1], y[0], y[-1], z[0], z[-1]], [-4.0, 6.0, 2.0, 7.8, 40.0, 45.5])
+    assert_allclose(
         GRID.to_voxels(np.array([[-4.0 + 0.25 * 7, 2.0 + 0.2 * 5, 40.0 + 0.5 * 3]])),
         [[7.0, 5.0, 3.0]],
     )
@@ -59,13 +59,13 @@ def test_scored_part_is_the_same_for_voxels_and_positions() -> None:
     z, y, x = np.meshgrid(*(np.arange(n) for n in GRID.shape), indexing="ij")
     voxels = np.stack([x, y, z], axis=-1).reshape(-1, 3).astype(np.float64)
     for shift in (-0.499, 0.0, 0.499):
-        np.testing.assert_array_equal(GRID.in_scored(voxels + shift), mask.ravel())
+        assert_array_equal(GRID.in_scored(voxels + shift), mask.ravel())
 
 
 # The field of a perfect reconstruction
 
 
-def test_a_volume_that_fills_the_memory_fits_and_a_larger_one_does_not(
+def test_a_volume_that_fills_the_memory_fits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     need_mb = 12 * 30 * 41 * 4 / 1e6
@@ -82,50 +82,25 @@ def test_field_keeps_integral_and_place(sigma_mm: float) -> None:
     for place, weight in zip(inner_points(12, 2.2, 1), (0.5, 1.0, 3.0) * 4, strict=True):
         field = synthesise(GRID, place[None], np.array([weight]), sigma_mm).astype(np.float64)
         assert field.dtype == np.float64
-        assert field.sum() * math.prod(GRID.voxel_mm) == pytest.approx(
-            weight * peak_integral(sigma_mm), rel=3e-4
-        )
+        expected = weight * peak_integral(sigma_mm)
+        assert field.sum() * math.prod(GRID.voxel_mm) == pytest.approx(expected, rel=3e-4)
         if sigma_mm >= 0.5:  # at least one voxel along each axis: the voxels' own shape is not seen
             centroid = [
                 np.average(axis, weights=field.sum(axis=other))
                 for axis, other in zip(GRID.axes_mm, ((0, 1), (0, 2), (1, 2)), strict=True)
             ]
-            np.testing.assert_allclose(centroid, place, rtol=0, atol=1e-3)
+            assert_allclose(centroid, place, rtol=0, atol=1e-3)
 
 
 def test_voxel_is_the_mean_of_the_gaussian_over_it() -> None:
     place, sigma = np.array([0.13, 4.91, 42.7]), 0.3
     field = synthesise(GRID, place[None], np.array([2.0]), sigma)
-    for k, j, i in ((5, 14, 16), (6, 15, 17), (4, 12, 18)):
-        value = 2.0
-        for center, step, x in zip(
-            (GRID.axes_mm[0][i], GRID.axes_mm[1][j], GRID.axes_mm[2][k]),
-            GRID.voxel_mm,
-            place,
-            strict=True,
-        ):
-            value *= (
-                quad(
-                    lambda s, x=x: math.exp(-((s - x) ** 2) / (2 * sigma**2)),
-                    center - step / 2,
-                    center + step / 2,
-                )[0]
-                / step
-            )
-        assert field[k, j, i] == pytest.approx(value, rel=1e-5)
-
-
-def test_field_at_the_border_is_cut_out_of_a_larger_one() -> None:
-    pad = (6, 7, 8)
-    low = tuple(a - p * s for a, p, s in zip(GRID.low_mm, pad, GRID.voxel_mm, strict=True))
-    larger = Grid((low[0], low[1], low[2]), GRID.voxel_mm, (12 + 16, 30 + 14, 41 + 12))
-    rng = np.random.default_rng(3)
-    places = rng.uniform([-5.5, 0.6, 36.5], [7.5, 9.2, 49.0], (300, 3))
-    weights = rng.uniform(0.1, 2.0, 300)
-    field = synthesise(larger, places, weights, 0.35)
-    np.testing.assert_allclose(
-        synthesise(GRID, places, weights, 0.35), field[8:20, 7:37, 6:47], rtol=0, atol=1e-5
-    )
+    for voxel in ((16, 14, 5), (17, 15, 6), (18, 12, 4)):
+        center = np.array(GRID.low_mm) + np.array(voxel) * GRID.voxel_mm - place
+        half = np.array(GRID.voxel_mm) / 2.0
+        share = norm.cdf(center + half, scale=sigma) - norm.cdf(center - half, scale=sigma)
+        mean = np.prod(share * math.sqrt(2.0 * math.pi) * sigma / GRID.voxel_mm)
+        assert field[voxel[::-1]] == pytest.approx(2.0 * mean, rel=1e-5)
 
 
 # Plane maps
@@ -136,18 +111,14 @@ BROWN = Distortion(-0.4, 2.0, 2e-3, -3e-3, 0.0)
 
 
 def make_camera(x: float, y: float, wall: Wall | None, lens: Distortion = BROWN) -> Camera:
-    camera = Camera(
-        name="camera_00",
+    camera = cameras.make_camera(
         rows=90,
         columns=140,
         center_mm=(x, y, -300.0),
-        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        rotation=cameras.ALONG_Z,
         principal_distance_mm=50.0,
-        pixel_mm=0.01,
         principal_point_px=(66.0, 47.0),
         distortion=lens,
-        focal_length_mm=45.0,
-        f_number=8.0,
         wall=wall,
     )
     return aim(camera, (1.0, 5.0, 43.0))
@@ -161,20 +132,10 @@ def on_plane(z_mm: float, unit: F64) -> F64:
 
 
 def evaluated(coefficients: F64, degree: int, unit: F64) -> F64:
-    """Evaluate the documented polynomial.
-
-    Its terms are ordered by the power of v, then of u, up to a total degree.
-    """
+    """The documented polynomial: terms by the power of v, then of u, up to a total degree."""
     powers = [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
-    return np.stack(
-        [
-            sum(
-                c * unit[:, 0] ** i * unit[:, 1] ** j for c, (i, j) in zip(row, powers, strict=True)
-            )
-            for row in coefficients
-        ],
-        axis=1,
-    )
+    terms = np.stack([unit[:, 0] ** i * unit[:, 1] ** j for i, j in powers])
+    return np.asarray((coefficients @ terms).T)
 
 
 @pytest.mark.parametrize("wall", [None, FLAT, TILTED])
@@ -201,24 +162,20 @@ def test_plane_without_a_light_path_is_refused() -> None:
 
 
 def test_a_part_of_a_grid_has_the_values_of_the_whole() -> None:
-    """Particles outside the part reach into it with all of their tails, and no further.
-
-    All lengths are whole multiples of 1/64 mm, so that both grids see the same positions.
-    """
+    """Particles outside the part reach into it with all of their tails, and no further. All lengths
+    are whole multiples of 1/64 mm, so that both grids see the same positions."""
     part = Grid((0.0, 0.0, 0.0), (0.25, 0.5, 1.0), (6, 10, 20))
     whole = Grid((-10.0, -20.0, -40.0), (0.25, 0.5, 1.0), (86, 90, 100))
     rng = np.random.default_rng(7)
     positions = rng.integers(-64 * 5, 64 * 11, (4000, 3)) / 64.0
     weights, sigma = rng.uniform(0.5, 1.0, 4000), 0.4
     inside = synthesise(whole, positions, weights, sigma)[40:46, 40:50, 40:60]
-    np.testing.assert_array_equal(synthesise(part, positions, weights, sigma), inside)
+    assert_array_equal(synthesise(part, positions, weights, sigma), inside)
     alone = np.array([[-1.85, 2.0, 3.0], [2.0, 2.0, -2.4]])  # reach voxel 0 by their last value
     for position in alone:
         at = np.round(64.0 * position[None]) / 64.0
         field = synthesise(part, at, np.ones(1), sigma)
-        np.testing.assert_array_equal(
-            field, synthesise(whole, at, np.ones(1), sigma)[40:46, 40:50, 40:60]
-        )
+        assert_array_equal(field, synthesise(whole, at, np.ones(1), sigma)[40:46, 40:50, 40:60])
         assert field.max() > 0.0
 
 
@@ -226,3 +183,27 @@ def test_a_part_of_a_grid_has_the_values_of_the_whole() -> None:
 def test_particles_however_far_away_add_nothing(far_mm: float) -> None:
     positions = far_mm * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, -1.0, 1.0]])
     assert not synthesise(GRID, positions, np.ones(3), 0.4).any()
+
+
+LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([2.0, 3.0, 4.0])
+
+
+def area(normal: F64, point: F64) -> float:
+    corners = cut_box(LOW, HIGH, point, normal)
+    assert_allclose((corners - point) @ normal, 0.0, atol=1e-12)
+    assert (corners >= LOW - 1e-12).all()
+    assert (corners <= HIGH + 1e-12).all()
+    return float(ConvexHull(corners @ frame_of_normal(normal)[:2].T).volume)
+
+
+@pytest.mark.parametrize(
+    ("normal", "expected"),
+    [
+        ([0.0, 0.0, 1.0], 6.0),
+        ([1.0, 0.0, 0.0], 12.0),
+        ([0.0, 0.8, 0.6], 2.0 * 3.0 / 0.6),  # 3 mm of Y, seen along Z
+        ([2.0 / 7.0, 3.0 / 7.0, 6.0 / 7.0], 6.0 / (6.0 / 7.0)),
+    ],
+)
+def test_sections_through_the_middle_have_known_areas(normal: list[float], expected: float) -> None:
+    assert area(np.array(normal), (LOW + HIGH) / 2.0) == pytest.approx(expected)

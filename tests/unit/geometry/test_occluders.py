@@ -1,7 +1,5 @@
-"""Discs in front of the wall.
-
-Their shadow in truth and in both renderers, and the solvers that may see them.
-"""
+"""Discs in front of the wall. Their shadow in truth and in both renderers, and the solvers that may
+see them."""
 
 from __future__ import annotations
 
@@ -12,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import brentq
 
 import sabench
@@ -24,13 +23,7 @@ from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.particle_images import image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, Bool
-from tests.helpers.particle_scenes import (
-    VARIANTS,
-    cloud,
-    isolated,
-    make_scene,
-    moments,
-)
+from tests.helpers.particle_scenes import VARIANTS, cloud, isolated, make_scene, moments
 
 QUICK = build_rig(make_scene()).cameras[0]
 
@@ -40,10 +33,8 @@ def with_discs(scene: Scene, *discs: dict[str, Any]) -> Scene:
 
 
 def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -> dict[str, Any]:
-    """Return the table of a disc on the optical axis.
-
-    It stands at `share` of the distance to the wall of the quick scene (z = 0).
-    """
+    """Return the table of a disc on the optical axis. It stands at `share` of the distance to the
+    wall of the quick scene (z = 0)."""
     start, forward = np.asarray(camera.center_mm), np.asarray(camera.rotation[2])
     return {
         "center_mm": (start - forward * (share * start[2] / forward[2])).tolist(),
@@ -53,10 +44,8 @@ def before_camera(camera: Camera, share: float, radius_mm: float, **more: Any) -
 
 
 def crossing(camera: Camera, point: F64, z_mm: float) -> F64:
-    """Return the position at depth z < 0 of the light path from a point to a pinhole.
-
-    The path passes the quick scene's wall (z = 0, normal z). Snell's law and a root search.
-    """
+    """Return the position at depth z < 0 of the light path from a point to a pinhole. The path
+    passes the quick scene's wall (z = 0, normal z). Snell's law and a root search."""
     wall, pinhole = camera.wall, np.asarray(camera.center_mm)
     assert wall is not None
     depths = np.array(
@@ -81,10 +70,10 @@ def test_truth_lies_in_the_shadow_that_snell_gives() -> None:
     met = np.array([crossing(QUICK, point, disc["center_mm"][2]) for point in positions])
     hidden = np.linalg.norm(met - disc["center_mm"], axis=1) <= 2.0
     assert 50 < hidden.sum() < 350
-    np.testing.assert_array_equal(images.photons == 0.0, hidden)
-    np.testing.assert_array_equal(images.visible, open_images.visible & ~hidden)
-    np.testing.assert_array_equal(images.photons[~hidden], open_images.photons[~hidden])
-    np.testing.assert_array_equal(images.pixel, open_images.pixel)
+    assert_array_equal(images.photons == 0.0, hidden)
+    assert_array_equal(images.visible, open_images.visible & ~hidden)
+    assert_array_equal(images.photons[~hidden], open_images.photons[~hidden])
+    assert_array_equal(images.pixel, open_images.pixel)
 
 
 def outline(camera: Camera, disc: Disc) -> F64:
@@ -102,10 +91,8 @@ def outline(camera: Camera, disc: Disc) -> F64:
 
 
 def distance_inside(polygon: F64, pixels: F64) -> F64:
-    """Return the distance of pixels (n, 2) from a convex polygon's border, px.
-
-    Positive inside the polygon, negative outside.
-    """
+    """Return the distance of pixels (n, 2) from a convex polygon's border, px. Positive inside the
+    polygon, negative outside."""
     side = np.roll(polygon, -1, axis=0) - polygon
     normal = np.stack([-side[:, 1], side[:, 0]], axis=1) / np.linalg.norm(
         side, axis=1, keepdims=True
@@ -133,20 +120,18 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
     inside = distance_inside(outline(camera, occluders[0]), images.pixel)
     away = np.abs(inside) > 8.0
     assert min((away & (inside > 0.0)).sum(), (away & (inside < 0.0)).sum()) >= 5
-    np.testing.assert_array_equal(images.visible, inside < 0.0)
+    assert_array_equal(images.visible, inside < 0.0)
     traced = moments(
         render(camera, images, positions, 16, occluders) * camera.etendue() + 1e-12, pixels, 6
     )[0]
     formula = moments(particles_splatted.render(camera, images) + 1e-12, pixels, 6)[0]
-    np.testing.assert_allclose(traced[away], formula[away], rtol=0.02)
+    assert_allclose(traced[away], formula[away], rtol=0.02)
     assert (formula[away & (inside > 0.0)] < 1e-9).all()
 
 
 def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
-    """The edge of a disc cuts images.
-
-    Also those of particles whose own path is stopped, where they reach beyond the edge.
-    """
+    """The edge of a disc cuts images. Also those of particles whose own path is stopped, where they
+    reach beyond the edge."""
     scene = with_discs(
         make_scene(cameras={"particle_sigma_px": 2.0}), before_camera(QUICK, 0.3, 0.5)
     )
@@ -165,7 +150,7 @@ def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
     inside = over_the_image(QUICK, polygon)
     assert 4 < images.visible.sum() < 20
     assert (whole > 0.0).sum() > 500
-    np.testing.assert_array_equal(cut[inside < -1.0], whole[inside < -1.0])
+    assert_array_equal(cut[inside < -1.0], whole[inside < -1.0])
     assert not cut[inside > 1.0].any()
     assert whole[inside > 1.0].max() > 0.2 * whole.max()
 
@@ -180,9 +165,9 @@ def test_a_covered_camera_is_black_and_the_others_see_what_they_saw() -> None:
     assert not covered.views[0].photons.any()
     assert not covered.views[0].visible.any()
     assert covered.observation.images[0].max() < free.observation.images[0].max() / 10
-    np.testing.assert_array_equal(covered.observation.images[1:], free.observation.images[1:])
+    assert_array_equal(covered.observation.images[1:], free.observation.images[1:])
     for mine, theirs in zip(covered.views[1:], free.views[1:], strict=True):
-        np.testing.assert_array_equal(mine.photons, theirs.photons)
+        assert_array_equal(mine.photons, theirs.photons)
 
 
 def test_the_true_field_keeps_particles_that_one_camera_misses() -> None:
@@ -191,15 +176,9 @@ def test_the_true_field_keeps_particles_that_one_camera_misses() -> None:
     assert 20 < hidden.sum() < 180
     field = true_field(shot.observation.grid, shot.particles, shot.views)
     x, y, z = np.rint(shot.observation.grid.to_voxels(shot.particles.position_mm)).astype(int).T
-    inside = (
-        (x >= 0)
-        & (y >= 0)
-        & (z >= 0)
-        & (x < field.shape[2])
-        & (y < field.shape[1])
-        & (z < field.shape[0])
-    )
-    values = field[z[inside], y[inside], x[inside]]
+    places = np.stack([z, y, x])
+    inside = ((places >= 0) & (field.shape > places.T).T).all(axis=0)
+    values = field[tuple(places[:, inside])]
     assert np.isfinite(field).all()
     assert values.min() > 0.2 * np.median(values)
 
@@ -211,23 +190,14 @@ def all_stopped(disc: Disc, *directions: tuple[float, float, float]) -> Bool:
 
 
 def test_a_disc_stops_what_meets_it() -> None:
-    flat = Disc((0.0, 0.0, 10.0), (0.0, 0.0, 1.0), 1.0)
-    met = all_stopped(
-        flat,
-        (0.0, 0.0, 1.0),
-        (0.099, 0.0, 1.0),
-        (0.101, 0.0, 1.0),
-        (0.0, 0.0, -1.0),
-        (1.0, 0.0, 0.0),
-        (math.nan,) * 3,
-    )
-    np.testing.assert_array_equal(met, [True, True, False, False, False, False])
+    flat, along = Disc((0.0, 0.0, 10.0), (0.0, 0.0, 1.0), 1.0), (0.0, 0.0, 1.0)
+    assert all_stopped(flat, along, (0.099, 0.0, 1.0)).all()
+    away = (0.101, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (math.nan,) * 3
+    assert not all_stopped(flat, *away).any()
     edge_on = Disc((0.0, 0.0, 10.0), (1.0, 0.0, 0.0), 1.0)
-    np.testing.assert_array_equal(
-        all_stopped(edge_on, (0.0, 0.0, 1.0), (1e-9, 0.0, 1.0)), [False, False]
-    )
-    assert flat.span_mm(np.array([0.0, 0.0, 1.0])) == (10.0, 10.0)
-    assert edge_on.span_mm(np.array([0.0, 0.0, 1.0])) == (9.0, 11.0)
+    assert not all_stopped(edge_on, along, (1e-9, 0.0, 1.0)).any()
+    assert flat.span_mm(np.array(along)) == (10.0, 10.0)
+    assert edge_on.span_mm(np.array(along)) == (9.0, 11.0)
 
 
 def test_occluders_are_in_the_scene_file_and_are_not_shown_to_solvers(tmp_path: Path) -> None:

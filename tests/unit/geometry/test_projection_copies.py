@@ -1,7 +1,5 @@
-"""Copies of the projection against the reference.
-
-See docs/developing/copies-of-the-projection.md.
-"""
+"""Copies of the projection against the reference. See
+docs/developing/copies-of-the-projection.md."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.bubbles.backlit_images import reflectance
 from sabench.geometry.camera import Camera, aimed_rotation
@@ -45,16 +44,14 @@ def record(one: Camera) -> tuple[dict[str, Any], dict[str, Any] | None]:
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (8.0, -11.0)])
 @pytest.mark.parametrize("wall", [None, WALL])
-def test_the_example_program_projects_as_cameras_do(
-    wall: Wall | None, tilt: tuple[float, float]
-) -> None:
+def test_the_example_program_projects(wall: Wall | None, tilt: tuple[float, float]) -> None:
     example = runpy.run_path(str(ROOT / "examples" / "python" / "synthetic_aperture.py"))
     points = np.random.default_rng(1).uniform([-8.0, -6.0, 20.0], [8.0, 6.0, 40.0], (200, 3))
     one = replace(camera(wall), tilt_deg=tilt)
     exact, valid = one.project(points)
     column, row = example["project"](*record(one), points)
     assert valid.all()
-    np.testing.assert_allclose(np.column_stack([column, row]), exact, rtol=0.0, atol=1e-8)
+    assert_allclose(np.column_stack([column, row]), exact, rtol=0.0, atol=1e-8)
 
 
 def test_renderers_undistort_as_cameras_do() -> None:
@@ -67,7 +64,7 @@ def test_renderers_undistort_as_cameras_do() -> None:
     u, v = ((pixels - np.asarray(one.principal_point_px)) / one.focal_px).T
     found = np.column_stack(undistort(LENS, u, v))
     assert valid.all()
-    np.testing.assert_allclose(found * one.focal_px, ideal * one.focal_px, rtol=0.0, atol=1e-5)
+    assert_allclose(found * one.focal_px, ideal * one.focal_px, rtol=0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("index", [0.75, 1.0, 1.5])
@@ -78,4 +75,4 @@ def test_bubbles_reflect_as_walls_do(index: float) -> None:
     directions = np.column_stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)])
     refracted = np.arcsin(np.sin(angle) / index)
     expected = 1.0 - transmittance(surface, np.array([0.0, 0.0, -1.0]), directions)
-    np.testing.assert_allclose(reflectance(angle, refracted, index), expected, atol=1e-12)
+    assert_allclose(reflectance(angle, refracted, index), expected, atol=1e-12)

@@ -1,7 +1,5 @@
-"""The light path through a wall, against paths that are built by hand.
-
-Snell, Fermat, Fresnel and the symmetries of space.
-"""
+"""The light path through a wall, against paths that are built by hand. Snell, Fermat, Fresnel and
+the symmetries of space."""
 
 from __future__ import annotations
 
@@ -11,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 import sabench.geometry.path_slope
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.lens import Distortion
-from sabench.geometry.path_slope import solve_slope
+from sabench.geometry.path_slope import _halley, _lateral, _lateral_distance, _start, solve_slope
 from sabench.geometry.refraction import (
     Layer,
     Wall,
@@ -25,7 +23,11 @@ from sabench.geometry.refraction import (
     trace_to_points,
     transmittance,
 )
-from sabench.utils.arrays import F64
+from sabench.utils.arrays import F64, triple
+from tests.helpers.cameras import make_camera
+
+UP = np.array([0.0, 0.0, 1.0])
+ANYWHERE = np.zeros(3)  # pinhole: a plane wall transmits the same from everywhere
 
 
 def unit(vector: Any) -> F64:
@@ -33,29 +35,17 @@ def unit(vector: Any) -> F64:
     return np.asarray(array / np.linalg.norm(array))
 
 
-def triple(vector: Any) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in vector)
-    return x, y, z
-
-
 def make_wall(
-    indices: list[float],
-    thicknesses: list[float],
-    normal: Any = (0.0, 0.0, 1.0),
-    point: Any = (0.0, 0.0, 0.0),
+    indices: list[float], thicknesses: list[float], normal: Any = UP, point: Any = ANYWHERE
 ) -> Wall:
-    layers = tuple(
-        Layer(f"layer {i}", n, d)
-        for i, (n, d) in enumerate(zip(indices[1:-1], thicknesses, strict=True))
-    )
-    return Wall(triple(point), triple(unit(normal)), indices[0], layers, indices[-1])
+    pairs = zip(indices[1:-1], thicknesses, strict=True)
+    layers = tuple(Layer("layer", index, thickness) for index, thickness in pairs)
+    return Wall(triple(np.asarray(point)), triple(unit(normal)), indices[0], layers, indices[-1])
 
 
 def random_walls() -> list[Wall]:
-    """Make 20 walls of 0 to 4 layers, 0.01 to 50 mm thick.
-
-    They are tilted by up to 35 degrees, and some of the layers are rarer than both sides.
-    """
+    """Make 20 walls of 0 to 4 layers, 0.01 to 50 mm thick. They are tilted by up to 35 degrees, and
+    some of the layers are rarer than both sides."""
     rng = np.random.default_rng(20)
     walls = []
     for k in range(20):
@@ -71,59 +61,31 @@ def random_walls() -> list[Wall]:
 
 
 WALLS = random_walls()
-ANYWHERE = np.zeros(3)  # pinhole: a plane wall transmits the same from everywhere
 
 
 def hand_path(wall: Wall, before: float, behind: float, sine: float) -> tuple[F64, F64]:
-    """Return lateral positions and depths of a path's corners.
-
-    The corners are the pinhole, the crossings and the end. `sine` is that of the angle in the
-    rarest medium.
-    """
-    depths = [before, *(layer.thickness_mm for layer in wall.layers), behind]
-    invariant = min(wall.indices) * sine
-    lateral = [
-        depth * math.tan(math.asin(invariant / n))
-        for depth, n in zip(depths, wall.indices, strict=True)
-    ]
+    """Lateral positions and depths of a path's corners; `sine` is that in the rarest medium."""
+    depths = np.array([before, *(layer.thickness_mm for layer in wall.layers), behind])
+    lateral = depths * np.tan(np.arcsin(min(wall.indices) * sine / wall.indices))
     return np.cumsum([0.0, *lateral]), np.cumsum([-before, *depths])
 
 
-def in_world(wall: Wall, across: F64, lateral: F64, depth: F64) -> F64:
-    return np.asarray(
-        np.asarray(wall.point_mm)
-        + lateral[:, None] * across
-        + depth[:, None] * np.asarray(wall.normal)
-    )
-
-
 def hand_paths(wall: Wall, count: int, seed: int) -> list[F64]:
-    """Return corners (2 + interfaces, 3) of `count` paths from one pinhole.
-
-    Up to 78 degrees in the rarest medium.
-    """
+    """Corners (2 + interfaces, 3) of paths from one pinhole, up to 78 degrees in any medium."""
     rng = np.random.default_rng(seed)
-    basis = np.asarray(aimed_rotation(np.asarray(wall.normal)))
+    first, second, normal = np.asarray(aimed_rotation(np.asarray(wall.normal)))
     before = rng.uniform(100.0, 600.0)
     paths = []
     for _ in range(count):
         turn = rng.uniform(0.0, 2.0 * np.pi)
-        across = math.cos(turn) * basis[0] + math.sin(turn) * basis[1]
-        paths.append(
-            in_world(
-                wall,
-                across,
-                *hand_path(wall, before, rng.uniform(0.1, 200.0), rng.uniform(0.0, 0.98)),
-            )
-        )
+        across = math.cos(turn) * first + math.sin(turn) * second
+        ends = rng.uniform(0.1, 200.0), rng.uniform(0.0, 0.98)
+        lateral, depth = hand_path(wall, before, *ends)
+        paths.append(wall.point_mm + np.outer(lateral, across) + np.outer(depth, normal))
     return paths
 
 
 def crossings(wall: Wall, start: F64, leaving: F64) -> list[F64]:
-    """Return the points where a ray meets the interfaces.
-
-    Planes are intersected by hand and turned in the plane of incidence by angles.
-    """
     normal, here, direction, met = np.asarray(wall.normal), start, leaving, []
     for depth, n1, n2 in zip(
         wall.interface_depths_mm, wall.indices[:-1], wall.indices[1:], strict=True
@@ -142,21 +104,7 @@ def sine_of(segment: F64, normal: Any) -> float:
 
 
 def straight_camera(wall: Wall | None, **changes: Any) -> Camera:
-    camera = Camera(
-        name="camera_00",
-        rows=300,
-        columns=500,
-        center_mm=(13.0, -27.0, -400.0),
-        rotation=aimed_rotation(np.array([0.1, -0.05, 1.0])),
-        principal_distance_mm=60.0,
-        pixel_mm=0.01,
-        principal_point_px=(260.0, 140.0),
-        distortion=Distortion(),
-        focal_length_mm=50.0,
-        f_number=8.0,
-        wall=wall,
-    )
-    return replace(camera, **changes)
+    return make_camera(principal_distance_mm=60.0, focal_length_mm=50.0, wall=wall, **changes)
 
 
 @pytest.mark.parametrize("wall", WALLS)
@@ -164,74 +112,29 @@ def test_finds_the_path_that_was_built_by_hand(wall: Wall) -> None:
     paths = hand_paths(wall, 30, 1)
     found = trace_to_points(wall, paths[0][0], np.stack([path[-1] for path in paths]))
     assert found.valid.all()
-    np.testing.assert_allclose(
-        found.leaving, [unit(path[1] - path[0]) for path in paths], rtol=0, atol=1e-11
-    )
-    np.testing.assert_allclose(
-        found.arriving, [unit(path[-1] - path[-2]) for path in paths], rtol=0, atol=1e-10
-    )
-
-
-@pytest.mark.parametrize("wall", WALLS)
-def test_snells_law_holds_at_every_interface(wall: Wall) -> None:
-    paths = hand_paths(wall, 30, 2)
-    found = trace_to_points(wall, paths[0][0], np.stack([path[-1] for path in paths]))
-    for path, leaving in zip(paths, found.leaving, strict=True):
-        corners = [path[0], *crossings(wall, path[0], leaving), path[-1]]
-        invariants = [
-            n * sine_of(b - a, wall.normal)
-            for n, a, b in zip(wall.indices, corners[:-1], corners[1:], strict=True)
-        ]
-        np.testing.assert_allclose(
-            invariants, invariants[0], rtol=0, atol=1e-9
-        )  # the last segment ends at the point itself
+    assert_allclose(found.leaving, [unit(path[1] - path[0]) for path in paths], rtol=0, atol=1e-11)
+    expected = [unit(path[-1] - path[-2]) for path in paths]
+    assert_allclose(found.arriving, expected, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_fermat_no_neighbouring_path_is_shorter(wall: Wall) -> None:
     depths = [350.0, *(layer.thickness_mm for layer in wall.layers), 80.0]
-    reach = np.array([5.0, 120.0])
-    slope, _ = solve_slope(wall.indices, list(depths), reach)
-    for radius, t in zip(reach, slope, strict=True):
-
-        def length(crossing: F64, radius: float = radius) -> float:
-            return float(np.sum(wall.indices * np.hypot(np.diff([0.0, *crossing, radius]), depths)))
-
-        def gradient(crossing: F64, radius: float = radius) -> F64:
-            steps = np.diff([0.0, *crossing, radius])
-            return np.asarray(-np.diff(wall.indices * steps / np.hypot(steps, depths)))
-
-        def curvature(crossing: F64, radius: float = radius) -> F64:
-            c = (
-                wall.indices
-                * np.square(depths)
-                / np.hypot(np.diff([0.0, *crossing, radius]), depths) ** 3
-            )
-            return np.asarray(np.diag(c[:-1] + c[1:]) - np.diag(c[1:-1], 1) - np.diag(c[1:-1], -1))
-
-        sine = t / math.hypot(1.0, t)
-        found = hand_path(wall, depths[0], depths[-1], sine)[0][1:-1]
-        start = np.linspace(0.0, radius, len(depths) + 1)[1:-1]
-        best = minimize(
-            length,
-            start,
-            jac=gradient,
-            hess=curvature,
-            method="trust-exact",
-            options={"gtol": 1e-10},
-        ).fun
-        assert length(found) == pytest.approx(best, rel=1e-11)
-        assert length(found) <= best * (
-            1.0 + 1e-14
-        )  # the path is the minimum of a convex function, the search may only come near
+    rng, count = np.random.default_rng(1), len(depths) - 1
+    for reach in (5.0, 120.0):
+        slope = solve_slope(wall.indices, [*depths], np.array([reach]))[0][0]
+        corners = hand_path(wall, 350.0, 80.0, slope / math.hypot(1.0, slope))[0]
+        moves = np.zeros((200, count + 2))
+        moves[1:, 1:-1] = 10.0 ** rng.uniform(-3.0, 1.0, (199, 1)) * rng.normal(size=(199, count))
+        assert corners[-1] == pytest.approx(reach)
+        lengths = np.hypot(np.diff(corners + moves, axis=1), depths) @ wall.indices
+        assert lengths.argmin() == 0
 
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stopping rule asks for no more digits than a double has.
-
-    Newton's iteration doubles its digits; with a stricter rule it would run to its limit.
-    """
+    """The stopping rule asks for no more digits than a double has. Newton's iteration doubles its
+    digits; with a stricter rule it would run to its limit."""
     calls, lateral = [], sabench.geometry.path_slope._lateral
 
     def counted(*arguments: Any) -> Any:
@@ -257,28 +160,19 @@ def test_back_projection_returns_to_the_point(wall: Wall) -> None:
     assert rays.valid.all()
     miss = np.linalg.norm(np.cross(points - rays.origins_mm, rays.directions), axis=1)
     assert miss.max() < 1e-9
-    np.testing.assert_allclose(wall.depth_of(rays.origins_mm), wall.thickness_mm, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(rays.directions, axis=1), 1.0, rtol=0, atol=1e-14)
+    assert_allclose(wall.depth_of(rays.origins_mm), wall.thickness_mm, rtol=0, atol=1e-9)
+    assert_allclose(np.linalg.norm(rays.directions, axis=1), 1.0, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("behind", [1e-3, 0.1, 10.0])
 def test_grazing_points_end_near_the_critical_angle(behind: float) -> None:
     wall = make_wall([1.0, 1.5, 1.333], [5.0])
-    paths = trace_to_points(
-        wall, np.array([0.0, 0.0, -300.0]), np.array([[1e4, 0.0, 5.0 + behind]])
-    )
-    corners = np.array(
-        [
-            [0.0, 0.0, -300.0],
-            *crossings(wall, np.array([0.0, 0.0, -300.0]), paths.leaving[0]),
-            [1e4, 0.0, 5.0 + behind],
-        ]
-    )
-    invariants = [
-        n * sine_of(step, wall.normal)
-        for n, step in zip(wall.indices, np.diff(corners, axis=0), strict=True)
-    ]
-    np.testing.assert_allclose(invariants, invariants[0], rtol=0, atol=1e-7)
+    pinhole, point = np.array([0.0, 0.0, -300.0]), np.array([1e4, 0.0, 5.0 + behind])
+    leaving = trace_to_points(wall, pinhole, point[None]).leaving[0]
+    corners = [pinhole, *crossings(wall, pinhole, leaving), point]
+    sines = [sine_of(step, wall.normal) for step in np.diff(corners, axis=0)]
+    invariants = wall.indices * sines
+    assert_allclose(invariants, invariants[0], rtol=0, atol=1e-7)
     assert 0.999 < invariants[0] < 1.0
 
 
@@ -296,38 +190,13 @@ def test_total_reflection_is_not_valid(indices: list[float]) -> None:
     assert transmittance(wall, ANYWHERE, directions)[2:].tolist() == [0.0, 0.0, 0.0]
 
 
-def test_camera_in_the_dense_medium_marks_reflected_pixels() -> None:
-    camera = straight_camera(
-        make_wall([1.5, 1.0], []),
-        principal_distance_mm=2.0,
-        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
-    )
-    pixels = np.stack([np.linspace(0.0, 499.0, 41), np.full(41, 140.0)], axis=1)
-    tangent = np.abs(pixels[:, 0] - 260.0) / 200.0
-    expected = tangent / np.hypot(1.0, tangent) < 1.0 / 1.5
-    assert 0 < expected.sum() < len(expected)
-    np.testing.assert_array_equal(camera.back_project(pixels).valid, expected)
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
-        (0.0, 0.0, -50.0),
-        (3.0, 1.0, 0.0),
-        (0.0, 5.0, 2.0),
-        (1.0, 0.0, 5.0),
-        (math.nan, 0.0, 30.0),
-        (0.0, math.inf, 30.0),
-    ],
-)
-def test_points_without_a_path_are_not_valid(bad: tuple[float, float, float]) -> None:
-    wall = make_wall([1.0, 1.5, 1.333], [5.0])
-    good = (4.0, -3.0, 30.0)
-    camera = straight_camera(wall)
-    pixels, valid = camera.project([good, bad, good])
-    assert valid.tolist() == [True, False, True]
-    assert np.isnan(pixels[1]).all()
-    np.testing.assert_array_equal(pixels[[0, 2]], camera.project([good, good])[0])
+def test_points_without_a_path_are_not_valid() -> None:
+    camera, good = straight_camera(make_wall([1.0, 1.5, 1.333], [5.0])), (4.0, -3.0, 30.0)
+    bad = [(0.0, 0.0, -50.0), (3.0, 1.0, 0.0), (0.0, 5.0, 2.0), (1.0, 0.0, 5.0)]
+    pixels, valid = camera.project([good, *bad, (math.nan, 0.0, 30.0), (0.0, math.inf, 30.0), good])
+    assert valid.tolist() == [True, *[False] * 6, True]
+    assert np.isnan(pixels[~valid]).all()
+    assert_array_equal(pixels[valid], camera.project([good, good])[0])
 
 
 @pytest.mark.parametrize("depth", [0.0, 0.5, 2.0, 5.0, 80.0])
@@ -342,47 +211,29 @@ def test_a_pinhole_behind_the_face_sees_nothing(depth: float) -> None:
 
 def test_rays_that_leave_the_wall_are_not_valid() -> None:
     wall = make_wall([1.0, 1.5, 1.333], [5.0])
-    directions = np.array(
-        [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, -0.8], [math.nan, 0.0, 1.0]]
-    )
-    assert trace_into_fluid(wall, np.array([0.0, 0.0, -100.0]), directions).valid.tolist() == [
-        True,
-        False,
-        False,
-        False,
-    ]
+    directions = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, -0.8], [math.nan, 0.0, 1.0]]
+    rays = trace_into_fluid(wall, np.array([0.0, 0.0, -100.0]), np.array(directions))
+    assert rays.valid.tolist() == [True, False, False, False]
 
 
 def test_brewsters_angle_passes_all_of_the_parallel_part() -> None:
-    n1, n2 = 1.0, 1.52
-    angle = math.atan2(n2, n1)
-    across_only = (
-        (n1**2 - n2**2) / (n1**2 + n2**2)
-    ) ** 2  # the reflected share of the other part, at this angle
-    found = transmittance(
-        make_wall([n1, n2], []), ANYWHERE, np.array([[math.sin(angle), 0.0, math.cos(angle)]])
-    )[0]
-    assert found == pytest.approx(1.0 - across_only / 2.0, rel=1e-13)
+    direction = np.array([[1.52, 0.0, 1.0]]) / math.hypot(1.0, 1.52)
+    reflected = ((1.0 - 1.52**2) / (1.0 + 1.52**2)) ** 2  # of the other part
+    found = transmittance(make_wall([1.0, 1.52], []), ANYWHERE, direction)[0]
+    assert found == pytest.approx(1.0 - reflected / 2.0, rel=1e-13)
 
 
 @pytest.mark.parametrize("wall", WALLS)
 def test_transmittance_is_the_transmitted_power(wall: Wall) -> None:
-    """Return n2 cos2 |t|^2 / (n1 cos1), averaged over the two polarisations.
-
-    At each interface, from the amplitudes t.
-    """
+    """n2 cos2 |t|^2 / (n1 cos1) of each interface, the mean over both polarisations."""
+    n1, n2 = wall.indices[:-1], wall.indices[1:]
     for path in hand_paths(wall, 10, 7):
-        cosines = [
-            math.sqrt(1.0 - sine_of(step, wall.normal) ** 2) for step in np.diff(path, axis=0)
-        ]
-        expected = 1.0
-        for i, (n1, n2) in enumerate(zip(wall.indices[:-1], wall.indices[1:], strict=True)):
-            c1, c2 = cosines[i], cosines[i + 1]
-            across, along = 2.0 * n1 * c1 / (n1 * c1 + n2 * c2), 2.0 * n1 * c1 / (n2 * c1 + n1 * c2)
-            expected *= n2 * c2 / (n1 * c1) * (across**2 + along**2) / 2.0
-        assert transmittance(wall, path[0], unit(path[1] - path[0])[None])[0] == pytest.approx(
-            expected, rel=1e-10
-        )
+        sines = np.array([sine_of(step, wall.normal) for step in np.diff(path, axis=0)])
+        c1, c2 = np.sqrt(1.0 - sines[:-1] ** 2), np.sqrt(1.0 - sines[1:] ** 2)
+        across, along = 2.0 * n1 * c1 / (n1 * c1 + n2 * c2), 2.0 * n1 * c1 / (n2 * c1 + n1 * c2)
+        expected = np.prod(n2 * c2 / (n1 * c1) * (across**2 + along**2) / 2.0)
+        found = transmittance(wall, path[0], unit(path[1] - path[0])[None])[0]
+        assert found == pytest.approx(expected, rel=1e-10)
 
 
 @pytest.mark.parametrize("wall", WALLS)
@@ -394,12 +245,8 @@ def test_transmittance_is_the_same_in_both_directions(wall: Wall) -> None:
         [layer.thickness_mm for layer in wall.layers][::-1],
         normal=-np.asarray(wall.normal),
     )
-    np.testing.assert_allclose(
-        transmittance(wall, ANYWHERE, found.leaving),
-        transmittance(back, ANYWHERE, -found.arriving),
-        rtol=0,
-        atol=1e-11,
-    )
+    expected = transmittance(back, ANYWHERE, -found.arriving)
+    assert_allclose(transmittance(wall, ANYWHERE, found.leaving), expected, rtol=0, atol=1e-11)
 
 
 def test_moving_the_whole_world_moves_no_pixel() -> None:
@@ -423,9 +270,7 @@ def test_moving_the_whole_world_moves_no_pixel() -> None:
             rotation=(triple(axes[0]), triple(axes[1]), triple(axes[2])),
             wall=moved_wall,
         )
-        np.testing.assert_allclose(
-            moved.project(points @ turn.T + shift)[0], pixels, rtol=0, atol=1e-8
-        )
+        assert_allclose(moved.project(points @ turn.T + shift)[0], pixels, rtol=0, atol=1e-8)
 
 
 def test_order_and_splitting_of_layers_do_not_matter() -> None:
@@ -436,8 +281,8 @@ def test_order_and_splitting_of_layers_do_not_matter() -> None:
         ([1.5, 1.5, 1.2, 1.8], [1.0, 4.0, 2.0, 0.5]),
     ]
     images = [straight_camera(make_wall([1.0, *n, 1.333], d)).project(points)[0] for n, d in stacks]
-    np.testing.assert_allclose(images[1], images[0], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(images[2], images[0], rtol=0, atol=1e-9)
+    assert_allclose(images[1], images[0], rtol=0, atol=1e-9)
+    assert_allclose(images[2], images[0], rtol=0, atol=1e-9)
 
 
 def test_scaling_all_lengths_or_all_indices_changes_no_direction() -> None:
@@ -447,5 +292,49 @@ def test_scaling_all_lengths_or_all_indices_changes_no_direction() -> None:
     larger = trace_to_points(make_wall([1.0, 1.5, 1.333], [35.0]), 7.0 * pinhole, 7.0 * points)
     denser = trace_to_points(make_wall([1.3, 1.95, 1.7329], [5.0]), pinhole, points)
     for other in (larger, denser):
-        np.testing.assert_allclose(other.leaving, plain.leaving, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(other.arriving, plain.arriving, rtol=0, atol=1e-14)
+        assert_allclose(other.leaving, plain.leaving, rtol=0, atol=1e-14)
+        assert_allclose(other.arriving, plain.arriving, rtol=0, atol=1e-14)
+
+
+PATHS: list[tuple[F64, list[F64 | float]]] = [
+    (np.array([1.0, 1.5, 1.333]), [300.0, 6.0, 40.0]),
+    (np.array([1.0, 1.5, 1.46, 1.333]), [20.0, 10.0, 30.0, 200.0]),
+    (np.array([1.333, 1.0]), [5.0, 80.0]),
+    (np.array([1.7, 1.2, 1.0]), [10.0, 40.0, 0.1]),
+]
+
+
+@pytest.mark.parametrize(("relative", "depths_mm"), PATHS)
+def test_derivatives_are_those_of_lateral(relative: F64, depths_mm: list[F64 | float]) -> None:
+    """Central differences; the second derivative is stated over -3 t."""
+    slope, step = np.array([0.05, 0.3, 0.8, 2.0]), 1e-4
+    value, gradient, curvature = _lateral_distance(relative, depths_mm, slope)
+    before, after = (_lateral(relative, depths_mm, slope + by) for by in (-step, step))
+    assert_allclose(value, _lateral(relative, depths_mm, slope)[0], rtol=1e-13)
+    assert_allclose(gradient, (after[0] - before[0]) / (2.0 * step), rtol=1e-6)
+    assert_allclose(curvature, (after[1] - before[1]) / (2.0 * step) / (-3.0 * slope), rtol=1e-4)
+
+
+@pytest.mark.parametrize(("relative", "depths_mm"), PATHS)
+def test_the_first_slope_is_of_fifth_order(relative: F64, depths_mm: list[F64 | float]) -> None:
+    """Half the slope leaves a 32nd of the error: it is of fifth order."""
+    slope = np.array([2e-2, 1e-2])
+    error = _start(relative, depths_mm, _lateral(relative, depths_mm, slope)[0]) - slope
+    assert error[0] / error[1] == pytest.approx(32.0, rel=0.1)
+
+
+@pytest.mark.parametrize(("relative", "depths_mm"), PATHS)
+def test_the_first_slope_fits_flat_paths(relative: F64, depths_mm: list[F64 | float]) -> None:
+    """A path far longer than it is deep lies in the rarest medium."""
+    slope = np.array([1e5])
+    start = _start(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])
+    assert_allclose(start, slope, rtol=0.05)
+
+
+@pytest.mark.parametrize(("relative", "depths_mm"), PATHS[:3])
+def test_halley_converges_without_a_bracket(relative: F64, depths_mm: list[F64 | float]) -> None:
+    """Steep and flat paths alike need few steps, unless the rarest layer is thin."""
+    slope = np.geomspace(1e-3, 1e2, 60)
+    found = _halley(relative, depths_mm, _lateral(relative, depths_mm, slope)[0])
+    assert found is not None
+    assert_allclose(found[0], slope, rtol=1e-9)

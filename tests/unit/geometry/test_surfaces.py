@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import tifffile
+from numpy.testing import assert_allclose
 
 from sabench.geometry.surfaces import Cylinder, HeightMap, Plane, bend, normals_of
 from sabench.utils.errors import InputError
@@ -19,15 +20,15 @@ def test_pixels_of_a_plane_are_a_square_grid_about_its_centre() -> None:
     made = Plane(**POSE, size_mm=(7.0, 4.0), pixel_mm=0.5)
     points = made.points_mm()
     assert points.shape == (9, 15, 3)
-    np.testing.assert_allclose(points.mean(axis=(0, 1)), POSE["center_mm"], atol=1e-12)
+    assert_allclose(points.mean(axis=(0, 1)), POSE["center_mm"], atol=1e-12)
     steps = (
         np.linalg.norm(np.diff(points, axis=0), axis=-1),
         np.linalg.norm(np.diff(points, axis=1), axis=-1),
     )
     for step in steps:
-        np.testing.assert_allclose(step, 0.5, atol=1e-12)
+        assert_allclose(step, 0.5, atol=1e-12)
     expected = np.broadcast_to(made.pose.rotation[:, 2], points.shape)
-    np.testing.assert_allclose(normals_of(points), expected, atol=1e-12)
+    assert_allclose(normals_of(points), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("radius", [12.0, -12.0])
@@ -37,13 +38,13 @@ def test_points_of_a_cylinder_keep_their_distance_from_its_axis(radius: float) -
     axis = made.pose.rotation[:, 1]
     off = points - made.pose(np.array([[0.0, 0.0, radius]]))[0]
     across = off - (off @ axis)[..., None] * axis
-    np.testing.assert_allclose(np.linalg.norm(across, axis=-1), abs(radius), rtol=1e-12)
+    assert_allclose(np.linalg.norm(across, axis=-1), abs(radius), rtol=1e-12)
     arc = (
         2.0
         * abs(radius)
         * np.arcsin(np.linalg.norm(np.diff(points, axis=1), axis=-1) / 2.0 / abs(radius))
     )
-    np.testing.assert_allclose(arc, 0.05, rtol=1e-9)
+    assert_allclose(arc, 0.05, rtol=1e-9)
     outward = np.einsum("ijk,ijk->ij", normals_of(points), across) / radius
     assert (outward[:, 1:-1] < -0.999).all()  # own +Z: to the axis, or away from it
 
@@ -80,5 +81,5 @@ def test_height_maps_of_points_and_of_pixels_agree(tmp_path: Path) -> None:
     assert (len(u), len(v)) == (41, 27)
     own = np.stack(np.meshgrid(u, v), axis=-1)
     expected = np.dstack([own, 0.3 * own[..., 0] - 0.2 * own[..., 1] + 1.0])
-    np.testing.assert_allclose(by_points.points_mm(), by_points.pose(expected), atol=1e-9)
-    np.testing.assert_allclose(by_pixels.points_mm(), by_pixels.pose(expected), atol=1e-5)
+    assert_allclose(by_points.points_mm(), by_points.pose(expected), atol=1e-9)
+    assert_allclose(by_pixels.points_mm(), by_pixels.pose(expected), atol=1e-5)

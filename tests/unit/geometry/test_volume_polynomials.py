@@ -1,14 +1,19 @@
-"""Polynomials in place of cameras: as exact as promised, also behind a strong lens."""
+"""Records of cameras, and polynomials that stand for cameras."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 
-from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim
+from sabench.geometry.camera_records import read_camera, record_camera
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.volume_polynomials import fit_volume_polynomials, project_points
+from sabench.utils.errors import InputError
+from tests.helpers.cameras import make_camera
 
 WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
 LOW, HIGH = np.array([-25.0, -15.0, 10.0]), np.array([25.0, 15.0, 60.0])
@@ -16,10 +21,15 @@ LOW, HIGH = np.array([-25.0, -15.0, 10.0]), np.array([25.0, 15.0, 60.0])
 
 def camera(k1: float = 0.0) -> Camera:
     """An oblique view of the box, 800 px wide."""
-    rotation, middle = aimed_rotation(np.array([0.0, 0.0, 1.0])), (500.0, 400.0)
-    lens = Distortion(k1=k1, p1=1e-3)
-    place, size = (120.0, -90.0, -300.0), (800, 1000)
-    plain = Camera("one", *size, place, rotation, 60.0, 0.01, middle, lens, 36.0, 8.0, WALL)
+    plain = make_camera(
+        rows=800,
+        columns=1000,
+        center_mm=(120.0, -90.0, -300.0),
+        principal_distance_mm=60.0,
+        principal_point_px=(500.0, 400.0),
+        distortion=Distortion(k1=k1, p1=1e-3),
+        wall=WALL,
+    )
     return aim(plain, (0.0, 0.0, 36.0))
 
 
@@ -31,3 +41,13 @@ def test_polynomials_are_the_camera_in_all_of_the_box(k1: float) -> None:
     points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     expected = exact.project(maps.middle_mm + maps.half_mm * points)[0]
     assert np.abs(project_points(maps, 0, points) - expected).max() < 1e-3
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_million_kilometres_are_the_largest_length(sign: float) -> None:
+    record = record_camera(camera())
+    far = {**record, "center_mm": (0.0, 0.0, sign * 1e12)}
+    assert record_camera(read_camera(far, "cameras.json")) == far
+    beyond = {**record, "center_mm": (0.0, 0.0, sign * math.nextafter(1e12, math.inf))}
+    with pytest.raises(InputError, match=r"cameras\.json: center_mm: expected finite"):
+        read_camera(beyond, "cameras.json")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from sabench.algorithms.particles.obstacles import find_dark_areas
 from sabench.images.background import (
@@ -17,16 +18,12 @@ from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import profile
 
 ROWS, COLUMNS = 240, 320
-
-
 NOISE, LIGHT = 2.0, 200.0
 
 
 def image(per_pixel: float, seed: int, spread: float = 0.3, across: F64 | None = None) -> F32:
-    """An image of particles of mean light 200 with noise, on black.
-
-    Their columns are those `across`, if given.
-    """
+    """An image of particles of mean light 200 with noise, on black. Their columns are those
+    `across`, if given."""
     rng = np.random.default_rng(seed)
     count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
     center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
@@ -61,7 +58,7 @@ def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
 def test_where_it_is_black_nothing_is_taken_and_particles_are_no_glints(per_pixel: float) -> None:
     shown = image(per_pixel, 2, spread=0.6)[None]
     cleared, flaws = clear_images(shown, Flaws.none(shown.shape))
-    np.testing.assert_array_equal(cleared, shown)
+    assert_array_equal(cleared, shown)
     assert not flaws.unknown.any()
 
 

@@ -52,7 +52,7 @@ def particles(count: int, seed: int = 5) -> tuple[F64, F64]:
     ("black", "noise", "bits", "count"),
     [(64.0, 2.0, 12, 400), (64.0, 2.0, 12, 10_000), (0.0, 1.5, 8, 400), (0.0, 1.5, 8, 4000)],
 )
-def test_particles_hardly_change_what_is_measured(
+def test_particles_hardly_change_the_noise(
     black: float, noise: float, bits: int, count: int
 ) -> None:
     rng = np.random.default_rng(6)

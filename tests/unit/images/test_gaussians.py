@@ -1,18 +1,16 @@
-"""Profiles of Gaussians in kernels, next to scipy's error function."""
+"""Profiles of Gaussians and bounds of positions."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import erf
 
-from sabench.images.gaussian_kernels import (
-    fill_bend,
-    fill_derivatives,
-    fill_profile,
-    fill_shares,
-)
+from sabench.images.gaussian_kernels import fill_bend, fill_derivatives, fill_profile, fill_shares
 from sabench.images.gaussians import gaussian_shares
+from sabench.images.position_bounds import ParticleSpots, position_bounds
+from sabench.metrics.particle_bounds import rms_over_bound
 from sabench.utils.arrays import F64
 from sabench.utils.vector_units import LANES, whole_lanes
 
@@ -35,19 +33,18 @@ def test_profiles_are_a_gaussians_integrals_and_their_slopes(pixels: int, kind: 
         fill_shares(center, sigma, first, pixels, alone)
         fill_profile(center, sigma, first, pixels, shares, slopes)
         expected = expected_shares(center, sigma, first, pixels)
-        np.testing.assert_allclose(shares[:pixels], expected, rtol=0.0, atol=1e-8 + rounding)
-        np.testing.assert_array_equal(shares, alone)
+        assert_allclose(shares[:pixels], expected, rtol=0.0, atol=1e-8 + rounding)
+        assert_array_equal(shares, alone)
         assert not shares[pixels:].any()
         assert not slopes[pixels:].any()
         edges = (first - 0.5 - center + np.arange(pixels + 1)) / sigma
         density = np.exp(-0.5 * edges**2) / np.sqrt(2.0 * np.pi)
-        reached = np.testing.assert_allclose
-        reached(slopes[:pixels] * sigma, -np.diff(density), rtol=0.0, atol=4e-8 + 2 * rounding)
+        error = np.abs(slopes[:pixels] * sigma + np.diff(density)).max()
+        assert error <= 4e-8 + 2 * rounding
 
 
 @pytest.mark.parametrize("sigma", [0.3, 0.8, 2.5])
 def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
-    """Each against central differences of the one before it."""
     center, first, pixels, step = 3.3, -2, 11, 1e-4 * sigma
     found, before, after = np.zeros((3, 5, pixels))
     for at, each in zip(
@@ -60,19 +57,134 @@ def test_derivatives_are_those_of_shares_by_the_centre(sigma: float) -> None:
         fill_derivatives(at, sigma, first, each[1:])
     for n in range(1, 5):
         expected = (after[n - 1] - before[n - 1]) / (2.0 * step)
-        np.testing.assert_allclose(found[n], expected, atol=1e-3 * np.abs(expected).max())
+        assert_allclose(found[n], expected, atol=1e-3 * np.abs(expected).max())
     fill_bend(center, sigma, first, bend := np.zeros(pixels))
-    np.testing.assert_allclose(bend, found[1], atol=1e-12)
+    assert_allclose(bend, found[1], atol=1e-12)
 
 
 def test_shares_in_numpy_are_those_of_kernels() -> None:
-    """Both compute the same integrals."""
     shares = np.zeros(whole_lanes(11))
     fill_shares(0.3, 0.8, -5, 11, shares)
     edges = np.arange(-5.0, 7.0)[None] - 0.5 - 0.3
-    np.testing.assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
+    assert_allclose(gaussian_shares(edges, 0.8)[0], shares[:11], atol=1e-8)
 
 
 def test_profiles_fill_whole_lanes() -> None:
     """Eight pixels fill eight lanes, though they have nine edges."""
     assert [whole_lanes(pixels) for pixels in (1, 8, 9)] == [LANES, LANES, 2 * LANES]
+
+
+_SHAPE = (24, 30)
+_NOISE = 3.0
+# px/mm of three cameras: columns and rows by x, y, z
+_SLOPES = np.array(
+    [
+        [[10.0, 0.0, 3.0], [0.0, 10.0, 0.0]],
+        [[9.0, 0.0, -4.0], [0.0, 9.5, 1.0]],
+        [[10.0, 1.0, 0.5], [-1.0, 10.0, 4.0]],
+    ]
+)
+_CENTER = np.array([15.0, 11.5])
+_SIGMA = 0.8
+
+
+def _cameras(position_mm: F64, light: F64) -> list[ParticleSpots]:
+    """Make affine cameras that see particles (n, 3), with equal noise everywhere."""
+    count = len(position_mm)
+    return [
+        ParticleSpots(
+            _CENTER + position_mm @ slope.T,
+            np.broadcast_to(slope, (count, 2, 3)).copy(),
+            light,
+            np.full(count, _SIGMA),
+            np.full(_SHAPE, _NOISE**2),
+        )
+        for slope in _SLOPES
+    ]
+
+
+def _images(position_mm: F64, light: F64) -> F64:
+    """Make the images of all cameras as one vector, by another formula than the kernels."""
+    rows, columns = (np.arange(size + 1) - 0.5 for size in _SHAPE)
+    shots = []
+    for slope in _SLOPES:
+        image = np.zeros(_SHAPE)
+        for (x, y), amount in zip(_CENTER + position_mm @ slope.T, light, strict=True):
+            across = np.diff(erf((columns - x) / (_SIGMA * np.sqrt(2.0)))) / 2.0
+            down = np.diff(erf((rows - y) / (_SIGMA * np.sqrt(2.0)))) / 2.0
+            image += amount * np.outer(down, across)
+        shots.append(image.ravel())
+    return np.concatenate(shots)
+
+
+def _slopes(position_mm: F64, light: F64) -> F64:
+    """Differentiate the images by positions and logarithms of the light, by differences."""
+    columns = []
+    for number in range(4 * len(light)):
+        ends = []
+        for sign in (1.0, -1.0):
+            step = np.zeros((len(light), 4))
+            step.flat[number] = sign * 1e-5
+            ends.append(_images(position_mm + step[:, :3], light * np.exp(step[:, 3])))
+        columns.append((ends[0] - ends[1]) / 2e-5)
+    return np.stack(columns, axis=1)
+
+
+def _of_all(position_mm: F64, light: F64) -> F64:
+    """Invert the information of all particles together."""
+    slopes = _slopes(position_mm, light) / _NOISE
+    covariance = np.linalg.inv(slopes.T @ slopes)
+    rows = 4 * np.arange(len(light))[:, None] + np.arange(3)
+    return np.stack([covariance[np.ix_(one, one)] for one in rows])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_bound_is_the_inverse_of_the_whole_information(count: int) -> None:
+    position = np.array([[0.03, 0.02, 0.0], [0.2, 0.05, 0.06], [0.1, 0.25, -0.1]])[:count]
+    light = np.array([900.0, 700.0, 1100.0])[:count]
+    found = position_bounds(_cameras(position, light), np.arange(count))
+    assert_allclose(found, _of_all(position, light), rtol=5e-3, atol=1e-8)
+
+
+def test_neighbours_raise_the_bound_and_particles_far_away_do_not() -> None:
+    position = np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [-1.0, -0.8, 0.0]])
+    near, _, far = position_bounds(_cameras(position, np.full(3, 900.0)), np.arange(3))
+    first, last = (
+        position_bounds(_cameras(position[n : n + 1], np.array([900.0])), np.array([0]))[0]
+        for n in (0, 2)
+    )
+    assert np.trace(near) > 1.2 * np.trace(first)
+    assert_allclose(far, last, rtol=1e-9)
+
+
+def test_a_least_squares_fit_reaches_the_bound() -> None:
+    rng = np.random.default_rng(8)
+    position, light = np.array([[0.02, -0.03, 0.01], [0.17, 0.1, 0.05]]), np.array([2e3, 2e3])
+    bound = position_bounds(_cameras(position, light), np.array([0, 1]))
+    noise = _NOISE * rng.standard_normal((len(_images(position, light)), 4000))
+    error = (np.linalg.pinv(_slopes(position, light)) @ noise).reshape(2, 4, -1)
+    for particle in range(2):
+        every = np.broadcast_to(bound[particle], (4000, 3, 3))
+        assert rms_over_bound(error[particle, :3].T, every) == pytest.approx(1.0, abs=0.02)
+
+
+def test_particles_that_the_images_do_not_fix_have_no_bound() -> None:
+    position, light = np.array([[0.0, 0.0, 0.0], [0.12, 0.0, 0.0]]), np.array([900.0, 900.0])
+    one, *others = _cameras(position, light)
+    hidden = np.array([900.0, 0.0])
+    dark = [ParticleSpots(c.pixel, c.slope, hidden, c.sigma_px, c.variance) for c in others]
+    found = position_bounds([one, *dark], np.array([0, 1]))
+    assert np.isnan(found[1]).all()  # a single camera sees it
+    assert np.isfinite(found[0]).all()
+    blind = np.full(_SHAPE, np.inf)
+    saturated = [
+        ParticleSpots(c.pixel, c.slope, c.light, c.sigma_px, blind) for c in (one, *others)
+    ]
+    none = position_bounds(saturated, np.array([0, 1]))
+    assert np.isnan(none).all()
+    assert np.isnan(rms_over_bound(np.zeros((2, 3)), none))
+
+
+def test_no_particles_have_no_bounds() -> None:
+    cameras = _cameras(np.zeros((0, 3)), np.zeros(0))
+    assert position_bounds(cameras, np.zeros(0, dtype=np.int64)).shape == (0, 3, 3)

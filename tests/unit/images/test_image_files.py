@@ -1,12 +1,17 @@
-"""Cameras and frames of image files."""
+"""Image files: cameras, frames and grey values."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from sabench.images.image_files import find_image_files
+from sabench.images.image_reading import RawLayout, read_images
+from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
 
 CAMERAS = ("left", "right")
@@ -43,9 +48,7 @@ def found(folder: Path, pattern: str | None = None) -> dict[str, list[str]]:
         (["a/i1.png", "a/notes.txt", "a/.i2.png", "Thumbs.db"], {"a": ["i1.png"]}),
     ],
 )
-def test_folders_of_recorders(
-    names: list[str], expected: dict[str, list[str]], tmp_path: Path
-) -> None:
+def test_folders(names: list[str], expected: dict[str, list[str]], tmp_path: Path) -> None:
     assert found(touch(tmp_path, *names)) == expected
 
 
@@ -76,3 +79,115 @@ def test_no_images(tmp_path: Path) -> None:
         found(touch(tmp_path, "B1.im7", "B2.im7"))
     with pytest.raises(InputError, match="got no folder"):
         found(tmp_path / "none")
+
+
+SHAPE = (20, 32)
+
+
+def stack(count: int = 3, most: int = 4000) -> U16:
+    values = np.random.default_rng(4).integers(0, most, (count, *SHAPE))
+    return np.asarray(values, dtype=np.uint16)
+
+
+def read(*files: Path, raw: RawLayout | None = None) -> U16:
+    return np.stack([image for _, image in read_images(files, SHAPE, raw)])
+
+
+def write(path: Path, values: Any, **options: Any) -> Path:
+    import tifffile
+
+    tifffile.imwrite(path, values, **({"photometric": "minisblack"} | options))
+    return path
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"byteorder": ">"},
+        {"compression": "zlib"},
+        {"compression": "zlib", "predictor": True},
+        {"imagej": True},
+        {"bigtiff": True},
+        {"tile": (16, 16)},
+        {"rowsperstrip": 3},
+    ],
+)
+def test_tiff_of_many_kinds(options: dict[str, Any], tmp_path: Path) -> None:
+    assert_array_equal(read(write(tmp_path / "a.tif", stack(), **options)), stack())
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_zero_may_be_white(dtype: Any, tmp_path: Path) -> None:
+    values = stack(most=255).astype(dtype)
+    negative = write(tmp_path / "a.tif", np.iinfo(dtype).max - values, photometric="miniswhite")
+    assert_array_equal(read(negative), values)
+
+
+def test_many_pages_in_several_files(tmp_path: Path) -> None:
+    values = stack(100)
+    files = [
+        write(tmp_path / f"{n}.tif", values[first:last])
+        for n, (first, last) in enumerate([(0, 1), (1, 70), (70, 71), (71, 100)])
+    ]
+    assert_array_equal(read(*files), values)
+
+
+@pytest.mark.parametrize("suffix", ["png", "bmp", "pgm"])
+def test_images_of_8_bits(suffix: str, tmp_path: Path) -> None:
+    import cv2
+
+    value = stack(1, 255)[0].astype(np.uint8)
+    colours = np.repeat(value[..., None], 3, axis=2)
+    for name, image in (("grey", value), ("rgb", colours)):
+        if suffix == "pgm" and name == "rgb":
+            continue
+        cv2.imwrite(str(tmp_path / f"{name}.{suffix}"), image)
+        assert_array_equal(read(tmp_path / f"{name}.{suffix}")[0], value)
+
+
+def test_whole_floats_are_grey_values(tmp_path: Path) -> None:
+    assert_array_equal(read(write(tmp_path / "a.tif", stack().astype(">f4"))), stack())
+
+
+def test_movie_without_loss(tmp_path: Path) -> None:
+    import cv2
+
+    values, path = stack(3, 255), tmp_path / "a.avi"
+    code = cv2.VideoWriter.fourcc(*"FFV1")
+    movie = cv2.VideoWriter(str(path), code, 25.0, SHAPE[::-1], False)
+    for image in values:
+        movie.write(image.astype(np.uint8))
+    movie.release()
+    assert_array_equal(read(path), values)
+
+
+@pytest.mark.parametrize(("name", "dtype"), [("uint16", "<u2"), ("uint16-big", ">u2")])
+def test_raw(name: str, dtype: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.raw"
+    path.write_bytes(b"head" + stack().astype(dtype).tobytes())
+    assert_array_equal(read(path, raw=RawLayout(name, 4)), stack())
+    with pytest.raises(InputError, match="expected whole images of 20 x 32"):
+        read(path, raw=RawLayout(name))
+    with pytest.raises(InputError, match="expected the type of raw pixels"):
+        read(path)
+
+
+def test_faults(tmp_path: Path) -> None:
+    colours = np.zeros((*SHAPE, 3), dtype=np.uint8)
+    colours[3, 4, 1] = 9
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"no image")
+    cases = {
+        "one with colours": write(tmp_path / "c.tif", colours, photometric="rgb"),
+        "float32": write(tmp_path / "f.tif", stack().astype(np.float32) + 0.5),
+        "got none": broken,
+        "got 32 x 20; they are turned by 90 degrees": write(
+            tmp_path / "t.tif", stack().transpose(0, 2, 1)
+        ),
+        "got 20 x 31": write(tmp_path / "s.tif", stack()[:, :, 1:]),
+    }
+    for expected, path in cases.items():
+        with pytest.raises(InputError, match=expected) as caught:
+            read(path)
+        assert str(caught.value).startswith(str(path))
+        assert "\n" not in str(caught.value)

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from sabench.images.recordings import guess_white, list_cameras, read_recordings
 from sabench.utils.arrays import U16
@@ -35,8 +36,8 @@ def test_a_folder_for_each_camera(tmp_path: Path, ending: str) -> None:
     left, right = read_recordings(tmp_path, 2)
     assert (left.name, right.name) == ("left", "right")
     assert (len(left.frames), left.white_dn) == (2, 255.0)
-    np.testing.assert_array_equal(left.frames[0], image(seed=8))  # by number, not by letters
-    np.testing.assert_array_equal(left.frames[1], image(seed=9))
+    assert_array_equal(left.frames[0], image(seed=8))  # by number, not by letters
+    assert_array_equal(left.frames[1], image(seed=9))
 
 
 def test_all_cameras_in_one_folder(tmp_path: Path) -> None:
@@ -60,7 +61,7 @@ def test_a_file_of_many_pages_is_a_stack(tmp_path: Path) -> None:
     assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
     (one,) = read_recordings(tmp_path, 3)
     assert one.white_dn == 4095.0
-    np.testing.assert_array_equal(np.stack(one.frames), np.stack(pages[:3]))
+    assert_array_equal(np.stack(one.frames), np.stack(pages[:3]))
 
 
 @pytest.mark.parametrize("depth", [8, 10, 12, 14, 16])
@@ -85,7 +86,7 @@ def test_a_grey_image_of_three_channels_is_grey(tmp_path: Path) -> None:
     grey = image()
     assert cv2.imwrite(str(tmp_path / "a.png"), np.repeat(grey[..., None], 3, 2).astype(np.uint8))
     (one,) = read_recordings(tmp_path, 9)
-    np.testing.assert_array_equal(one.frames[0], grey)
+    assert_array_equal(one.frames[0], grey)
 
 
 def sentence(folder: Path) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sabench.images.flaws import Flaws
 from sabench.images.gaussians import gaussian_shares
 from sabench.images.levels import bright_dn, normalise
 from sabench.images.repair import find_points, find_reflections, repair
@@ -112,7 +111,3 @@ def test_the_scale_does_not_follow_one_bright_thing(flaw: str) -> None:
     assert scales[1] == pytest.approx(scales[0], rel=0.15)
     light = normalise(repaired.images, _BLACK, repaired.flaws.unknown)
     assert light[0].max() < 6.0
-
-
-def test_no_flaws() -> None:
-    assert not Flaws.none((2, 3, 4)).unknown.any()

@@ -4,20 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.image_model import MARGIN_PX, make_room
 from sabench.images.peaks import find_peaks
-from sabench.images.widths import image_widths, measure_images, noise_below_black
+from sabench.images.widths import (
+    ImageStatistics,
+    image_widths,
+    measure_images,
+    noise_below_black,
+)
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import profile
 
 ROWS, COLUMNS = 400, 500
-
-
 FINE = 5  # points to a pixel's edge
+
+
+def measured(images: F64) -> ImageStatistics:
+    return measure_images(images, np.ones(images.shape, dtype=bool))
+
+
+def glint(row: int, column: int, sigma: float) -> F64:
+    rows, columns = np.mgrid[:ROWS, :COLUMNS]
+    return np.asarray(np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / (2.0 * sigma**2)))
 
 
 def image(
@@ -27,10 +40,8 @@ def image(
     spread: float = 0.0,
     across: F64 | None = None,
 ) -> F64:
-    """An image of particles of mean light 200, and noise of standard deviation 2.
-
-    Their columns are those `across`, if given.
-    """
+    """An image of particles of mean light 200, and noise of standard deviation 2. Their columns are
+    those `across`, if given."""
     rng = np.random.default_rng(seed)
     count = int(per_pixel * (ROWS + 20) * (COLUMNS + 20))
     center = rng.uniform(-10.0, (COLUMNS + 10.0, ROWS + 10.0), (count, 2))
@@ -43,12 +54,10 @@ def image(
 
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 @pytest.mark.parametrize("sigma", [(0.5, 0.6), (0.9, 0.7)])
-def test_widths_light_and_number_hold_at_any_density(
-    per_pixel: float, sigma: tuple[float, float]
-) -> None:
+def test_widths_hold_at_any_density(per_pixel: float, sigma: tuple[float, float]) -> None:
     images = image(per_pixel, sigma, 3)[None]
-    found = measure_images(images, np.ones(images.shape, dtype=bool))
-    np.testing.assert_allclose(found.sigma[0], sigma, rtol=0.06)
+    found = measured(images)
+    assert_allclose(found.sigma[0], sigma, rtol=0.06)
     assert found.light[0] == pytest.approx(200.0, rel=0.06)
     assert found.number == pytest.approx(per_pixel * ROWS * COLUMNS, rel=0.08)
 
@@ -74,18 +83,15 @@ def test_tilted_ellipses_are_measured_at_any_density(per_pixel: float, slope: fl
     across = np.arange(-30, 31) / FINE
     points = np.stack(np.meshgrid(across, across), axis=-1)
     kernel = multivariate_normal(np.zeros(2), covariance).pdf(points)
-    found = measure_images(
-        drawn(kernel, per_pixel, 100.0)[None], np.ones((1, ROWS, COLUMNS), dtype=bool)
-    )
+    found = measured(drawn(kernel, per_pixel, 100.0)[None])
     widths = np.sqrt(np.diag(covariance))
     expected = covariance[0, 1] / widths.prod()
     assert found.tilt[0] == pytest.approx(expected, abs=0.1 * abs(expected))
-    np.testing.assert_allclose(found.sigma[0], widths, rtol=0.06)
+    assert_allclose(found.sigma[0], widths, rtol=0.06)
     assert found.light[0] == pytest.approx(100.0, rel=0.1)
 
 
 def disc(radius: float) -> F64:
-    """A kernel of a particle out of focus: a disc of a radius in px, blurred."""
     across = np.arange(-35, 36) / FINE
     shown = (np.hypot(across, across[:, None]) <= radius).astype(float)
     return np.asarray(gaussian_filter(shown, 0.7 * FINE, mode="constant"))
@@ -102,7 +108,7 @@ def test_discs_are_measured_as_flat(
 ) -> None:
     """Of flatter discs, the flatness shows better."""
     images = drawn(disc(radius), per_pixel, 1000.0)[None]
-    sigma_x, sigma_y, flat = measure_images(images, np.ones(images.shape, dtype=bool)).flat[0]
+    sigma_x, sigma_y, flat = measured(images).flat[0]
     assert [sigma_x, sigma_y] == pytest.approx([width, width], rel=0.06)
     assert flat == pytest.approx(flatness, abs=scatter)
 
@@ -112,7 +118,7 @@ def test_discs_are_measured_as_flat(
 @pytest.mark.parametrize("sigma", [(0.5, 0.6), (1.0, 1.0), (1.6, 1.2)])
 def test_gaussians_are_not_flat(per_pixel: float, sigma: tuple[float, float]) -> None:
     images = image(per_pixel, sigma, 3)[None]
-    assert not measure_images(images, np.ones(images.shape, dtype=bool)).flat.any()
+    assert not measured(images).flat.any()
 
 
 @pytest.mark.slow
@@ -124,7 +130,7 @@ def test_windows_of_long_streaks_fit_in_the_margins() -> None:
     for step in np.linspace(-7.0, 7.0, 29):
         x, y = (profile(center[:, k] + step, 1.7, n) for k, n in ((0, COLUMNS), (1, ROWS)))
         shown += 40.0 * y.T @ x
-    found = measure_images(shown[None], np.ones((1, ROWS, COLUMNS), dtype=bool))
+    found = measured(shown[None])
     assert found.tilt[0] > 0.7
     assert make_room(1.3 * found.sigma).profiles.shape[2] <= MARGIN_PX
 
@@ -135,13 +141,13 @@ def test_widths_hold_where_particles_are_denser_in_the_middle(per_pixel: float) 
     """As before a camera whose view passes the edges of the volume."""
     across = np.random.default_rng(8).triangular(0.0, COLUMNS / 2, COLUMNS, 120_000)
     images = image(per_pixel, (0.7, 0.7), 8, across=across)[None]
-    found = measure_images(images, np.ones(images.shape, dtype=bool))
-    np.testing.assert_allclose(found.sigma[0], 0.7, rtol=0.05)
+    found = measured(images)
+    assert_allclose(found.sigma[0], 0.7, rtol=0.05)
 
 
 def test_unequal_particles_count_by_their_light() -> None:
     images = image(0.05, (0.7, 0.7), 4, spread=0.4)[None]
-    found = measure_images(images, np.ones(images.shape, dtype=bool))
+    found = measured(images)
     assert found.light[0] == pytest.approx(200.0 * np.exp(0.4**2), rel=0.08)
 
 
@@ -152,7 +158,7 @@ def test_unknown_pixels_do_not_count() -> None:
     known[0, 100:140, 200:260] = False
     images[0, 100:140, 200:260] = 4000.0
     found = measure_images(images, known)
-    np.testing.assert_allclose(found.sigma, whole.sigma, rtol=0.02)
+    assert_allclose(found.sigma, whole.sigma, rtol=0.02)
     assert found.light[0] == pytest.approx(whole.light[0], rel=0.02)
 
 
@@ -178,15 +184,14 @@ def test_images_of_noise_or_of_nothing_have_finite_statistics() -> None:
 @pytest.mark.parametrize("per_pixel", [0.001, 0.005])
 def test_a_glint_among_few_particles_is_not_their_light(per_pixel: float) -> None:
     shown = image(per_pixel, (0.7, 0.7), 8)
-    rows, columns = np.mgrid[: shown.shape[0], : shown.shape[1]]
-    shown += 4000.0 * np.exp(-((rows - 70) ** 2 + (columns - 90) ** 2) / (2.0 * 1.4**2))
-    found = measure_images(shown[None], np.ones((1, *shown.shape), dtype=bool))
+    shown += 4000.0 * glint(70, 90, 1.4)
+    found = measured(shown[None])
     assert 100.0 < found.light[0] < 700.0  # 50,000 in the glint
 
 
 def test_few_particles_before_a_background_taken_too_high_have_their_light() -> None:
     shown = image(0.001, (0.7, 0.7), 9) - 0.5  # the mean is below zero
-    found = measure_images(shown[None], np.ones((1, *shown.shape), dtype=bool))
+    found = measured(shown[None])
     assert found.shown[0]
     assert 100.0 < found.light[0] < 700.0
 
@@ -195,12 +200,10 @@ def test_few_particles_before_a_background_taken_too_high_have_their_light() -> 
 @pytest.mark.parametrize("peak", [500.0, 2000.0, 60000.0])
 def test_a_small_glint_does_not_change_the_width_of_few_particles(peak: float) -> None:
     shown = image(0.001, (0.6, 0.5), 9)
-    rows, columns = np.mgrid[: shown.shape[0], : shown.shape[1]]
-    glint = np.exp(-((rows - 70) ** 2 + (columns - 90) ** 2) / (2.0 * 1.1**2))
-    both = np.array([shown, shown + peak * glint])
-    plain, with_glint = measure_images(both, np.ones(both.shape, dtype=bool)).sigma
-    np.testing.assert_allclose(plain, (0.6, 0.5), rtol=0.06)
-    np.testing.assert_allclose(with_glint, plain, rtol=0.08)
+    both = np.array([shown, shown + peak * glint(70, 90, 1.1)])
+    plain, with_glint = measured(both).sigma
+    assert_allclose(plain, (0.6, 0.5), rtol=0.06)
+    assert_allclose(with_glint, plain, rtol=0.08)
 
 
 def test_widths_at_the_border_read_no_pixel_beyond_it() -> None:

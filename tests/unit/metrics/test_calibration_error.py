@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.calibration.cramer_rao import Limit
 from sabench.api import Calibration
+from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.metrics import calibration_error
@@ -21,6 +24,14 @@ from sabench.metrics.calibration_error import (
     wall_scores,
 )
 from tests.helpers.calibration_cases import calibration_scene, case_of
+
+
+def moved(cameras: tuple[Camera, ...], *shifts_px: tuple[float, float]) -> tuple[Camera, ...]:
+    return tuple(
+        replace(one, principal_point_px=tuple(np.add(one.principal_point_px, shift)))
+        for one, shift in zip(cameras, itertools.cycle(shifts_px), strict=False)
+    )
+
 
 NOISE = {"noise_px": 0.1, "missing": 0.1}
 
@@ -43,23 +54,16 @@ def test_the_true_calibration_has_no_error_but_that_of_detection() -> None:
 
 def test_a_principal_point_aside_is_the_mean_reprojection_error() -> None:
     case, cameras, points, exact = case_of(calibration_scene(detection=NOISE))
-    shifted = [
-        replace(one, principal_point_px=tuple(np.add(one.principal_point_px, (0.3, -0.4))))
-        for one in cameras
-    ]
-    estimate = Calibration(tuple(shifted), points)
-    scores = calibration_scores(estimate, case, cameras, points, exact, case.found)
+    estimate = Calibration(moved(cameras, (0.3, -0.4)), points)
+    scores: Any = calibration_scores(estimate, case, cameras, points, exact, case.found)
     assert scores["true_px"] == pytest.approx(0.5, rel=1e-6)
-    ratio, bound = scores["true_ratio"], scores["bound_px"]
-    assert ratio is not None
-    assert bound is not None
-    assert ratio * bound == pytest.approx(0.5, rel=1e-6)
+    assert scores["true_ratio"] * scores["bound_px"] == pytest.approx(0.5, rel=1e-6)
 
 
-def test_efficiency_is_relative_to_that_of_an_efficient_estimate(
+def test_efficiency_is_relative_to_the_bound(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    bounds = []
+    bounds: list[Limit | None] = []
 
     def spy(*arguments: Any) -> Limit | None:
         bounds.append(lower_bound(*arguments))
@@ -68,57 +72,46 @@ def test_efficiency_is_relative_to_that_of_an_efficient_estimate(
     monkeypatch.setattr(calibration_error, "lower_bound", spy)
     case, cameras, points, exact = case_of(calibration_scene(detection=NOISE))
     estimate = Calibration(cameras, points + np.array([0.02, 0.0, 0.0]))
-    scores = calibration_scores(estimate, case, cameras, points, exact, case.found)
+    scores: Any = calibration_scores(estimate, case, cameras, points, exact, case.found)
     (bound,) = bounds
-    true, measured, ratio = (scores[key] for key in ("true_px", "measured_px", "efficiency_ratio"))
     assert bound is not None
-    assert true is not None
-    assert measured is not None
-    assert ratio is not None
     assert 0.0 < bound.efficiency < 1.0
-    assert ratio * bound.efficiency == pytest.approx(true / measured)
+    ratio = scores["true_px"] / scores["measured_px"]
+    assert scores["efficiency_ratio"] * bound.efficiency == pytest.approx(ratio)
     for number, axis in enumerate("xyz"):
         std, over = scores[f"{axis}_std_mm"], scores[f"{axis}_std_ratio"]
-        assert std is not None
-        assert over is not None
         assert over * bound.point_std_mm[number] == pytest.approx(std)
 
 
-def test_each_alignment_takes_away_its_own_motion() -> None:
+def test_alignments_take_away_their_motion_and_leave_the_scatter_of_each_axis() -> None:
     rng = np.random.default_rng(4)
     truth, seen = rng.normal(0.0, 10.0, (3, 20, 3)), np.ones((3, 20), dtype=np.bool_)
     still, shift = RigidMotion(np.eye(3), np.zeros(3)), np.array([0.1, -0.2, 0.3])
-    scores = point_scores(truth + shift, truth, seen, still)
-    means = {
-        how: [scores[f"{how}{axis}_mean_mm"] for axis in "xyz"]
-        for how in ("raw_", "shift_", "", "rigid_")
+    scores: Any = point_scores(truth + shift, truth, seen, still)
+    # no prefix: lateral, in the plane of the wall
+    means: dict[str, Any] = {
+        "raw_": shift,
+        "": [0.0, 0.0, 0.3],
+        "shift_": [0.0, 0.0, 0.3],
+        "rigid_": [0.0] * 3,
     }
-    assert means["raw_"] == pytest.approx([0.1, -0.2, 0.3])
-    assert means[""] == pytest.approx([0.0, 0.0, 0.3])  # lateral: in the plane of the wall
-    assert means["shift_"] == pytest.approx([0.0, 0.0, 0.3], abs=1e-9)
-    assert means["rigid_"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
-
-
-def test_scatter_of_points_is_that_of_each_axis() -> None:
-    rng = np.random.default_rng(5)
-    truth, seen = rng.normal(0.0, 10.0, (3, 20, 3)), np.ones((3, 20), dtype=np.bool_)
-    still, errors = RigidMotion(np.eye(3), np.zeros(3)), rng.normal(0.0, 0.1, (3, 20, 3))
-    errors *= [1.0, 2.0, 3.0]
+    for how, expected in means.items():
+        found = [scores[f"{how}{axis}_mean_mm"] for axis in "xyz"]
+        assert_allclose(found, expected, atol=1e-9)
+    errors = rng.normal(0.0, 0.1, (3, 20, 3)) * [1.0, 2.0, 3.0]
     scores = point_scores(truth + errors, truth, seen, still)
-    expected = errors.reshape(-1, 3)
-    for number, axis in enumerate("xyz"):
-        assert scores[f"raw_{axis}_std_mm"] == pytest.approx(expected[:, number].std())
-        assert scores[f"shift_{axis}_mean_mm"] == pytest.approx(
-            expected[:, 2].mean() if axis == "z" else 0.0, abs=1e-9
-        )
+    std = [scores[f"raw_{axis}_std_mm"] for axis in "xyz"]
+    assert_allclose(std, errors.reshape(-1, 3).std(axis=0))
+    mean = [scores[f"shift_{axis}_mean_mm"] for axis in "xyz"]
+    assert_allclose(mean, [0.0, 0.0, errors[..., 2].mean()], atol=1e-9)
 
 
 def test_points_are_triangulated_from_the_observations_that_were_used() -> None:
     case, cameras, points, _ = case_of(calibration_scene(detection=None))
     found = target_points(Calibration(cameras), case)
-    np.testing.assert_allclose(found, points, atol=1e-6)
+    assert_allclose(found, points, atol=1e-6)
     given = Calibration(cameras, points + 1.0)
-    np.testing.assert_array_equal(target_points(given, case), points + 1.0)
+    assert_array_equal(target_points(given, case), points + 1.0)
     used = np.ones(case.found.shape, dtype=np.bool_)
     used[1:, 0, 3] = False  # one camera alone sees no depth
     case.pixels[1:, 0, 3] += 5.0  # rejected, but there is nothing else to triangulate
@@ -126,28 +119,22 @@ def test_points_are_triangulated_from_the_observations_that_were_used() -> None:
     used[1, 0, 4] = False
     kept = target_points(Calibration(cameras, None, used), case)
     assert np.abs(kept[0, 3] - points[0, 3]).max() > 1e-3
-    np.testing.assert_allclose(
-        np.delete(kept, 3, axis=1)[0], np.delete(points, 3, axis=1)[0], atol=1e-6
-    )
+    assert_allclose(np.delete(kept, 3, axis=1)[0], np.delete(points, 3, axis=1)[0], atol=1e-6)
 
 
 def test_observations_that_are_not_used_are_scored() -> None:
     case, cameras, points, exact = case_of(calibration_scene())
-    moved = [
-        replace(one, principal_point_px=tuple(np.add(one.principal_point_px, (float(n), 0.0))))
-        for n, one in enumerate(cameras)
-    ]
-    few = np.zeros(case.found.shape, dtype=np.bool_)
+    off = moved(cameras, *((float(n), 0.0) for n in range(len(cameras))))
+    none = np.zeros(case.found.shape, dtype=np.bool_)
+    few = none.copy()
     few[:2, 0, 0] = True
-    every, none, one = (
-        calibration_scores(
-            Calibration(tuple(moved), None, used), case, cameras, points, exact, case.found
-        )["true_px"]
-        for used in (None, np.zeros_like(few), few)
+    every, without, one = (
+        calibration_scores(Calibration(off, None, used), case, cameras, points, exact, case.found)
+        for used in (None, none, few)
     )
-    assert every is not None
-    assert every == none
-    assert one == pytest.approx(every, rel=0.01)
+    assert every["true_px"] is not None
+    assert every["true_px"] == without["true_px"]
+    assert one["true_px"] == pytest.approx(every["true_px"], rel=0.01)
 
 
 def wall(*layers: Layer, fluid_index: float = 1.333) -> Wall:

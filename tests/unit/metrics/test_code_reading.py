@@ -17,10 +17,8 @@ def test_a_clear_picture_is_read_whole() -> None:
 
 
 def test_noise_is_read_as_the_normal_law_says() -> None:
-    """Two normal clouds are separated with the probability Phi(d' / 2).
-
-    Their means are d' apart.
-    """
+    """Two normal clouds are separated with the probability Phi(d' / 2). Their means are d'
+    apart."""
     from scipy.stats import norm
 
     rng = np.random.default_rng(2)
@@ -41,7 +39,6 @@ def test_a_negative_is_read_wrong_and_what_is_not_shown_is_not_read() -> None:
 
 
 def test_otsu_parts_two_groups() -> None:
-    """Against every threshold there is."""
     values = np.random.default_rng(3).normal(size=50) + np.repeat([0.0, 3.0], [20, 30])
 
     def between(level: float) -> float:

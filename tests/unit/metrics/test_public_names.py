@@ -1,7 +1,4 @@
-"""Public names of the metrics.
-
-Each can be imported, and listing them imports no heavy library.
-"""
+"""Public names of the metrics. Each can be imported, and listing them imports no heavy library."""
 
 from __future__ import annotations
 

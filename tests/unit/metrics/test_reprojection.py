@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.metrics.reprojection import (
     cut_patches,
@@ -45,7 +46,7 @@ def test_shifts_are_found(shift: tuple[float, float]) -> None:
     pixels, light = particles(12)
     image = image_of(pixels + np.array(shift), light)
     fit = fit_light(image, cut_patches(SHAPE, pixels, SIGMA, KNOWN), len(pixels))
-    np.testing.assert_allclose(np.nanmedian(fit.shift_px, axis=0), shift, atol=0.02)
+    assert_allclose(np.nanmedian(fit.shift_px, axis=0), shift, atol=0.02)
 
 
 def test_missing_particles_leave_light() -> None:

@@ -1,7 +1,5 @@
-"""Charts.
-
-Every curve and histogram is drawn at its position, and equal charts are equal pictures.
-"""
+"""Charts. Every curve and histogram is drawn at its position, and equal charts are equal
+pictures."""
 
 from __future__ import annotations
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import sabench
 from sabench.dataset.cameras import read_cameras
-from sabench.geometry.camera import Camera
 from sabench.geometry.lens import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.nominal_cameras import nominal_cameras
@@ -48,7 +48,7 @@ def test_one_camera_has_the_lens_and_the_sensor_of_its_own_table() -> None:
     assert camera.rotation == plain[2].rotation
     # the lens is aimed at the centre of the volume, and focused on it
     center = [scene_with().volume.center_mm]
-    np.testing.assert_allclose(camera.project(center)[0][0], (150.25, 128.5), rtol=0, atol=1e-9)
+    assert_allclose(camera.project(center)[0][0], (150.25, 128.5), rtol=0, atol=1e-9)
     assert camera.focus_mm == pytest.approx(plain[2].focus_mm, rel=1e-3)
     sharp = build_rig(scene_with(OWN | {"focus_mm": 400.0})).cameras[2]
     assert sharp.focus_mm == pytest.approx(400.0)
@@ -57,27 +57,18 @@ def test_one_camera_has_the_lens_and_the_sensor_of_its_own_table() -> None:
 @pytest.mark.parametrize(
     ("each", "expected"),
     [
-        (
-            [OWN | {"camera": "camera_04"}],
-            "cameras.each.0.camera: expected camera_00 to camera_03, got 'camera_04'",
-        ),
-        (
-            [OWN, {"camera": "camera_02"}],
-            "cameras.each.1.camera: expected every camera once, got 'camera_02' again",
-        ),
-        ([OWN | {"tilt_deg": [90.0, 0.0]}], "cameras.each.0.tilt_deg.0: .*less than 90"),
-        ([OWN | {"tilt_deg": [5.0]}], "cameras.each.0.tilt_deg"),
-        ([OWN | {"pixel_mm": 0.0}], "cameras.each.0.pixel_mm: .*greater than 0"),
-        ([OWN | {"rows": 100}], "cameras.each.0.rows"),
-        ([{"f_number": 8.0}], "cameras.each.0.camera"),
-        (
-            [OWN | {"focus_mm": 55.0}],
-            "cameras.focus_mm: camera_02: expected more than the focal length 60 mm, got 55",
-        ),
+        ([OWN | {"camera": "camera_04"}], "each.0.camera: expected camera_00 to camera_03"),
+        ([OWN, {"camera": "camera_02"}], "each.1.camera: expected every camera once"),
+        ([OWN | {"tilt_deg": [90.0, 0.0]}], "each.0.tilt_deg.0: .*less than 90"),
+        ([OWN | {"tilt_deg": [5.0]}], "each.0.tilt_deg"),
+        ([OWN | {"pixel_mm": 0.0}], "each.0.pixel_mm: .*greater than 0"),
+        ([OWN | {"rows": 100}], "each.0.rows"),
+        ([{"f_number": 8.0}], "each.0.camera"),
+        ([OWN | {"focus_mm": 55.0}], "focus_mm: camera_02: expected more than the focal length"),
     ],
 )
 def test_what_cannot_be_is_refused(each: list[dict[str, Any]], expected: str) -> None:
-    with pytest.raises(InputError, match=f"^test: {expected}") as caught:
+    with pytest.raises(InputError, match=f"^test: cameras.{expected}") as caught:
         build_rig(scene_with(*each), "test")
     assert "\n" not in str(caught.value)
 
@@ -102,8 +93,8 @@ def test_nominal_tilts_are_off_by_the_scene_s_error() -> None:
     many = [nominal_cameras(scene, true, seed)[2] for seed in range(300)]
     errors = np.array([camera.tilt_deg for camera in many]) - true[2].tilt_deg
     assert scene.unknown == ("tilt", "principal_point", "k1")
-    np.testing.assert_allclose(errors.std(axis=0), 0.5, rtol=0.15)
-    np.testing.assert_allclose(errors.mean(axis=0), 0.0, atol=0.12)
+    assert_allclose(errors.std(axis=0), 0.5, rtol=0.15)
+    assert_allclose(errors.mean(axis=0), 0.0, atol=0.12)
     assert all(camera.distortion == Distortion(p2=0.01) for camera in many)
     without = scene_with(OWN, calibration={})
     assert nominal_cameras(without, true, 1) == true
@@ -111,9 +102,7 @@ def test_nominal_tilts_are_off_by_the_scene_s_error() -> None:
 
 def test_a_tilt_moves_projections_little_and_focus_much() -> None:
     """The use of a tilt: other points are sharp, at nearly the same pixels."""
-    camera: Camera = build_rig(scene_with({"camera": "camera_00", "tilt_deg": [0.0, 5.0]})).cameras[
-        0
-    ]
+    camera = build_rig(scene_with({"camera": "camera_00", "tilt_deg": [0.0, 5.0]})).cameras[0]
     points = np.random.default_rng(1).uniform([-4.5, -3.0, 28.0], [4.5, 3.0, 32.0], (50, 3))
     flat = replace(camera, tilt_deg=(0.0, 0.0))
     moved = np.abs(camera.project(points)[0] - flat.project(points)[0])
@@ -121,7 +110,7 @@ def test_a_tilt_moves_projections_little_and_focus_much() -> None:
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.3, -0.5, 1.0), (-1.0, 0.4, 2.0)])
-def test_a_plane_in_focus_in_air_has_the_tilt_of_the_hinge_rule(
+def test_a_plane_in_focus_has_the_tilt_of_the_hinge_rule(
     normal: tuple[float, float, float],
 ) -> None:
     """The formula of docs/physics/imaging.md, in the lens's frame."""
@@ -139,4 +128,4 @@ def test_a_plane_in_focus_in_air_has_the_tilt_of_the_hinge_rule(
         about_x = np.arctan(y / z * enlarged)
         about_y = np.arctan(-np.cos(about_x) * x / z * enlarged)
         exact = np.rad2deg([about_x, about_y])
-        np.testing.assert_allclose(camera.tilt_deg, exact, rtol=0, atol=2e-3)
+        assert_allclose(camera.tilt_deg, exact, rtol=0, atol=2e-3)

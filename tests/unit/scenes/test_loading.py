@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import pickle
 import re
-from collections.abc import Callable
+import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.scenes import (
     BubbleWorld,
@@ -20,75 +22,50 @@ from sabench.scenes import (
     parse_scene,
     scene_schema,
 )
+from sabench.scenes.loading import find
 from sabench.scenes.sensor import Sensor
 from sabench.simulation.in_memory import make_particles
 from sabench.utils.errors import InputError
 
-Edit = Callable[[str], str]
+
+def change(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new)
 
 
-def change(old: str, new: str) -> Edit:
-    def edit(text: str) -> str:
-        assert old in text
-        return text.replace(old, new)
-
-    return edit
-
-
-FAULTS: list[tuple[Edit, str]] = [
-    (
-        change("focal_length_mm", "focal_lenght_mm"),
-        "cameras.focal_lenght_mm: unknown key; did you mean focal_length_mm?",
-    ),
-    (
-        change("thickness_mm = 5.0 }", "thickness_cm = 0.5 }"),
-        "wall.layers.0.thickness_cm: unknown key; did you mean thickness_mm?",
-    ),
-    (change("[sensor]", "[sensr]"), "sensr: unknown key; did you mean sensor?"),
-    (
-        change("spacing_mm = [240.0", "spacing_m = [0.24"),
-        "cameras.layout.spacing_m: unknown key; did you mean spacing_mm?",
-    ),
-    (change("count = 300", "per_mm = 3.0"), "particles.per_mm: unknown key; did you mean per_mm3?"),
-    (
-        change("count = 300", "count = 300\nper_mm3 = 1.0"),
-        "expected exactly one of count, per_mm3, per_pixel",
-    ),
-    (change('"uniform"', '"unifrom"'), "did you mean uniform?"),
-    (change('kind = "grid"', 'kind = "gird"'), "cameras.layout"),
-    (change("rows = 240", "rows = 2.5"), "cameras.rows"),
-    (change("rows = 240", "rows = -240"), "cameras.rows"),
-    (change("index = 1.52", "index = 0.5"), "wall.layers.0.index"),
-    (change("pixel_mm = 0.01", "pixel_mm = nan"), "cameras.pixel_mm"),
-    (change("bit_depth = 12", "bit_depth = 17"), "sensor.bit_depth"),
-    (
-        change("normal = [0.0, 0.0, 1.0]\nair", "normal = [0.0, 0.0, 0.0]\nair"),
-        "wall.normal: expected a vector of non-zero length",
-    ),
-    (
-        change("center_mm = [0.0, 0.0, -490.0]", "x_axis = [0.0, 0.0, 0.0]"),
-        "cameras.x_axis: expected a vector of non-zero length",
-    ),
-    (change("direction = [1.0, 0.0, 0.0]", "direction = [0.0, 0.0, 1.0]"), "right angles"),
-    (change("-490.0]", "10.0]"), "camera_00"),
-    (change("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 104.0]"), "back wall"),
-    (change("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 5.0]"), "inner face"),
-    (
-        change("focal_length_mm = 85.0", "focal_length_mm = 85.0\naim_mm = [400.0, 0.0, 30.0]"),
-        "no camera of 4 sees any of it",
-    ),
-    (change("f_number = 16.0", "f_number = 16.0\nfocus_mm = 50.0"), "focus_mm"),
-    (change("crop_mm = [0.5", "crop_mm = [7.0"), "crop_mm"),
-    (change("title =", "title"), "expected a TOML file"),
+FAULTS = [
+    ("focal_length_mm", "focal_lenght_mm", "cameras.focal_lenght_mm: unknown key; did you mean"),
+    ("thickness_mm = 5.0 }", "thickness_cm = 0.5 }", "wall.layers.0.thickness_cm: unknown key"),
+    ("[sensor]", "[sensr]", "sensr: unknown key; did you mean sensor?"),
+    ("spacing_mm = [240.0", "spacing_m = [0.24", "cameras.layout.spacing_m: unknown key"),
+    ("count = 300", "per_mm = 3.0", "particles.per_mm: unknown key; did you mean per_mm3?"),
+    ("count = 300", "count = 300\nper_mm3 = 1.0", "expected exactly one of count, per_mm3"),
+    ('"uniform"', '"unifrom"', "did you mean uniform?"),
+    ('kind = "grid"', 'kind = "gird"', "cameras.layout"),
+    ("rows = 240", "rows = 2.5", "cameras.rows"),
+    ("rows = 240", "rows = -240", "cameras.rows"),
+    ("index = 1.52", "index = 0.5", "wall.layers.0.index"),
+    ("pixel_mm = 0.01", "pixel_mm = nan", "cameras.pixel_mm"),
+    ("bit_depth = 12", "bit_depth = 17", "sensor.bit_depth"),
+    ("normal = [0.0, 0.0, 1.0]\nair", "normal = [0.0, 0.0, 0.0]\nair", "wall.normal: expected a"),
+    ("center_mm = [0.0, 0.0, -490.0]", "x_axis = [0.0, 0.0, 0.0]", "cameras.x_axis: expected a"),
+    ("direction = [1.0, 0.0, 0.0]", "direction = [0.0, 0.0, 1.0]", "right angles"),
+    ("-490.0]", "10.0]", "camera_00"),
+    ("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 104.0]", "back wall"),
+    ("center_mm = [0.0, 0.0, 30.0]", "center_mm = [0.0, 0.0, 5.0]", "inner face"),
+    ("= 85.0", "= 85.0\naim_mm = [400.0, 0.0, 30.0]", "no camera of 4 sees any of it"),
+    ("f_number = 16.0", "f_number = 16.0\nfocus_mm = 50.0", "focus_mm"),
+    ("crop_mm = [0.5", "crop_mm = [7.0", "crop_mm"),
+    ("title =", "title", "expected a TOML file"),
 ]
 
 
-@pytest.mark.parametrize(("edit", "sentence"), FAULTS)
+@pytest.mark.parametrize(("old", "new", "sentence"), FAULTS)
 def test_fault_names_key_and_expectation(
-    tmp_path: Path, quick_toml: str, edit: Edit, sentence: str
+    tmp_path: Path, quick_toml: str, old: str, new: str, sentence: str
 ) -> None:
     file = tmp_path / "bad.toml"
-    file.write_text(edit(quick_toml))
+    file.write_text(change(quick_toml, old, new))
     with pytest.raises(InputError) as caught:
         load_scene(file)
     assert sentence in str(caught.value)
@@ -96,30 +73,17 @@ def test_fault_names_key_and_expectation(
 
 
 def test_all_faults_are_named_together(tmp_path: Path, quick_toml: str) -> None:
-    """A file with four kinds of faults gives a line each.
-
-    Keys, numbers, a generator's parameters and missing tables.
-    """
     file = tmp_path / "bad.toml"
-    laser = re.compile(r"\[illumination\].*?(?=\n\[)", re.DOTALL)
-    text = laser.sub("", quick_toml)
-    for old, new in (
-        ("focal_length_mm", "focal_lenght_mm"),
-        ("read_noise_e = ", "read_noise_e = -"),
-        ("count = 300", "per_mm = 3.0"),
-    ):
-        text = change(old, new)(text)
-    file.write_text(text)
+    text = re.sub(r"(?s)\[illumination\].*?(?=\n\[)", "", quick_toml)
+    text = change(text, "focal_length_mm", "focal_lenght_mm")
+    text = change(text, "read_noise_e = ", "read_noise_e = -")
+    file.write_text(change(text, "count = 300", "per_mm = 3.0"))
     with pytest.raises(InputError) as caught:
         load_scene(file)
     head, *lines = str(caught.value).split("\n")
     assert head == f"{file}: 4 faults:"
-    assert sorted(lines) == [
-        "  cameras.focal_lenght_mm: unknown key; did you mean focal_length_mm?",
-        "  illumination: this key is missing; particles need a laser",
-        "  particles.per_mm: unknown key; did you mean per_mm3?",
-        "  sensor.read_noise_e: expected a number greater than or equal to 0, got -6.0",
-    ]
+    keys = ["cameras.focal_lenght_mm", "illumination", "particles.per_mm", "sensor.read_noise_e"]
+    assert sorted(line.strip().split(":")[0] for line in lines) == keys
     again = pickle.loads(pickle.dumps(caught.value))
     assert (str(again), again.faults) == (str(caught.value), caught.value.faults)
 
@@ -164,10 +128,6 @@ WORLDS = {
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_scene_has_one_world(name: str) -> None:
-    """A world's required tables are present.
-
-    Particles need their laser, and only they do.
-    """
     scene = load_scene(name)
     assert isinstance(scene.world, WORLDS[name])
     assert (scene.world.tracers is None) == (scene.particles is None)
@@ -194,17 +154,11 @@ def test_resolved_scene_is_the_same_scene(tmp_path: Path) -> None:
 
 def test_what_a_scene_does_not_have_is_not_in_its_hash() -> None:
     """Data sets of earlier versions hold the hash of scenes without these tables."""
-    values = load_scene("quick").to_dict()
+    values, disc = load_scene("quick").to_dict(), {"center_mm": [0.0, 0.0, -9.0], "radius_mm": 5.0}
     assert not {"occluders", "calibration"} & set(values)
-    with_both = values | {
-        "occluders": [{"center_mm": [0.0, 0.0, -100.0], "radius_mm": 5.0}],
-        "calibration": {},
-    }
-    resolved = parse_scene(with_both, "s").to_dict()
-    assert resolved["occluders"] == [
-        {"center_mm": [0.0, 0.0, -100.0], "normal": [0.0, 0.0, 1.0], "radius_mm": 5.0}
-    ]
-    assert resolved["calibration"]["shift_px"] == 0.0
+    both = parse_scene(values | {"occluders": [disc], "calibration": {}}, "s").to_dict()
+    assert both["occluders"] == [disc | {"normal": [0.0, 0.0, 1.0]}]
+    assert both["calibration"]["shift_px"] == 0.0
 
 
 def test_hash_depends_on_every_value() -> None:
@@ -237,8 +191,8 @@ def test_particles_of_a_frame_do_not_depend_on_other_frames_or_cameras() -> None
     other = parse_scene(values | {"frames": 9}, "other")
     for frame in (2, 0, 1):
         a, b = make_particles(one, 5, frame), make_particles(other, 5, frame)
-        np.testing.assert_array_equal(a.position_mm, b.position_mm)
-        np.testing.assert_array_equal(a.id, b.id)
+        assert_array_equal(a.position_mm, b.position_mm)
+        assert_array_equal(a.id, b.id)
     assert not np.array_equal(
         make_particles(one, 5, 0).position_mm, make_particles(one, 6, 0).position_mm
     )
@@ -252,20 +206,25 @@ def test_particles_move_with_their_velocity_and_stay_in_the_volume() -> None:
     stayed, at_first, at_last = np.intersect1d(first.id, last.id, return_indices=True)
     assert 100 < len(stayed) < 300
     moved = last.position_mm[at_last] - first.position_mm[at_first]
-    np.testing.assert_allclose(moved, np.tile([2.7, -0.3, 0.75], (len(stayed), 1)), atol=1e-9)
+    assert_allclose(moved, np.tile([2.7, -0.3, 0.75], (len(stayed), 1)), atol=1e-9)
     low = np.asarray(scene.volume.center_mm) - np.asarray(scene.volume.size_mm) / 2
     assert (last.position_mm >= low).all()
     assert (last.position_mm <= low + scene.volume.size_mm).all()
 
 
-def test_density_per_volume_and_per_pixel() -> None:
+@pytest.mark.parametrize(
+    ("density", "count"), [({"per_mm3": 0.5}, 0.5 * 14 * 10 * 4), ({"per_pixel": 0.01}, 768)]
+)
+def test_density_per_volume_and_per_pixel(density: dict[str, float], count: float) -> None:
     values = load_scene("quick").to_dict()
-    del values["particles"]["count"]
-    values["particles"]["per_mm3"] = 0.5
-    assert len(make_particles(parse_scene(values, "a"), 1, 0)) == round(0.5 * 14 * 10 * 4)
-    del values["particles"]["per_mm3"]
-    values["particles"]["per_pixel"] = 0.01
-    assert len(make_particles(parse_scene(values, "a"), 1, 0)) == round(0.01 * 240 * 320)
+    values["particles"] = {"generator": "uniform", **density}
+    assert len(make_particles(parse_scene(values, "a"), 1, 0)) == round(count)
+
+
+PLACES = [
+    {"center_mm": [9.0, 8.0, -400.0]},
+    {"center_mm": [0.0, 0.0, -500.0], "aim_mm": [1, 0, 30]},
+]
 
 
 @pytest.mark.parametrize(
@@ -275,31 +234,57 @@ def test_density_per_volume_and_per_pixel() -> None:
         ({"kind": "line", "count": 3, "spacing_mm": 120.0, "angle_deg": 90.0}, 3),
         ({"kind": "cross", "arm": 2, "spacing_mm": 80.0}, 9),
         ({"kind": "grid", "x_mm": [-300.0, -100.0, 50.0], "y_mm": [0.0, 90.0]}, 6),
-        (
-            {
-                "kind": "list",
-                "places": [
-                    {"center_mm": [9.0, 8.0, -400.0]},
-                    {"center_mm": [0.0, 0.0, -500.0], "aim_mm": [1.0, 0.0, 30.0]},
-                ],
-            },
-            2,
-        ),
+        ({"kind": "list", "places": PLACES}, 2),
     ],
 )
 def test_every_layout_aims_its_cameras_at_the_volume(layout: dict[str, object], count: int) -> None:
     values = load_scene("quick").to_dict()
     values["cameras"]["layout"] = layout
     scene = parse_scene(values, "layout")
-    rig = build_rig(scene)
-    assert len(rig.cameras) == count
-    for camera in rig.cameras[:1]:
-        pixel, valid = camera.project([scene.volume.center_mm])
-        assert valid.all()
-        np.testing.assert_allclose(pixel[0], camera.principal_point_px, atol=1e-9)
+    first, *others = build_rig(scene).cameras
+    assert len(others) == count - 1
+    pixel, valid = first.project([scene.volume.center_mm])
+    assert valid.all()
+    assert_allclose(pixel[0], first.principal_point_px, atol=1e-9)
 
 
 def test_a_gain_beyond_all_numbers_saturates_the_converter() -> None:
     sensor = Sensor(full_well_e=1e300, gain_dn_e=1e300, bit_depth=12)
     assert sensor.white_dn == 4095
     assert Sensor(full_well_e=1000.0, gain_dn_e=0.2, black_level_dn=7.4).white_dn == 207
+
+
+MIRROR = {"wall.depth_mm": 200.0, "wall.mirrors": True}
+
+
+def changed(name: str, changes: dict[str, Any]) -> dict[str, Any]:
+    values = tomllib.loads(find(name, "scenes").read_text(encoding="utf-8"))
+    for dotted, value in changes.items():
+        table, key = dotted.split(".")
+        values.setdefault(table, {})[key] = value
+    return values
+
+
+AIRY, POLARISED = {"cameras.airy_rings": True}, {"illumination.polarisation": [0.0, 1.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("standard-bubbles", MIRROR),
+        ("calibration", AIRY),
+        ("quick", AIRY | {"cameras.particle_sigma_px": 0.7}),
+        ("quick", POLARISED | {"illumination.scattering": "isotropic"}),
+    ],
+)
+def test_a_key_that_would_change_nothing_is_refused(name: str, changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"(mirrors|airy_rings|polarisation): expected"):
+        parse_scene(changed(name, changes), name, Path("scenes"))
+
+
+@pytest.mark.parametrize("changes", [AIRY | MIRROR, POLARISED])
+def test_the_same_keys_serve_particles(changes: dict[str, Any]) -> None:
+    made = parse_scene(changed("quick", changes), "quick", Path("scenes")).to_dict()
+    for dotted, value in changes.items():
+        table, key = dotted.split(".")
+        assert made[table][key] == value

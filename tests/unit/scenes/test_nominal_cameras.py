@@ -1,7 +1,5 @@
-"""Nominal cameras of solvers, which are off by a given length.
-
-Images and truth come from the true cameras.
-"""
+"""Nominal cameras of solvers, which are off by a given length. Images and truth come from the true
+cameras."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import sabench
 from sabench.dataset.reader import Dataset, open_dataset
@@ -30,11 +29,8 @@ LENS = {"distortion": {"k1": -60.0, "k2": 2000.0, "p1": 0.3, "p2": -0.2, "k3": 0
 
 
 def shifted_scene(shift_px: float, **changes: Any) -> Scene:
-    return parse_scene(
-        make_scene(particles={"count": 30}, **changes).to_dict()
-        | {"calibration": {"shift_px": shift_px}},
-        "test",
-    )
+    values = make_scene(particles={"count": 30}, **changes).to_dict()
+    return parse_scene(values | {"calibration": {"shift_px": shift_px}}, "test")
 
 
 def moves(nominal: tuple[Camera, ...], true: tuple[Camera, ...]) -> F64:
@@ -50,30 +46,27 @@ def test_every_projection_is_off_by_the_given_length(shift: float) -> None:
     scene = shifted_scene(shift, cameras=LENS)
     true = build_rig(scene).cameras
     found = moves(nominal_cameras(scene, true, 7), true)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=2), shift, rtol=1e-10)
-    np.testing.assert_allclose(found, np.broadcast_to(found[:, :1], found.shape), atol=1e-10)
+    assert_allclose(np.linalg.norm(found, axis=2), shift, rtol=1e-10)
+    assert_allclose(found, np.broadcast_to(found[:, :1], found.shape), atol=1e-10)
 
 
 def test_directions_are_random_and_belong_to_the_seed_and_the_camera() -> None:
-    scene = shifted_scene(
-        1.0,
-        cameras={"layout": {"kind": "grid", "columns": 10, "rows": 10, "spacing_mm": [30.0, 30.0]}},
-    )
+    layout = {"kind": "grid", "columns": 10, "rows": 10, "spacing_mm": [30.0, 30.0]}
+    scene = shifted_scene(1.0, cameras={"layout": layout})
     true = build_rig(scene).cameras
-    first, again, other = (
-        np.array([camera.principal_point_px for camera in nominal_cameras(scene, true, seed)])
-        for seed in (1, 1, 2)
-    )
-    np.testing.assert_array_equal(first, again)
+
+    def points(count: int, seed: int) -> F64:
+        nominal = nominal_cameras(scene, true[:count], seed)
+        return np.array([camera.principal_point_px for camera in nominal])
+
+    first, other = points(100, 1), points(100, 2)
+    assert_array_equal(first, points(100, 1))
+    assert_array_equal(first[:3], points(3, 1))
     assert np.abs(first - other).min() > 0.0
     for drawn in (first, other):
         ways = drawn - true[0].principal_point_px
         assert len(np.unique(ways, axis=0)) == 100
         assert np.linalg.norm(ways.mean(axis=0)) < 0.3  # 100 random unit vectors: 0.1 on average
-    few = nominal_cameras(scene, true[:3], 1)
-    assert [camera.principal_point_px for camera in few] == [
-        tuple(place) for place in first[:3].tolist()
-    ]
 
 
 def test_a_solver_gets_the_wrong_cameras_and_nothing_else_changes() -> None:
@@ -81,11 +74,11 @@ def test_a_solver_gets_the_wrong_cameras_and_nothing_else_changes() -> None:
     exact, off = (shot.observation for shot in shots)
     true = build_rig(shifted_scene(2.0)).cameras
     assert exact.cameras == true
-    np.testing.assert_allclose(np.linalg.norm(moves(pinholes(off.cameras), true), axis=2), 2.0)
-    np.testing.assert_array_equal(exact.images, off.images)
+    assert_allclose(np.linalg.norm(moves(pinholes(off.cameras), true), axis=2), 2.0)
+    assert_array_equal(exact.images, off.images)
     for mine, theirs in zip(shots[0].views, shots[1].views, strict=True):
-        np.testing.assert_array_equal(mine.pixel, theirs.pixel)
-        np.testing.assert_array_equal(mine.photons, theirs.photons)
+        assert_array_equal(mine.pixel, theirs.pixel)
+        assert_array_equal(mine.photons, theirs.photons)
 
 
 @pytest.fixture
@@ -95,39 +88,21 @@ def wrong(tmp_path: Path) -> Dataset:
     )
 
 
-def test_a_data_set_keeps_both_the_nominal_and_the_true_cameras(
-    wrong: Dataset, tmp_path: Path
-) -> None:
-    exact = sabench.generate(
-        make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s"
-    )
+def test_a_data_set_keeps_nominal_and_true_cameras(wrong: Dataset, tmp_path: Path) -> None:
+    scene = make_scene(particles={"count": 30})
+    exact = sabench.generate(scene, tmp_path / "exact", seed=9, backend="splat", name="s")
     rig = build_rig(shifted_scene(1.5))
+    nominal = nominal_cameras(shifted_scene(1.5), rig.cameras, 9)
     assert wrong.true_cameras == rig.cameras == exact.true_cameras == exact.setup.cameras
-    assert (
-        wrong.observation(0).cameras
-        == wrong.setup.cameras
-        == nominal_cameras(shifted_scene(1.5), rig.cameras, 9)
-    )
-    assert simulate(shifted_scene(1.5), seed=9).observation.cameras == wrong.setup.cameras
-    np.testing.assert_allclose(
-        np.linalg.norm(moves(wrong.setup.pinholes, wrong.true_cameras), axis=2), 1.5
-    )
+    assert wrong.observation(0).cameras == wrong.setup.cameras == nominal
+    assert simulate(shifted_scene(1.5), seed=9).observation.cameras == nominal
+    assert_allclose(np.linalg.norm(moves(wrong.setup.pinholes, wrong.true_cameras), axis=2), 1.5)
     for view, camera in zip(wrong.views(0), wrong.true_cameras, strict=True):
-        np.testing.assert_allclose(
-            view.pixel, camera.project(wrong.particles(0).position_mm)[0], atol=1e-9
-        )
+        assert_allclose(view.pixel, camera.project(wrong.particles(0).position_mm)[0], atol=1e-9)
     assert verify(wrong.root) == []
-
-
-def test_without_the_table_nothing_in_a_data_set_changes(wrong: Dataset, tmp_path: Path) -> None:
-    exact = sabench.generate(
-        make_scene(particles={"count": 30}), tmp_path / "exact", seed=9, backend="splat", name="s"
-    )
-    assert set(wrong.manifest.files) - set(exact.manifest.files) == {"true_cameras.json"}
-    changed = {
-        name for name, entry in exact.manifest.files.items() if entry != wrong.manifest.files[name]
-    }
-    assert changed == {"cameras.json", "scene.toml"}
+    ours, plain = wrong.manifest.files, exact.manifest.files
+    assert set(ours) - set(plain) == {"true_cameras.json"}
+    assert {name for name in plain if plain[name] != ours[name]} == {"cameras.json", "scene.toml"}
 
 
 def rewrite(data: Dataset, name: str, change: dict[str, Any]) -> Dataset:
@@ -145,12 +120,9 @@ def test_true_cameras_must_match_the_nominal_ones(wrong: Dataset) -> None:
     cameras = json.loads((wrong.root / "true_cameras.json").read_text())["cameras"]
     cameras[1]["name"] = "camera_77"
     broken = rewrite(wrong, "true_cameras.json", {"cameras": cameras})
-    faults = verify(broken.root)
-    assert len(faults) == 1
-    assert (
-        "true_cameras.json: cameras: expected names and image sizes as in cameras.json" in faults[0]
-    )
-    assert "camera_77" in faults[0]
+    (fault,) = verify(broken.root)
+    assert "true_cameras.json: cameras: expected names and image sizes" in fault
+    assert "camera_77" in fault
     (broken.root / "true_cameras.json").unlink()
     with pytest.raises(InputError, match=r"true_cameras.json: expected a JSON file"):
         _ = open_dataset(broken.root).true_cameras
@@ -158,7 +130,5 @@ def test_true_cameras_must_match_the_nominal_ones(wrong: Dataset) -> None:
 
 @pytest.mark.parametrize("shift", [-0.1, float("nan"), "much"])
 def test_a_shift_is_a_length(shift: Any) -> None:
-    with pytest.raises(
-        InputError, match=r"^test: calibration.shift_px: expected a .*number.*, got"
-    ):
+    with pytest.raises(InputError, match=r"^test: calibration.shift_px: expected a"):
         shifted_scene(shift)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.refraction import Wall
@@ -16,6 +17,9 @@ from sabench.scenes import Scene, build_rig, find, load_scene, parse_scene, scen
 from sabench.utils.errors import InputError
 
 Change = Callable[[dict[str, Any]], None]
+CYLINDER, FACES = "cylinder-tank", "two-faces"
+THICK = [{"index": 1.5, "thickness_mm": 50.0}]
+WIDE = {"focal_length_mm": 12.0, "rows": 800, "columns": 1000}
 
 
 def values_of(name: str) -> dict[str, Any]:
@@ -46,16 +50,11 @@ def hide(z_mm: float) -> Change:
     return change
 
 
-def other_fluid(values: dict[str, Any]) -> None:
-    values["wall"][1]["fluid_index"] = 1.4
+def change_face(**keys: Any) -> Change:
+    def change(values: dict[str, Any]) -> None:
+        values["wall"][1] |= keys
 
-
-def add_mirrors(values: dict[str, Any]) -> None:
-    values["wall"][1]["mirrors"] = True
-
-
-def round_face(values: dict[str, Any]) -> None:
-    values["wall"][1] = {"shape": "cylinder", "fluid_index": 1.333}
+    return change
 
 
 def add_backlight(values: dict[str, Any]) -> None:
@@ -65,74 +64,20 @@ def add_backlight(values: dict[str, Any]) -> None:
 
 
 FAULTS: list[tuple[str, Change, str]] = [
-    (
-        "cylinder-tank",
-        put("volume", center_mm=[30.0, 0.0, 0.0]),
-        "volume: expected it inside the cylinder's inner face, of radius 35 mm, but it reaches "
-        "37.05 mm from the axis",
-    ),
-    (
-        "cylinder-tank",
-        place([0.0, 0.0, -37.0]),
-        "cameras: camera_00 at [0.0, 0.0, -37.0] mm: expected it in front of the wall, but it is "
-        "in the wall or the tank",
-    ),
-    (
-        "cylinder-tank",
-        put("wall", layers=[{"index": 1.5, "thickness_mm": 50.0}]),
-        "wall.layers: expected layers thinner than outer_radius_mm = 40 together, got 50 mm",
-    ),
-    ("cylinder-tank", put("wall", shape="round"), "wall.shape: expected 'cylinder', got 'round'"),
-    (
-        "cylinder-tank",
-        put("wall", outer_radius=40.0),
-        "wall.outer_radius: unknown key; did you mean outer_radius_mm?",
-    ),
-    (
-        "cylinder-tank",
-        add_backlight,
-        "wall: expected one plane wall for bubbles and bodies, got a cylinder",
-    ),
-    (
-        "cylinder-tank",
-        hide(-39.0),
-        "occluders.0: expected it wholly in front of the wall, but it reaches 1 mm behind the "
-        "wall's outer face",
-    ),
-    (
-        "two-faces",
-        place([-60.0, 0.0, -500.0], focal_length_mm=12.0, rows=800, columns=1000),
-        "cameras: camera_00 at [-60.0, 0.0, -500.0] mm: expected it to see the volume through one "
-        "wall, but it faces two, wall.0 and wall.1",
-    ),
-    (
-        "two-faces",
-        place([0.0, 0.0, 20.0]),
-        "cameras: camera_00 at [0.0, 0.0, 20.0] mm: expected it in front of the wall, but it is in "
-        "the wall or the tank",
-    ),
-    (
-        "two-faces",
-        other_fluid,
-        "wall.1.fluid_index: expected 1.333 as behind the first wall, got 1.4",
-    ),
-    (
-        "two-faces",
-        add_mirrors,
-        "wall.1.mirrors: expected none, since reflections need a single wall",
-    ),
-    ("two-faces", round_face, "wall.1.shape: expected 'plane', got 'cylinder'"),
-    (
-        "two-faces",
-        add_backlight,
-        "wall: expected one plane wall for bubbles and bodies, got 2 walls",
-    ),
-    (
-        "two-faces",
-        hide(20.0),
-        "occluders.0: expected it wholly in front of the wall, but it reaches 16.26 mm behind the "
-        "wall's outer face",
-    ),
+    (CYLINDER, put("volume", center_mm=[30.0, 0.0, 0.0]), "volume: .* radius 35 mm, .* 37.05 mm"),
+    (CYLINDER, place([0.0, 0.0, -37.0]), "cameras: camera_00 .* in the wall or the tank"),
+    (CYLINDER, put("wall", layers=THICK), "wall.layers: .* outer_radius_mm = 40 together"),
+    (CYLINDER, put("wall", shape="round"), "wall.shape: expected 'cylinder', got 'round'"),
+    (CYLINDER, put("wall", outer_radius=40.0), "wall.outer_radius: unknown key; did you mean"),
+    (CYLINDER, add_backlight, "wall: expected one plane wall for bubbles and bodies, got a cyl"),
+    (CYLINDER, hide(-39.0), "occluders.0: .* reaches 1 mm behind the wall's outer face"),
+    (FACES, place([-60.0, 0.0, -500.0], **WIDE), "cameras: camera_00 .* two, wall.0 and wall.1"),
+    (FACES, place([0.0, 0.0, 20.0]), "cameras: camera_00 .* in the wall or the tank"),
+    (FACES, change_face(fluid_index=1.4), "wall.1.fluid_index: expected 1.333 as behind the first"),
+    (FACES, change_face(mirrors=True), "wall.1.mirrors: expected none"),
+    (FACES, change_face(shape="cylinder"), "wall.1.shape: expected 'plane', got 'cylinder'"),
+    (FACES, add_backlight, "wall: expected one plane wall for bubbles and bodies, got 2 walls"),
+    (FACES, hide(20.0), "occluders.0: .* reaches 16.26 mm behind the wall's outer face"),
 ]
 
 
@@ -140,9 +85,8 @@ FAULTS: list[tuple[str, Change, str]] = [
 def test_what_cannot_be_is_one_sentence(name: str, change: Change, sentence: str) -> None:
     values = values_of(name)
     change(values)
-    with pytest.raises(InputError) as error:
+    with pytest.raises(InputError, match=f"^scene: {sentence}"):
         build_rig(parse_scene(values, "scene"))
-    assert str(error.value) == f"scene: {sentence}"
 
 
 def test_cameras_choose_the_face_that_they_look_through() -> None:
@@ -156,34 +100,26 @@ def test_a_face_beside_the_line_of_sight_is_not_chosen() -> None:
     """A camera in front of the planes of three faces of an octagon, but of one face only."""
     values = values_of("two-faces")
     angles = np.deg2rad([-45.0, 0.0, 45.0])
+    normals = np.column_stack([np.sin(angles), np.zeros(3), np.cos(angles)])
     values["volume"]["center_mm"] = [0.0, 0.0, 0.0]
     values["wall"] = [
-        {
-            "point_mm": [-80.0 * np.sin(angle), 0.0, -80.0 * np.cos(angle)],
-            "normal": [np.sin(angle), 0.0, np.cos(angle)],
-            "fluid_index": 1.333,
-        }
-        for angle in angles
+        {"point_mm": (-80.0 * normal).tolist(), "normal": normal.tolist(), "fluid_index": 1.333}
+        for normal in normals
     ]
     place([0.0, 0.0, -500.0], [350.0, 0.0, -350.0], [-350.0, 0.0, -350.0])(values)
     rig = build_rig(parse_scene(values, "octagon"))
-    normals = [camera.wall.normal for camera in rig.cameras if isinstance(camera.wall, Wall)]
-    np.testing.assert_allclose(
-        np.array(normals)[:, 0], np.sin(angles[[1, 0, 2]]), rtol=0, atol=1e-12
-    )
+    found = [camera.wall.normal for camera in rig.cameras if isinstance(camera.wall, Wall)]
+    assert_allclose(found, normals[[1, 0, 2]], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["cylinder-tank", "two-faces"])
 def test_occluders_hide_nothing_from_the_other_side(name: str) -> None:
     """The straight line of a camera beyond the tank would meet the disc after leaving it again."""
     values = values_of(name)
-    values["occluders"] = [
-        {"center_mm": [-60.0, 0.0, -50.0], "normal": [1.0, 0.0, 1.0], "radius_mm": 5.0}
-    ]
-    place(
-        [-300.0, 0.0, -300.0],
-        [300.0, 0.0, 300.0] if name == "cylinder-tank" else [300.0, 0.0, -300.0],
-    )(values)
+    disc = {"center_mm": [-60.0, 0.0, -50.0], "normal": [1.0, 0.0, 1.0], "radius_mm": 5.0}
+    values["occluders"] = [disc]
+    beyond = [300.0, 0.0, 300.0 if name == CYLINDER else -300.0]
+    place([-300.0, 0.0, -300.0], beyond)(values)
     rig = build_rig(parse_scene(values, "scene"))
     assert [len(rig.occluders_of(camera)) for camera in rig.cameras] == [1, 0]
 
@@ -199,23 +135,11 @@ def test_a_tank_survives_toml() -> None:
 def test_the_walls_of_a_plane_scene_are_written_as_before() -> None:
     """The hash of a scene, and with it a data set's identity, does not know the new keys."""
     scene = load_scene("quick")
-    assert sorted(scene.to_dict()["wall"]) == [
-        "air_index",
-        "depth_mm",
-        "fluid_index",
-        "layers",
-        "normal",
-        "point_mm",
-    ]
+    keys = {"air_index", "depth_mm", "fluid_index", "layers", "normal", "point_mm"}
+    assert {*scene.to_dict()["wall"]} == keys
     assert scene.walls == (scene.plane,)
     assert scene.fluid_index == 1.333
     assert Scene.model_validate({**values_of("quick"), "wall": None}).fluid_index == 1.0
-
-
-def test_the_free_surface_is_a_wall_without_layers() -> None:
-    wall = build_rig(load_scene("free-surface")).cameras[0].wall
-    assert isinstance(wall, Wall)
-    assert wall.indices.tolist() == [1.0, 1.333]
 
 
 def test_the_schema_knows_all_walls() -> None:
@@ -223,8 +147,11 @@ def test_the_schema_knows_all_walls() -> None:
     assert all(f"#/$defs/{name}" in text for name in ("WallSpec", "CylinderSpec"))
 
 
-def test_the_cylinder_of_a_scene() -> None:
+def test_the_cylinder_and_the_free_surface_of_a_scene() -> None:
     wall = build_rig(load_scene("cylinder-tank")).cameras[0].wall
     assert isinstance(wall, CylinderWall)
     assert wall.radii_mm.tolist() == [40.0, 35.0]
     assert wall.indices.tolist() == [1.0, 1.52, 1.333]
+    surface = build_rig(load_scene("free-surface")).cameras[0].wall
+    assert isinstance(surface, Wall)
+    assert surface.indices.tolist() == [1.0, 1.333]

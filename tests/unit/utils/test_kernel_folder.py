@@ -42,7 +42,6 @@ def caller() -> int:
 
 
 def write_package(folder: Path) -> Path:
-    """Copy what stores kernels, with a kernel that calls another one."""
     source, own = Path(sabench.__file__).parent, folder / "sabench"
     (own / "utils").mkdir(parents=True)
     for name in UTILS:
@@ -85,9 +84,7 @@ def test_numba_stores_kernels_there() -> None:
     assert folder.name.startswith("kernels-")
 
 
-def test_old_folders_of_other_sources_are_removed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_old_folders_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     old = [tmp_path / f"kernels-{number}" for number in range(8)]
     for number, folder in enumerate(old):

@@ -1,10 +1,11 @@
-"""Philox: known answers of its authors, and counters that count."""
+"""Counter-based random numbers, and points in boxes."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from sabench.utils.arrays import in_box
 from sabench.utils.philox import block, draw_key, fill_blocks
 
 
@@ -15,16 +16,8 @@ def words(text: str) -> tuple[np.uint64, ...]:
 @pytest.mark.parametrize(
     ("counter", "key", "answer"),
     [  # kat_vectors of Random123 1.14.0, philox4x32 with 10 rounds
-        (
-            "00000000 00000000 00000000 00000000",
-            "00000000 00000000",
-            "6627e8d5 e169c58d bc57ac4c 9b00dbd8",
-        ),
-        (
-            "ffffffff ffffffff ffffffff ffffffff",
-            "ffffffff ffffffff",
-            "408f276d 41c83b0e a20bc7c6 6d5451fd",
-        ),
+        ("0 0 0 0", "0 0", "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
+        (4 * "ffffffff ", 2 * "ffffffff ", "408f276d 41c83b0e a20bc7c6 6d5451fd"),
         (
             "243f6a88 85a308d3 13198a2e 03707344",
             "a4093822 299f31d0",
@@ -64,3 +57,13 @@ def test_a_key_is_that_of_its_generator() -> None:
     first, again, other = (draw_key(np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert first == again != other
     assert max(first) < 1 << 32
+
+
+def test_a_box_includes_its_faces_and_no_point_without_coordinates() -> None:
+    """Each coordinate is compared with its own sides."""
+    low, high = (0.0, -1.0, 5.0), (1.0, 1.0, 9.0)
+    inside = [[0.0, -1.0, 5.0], [1.0, 1.0, 9.0], [0.5, 0.0, 7.0]]
+    outside = [[1.1, 0.0, 7.0], [0.5, -1.1, 7.0], [0.5, 0.0, 0.5], [np.nan, 0.0, 7.0]]
+    found = in_box(np.array(inside + outside), low, high)
+    assert found.tolist() == [True] * len(inside) + [False] * len(outside)
+    assert in_box(np.zeros((0, 3)), low, high).shape == (0,)

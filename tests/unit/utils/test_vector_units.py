@@ -1,4 +1,4 @@
-"""Products of small matrices on vector units."""
+"""Kernels that compute in the lanes of vector units."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ from typing import Any
 
 import numba
 import numpy as np
+import pytest
+from numpy.testing import assert_allclose
 
-from sabench.utils.vector_units import add_product
+from sabench.algorithms.particles.image_model import GIVEN, PULL, WEIGHT, XX, XY, YY, X, Y
+from sabench.utils import vector_units
 
 
 @numba.njit
 def _add(out: Any, left: Any, right: Any) -> None:
-    add_product(out, 1, left, 2, right, 0)
+    vector_units.add_product(out, 1, left, 2, right, 0)
 
 
 def test_a_product_of_matrices_is_added_to_one_of_many() -> None:
@@ -22,4 +25,91 @@ def test_a_product_of_matrices_is_added_to_one_of_many() -> None:
     expected = out.copy()
     expected[1] += left[2] @ right[0]
     _add(out, left, right)
-    np.testing.assert_allclose(out, expected, rtol=1e-14, atol=1e-14)
+    assert_allclose(out, expected, rtol=1e-14, atol=1e-14)
+
+
+CAMERA, TOP, START, LIGHT = 1, 5, 9, np.float32(3.0)
+ALL_PLAIN, ALL_SHAPED = (
+    (vector_units.PLAIN, vector_units.PLAIN_BY_X, vector_units.PLAIN_BY_Y),
+    (vector_units.SHAPED, vector_units.SHAPED_BY_X, vector_units.SHAPED_BY_Y),
+)
+
+
+@numba.njit
+def _match(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
+    return vector_units.match_window(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+
+
+@numba.njit
+def _match_shaped(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
+    return vector_units.match_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+
+
+@numba.njit
+def _sum(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
+    return vector_units.sum_window(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+
+
+@numba.njit
+def _sum_shaped(left: Any, weight: Any, profiles: Any, rows: int) -> Any:
+    return vector_units.sum_shaped(left, weight, profiles, 1, 5, 9, rows, np.float32(3.0))
+
+
+@pytest.fixture(params=[5, 7, 11])
+def window(request: pytest.FixtureRequest) -> tuple[Any, Any, Any, int]:
+    """Make images of two cameras, a fifth of them saturated, and profiles."""
+    size, random = request.param, np.random.default_rng(request.param)
+    left, weight = (random.normal(size=(2, 40, 48)).astype(np.float32) for _ in range(2))
+    weight = np.where(random.random(weight.shape) < 0.2, -np.abs(weight), np.abs(weight))
+    profiles = random.normal(
+        size=(2, vector_units.PROFILES, vector_units.LANES * -(-size // vector_units.LANES))
+    ).astype(np.float32)
+    profiles[:, :, size:] = 0.0
+    return left, weight, profiles, size
+
+
+def _pixels(window: tuple[Any, Any, Any, int]) -> tuple[Any, Any]:
+    left, weight, profiles, size = window
+    part = CAMERA, slice(TOP, TOP + size), slice(START, START + profiles.shape[2])
+    return left[part].astype(float), weight[part].astype(float)
+
+
+def _image(window: tuple[Any, Any, Any, int], pairs: vector_units.Pairs) -> Any:
+    *_, profiles, size = window
+    own = profiles[CAMERA].astype(float)
+    return np.sum([np.outer(own[down, :size], own[across]) for across, down in pairs], axis=0)
+
+
+def _spared(weight: Any, counts: Any, light: Any) -> float:
+    return float(np.sum(0.5 * (np.abs(weight) - counts) * np.maximum(light, 0.0) ** 2))
+
+
+@pytest.mark.parametrize(("match", "pairs"), [(_match, ALL_PLAIN), (_match_shaped, ALL_SHAPED)])
+def test_matches_are_numpys(window: tuple[Any, Any, Any, int], match: Any, pairs: Any) -> None:
+    """Saturated pixels count where the light is not enough."""
+    left, weight = _pixels(window)
+    own = _image(window, pairs[0])
+    counts = np.where((weight >= 0.0) | (left > LIGHT * own), np.abs(weight), 0.0)
+    expected = np.sum(counts * own * left), np.sum(counts * own**2), _spared(weight, counts, left)
+    assert_allclose(match(*window), expected, rtol=2e-5, atol=2e-4)
+
+
+@pytest.mark.parametrize(("add", "pairs"), [(_sum, ALL_PLAIN), (_sum_shaped, ALL_SHAPED)])
+def test_sums_are_numpys(window: tuple[Any, Any, Any, int], add: Any, pairs: Any) -> None:
+    left, weight = _pixels(window)
+    own, along_x, along_y = (_image(window, each) for each in pairs)
+    counts = np.where((weight >= 0.0) | (left > 0.0), np.abs(weight), 0.0)
+    expected = {
+        WEIGHT: counts * own**2,
+        PULL: counts * own * left,
+        XX: counts * along_x**2,
+        XY: counts * along_x * along_y,
+        YY: counts * along_y**2,
+        X: counts * along_x * left,
+        Y: counts * along_y * left,
+    }
+    found = add(*window)
+    for place, terms in expected.items():
+        assert_allclose(found[place], terms.sum(), rtol=2e-5, atol=5e-4)
+    given = _spared(weight, counts, left + LIGHT * own)
+    assert_allclose(found[GIVEN], given, rtol=2e-5)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.api import Flow
 from sabench.plugins import load
@@ -24,7 +25,6 @@ def places(count: int, size_mm: float) -> F64:
 
 
 def integral_length_mm(field: Flow, length_mm: float) -> float:
-    """Integrate f(r) up to 5 lengths, from velocities along random lines."""
     rng, lines, count, step = np.random.default_rng(2), 3000, 28, 0.25 * length_mm
     along = rng.standard_normal((lines, 1, 3))
     along /= np.linalg.norm(along, axis=2, keepdims=True)
@@ -49,7 +49,7 @@ def test_measured_lengths_are_those_asked_for(asked: dict[str, float]) -> None:
     assert integral_length_mm(field, length) == pytest.approx(length, rel=0.05)
     points, step = places(8000, 1e3 * length), 0.01 * field.kolmogorov_mm
     speed = field.velocity(points, 0.0)
-    np.testing.assert_allclose(speed.std(axis=0), asked["rms_mm_s"], rtol=0.03)
+    assert_allclose(speed.std(axis=0), asked["rms_mm_s"], rtol=0.03)
     slope = (field.velocity(points + step * np.eye(3)[0], 0.0) - speed)[:, 0] / step
     viscosity = field.viscosity_mm2_s
     kolmogorov = (viscosity**3 / (15.0 * viscosity * np.mean(slope**2))) ** 0.25
@@ -84,30 +84,21 @@ def test_every_mode_forgets_at_its_turnover_rate() -> None:
     )
     decay = np.exp(-0.5 * 0.5**2 * rate2 * delay[:, None] ** 2)
     expected = decay @ shells.energies / shells.energies.sum()
-    np.testing.assert_allclose(np.mean(measured, axis=0), expected, atol=0.06)
+    assert_allclose(np.mean(measured, axis=0), expected, atol=0.06)
     assert expected[-1] < 0.8
 
 
 def test_without_unsteadiness_the_field_is_frozen() -> None:
     field, points = turbulence(unsteadiness=0.0), places(10, 20.0)
-    np.testing.assert_array_equal(field.velocity(points, 0.0), field.velocity(points, 7.0))
+    assert_array_equal(field.velocity(points, 0.0), field.velocity(points, 7.0))
 
 
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        (
-            {"integral_mm": 20.0, "kolmogorov_mm": 15.0},
-            r"expected kolmogorov_mm of 0\.00027 to 10 with integral_mm = 20",
-        ),
-        (
-            {"rms_mm_s": 1.0, "integral_mm": 2.0, "viscosity_mm2_s": 15.0},
-            "expected viscosity_mm2_s of 5.7e-07 to 2.7 with rms_mm_s = 1 and integral_mm = 2",
-        ),
-        (
-            {"kolmogorov_mm": 1.0, "viscosity_mm2_s": 1.0},
-            "expected kolmogorov_mm or viscosity_mm2_s",
-        ),
+        ({"integral_mm": 20.0, "kolmogorov_mm": 15.0}, "kolmogorov_mm of 0.00027 to 10 with"),
+        ({"integral_mm": 2.0, "viscosity_mm2_s": 1e3}, "expected viscosity_mm2_s of .* to .* with"),
+        ({"kolmogorov_mm": 1.0, "viscosity_mm2_s": 1.0}, "kolmogorov_mm or viscosity_mm2_s"),
     ],
 )
 def test_impossible_lengths_are_one_sentence(parameters: dict[str, float], message: str) -> None:

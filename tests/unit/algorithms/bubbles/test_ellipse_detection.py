@@ -1,7 +1,5 @@
-"""Detection of ellipses among others, in noise and in part.
-
-Also peaks of the potential, their groups, and the definition of one bubble.
-"""
+"""Detection of ellipses among others, in noise and in part. Also peaks of the potential, their
+groups, and the definition of one bubble."""
 
 from __future__ import annotations
 
@@ -30,11 +28,8 @@ def drawn(
     hollow: float = 0.0,
     noise: float = 0.0,
 ) -> F32:
-    """Draw dark ellipses (column, row, semi-axes, angle).
-
-    Each is bright within a part `hollow` of itself. The image is blurred by half a pixel and
-    averaged over pixels.
-    """
+    """Draw dark ellipses (column, row, semi-axes, angle). Each is bright within a part `hollow` of
+    itself. The image is blurred by half a pixel and averaged over pixels."""
     y, x = ((np.mgrid[: size[0] * FINE, : size[1] * FINE] + 0.5) / FINE - 0.5).astype(np.float64)
     dark: Bool = np.zeros(y.shape, dtype=np.bool_)
     for column, row, a, b, angle in shapes:
@@ -42,14 +37,10 @@ def drawn(
         w = (y - row) * np.cos(angle) - (x - column) * np.sin(angle)
         part = np.hypot(u / a, w / b)
         dark |= (part <= 1.0) & (part >= hollow)
-    pixels = (
-        gaussian_filter(dark.astype(np.float64), 0.5 * FINE)
-        .reshape(size[0], FINE, size[1], FINE)
-        .mean(axis=(1, 3))
-    )
-    return np.asarray(
-        0.8 * pixels + noise * np.random.default_rng(3).standard_normal(size), dtype=np.float32
-    )
+    blurred = gaussian_filter(dark.astype(np.float64), 0.5 * FINE)
+    pixels = blurred.reshape(size[0], FINE, size[1], FINE).mean(axis=(1, 3))
+    pixels = 0.8 * pixels + noise * np.random.default_rng(3).standard_normal(size)
+    return np.asarray(pixels, dtype=np.float32)
 
 
 def found(dark: F32, least: float = 0.02) -> F64:
@@ -64,11 +55,8 @@ def test_edges_lie_on_the_outline_and_look_inwards() -> None:
     assert_allclose(distance, 9.0, atol=0.25)
     assert abs(distance.mean() - 9.0) < 0.07  # blur moves edges of small discs inwards
     assert (-(out * points[:, 2:]).sum(axis=1) / distance).min() > 0.97
-    assert (
-        find_edges(np.full((20, 20), 0.7, dtype=np.float32), 0.02).shape
-        == find_edges(np.ones((1, 9), dtype=np.float32), 0.02).shape
-        == (0, 4)
-    )
+    for even in (np.full((20, 20), 0.7, dtype=np.float32), np.ones((1, 9), dtype=np.float32)):
+        assert find_edges(even, 0.02).shape == (0, 4)
 
 
 @pytest.mark.parametrize("hollow", [0.0, 0.5])
@@ -77,10 +65,8 @@ def test_edges_lie_on_the_outline_and_look_inwards() -> None:
     [(9.0, 9.0, 0.0), (10.0, 6.0, 0.4), (8.0, 4.0, 2.0), (4.0, 3.0, 1.0), (3.0, 3.0, 0.0)],
 )
 def test_an_ellipse_is_measured(a: float, b: float, angle: float, hollow: float) -> None:
-    """The bright middle of a bubble has an outline, too.
-
-    Its gradients have the opposite direction.
-    """
+    """The bright middle of a bubble has an outline, too. Its gradients have the opposite
+    direction."""
     (one,) = found(drawn((28.3, 20.6, a, b, angle), hollow=hollow))
     assert_allclose(one[:2], [28.3, 20.6], atol=0.1)
     assert_allclose(one[2:4], [a, b], atol=0.25)
@@ -90,12 +76,8 @@ def test_an_ellipse_is_measured(a: float, b: float, angle: float, hollow: float)
 
 
 def test_touching_ones_are_separated_in_noise() -> None:
-    true = [
-        (15.0, 18.0, 8.0, 5.0, 0.3),
-        (29.4, 19.0, 6.0, 6.0, 0.0),
-        (32.0, 31.2, 6.5, 5.0, 3.0),
-        (47.0, 24.0, 3.0, 3.0, 0.0),
-    ]
+    true = [(15.0, 18.0, 8.0, 5.0, 0.3), (29.4, 19.0, 6.0, 6.0, 0.0)]
+    true += [(32.0, 31.2, 6.5, 5.0, 3.0), (47.0, 24.0, 3.0, 3.0, 0.0)]
     for noise in (0.0, 0.03):
         some = found(drawn(*true, hollow=0.4, noise=noise), 0.05)
         assert len(some) == 4
@@ -124,11 +106,8 @@ def test_flat_ones_are_parts_of_outlines() -> None:
 
 
 def test_small_features_that_end_in_a_region_are_thresholded() -> None:
-    """Radii are up to a pixel too large.
-
-    The pixels darker than a region's mean fill more than those that are at least half as dark as
-    its darkest.
-    """
+    """Radii are up to a pixel too large. The pixels darker than a region's mean fill more than
+    those that are at least half as dark as its darkest."""
     dark = drawn((6.3, 5.6, 0.9, 0.9, 0.0), size=(13, 13))
     ((x, y, radius),) = find_blots(dark, 0.02, 4.5)
     assert_allclose([x, y], [6.3, 5.6], atol=0.15)
@@ -139,12 +118,8 @@ def test_small_features_that_end_in_a_region_are_thresholded() -> None:
 
 def test_peaks_are_those_over_depth() -> None:
     potential = np.zeros((30, 2, 3), dtype=np.float32)
-    potential[8:11, 0, 1], potential[20, 0, 1], potential[0, 1, 2], potential[15, 1, 0] = (
-        [3.0, 7.0, 4.0],
-        9.0,
-        6.0,
-        1.0,
-    )
+    potential[8:11, 0, 1], potential[20, 0, 1] = [3.0, 7.0, 4.0], 9.0
+    potential[0, 1, 2], potential[15, 1, 0] = 6.0, 1.0
     peaks = FeaturePeaks.find(potential, 2.0)
     assert peaks.position.tolist() == [[20, 0, 1], [9, 0, 1], [0, 1, 2]]
     assert peaks.weight.tolist() == [9.0, 7.0, 6.0]
@@ -152,11 +127,8 @@ def test_peaks_are_those_over_depth() -> None:
 
 
 def test_groups_do_not_run_from_bubble_to_bubble() -> None:
-    """A stair of peaks falls into several groups.
-
-    Each peak is a window and six planes from the one before. The thesis's rule makes one group of
-    them.
-    """
+    """A stair of peaks falls into several groups. Each peak is a window and six planes from the one
+    before. The thesis's rule makes one group of them."""
     potential = np.zeros((140, 3, 20), dtype=np.float32)
     steps = np.arange(20)
     potential[6 * steps + 5, 1, steps] = 5.0 + np.cos(steps)
@@ -183,26 +155,19 @@ def test_groups_are_connected_and_not_wider_than_allowed() -> None:
     assert not peaks.within(bubble, 1).any()
 
 
-def test_a_depth_is_that_of_what_is_inside() -> None:
-    """A ring sharp at plane 20.3, next to a darker one at plane 12.
-
-    The ring's outline does not hold the darker one.
-    """
-    planes = np.arange(40)[:, None, None]
-    ring, other = drawn((15.0, 20.0, 7.0, 5.0, 0.5), hollow=0.6), drawn((30.0, 20.0, 6.0, 6.0, 0.0))
-    volume = ring * np.exp(-0.5 * ((planes - 20.3) / 3.0) ** 2) + other * np.exp(
-        -0.5 * ((planes - 12.0) / 3.0) ** 2
+@pytest.mark.parametrize("start", [14, 20, 26])
+def test_a_depth_is_that_of_what_is_inside(start: int) -> None:
+    """The outline of a ring sharp at plane 20.3 does not hold the darker one at plane 12."""
+    planes, ellipse = np.arange(40)[:, None, None], (15.0, 20.0, 7.0, 5.0, 0.5)
+    ring, other = drawn(ellipse, hollow=0.6), drawn((30.0, 20.0, 6.0, 6.0, 0.0))
+    volume = sum(
+        shape * np.exp(-0.5 * ((planes - plane) / 3.0) ** 2)
+        for shape, plane in ((ring, 20.3), (other, 12.0))
     )
-    for start in (14, 20, 26):
-        assert find_depth(
-            volume.astype(np.float32), np.array([15.0, 20.0, 7.0, 5.0, 0.5]), start
-        ) == pytest.approx(20.3, abs=0.15)
-    assert (
-        find_depth(
-            np.zeros((40, 44, 60), dtype=np.float32), np.array([58.0, -1.0, 4.0, 4.0, 0.0]), 39
-        )
-        == 39.0
-    )
+    found = find_depth(np.asarray(volume, dtype=np.float32), np.array(ellipse), start)
+    assert found == pytest.approx(20.3, abs=0.15)
+    nothing, corner = np.zeros((40, 44, 60), dtype=np.float32), [58.0, -1.0, 4.0, 4.0, 0.0]
+    assert find_depth(nothing, np.array(corner), 39) == 39.0
 
 
 def test_of_bubbles_at_one_place_one_is_left() -> None:

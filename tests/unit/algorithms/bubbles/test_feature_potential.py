@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.bubbles.backlit_images import transmission
 from sabench.algorithms.bubbles.feature_potential import (
@@ -26,7 +27,7 @@ def observation() -> Observation:
     return simulate(make_scene(), backend="splat").observation
 
 
-def test_darkness_is_the_cube_root_of_the_product(
+def test_darkness_is_equation_5_7(
     observation: Observation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Equation 5.7 with n = 1/3, at voxels that all cameras see."""
@@ -57,7 +58,7 @@ def test_the_feature_potential_is_that_of_the_equations(step: int) -> None:
             both = [gradient[part] / spread for gradient in (across, along)]
             sums = [(each * np.exp(each / 2.0)).sum(axis=(1, 2)) for each in both]
             expected = np.maximum(*sums)
-        np.testing.assert_allclose(potential[:, row, column], expected, rtol=1e-4)
+        assert_allclose(potential[:, row, column], expected, rtol=1e-4)
 
 
 def test_transmission_takes_an_uneven_diffuser_out(observation: Observation) -> None:
@@ -68,9 +69,9 @@ def test_transmission_takes_an_uneven_diffuser_out(observation: Observation) -> 
     light = diffuser * np.where(apart < 20, 0.3, 1.0) + observation.black_dn
     images = np.repeat(np.rint(light)[None], 4, axis=0).astype(np.uint16)
     found = transmission(replace(observation, images=images))
-    np.testing.assert_allclose(found[0][apart < 15], 0.3, atol=0.02)
-    np.testing.assert_allclose(found[0][apart > 25], 1.0, atol=0.03)
-    np.testing.assert_array_equal(found[0], found[3])
+    assert_allclose(found[0][apart < 15], 0.3, atol=0.02)
+    assert_allclose(found[0][apart > 25], 1.0, atol=0.03)
+    assert_array_equal(found[0], found[3])
 
 
 def test_votes_are_sampled_at_their_pixel_and_radius() -> None:

@@ -1,24 +1,16 @@
-"""Bubbles fitted to images that are known."""
+"""Spheroids fitted to shadows, and the transmission through their ellipses."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
+from sabench.algorithms.bubbles import rim_fit
 from sabench.algorithms.bubbles.backlit_images import Profile
-from sabench.algorithms.bubbles.rim_fit import (
-    Model,
-    darken,
-    ellipses_of,
-    fit,
-    gain,
-    misfit,
-    start_of,
-    unexplained,
-)
 from sabench.simulation.rendering.pixel_truth import outlines
 from sabench.utils.arrays import F64
-from tests.unit.algorithms.particles.test_matching import CAMERAS, COLUMNS, ROWS
+from tests.helpers.particle_box import CAMERAS, COLUMNS, ROWS
 from tests.unit.simulation.rendering.test_bubbles_traced import bubbles
 
 PROFILE = Profile.tabulate(1.0 / 1.333, 0.4, 0.8)
@@ -26,72 +18,70 @@ PLACE = np.array([0.5, -0.4, 36.0])
 SHAPE = (4, ROWS, COLUMNS)
 
 
-def model_of(*shown: F64) -> Model:
-    """Images of the bubbles shown, and a model without any."""
-    model = Model(np.ones(SHAPE, np.float32), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
+def model_of(*shown: F64) -> rim_fit.Model:
+    model = rim_fit.Model(np.ones(SHAPE, np.float32), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
     for one in shown:
-        darken(model, one, 1.0)
-    return Model(np.exp(model.logs), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
+        rim_fit.darken(model, one, 1.0)
+    return rim_fit.Model(np.exp(model.logs), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
 
 
 @pytest.mark.parametrize("radius_mm", [0.15, 1.0])
 def test_a_ball_darkens_pixels_by_its_profile_inside_its_outline(radius_mm: float) -> None:
     """Radii in all directions are those of the outline that refracted lines of sight touch."""
-    images = model_of(start_of(PLACE, radius_mm)).images
+    images = model_of(rim_fit.start_of(PLACE, radius_mm)).images
     ball = bubbles([PLACE.tolist()], [[radius_mm] * 3])
     row, column = np.mgrid[0:ROWS, 0:COLUMNS]
     for image, lens in zip(images, CAMERAS, strict=True):
         middle, _ = lens.project(PLACE[None])
         x, y = outlines(lens, ball, middle)[0].T - middle[0][:, None]
-        away = np.column_stack([column.ravel(), row.ravel()]) - middle[0]
-        radius = np.interp(
-            np.arctan2(*away.T[::-1]), np.arctan2(y, x), np.hypot(x, y), period=2.0 * np.pi
-        )
-        distance = np.hypot(*away.T)
-        expected = [
-            PROFILE(d, r)
-            for d, r in zip(distance[distance < 30], radius[distance < 30], strict=True)
-        ]
-        np.testing.assert_allclose(image.ravel()[distance < 30], expected, atol=0.04)
-        assert (image.ravel()[distance >= 30] == 1.0).all()
+        across, down = column - middle[0, 0], row - middle[0, 1]
+        distance, angle = np.hypot(across, down), np.arctan2(down, across)
+        near = distance < 30
+        radius = np.interp(angle[near], np.arctan2(y, x), np.hypot(x, y), period=2.0 * np.pi)
+        expected = [PROFILE(d, r) for d, r in zip(distance[near], radius, strict=True)]
+        assert_allclose(image[near], expected, atol=0.04)
+        assert (image[~near] == 1.0).all()
 
 
 def test_what_is_put_in_is_taken_out() -> None:
-    model, ball = model_of(), start_of(PLACE, 0.8, 0.7)
-    darken(model, ball, 1.0)
+    model, ball = model_of(), rim_fit.start_of(PLACE, 0.8, 0.7)
+    rim_fit.darken(model, ball, 1.0)
     assert model.logs.min() < -1.0
-    darken(model, ball, -1.0)
-    np.testing.assert_allclose(model.logs, 0.0, atol=1e-6)
+    rim_fit.darken(model, ball, -1.0)
+    assert_allclose(model.logs, 0.0, atol=1e-6)
 
 
 def test_gain_is_the_part_of_the_shadow_that_nothing_explains() -> None:
-    ball = start_of(PLACE, 0.8)
+    ball = rim_fit.start_of(PLACE, 0.8)
     dark, empty = model_of(ball), model_of()
-    np.testing.assert_allclose(gain(dark, ball), 1.0, atol=1e-5)
-    np.testing.assert_allclose(gain(empty, ball), -1.0, atol=1e-5)
-    darken(dark, ball, 1.0)
-    assert (gain(dark, ball) < 0.0).all()
-    assert np.isnan(gain(empty, start_of(PLACE + np.array([200.0, 0.0, 0.0]), 0.8))).all()
+    assert_allclose(rim_fit.gain(dark, ball), 1.0, atol=1e-5)
+    assert_allclose(rim_fit.gain(empty, ball), -1.0, atol=1e-5)
+    rim_fit.darken(dark, ball, 1.0)
+    assert (rim_fit.gain(dark, ball) < 0.0).all()
+    assert np.isnan(
+        rim_fit.gain(empty, rim_fit.start_of(PLACE + np.array([200.0, 0.0, 0.0]), 0.8))
+    ).all()
 
 
 def test_misfit_is_least_for_the_bubble_itself() -> None:
-    ball = start_of(PLACE, 0.8)
+    ball = rim_fit.start_of(PLACE, 0.8)
     model = model_of(ball)
-    assert misfit(model, ball) == pytest.approx(0.0, abs=1e-12)
-    moved = [misfit(model, ball + np.array([x, 0, 0, 0, 0, 0, 0])) for x in (0.02, 0.05, 0.1)]
+    assert rim_fit.misfit(model, ball) == pytest.approx(0.0, abs=1e-12)
+    moved = [
+        rim_fit.misfit(model, ball + np.array([x, 0, 0, 0, 0, 0, 0])) for x in (0.02, 0.05, 0.1)
+    ]
     assert 1e-5 < moved[0] < moved[1] < moved[2]
 
 
 @pytest.mark.parametrize("off", [0.01, 0.06, 0.12, 0.5])
 def test_a_pixel_that_is_far_off_counts_less(off: float) -> None:
     """Geman and McClure's function rises to half at its width, 0.12, and ends there squared."""
-    model, ellipses = model_of(), ellipses_of(model_of(), start_of(PLACE, 0.8))
+    model, ellipses = model_of(), rim_fit.ellipses_of(model_of(), rim_fit.start_of(PLACE, 0.8))
     model.logs[:] = np.log(1.0 - off)
-    value = unexplained(model, ellipses)
+    value = rim_fit.unexplained(model, ellipses)
     model.logs[:] = np.log(0.88)
-    assert value / unexplained(model, ellipses) == pytest.approx(
-        2.0 * off**2 / (off**2 + 0.12**2), rel=1e-4
-    )
+    expected = 2.0 * off**2 / (off**2 + 0.12**2)
+    assert value / rim_fit.unexplained(model, ellipses) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.slow
@@ -104,7 +94,42 @@ def test_a_spheroid_is_found_again(spoiled: bool) -> None:
         column, row = CAMERAS[1].project(PLACE[None])[0][0].astype(int)
         model.images[1, row - 30 : row - 4, column - 20 : column + 20] = 0.1
     start = true + np.array([0.15, -0.1, 0.2, 0.1, 0.05, -0.1, 0.05])
-    found = fit(model, start, 40)
-    np.testing.assert_allclose(found[:3], PLACE, atol=0.03)
-    np.testing.assert_allclose(np.exp(found[3:5]), [1.0, 0.75], rtol=0.03)
-    np.testing.assert_allclose(found[5:], true[5:], atol=0.06)
+    found = rim_fit.fit(model, start, 40)
+    assert_allclose(found[:3], PLACE, atol=0.03)
+    assert_allclose(np.exp(found[3:5]), [1.0, 0.75], rtol=0.03)
+    assert_allclose(found[5:], true[5:], atol=0.06)
+
+
+STEPS = 1e-6 * np.array([1.0, 1.0, 0.01, 0.01, 0.01])  # px, px, and 1/px^2 of the shape
+
+
+def ellipse_of(rng: np.random.Generator) -> F64:
+    long, short, angle = rng.uniform(3.0, 9.0), rng.uniform(2.0, 3.0), rng.uniform(0.0, np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    shape = turn @ np.diag([long**-2.0, short**-2.0]) @ turn.T
+    return np.array([20.3, 18.7, shape[0, 0], shape[0, 1], shape[1, 1]])
+
+
+def test_derivatives_are_those_of_differences() -> None:
+    """Differences that cross from one cell of the table to the next one are left out."""
+    rng, table, blur = np.random.default_rng(1), PROFILE.table, PROFILE.blur_px
+    errors, largest = [], 0.0
+    for _ in range(2000):
+        ellipse, (column, row) = ellipse_of(rng), rng.integers(10, 30, 2).tolist()
+        found = np.zeros(5)
+        here = rim_fit.slopes_at(ellipse, column, row, 4.0, table, blur, found)
+        assert here == max(rim_fit.shade_at(ellipse, column, row, 4.0, table, blur), rim_fit.DIM)
+        for number, step in enumerate(STEPS):
+            near = ellipse + step * np.eye(5)[number] * np.array([[1.0], [0.0], [-1.0]])
+            ends = [
+                max(rim_fit.shade_at(one, column, row, 4.0, table, blur), rim_fit.DIM)
+                for one in near
+            ]
+            one_sided = np.diff(ends)
+            if abs(one_sided[0] - one_sided[1]) > 1e-4 * np.abs(one_sided).max() + 1e-13:
+                continue
+            slope = (ends[0] - ends[2]) / (2.0 * step)
+            errors.append(abs(slope - found[number]) * step)
+            largest = max(largest, abs(slope) * step)
+    assert len(errors) > 8000
+    assert max(errors) < 1e-4 * largest

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.bubbles.feature_potential import find_outlines
 from sabench.algorithms.bubbles.rim_fit import start_of
 from sabench.algorithms.bubbles.search import Hypotheses, Limits, search_bubbles
 from sabench.utils.arrays import F32
+from tests.helpers.particle_box import CAMERAS
 from tests.unit.algorithms.bubbles.test_rim_fit import PROFILE, SHAPE, model_of
-from tests.unit.algorithms.particles.test_matching import CAMERAS
 
 LIMITS = Limits(0.2, 4.5, 0.5)
 
 
 def disc(column: float, row: float, radius: float) -> F32:
-    """Darkness of a disc with an edge of two voxels."""
     y, x = np.mgrid[0:70, 0:90]
     apart = radius - np.hypot(x - column, y - row)
     return np.asarray(np.clip(0.5 + apart / 2.0, 0.0, 1.0), dtype=np.float32)
@@ -47,8 +47,8 @@ def test_two_bubbles_are_found_and_a_third_is_not_invented() -> None:
     start = Hypotheses(guess, np.array([0.75, 0.65, 0.7]), np.array([0.9, 0.8, 0.7]), np.ones(3))
     found = search_bubbles(images, CAMERAS, lambda half_angle: PROFILE, 0.4, start, LIMITS, 1)
     order = np.argsort(-found.radius_mm)
-    np.testing.assert_allclose(found.center_mm[order], true, atol=0.03)
-    np.testing.assert_allclose(found.radius_mm[order], [0.8, 0.6], rtol=0.02)
+    assert_allclose(found.center_mm[order], true, atol=0.03)
+    assert_allclose(found.radius_mm[order], [0.8, 0.6], rtol=0.02)
 
 
 def test_what_is_left_of_a_shadow_is_no_bubble() -> None:

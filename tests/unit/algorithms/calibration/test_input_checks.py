@@ -17,16 +17,18 @@ from sabench.utils.errors import InputError
 from tests.helpers.calibration_cases import calibration_scene, case_of
 
 Change = Callable[[CalibrationCase], CalibrationCase]
+THIN = (Layer("glass", 1.333, 5.0),)
 
 
 def case(**changes: Any) -> CalibrationCase:
     return case_of(calibration_scene(calibration={"points": 0.02, "known": []}, **changes))[0]
 
 
-def with_pixels(change: Callable[[Any], None]) -> Change:
+def with_pixels(places: Any, sources: Any) -> Change:
+
     def changed(given: CalibrationCase) -> CalibrationCase:
         pixels = given.pixels.copy()
-        change(pixels)
+        pixels[places] = given.pixels[sources]
         return replace(given, pixels=pixels)
 
     return changed
@@ -40,105 +42,40 @@ def with_wall(**values: Any) -> Change:
     return lambda given: replace(given, cameras=tuple(other(camera) for camera in given.cameras))
 
 
-def turned_everywhere(pixels: Any) -> None:
-    pixels[:, 2] = pixels[:, 2, ::-1].copy()
-
-
-def turned_once(pixels: Any) -> None:
-    pixels[3, 2] = pixels[3, 2, ::-1].copy()
-
-
-def swapped(pixels: Any) -> None:
-    pixels[[1, 5]] = pixels[[5, 1]]
-
-
-def copied_camera(pixels: Any) -> None:
-    pixels[3] = pixels[4]
-
-
-def copied_frame(pixels: Any) -> None:
-    pixels[3, 1] = pixels[3, 2]
-
-
 FAULTS: list[tuple[Change, str]] = [
-    (
-        with_pixels(turned_everywhere),
-        (
-            "frame 2: expected its points numbered as at its nominal position, but they are "
-            "turned by 180 degrees against it"
-        ),
-    ),
-    (
-        with_pixels(turned_once),
-        (
-            "camera_03: frame 2: expected its points numbered as in the other cameras, but they "
-            "are turned by 180 degrees"
-        ),
-    ),
-    (
-        with_pixels(swapped),
-        "camera_01 and camera_05: expected each one's own images, but these two are swapped",
-    ),
-    (
-        with_pixels(copied_camera),
-        "camera_03 and camera_04: expected images of their own, but all their points are the same",
-    ),
-    (
-        with_pixels(copied_frame),
-        "camera_03: expected different images in frames 1 and 2, but all their points are the same",
-    ),
-    (
-        with_wall(point_mm=(0.0, 0.0, -600.0)),
-        "camera_00: expected it in front of the wall's outer face, but the wall is behind it",
-    ),
-    (
-        with_wall(air_index=1.333, fluid_index=1.0),
-        (
-            "wall: expected indices from the cameras' side on, air first, got air_index 1.333 "
-            "above fluid_index 1"
-        ),
-    ),
-    (
-        with_wall(layers=(Layer("glass", 1.333, 5.0),), fluid_index=1.5),
-        (
-            "wall: expected layers of glass and a fluid behind them, got layers of index 1.333 "
-            "before a fluid of 1.5"
-        ),
-    ),
+    (with_pixels(np.s_[:, 2], np.s_[:, 2, ::-1]), "frame 2: .* turned by 180 degrees against it"),
+    (with_pixels(np.s_[3, 2], np.s_[3, 2, ::-1]), "camera_03: frame 2: .* turned by 180 degrees"),
+    (with_pixels([1, 5], [5, 1]), "camera_01 and camera_05: .* these two are swapped"),
+    (with_pixels(3, 4), "camera_03 and camera_04: expected images of their own"),
+    (with_pixels((3, 1), (3, 2)), "camera_03: expected different images in frames 1 and 2"),
+    (with_wall(point_mm=(0.0, 0.0, -600.0)), "camera_00: .* the wall is behind it"),
+    (with_wall(air_index=1.333, fluid_index=1.0), "wall: .* got air_index 1.333 above fluid_index"),
+    (with_wall(layers=THIN, fluid_index=1.5), "wall: expected layers of glass and a fluid behind"),
 ]
 
 
-@pytest.mark.parametrize(
-    ("change", "sentence"), FAULTS, ids=[sentence[:30] for _, sentence in FAULTS]
-)
+@pytest.mark.parametrize(("change", "sentence"), FAULTS)
 def test_a_fault_is_named(change: Change, sentence: str) -> None:
     algorithm: Any = make_algorithm("refractive_autocal", {})
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=f"^{sentence}"):
         algorithm.solve(change(case()))
-    assert str(caught.value) == sentence
 
 
 def test_one_plane_is_not_enough() -> None:
     algorithm: Any = make_algorithm("refractive_autocal", {})
-    with pytest.raises(
-        InputError, match="all frames show it in one plane, which leaves focal lengths open"
-    ):
+    with pytest.raises(InputError, match="all frames show it in one plane"):
         algorithm.solve(case(frames=1, targets={"tilt_deg": 0.0}))
 
 
 @pytest.mark.slow
 def test_points_in_no_order_are_named() -> None:
-    """Points in another order in every image cannot give a calibration."""
     few = {"columns": 5, "rows": 5}
     given, rng = case(frames=3, targets=few), np.random.default_rng(0)
     pixels = given.pixels.copy()
     for view in pixels.reshape(-1, *pixels.shape[2:]):
         view[:] = view[rng.permutation(len(view))]
     algorithm: Any = make_algorithm("refractive_autocal", {})
-    with pytest.raises(
-        InputError,
-        match=r"got some that miss by \d+ px at best: are they the target's, in its order\?",
-    ):
+    with pytest.raises(InputError, match=r"got some that miss by \d+ px at best"):
         algorithm.solve(replace(given, pixels=pixels))
 
 

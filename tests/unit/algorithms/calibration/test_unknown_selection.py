@@ -72,7 +72,6 @@ def test_noise_is_not_shared_by_neighbours() -> None:
     noise = np.random.default_rng(1).standard_normal((400, 30, 2))
     smooth = 0.5 * BOARD.points_mm[:, :2] / 25.0
     assert correlated_part(noise, pairs).max() < 0.2
-    assert correlated_part(noise + smooth, pairs) == pytest.approx(
-        np.sqrt(np.mean(smooth**2, axis=0)), rel=0.15
-    )
+    expected = np.sqrt(np.mean(smooth**2, axis=0))
+    assert correlated_part(noise + smooth, pairs) == pytest.approx(expected, rel=0.15)
     assert np.isnan(correlated_part(noise[:, :1], neighbours(BOARD.points_mm[:1]))).all()

@@ -1,13 +1,12 @@
-"""Passes over all particles give the same on any number of cores.
-
-Groups that are fitted side by side share no pixel.
-"""
+"""Passes over all particles give the same on any number of cores. Groups that are fitted side by
+side share no pixel."""
 
 from __future__ import annotations
 
 import numba
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.particles import all_particles as module
 from sabench.algorithms.particles.all_particles import (
@@ -23,21 +22,16 @@ from sabench.algorithms.particles.image_model import ImageModel, ModelParticles,
 from sabench.algorithms.particles.joint_fit import fit_particles
 from sabench.algorithms.particles.learned_model import add_camera_misses, camera_misses
 from sabench.algorithms.particles.model_moves import find_neighbours, measure_misfit
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.geometry.volume_polynomials import project_points
 from sabench.utils.arrays import F32, F64, I64
 from tests.helpers.image_model import NOISE, SIGMA, TYPICAL, model_of, paint, particles_of, room_of
-from tests.unit.algorithms.particles.test_matching import COLUMNS, ROWS, maps, unit_points
-
-__all__ = ["maps"]
-
+from tests.helpers.particle_box import COLUMNS, ROWS, Maps, unit_points
 
 COUNT, SIGMAS = 120, np.tile(np.array(SIGMA), (4, 1))
-
-
 MOST = numba.config.NUMBA_NUM_THREADS
 
 
-def case(maps: VolumePolynomials) -> tuple[ImageModel, ModelParticles]:
+def case(maps: Maps) -> tuple[ImageModel, ModelParticles]:
     """A model of noisy images, and particles that are a little off."""
     rng = np.random.default_rng(2)
     points = unit_points(COUNT)
@@ -47,8 +41,7 @@ def case(maps: VolumePolynomials) -> tuple[ImageModel, ModelParticles]:
     return model_of(maps, images), particles_of(points + 0.001, light)
 
 
-def outcome(maps: VolumePolynomials) -> list[F64 | F32]:
-    """Results of all passes."""
+def outcome(maps: Maps) -> list[F64 | F32]:
     model, particles = case(maps)
     paint_particles(model, SIGMAS, particles, -1.0)
     return [
@@ -60,20 +53,20 @@ def outcome(maps: VolumePolynomials) -> list[F64 | F32]:
     ]
 
 
-def test_passes_give_what_one_thread_gives(maps: VolumePolynomials) -> None:
+def test_passes_give_what_one_thread_gives(maps: Maps) -> None:
     left, misfit, misses, *_ = outcome(maps)
     model, particles = case(maps)
     room, alone, sums = room_of(maps), np.zeros(COUNT), np.zeros((4, 5))
     paint_all(model, room, particles, -1.0)
-    np.testing.assert_array_equal(left, model.left)
+    assert_array_equal(left, model.left)
     measure_misfit(model, room, particles, alone)
-    np.testing.assert_array_equal(misfit, alone)
+    assert_array_equal(misfit, alone)
     add_camera_misses(model, room, particles, sums)
-    np.testing.assert_allclose(misses, sums, rtol=1e-9, atol=1e-9 * np.abs(sums).max())
+    assert_allclose(misses, sums, rtol=1e-9, atol=1e-9 * np.abs(sums).max())
 
 
 @pytest.mark.skipif(MOST < 2, reason="one core")
-def test_threads_change_nothing(maps: VolumePolynomials) -> None:
+def test_threads_change_nothing(maps: Maps) -> None:
     many = outcome(maps)
     numba.set_num_threads(1)
     try:
@@ -81,10 +74,10 @@ def test_threads_change_nothing(maps: VolumePolynomials) -> None:
     finally:
         numba.set_num_threads(MOST)
     for a, b in zip(many, one, strict=True):
-        np.testing.assert_array_equal(a, b)
+        assert_array_equal(a, b)
 
 
-def test_a_fit_takes_as_much_as_it_has_unknowns(maps: VolumePolynomials) -> None:
+def test_a_fit_takes_as_much_as_it_has_unknowns(maps: Maps) -> None:
     points = unit_points(COUNT)[:1]
     light = np.full((1, 4), 1000.0 * TYPICAL)  # the prior tells nothing
     model = model_of(maps, paint(maps, points, light, ROWS, COLUMNS), between=1.0)
@@ -93,15 +86,11 @@ def test_a_fit_takes_as_much_as_it_has_unknowns(maps: VolumePolynomials) -> None
 
 
 GROUPED, WINDOW, PORTIONS = 600, 8, 3
-
-
 RNG = np.random.default_rng(12)
-
-
 Neighbours = tuple[I64, I64] | None
 
 
-def spans(maps: VolumePolynomials, points: F64, rows: I64, neighbours: Neighbours) -> F64:
+def spans(maps: Maps, points: F64, rows: I64, neighbours: Neighbours) -> F64:
     """Windows' first and last pixels (k, camera, 2, 2) of particles and their neighbours."""
     touched = set(rows.tolist())
     if neighbours is not None:
@@ -114,17 +103,13 @@ def spans(maps: VolumePolynomials, points: F64, rows: I64, neighbours: Neighbour
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_groups_of_a_turn_share_no_pixel(
-    maps: VolumePolynomials, whole: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_groups_share_no_pixel(maps: Maps, whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
     points = unit_points(GROUPED)
     neighbours = find_neighbours(maps, np.full((4, 2), 0.7), points) if whole else None
     rows = np.sort(RNG.permutation(GROUPED)[:500])
     turns = disjoint_groups(maps, points, rows, WINDOW, 0.3 * pixel_mm(maps), PORTIONS, neighbours)
-    assert (
-        np.sort(np.concatenate([one for turn in turns for one in turn])).tolist() == rows.tolist()
-    )
+    assert sorted(row for turn in turns for one in turn for row in one.tolist()) == rows.tolist()
     assert max(len(turn) for turn in turns) > 1
     for turn in turns:
         all_spans = [spans(maps, points, group, neighbours) for group in turn]
@@ -135,7 +120,7 @@ def test_groups_of_a_turn_share_no_pixel(
                 assert not (below & above).all(axis=3).any()
 
 
-def fitted(maps: VolumePolynomials, points: F64, turns: list[list[I64]], threads: int) -> list[F64]:
+def fitted(maps: Maps, points: F64, turns: list[list[I64]], threads: int) -> list[F64]:
     """Positions, light and what is left of images after three rounds of fits."""
     light = np.full((GROUPED, 4), TYPICAL)
     images = paint(maps, points, light, ROWS, COLUMNS)
@@ -153,15 +138,13 @@ def fitted(maps: VolumePolynomials, points: F64, turns: list[list[I64]], threads
     return [particles.position, particles.light, model.left.astype(np.float64)]
 
 
-def test_few_rows_keep_their_order(maps: VolumePolynomials) -> None:
+def test_few_rows_keep_their_order(maps: Maps) -> None:
     rows = RNG.permutation(GROUPED)
     turns = disjoint_groups(maps, unit_points(GROUPED), rows, WINDOW, pixel_mm(maps), PORTIONS)
     assert [one.tolist() for turn in turns for one in turn] == [rows.tolist()]
 
 
-def test_the_number_of_threads_does_not_change_a_fit(
-    maps: VolumePolynomials, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_is_the_same_with_more_threads(maps: Maps, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FEW", 2)
     points = 0.95 * unit_points(GROUPED)
     turns = disjoint_groups(
@@ -170,5 +153,5 @@ def test_the_number_of_threads_does_not_change_a_fit(
     assert max(len(turn) for turn in turns) > 1
     one, two = (fitted(maps, points, turns, threads) for threads in (1, min(2, MOST)))
     for before, after in zip(one, two, strict=True):
-        np.testing.assert_array_equal(before, after)
+        assert_array_equal(before, after)
     assert np.abs(one[0] - points).max() < 1e-2

@@ -25,11 +25,18 @@ from sabench.images.peaks import Peaks, sort_peaks
 from sabench.scenes import build_rig, load_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64, triple
-from tests.helpers.small_particles import count_found, make_small
+from tests.helpers.small_particles import count_found, make_small, rotate_cameras
 
 SCENE = load_scene("ddpiv-100x100x100")
 RIG = build_rig(SCENE)
 APERTURES = Apertures.of(RIG.cameras)
+
+
+def superimposed(images: Any, cameras: Any = RIG.cameras, apertures: Apertures = APERTURES) -> F64:
+    pairs = zip(cameras, images, strict=True)
+    return np.stack([apertures.superimpose(*pair) for pair in pairs], axis=1)
+
+
 WALL = Wall((0.0, 0.0, -60.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
 
 
@@ -69,13 +76,11 @@ def test_images_are_triangles_of_one_orientation_that_grow_towards_the_apertures
 def test_positions_from_exact_images_are_exact_and_those_of_least_squares() -> None:
     world = points(50)
     images = np.array(images_of(world))
-    superimposed = [APERTURES.superimpose(*pair) for pair in zip(RIG.cameras, images, strict=True)]
-    found, off = APERTURES.locate(np.stack(superimposed, axis=1))
+    found, off = APERTURES.locate(superimposed(images))
     assert found == pytest.approx(world, abs=1e-6)
     assert off.max() < 1e-6
     noisy = images + np.random.default_rng(2).normal(0.0, 0.1, images.shape)
-    superimposed = [APERTURES.superimpose(*pair) for pair in zip(RIG.cameras, noisy, strict=True)]
-    found, off = APERTURES.locate(np.stack(superimposed, axis=1))
+    found, off = APERTURES.locate(superimposed(noisy))
     assert found == pytest.approx(triangulate(RIG.cameras, noisy), abs=0.02)
     assert 0.05 < np.median(off) < 0.3
 
@@ -90,22 +95,13 @@ def test_triplets_of_exact_images_are_found_and_no_others() -> None:
 
 def test_distorted_lenses_and_apertures_turned_in_the_world_change_nothing() -> None:
     turn = rotation_matrices(np.array([[0.3, -0.2, 0.5]]))[0]
-    lens = Distortion(k1=-0.05)
     turned = tuple(
-        replace(
-            camera,
-            center_mm=triple(turn @ np.asarray(camera.center_mm)),
-            rotation=rows_of(np.asarray(camera.rotation) @ turn.T),
-            distortion=lens,
-        )
-        for camera in RIG.cameras
+        replace(camera, distortion=Distortion(k1=-0.05))
+        for camera in rotate_cameras(RIG.cameras, turn)
     )
-    world = 0.5 * points(40) @ turn.T
-    apertures = Apertures.of(turned)
-    superimposed = [
-        apertures.superimpose(*pair) for pair in zip(turned, images_of(world, turned), strict=True)
-    ]
-    assert apertures.locate(np.stack(superimposed, axis=1))[0] == pytest.approx(world, abs=1e-6)
+    world, apertures = 0.5 * points(40) @ turn.T, Apertures.of(turned)
+    images = superimposed(images_of(world, turned), turned, apertures)
+    assert apertures.locate(images)[0] == pytest.approx(world, abs=1e-6)
 
 
 def sparse_shot(seed: int = 3) -> Shot:

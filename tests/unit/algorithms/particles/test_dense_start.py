@@ -1,71 +1,90 @@
-"""Starts of tracks among ghosts: what moves as the flow does, in several frames, is real."""
+"""Starts of tracks among as many ghosts as particles."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from sabench.algorithms.particles.dense_start import (
-    Finds,
-    LinkVotes,
-    are_mostly_wrong,
-    confirm_tracks,
-    estimate_velocity,
-)
+from sabench.algorithms.particles import dense_start
 from sabench.utils.arrays import F64
 
-COUNT, FRAMES, INTERVAL, ERROR = 800, 6, 0.01, 0.01
-SPACING = (1000.0 / COUNT) ** (1.0 / 3.0)  # of particles in a cube of 10 mm
+BOX, CLOUD, STEP = 6.0, 2000, 0.01  # mm, particles, s
+DISTANCE = BOX / CLOUD ** (1.0 / 3.0)
+NOISE = 0.04 * DISTANCE
+SPEED = 0.35 * DISTANCE / STEP  # mm/s
+TIMES = STEP * np.arange(6)
 
 
-def flow(position: F64) -> F64:
-    """A rotation with shear, mm/s: 0.3 mm in an interval."""
-    x, y, z = position.T
-    return np.stack([20.0 - 4.0 * y, 4.0 * x, 10.0 + 2.0 * z], axis=1)
+def velocity_of(position: F64) -> F64:
+    """A flow that turns over a few distances between particles."""
+    phase = position[:, [1, 2, 0]] * 2.0 * np.pi / BOX + np.arange(3.0)
+    return np.asarray(SPEED * (1.0 + np.sin(phase)))
 
 
-def test_links_that_scatter_are_wrong_and_those_of_a_flow_are_not() -> None:
-    rng = np.random.default_rng(4)
-    position = rng.uniform(0.0, 10.0, (COUNT, 3))
-    shift = INTERVAL * flow(position) + ERROR * rng.standard_normal((COUNT, 3))
-    assert not are_mostly_wrong(position, shift)
-    wrong = rng.random(COUNT) < 0.4
-    shift[wrong] = rng.uniform(-1.5, 1.5, (wrong.sum(), 3))
-    assert are_mostly_wrong(position, shift)
+def find(position: F64, seed: int, share: float = 0.6) -> F64:
+    """Part of the particles (n, 3), with errors, and as many ghosts."""
+    rng = np.random.default_rng([4, seed])
+    seen = position[rng.random(len(position)) < share]
+    ghosts = rng.uniform(0.0, BOX, seen.shape)
+    return np.concatenate([seen + NOISE * rng.standard_normal(seen.shape), ghosts])
 
 
-def test_the_flow_is_found_among_wrong_links() -> None:
+@pytest.fixture(scope="module")
+def truth() -> list[F64]:
+    positions = [np.random.default_rng(3).uniform(0.0, BOX, (CLOUD, 3))]
+    for _ in TIMES[1:]:
+        position = positions[-1]
+        for _ in range(5):
+            position = position + STEP / 5.0 * velocity_of(position)
+        positions.append(position)
+    return positions
+
+
+@pytest.fixture(scope="module")
+def frames(truth: list[F64]) -> list[dense_start.Finds]:
+    found = [find(position, number) for number, position in enumerate(truth)]
+    return [
+        dense_start.Finds(float(time), one, np.full(one.shape, NOISE**2), np.ones((len(one), 4)))
+        for time, one in zip(TIMES, found, strict=True)
+    ]
+
+
+def distances(position: F64, truth: F64) -> F64:
+    return np.asarray(cKDTree(truth).query(position)[0])
+
+
+def test_confirmed_particles_are_real(frames: list[dense_start.Finds], truth: list[F64]) -> None:
+    """Of what is found in a frame, half is real; of what several frames show, nearly all is."""
+    for slot, known in enumerate(dense_start.confirm_tracks(frames, DISTANCE)):
+        off = distances(known.position, truth[slot])
+        assert len(off) > 0.35 * CLOUD
+        assert known.light.shape == (len(off), 4)
+        between = 0 < slot < len(frames) - 2
+        assert (off < 4.0 * NOISE).mean() > (0.85 if between else 0.6)
+        found = distances(frames[slot].position, truth[slot])
+        assert (found < 4.0 * NOISE).mean() < 0.55
+
+
+def test_velocities_come_from_wrong_links(
+    frames: list[dense_start.Finds], truth: list[F64]
+) -> None:
+    votes = dense_start.collect_votes(
+        [one.position for one in frames], [one.time for one in frames]
+    )
+    wrong = np.linalg.norm(votes.velocity - velocity_of(votes.position), axis=1) > 0.5 * SPEED
+    assert wrong.mean() > 0.4
+    velocity, variance = dense_start.estimate_velocity(votes, truth[2], float(TIMES[2]), DISTANCE)
+    off = np.linalg.norm(velocity - velocity_of(truth[2]), axis=1)
+    assert np.median(off) < 0.2 * SPEED
+    assert (variance > 0.0).all()
+
+
+def test_links_are_wrong_where_they_differ_from_those_around() -> None:
     rng = np.random.default_rng(5)
-    position = rng.uniform(0.0, 10.0, (4 * COUNT, 3))
-    velocity = flow(position)
-    wrong = rng.random(len(position)) < 0.6
-    velocity[wrong] = rng.uniform(-150.0, 150.0, (wrong.sum(), 3))
-    votes = LinkVotes(position, velocity, np.zeros(len(position)), INTERVAL, INTERVAL)
-    here = rng.uniform(2.0, 8.0, (100, 3))
-    found, variance = estimate_velocity(votes, here, 0.0, SPACING)
-    off = np.linalg.norm(found - flow(here), axis=1)
-    assert np.median(off) < 2.0  # of 20 to 50 mm/s
-    assert np.mean(off < 10.0) > 0.95
-    assert np.all(variance > 0.0)
-
-
-@pytest.mark.slow
-def test_tracks_through_several_frames_are_real() -> None:
-    """Of as many ghosts as particles, hardly any is confirmed."""
-    rng = np.random.default_rng(6)
-    position, frames, true = rng.uniform(0.0, 10.0, (COUNT, 3)), [], []
-    for number in range(FRAMES):
-        ghosts = rng.uniform(0.0, 10.0, (COUNT, 3))
-        seen = rng.random(COUNT) < 0.9
-        found = np.concatenate(
-            [position[seen] + ERROR * rng.standard_normal((seen.sum(), 3)), ghosts]
-        )
-        variance, light = np.full_like(found, ERROR**2), np.ones((len(found), 4))
-        frames.append(Finds(INTERVAL * number, found, variance, light))
-        true.append(position)
-        position = position + INTERVAL * flow(position)
-    known = confirm_tracks(frames, SPACING)
-    for one, there in zip(known, true, strict=True):
-        off = np.linalg.norm(one.position[:, None] - there[None], axis=2)
-        assert np.mean(off.min(axis=1) < 6.0 * ERROR) > 0.95
-        assert np.mean(off.min(axis=0) < 6.0 * ERROR) > 0.6
+    position = rng.uniform(0.0, BOX, (500, 3))
+    shift = STEP * velocity_of(position)
+    assert not dense_start.are_mostly_wrong(position, shift)
+    shift[::3] = rng.uniform(-DISTANCE, DISTANCE, shift[::3].shape)
+    assert dense_start.are_mostly_wrong(position, shift)
+    assert not dense_start.are_mostly_wrong(position[:5], rng.standard_normal((5, 3)))

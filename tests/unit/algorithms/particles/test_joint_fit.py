@@ -1,7 +1,5 @@
-"""Fits of particles to images: costs against their definition, results against truth.
-
-The most probable light against a general optimiser.
-"""
+"""Fits of particles to images: costs against their definition, results against truth. The most
+probable light against a general optimiser."""
 
 from __future__ import annotations
 
@@ -9,8 +7,10 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
+from sabench.algorithms.particles import joint_fit
 from sabench.algorithms.particles.image_model import (
     ImageModel,
     ModelParticles,
@@ -18,23 +18,6 @@ from sabench.algorithms.particles.image_model import (
     paint_all,
     without_margins,
 )
-from sabench.algorithms.particles.joint_fit import (
-    cost_of,
-    even_covariance,
-    factorise_cholesky,
-    fill_inverse_diagonal,
-    find_light,
-    fit_particle,
-    guess_light,
-    learn_covariance,
-    light_cost,
-    log_determinant,
-    penalty,
-    scatter_between,
-    solve_three,
-    start_light,
-)
-from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, Bool
 from tests.helpers.image_model import (
     NOISE,
@@ -45,23 +28,10 @@ from tests.helpers.image_model import (
     refine_all,
     room_of,
 )
-from tests.unit.algorithms.particles.test_matching import (
-    COLUMNS,
-    ROWS,
-    distances,
-    maps,
-    unit_points,
-)
-
-__all__ = ["maps"]
-
+from tests.helpers.particle_box import COLUMNS, ROWS, Maps, distances, unit_points
 
 RNG = np.random.default_rng(8)
-
-
 COUNT = 30
-
-
 LIGHT = TYPICAL * np.exp(0.3 * RNG.standard_normal((COUNT, 1)) + 0.1 * RNG.standard_normal((30, 4)))
 
 
@@ -73,7 +43,7 @@ def whole_cost(model: ImageModel, particles: ModelParticles, images: F64) -> flo
     return float(0.5 * (left**2 * without_margins(model.weight)).sum() + 0.5 * prior)
 
 
-def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) -> None:
+def test_changes_of_cost_are_those_of_the_whole_images(maps: Maps) -> None:
     points = 0.3 * unit_points(COUNT)  # many overlap
     images = paint(maps, points, LIGHT, ROWS, COLUMNS)
     images += NOISE * RNG.standard_normal(images.shape)
@@ -81,7 +51,7 @@ def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) 
     particles = particles_of(points + 0.004 * RNG.standard_normal(points.shape), LIGHT)
     paint_all(model, room, particles, -1.0)
     before = whole_cost(model, particles, images)
-    changes = [fit_particle(model, room, particles, n) for n in range(COUNT)]
+    changes = [joint_fit.fit_particle(model, room, particles, n) for n in range(COUNT)]
     assert max(changes) <= 0.0
     after = whole_cost(model, particles, images)
     assert sum(changes) == pytest.approx(after - before, rel=1e-3)
@@ -89,18 +59,16 @@ def test_changes_of_cost_are_those_of_the_whole_images(maps: VolumePolynomials) 
     assert total == pytest.approx(whole_cost(model, particles, images) - after, rel=1e-2)
     # what is left of the images has been kept up to date
     left = images - paint(maps, particles.position, particles.light, ROWS, COLUMNS)
-    np.testing.assert_allclose(
-        without_margins(model.left), left, atol=5e-3
-    )  # the images end at their windows
+    assert_allclose(without_margins(model.left), left, atol=5e-3)  # the images end at their windows
 
 
-def test_overlapping_particles_are_found_where_they_are(maps: VolumePolynomials) -> None:
+def test_overlapping_particles_are_found_where_they_are(maps: Maps) -> None:
     points = 0.5 * unit_points(COUNT)
     images = paint(maps, points, LIGHT, ROWS, COLUMNS)
     model, room = model_of(maps, images, between=0.3), room_of(maps)
     start = points + 0.05 * RNG.uniform(-1.0, 1.0, points.shape) / maps.half_mm
     particles = particles_of(start, np.zeros_like(LIGHT))
-    start_light(model, room, particles, np.arange(COUNT))
+    joint_fit.start_light(model, room, particles, np.arange(COUNT))
     refine_all(model, room, particles, 25)
     errors = distances(particles.position, points, maps)
     assert np.median(errors) < 2e-4
@@ -109,16 +77,13 @@ def test_overlapping_particles_are_found_where_they_are(maps: VolumePolynomials)
 
 
 def saturate(model: ImageModel, most: float) -> tuple[ImageModel, Bool]:
-    """Cut images off, and say where."""
     saturated = model.images >= most
     cut = np.minimum(model.images, np.float32(most))
     weight = np.where(saturated, -model.weight, model.weight)
     return model._replace(images=cut, left=cut.copy(), weight=weight), saturated
 
 
-def test_saturated_pixels_ask_for_as_much_light_as_they_show_or_more(
-    maps: VolumePolynomials,
-) -> None:
+def test_saturated_pixels_ask_for_as_much_light_as_they_show_or_more(maps: Maps) -> None:
     points = 0.5 * unit_points(COUNT)
     images = paint(maps, points, LIGHT, ROWS, COLUMNS)
     model, saturated = saturate(model_of(maps, images, between=0.3), 0.2 * TYPICAL)
@@ -136,7 +101,7 @@ def test_saturated_pixels_ask_for_as_much_light_as_they_show_or_more(
     assert errors[1] > 10.0 * errors[0]  # as if the light ended where the sensor's range does
 
 
-def test_light_beyond_saturation_costs_nothing_and_less_does(maps: VolumePolynomials) -> None:
+def test_light_beyond_saturation_costs_nothing_and_less_does(maps: Maps) -> None:
     point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
     images = paint(maps, point, light, ROWS, COLUMNS)
     model, saturated = saturate(model_of(maps, images), 0.2 * TYPICAL)
@@ -144,7 +109,7 @@ def test_light_beyond_saturation_costs_nothing_and_less_does(maps: VolumePolynom
     for share in (1.0, 0.5):
         room = room_of(maps)
         look(model, room, point[0], share * light[0])
-        costs.append(cost_of(model, room, share * light[0]))
+        costs.append(joint_fit.cost_of(model, room, share * light[0]))
         shown, weight = without_margins(model.images), without_margins(np.abs(model.weight))
         left = shown - share * images
         squares = np.where(without_margins(saturated) & (left < 0.0), 0.0, left) ** 2 - shown**2
@@ -154,29 +119,31 @@ def test_light_beyond_saturation_costs_nothing_and_less_does(maps: VolumePolynom
     assert costs[0] < costs[1]
 
 
-def test_errors_of_places_are_as_large_as_the_price_says(maps: VolumePolynomials) -> None:
+def test_errors_of_places_are_as_large_as_the_price_says(maps: Maps) -> None:
     """A penalty grows by the logarithm of how much better places are known."""
     point, light = np.zeros(3), np.full(4, TYPICAL)
     images = np.zeros((4, ROWS, COLUMNS))
     model, room = model_of(maps, images), room_of(maps)
     sharp = model._replace(weight=100.0 * model.weight)
-    gain = penalty(sharp, room, point, light) - penalty(model, room, point, light)
+    gain = joint_fit.penalty(sharp, room, point, light) - joint_fit.penalty(
+        model, room, point, light
+    )
     assert gain == pytest.approx(3.0 * np.log(10.0) + 4.0 * np.log(10.0), abs=3.0)
     rare = model._replace(log_rate=model.log_rate - 2.0)
-    assert penalty(rare, room, point, light) - penalty(model, room, point, light) == pytest.approx(
-        2.0
-    )
+    assert joint_fit.penalty(rare, room, point, light) - joint_fit.penalty(
+        model, room, point, light
+    ) == pytest.approx(2.0)
 
 
 def test_three_equations_are_solved_unless_they_say_too_little() -> None:
     matrix = RNG.standard_normal((3, 3))
     matrix = matrix @ matrix.T + 0.1 * np.eye(3)
     right, step = RNG.standard_normal(3), np.zeros(3)
-    determinant = solve_three(matrix, right, step)
-    np.testing.assert_allclose(step, np.linalg.solve(matrix, right))
+    determinant = joint_fit.solve_three(matrix, right, step)
+    assert_allclose(step, np.linalg.solve(matrix, right))
     assert determinant == pytest.approx(np.linalg.det(matrix))
-    assert solve_three(np.ones((3, 3)), right, step) == 0.0
-    assert solve_three(np.zeros((3, 3)), right, step) == 0.0
+    assert joint_fit.solve_three(np.ones((3, 3)), right, step) == 0.0
+    assert joint_fit.solve_three(np.zeros((3, 3)), right, step) == 0.0
 
 
 MEDIANS = np.array([100.0, 120.0, 80.0, 100.0])
@@ -184,15 +151,17 @@ MEDIANS = np.array([100.0, 120.0, 80.0, 100.0])
 
 def best(signal: F64, weight: F64, precision: F64) -> tuple[F64, float]:
     logs = np.zeros(4)
-    guess_light(signal, weight, MEDIANS, logs)
-    cost = find_light(signal, weight, MEDIANS, precision, logs, np.zeros(4), np.zeros((4, 4)))
+    joint_fit.guess_light(signal, weight, MEDIANS, logs)
+    cost = joint_fit.find_light(
+        signal, weight, MEDIANS, precision, logs, np.zeros(4), np.zeros((4, 4))
+    )
     return logs, cost
 
 
 @pytest.mark.parametrize("scatter", [0.05, 0.4])
 @pytest.mark.parametrize("noise", [2.0, 60.0])
 def test_the_light_found_is_the_most_probable(scatter: float, noise: float) -> None:
-    precision: F64 = np.linalg.inv(even_covariance(4, scatter, 0.5)).astype(np.float64)
+    precision: F64 = np.linalg.inv(joint_fit.even_covariance(4, scatter, 0.5)).astype(np.float64)
     rng = np.random.default_rng(1)
     for _ in range(5):
         light = MEDIANS * np.exp(rng.multivariate_normal(np.zeros(4), np.linalg.inv(precision)))
@@ -200,7 +169,7 @@ def test_the_light_found_is_the_most_probable(scatter: float, noise: float) -> N
         signal = weight * (light + noise * rng.standard_normal(4))
 
         def cost(logs: F64, signal: F64 = signal, weight: F64 = weight) -> float:
-            return float(light_cost(signal, weight, MEDIANS, precision, logs))
+            return float(joint_fit.light_cost(signal, weight, MEDIANS, precision, logs))
 
         logs, least = best(signal, weight, precision)
         starts = [minimize(cost, start * np.ones(4)).fun for start in (-1.0, 0.0, 0.5)]
@@ -209,53 +178,47 @@ def test_the_light_found_is_the_most_probable(scatter: float, noise: float) -> N
 
 
 def test_a_camera_that_sees_nothing_gets_the_light_that_the_others_suggest() -> None:
-    precision: F64 = np.linalg.inv(even_covariance(4, 0.05, 0.5)).astype(np.float64)
+    precision: F64 = np.linalg.inv(joint_fit.even_covariance(4, 0.05, 0.5)).astype(np.float64)
     weight = np.array([1.0, 1.0, 1.0, 0.0])
     logs, _ = best(1.5 * MEDIANS * weight, weight, precision)
-    np.testing.assert_allclose(logs, math.log(1.5), atol=0.02)
+    assert_allclose(logs, math.log(1.5), atol=0.02)
 
 
 def test_the_cost_is_a_log_probability() -> None:
     """Against the normal densities of data and lights, relative to no light."""
-    covariance = even_covariance(4, 0.3, 0.4)
+    covariance = joint_fit.even_covariance(4, 0.3, 0.4)
     weight, data = np.array([0.2, 0.3, 0.1, 0.4]), np.array([90.0, 130.0, 70.0, 20.0])
     logs = np.array([0.1, -0.2, 0.3, -0.4])
     light = MEDIANS * np.exp(logs)
     squares = weight * ((data - light) ** 2 - data**2)
     expected = 0.5 * squares.sum() + 0.5 * logs @ np.linalg.solve(covariance, logs)
-    cost = light_cost(weight * data, weight, MEDIANS, np.linalg.inv(covariance), logs)
+    cost = joint_fit.light_cost(weight * data, weight, MEDIANS, np.linalg.inv(covariance), logs)
     assert cost == pytest.approx(expected)
 
 
 def test_covariances_are_learned_in_spite_of_outliers() -> None:
-    true = even_covariance(4, 0.3, 0.4)
+    true = joint_fit.even_covariance(4, 0.3, 0.4)
     true[0, 2] = true[2, 0] = 0.24  # two cameras that see much the same lobe
     rng = np.random.default_rng(2)
     logs = 0.7 + rng.multivariate_normal(np.zeros(4), true, 2000)
     logs[:40] = rng.uniform(-4.0, 4.0, (40, 4))
-    found = learn_covariance(logs)
-    np.testing.assert_allclose(found, true, atol=0.05)
-    few = learn_covariance(logs[40:70])  # few tell little more than the average
+    found = joint_fit.learn_covariance(logs)
+    assert_allclose(found, true, atol=0.05)
+    few = joint_fit.learn_covariance(logs[40:70])  # few tell little more than the average
     assert few[0, 2] == pytest.approx(few[0, 1], abs=0.05)
 
 
 def test_scatter_between_cameras_leaves_out_what_they_share() -> None:
-    assert scatter_between(even_covariance(5, 0.3, 2.0)) == pytest.approx(0.3)
-    assert scatter_between(np.array([[0.2]])) == pytest.approx(math.sqrt(0.2))
+    assert joint_fit.scatter_between(joint_fit.even_covariance(5, 0.3, 2.0)) == pytest.approx(0.3)
+    assert joint_fit.scatter_between(np.array([[0.2]])) == pytest.approx(math.sqrt(0.2))
 
 
-def test_factors_give_the_determinant() -> None:
-    matrix = even_covariance(6, 0.3, 0.4)
-    factor = matrix.copy()
-    factorise_cholesky(factor)
-    assert log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
-    np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
-
-
-def test_the_inverse_of_a_factorised_matrix_has_this_diagonal() -> None:
+def test_factors_give_the_determinant_and_the_diagonal_of_the_inverse() -> None:
     matrix = np.random.default_rng(6).standard_normal((5, 5))
     matrix = matrix @ matrix.T + np.eye(5)
     factor, diagonal = matrix.copy(), np.zeros(5)
-    factorise_cholesky(factor)
-    fill_inverse_diagonal(factor, diagonal, np.zeros(5))
-    np.testing.assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))
+    joint_fit.factorise_cholesky(factor)
+    assert joint_fit.log_determinant(factor) == pytest.approx(np.linalg.slogdet(matrix)[1])
+    assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix)
+    joint_fit.fill_inverse_diagonal(factor, diagonal, np.zeros(5))
+    assert_allclose(diagonal, np.diag(np.linalg.inv(matrix)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.particles.kalman_tracks import (
     KalmanTracks,
@@ -13,8 +14,6 @@ from sabench.algorithms.particles.kalman_tracks import (
 from sabench.utils.arrays import F64
 
 STEP, ERROR = 0.01, 0.002  # s, mm
-
-
 COUNT = 400
 
 
@@ -46,8 +45,8 @@ def test_steady_acceleration_is_predicted() -> None:
     tracks = begin(start, velocity, 5.0, 100.0**2)
     follow(tracks, path[:-1])
     tracks.predict(STEP)
-    np.testing.assert_allclose(tracks.state[:, 0], path[-1], atol=ERROR)
-    np.testing.assert_allclose(tracks.state[:, 2], acceleration, atol=10.0)
+    assert_allclose(tracks.state[:, 0], path[-1], atol=ERROR)
+    assert_allclose(tracks.state[:, 2], acceleration, atol=10.0)
 
 
 @pytest.mark.parametrize("guess", [0.01, 100.0])
@@ -91,24 +90,19 @@ def test_a_new_track_moves_as_its_neighbours_do() -> None:
     points = np.array([[1.0, 2.0, 0.0], [-3.0, 0.5, 1.0]])
     found, spread = tracks.neighbours_velocity(points)
     expected = np.stack([points[:, 1], -points[:, 0], np.full(2, 2.0)], axis=1)
-    np.testing.assert_allclose(found, expected, atol=1.0)
+    assert_allclose(found, expected, atol=1.0)
     assert (spread[:, :2] > 0.01).all()
     assert (spread[:, 2] < 0.02).all()
 
 
 _TIMES = 1e-3 * np.arange(-3.0, 4.0)
-
-
 _WIDE = 1e18
 
 
 def _estimate(position: F64, variance: F64, times: F64 = _TIMES, jerk: float = 0.0) -> F64:
-    count = len(position)
-    still = np.zeros((count, 3))
-    state, _ = most_probable_motion(
-        times, position, variance, still, np.full((count, 3), _WIDE), _WIDE, jerk
-    )
-    return state
+    still = np.zeros((len(position), 3))
+    wide = np.full(still.shape, _WIDE)
+    return most_probable_motion(times, position, variance, still, wide, _WIDE, jerk)[0]
 
 
 def test_a_parabola_is_found_exactly() -> None:
@@ -116,7 +110,7 @@ def test_a_parabola_is_found_exactly() -> None:
     terms = np.stack([np.ones(7), _TIMES, _TIMES**2 / 2.0], axis=1)
     position = (terms @ state)[None]
     found = _estimate(position, np.full((1, 7, 3), 1e-4), jerk=1e3)
-    np.testing.assert_allclose(found[0], state, rtol=1e-6)
+    assert_allclose(found[0], state, rtol=1e-6)
 
 
 def test_positions_that_are_not_there_do_not_count() -> None:
@@ -125,7 +119,7 @@ def test_positions_that_are_not_there_do_not_count() -> None:
     kept = np.array([0, 1, 3, 4, 6])
     part = _estimate(position[:, kept], variance[:, kept], _TIMES[kept], 1e9)
     position[:, [2, 5]] = np.nan
-    np.testing.assert_allclose(_estimate(position, variance, jerk=1e9), part, rtol=1e-6)
+    assert_allclose(_estimate(position, variance, jerk=1e9), part, rtol=1e-6)
 
 
 @pytest.mark.parametrize("jerk", [1e2, 1e6])
@@ -160,10 +154,8 @@ def test_a_single_position_moves_as_it_is_expected_to() -> None:
     state, covariance = most_probable_motion(
         _TIMES, position, np.full((1, 7, 3), 1e-4), velocity, spread, 9.0, 1.0
     )
-    np.testing.assert_allclose(
-        state[0], [[1.0, 2.0, 3.0], [10.0, 20.0, 30.0], [0.0] * 3], atol=1e-6
-    )
-    np.testing.assert_allclose(covariance[0, 0].diagonal(), [1e-4, 4.0, 9.0], rtol=1e-6)
+    assert_allclose(state[0], [[1.0, 2.0, 3.0], [10.0, 20.0, 30.0], [0.0] * 3], atol=1e-6)
+    assert_allclose(covariance[0, 0].diagonal(), [1e-4, 4.0, 9.0], rtol=1e-6)
 
 
 def flow(position: F64, wavelength: float, speed: float) -> tuple[F64, F64]:
@@ -189,9 +181,7 @@ def guess(count: int, wavelength: float, speed: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("wavelength", "speed"), [(8.0, 3.0), (20.0, 3.0), (8.0, 12.0)])
-def test_accelerations_are_guessed_from_velocities_and_their_gradient(
-    wavelength: float, speed: float
-) -> None:
+def test_accelerations_are_guessed_from_velocities(wavelength: float, speed: float) -> None:
     """Not from the distance of particles: with four times as many it is the same."""
     few, true = guess(2000, wavelength, speed)
     many, _ = guess(8000, wavelength, speed)

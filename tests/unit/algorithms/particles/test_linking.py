@@ -1,16 +1,17 @@
-"""Trajectories of bubbles whose ids are known.
-
-Crossing paths, streams, missing bubbles and ghosts, and the limits of the method.
-"""
+"""Trajectories of bubbles whose ids are known. Crossing paths, streams, missing bubbles and ghosts,
+and the limits of the method."""
 
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from sabench.algorithms.particles.linking import GATE, REACH, assign, link
+from sabench.utils.arrays import F64
 from tests.helpers.bubble_sequences import (
     EDGE,
     BubbleSequence,
@@ -45,61 +46,37 @@ def test_two_streams_through_each_other(relative: float) -> None:
 
 
 def test_where_it_ends() -> None:
-    """Linking has two limits.
-
-    It fails for displacements beyond the reach, and for random motion beyond a fraction of the
-    distance between neighbours.
-    """
+    """Linking has two limits. It fails for displacements beyond the reach, and for random motion
+    beyond a fraction of the distance between neighbours."""
     assert link_scores(made := make_sequence(1.4 * REACH), link_sequence(made))[0] < 0.1
     assert link_scores(made := make_sequence(0.2, "random"), link_sequence(made))[0] > 0.97
     assert link_scores(made := make_sequence(1.0, "random"), link_sequence(made))[0] < 0.6
 
 
 def test_paths_that_cross_are_not_swapped() -> None:
-    """Bubbles that meet keep their courses.
-
-    Either is nearest to the other's next position.
-    """
-    time = np.arange(-4.0, 5.0)
+    """Bubbles that meet keep their courses. Either is nearest to the other's next position."""
     made = BubbleSequence()
-    for t in time:
-        made.add(
-            np.array([[t, 0.1, 0.0], [-t, -0.1, 0.0]]),
-            np.array([1.0, 1.0]),
-            np.arange(2),
-            np.random.default_rng(int(t) + 9),
-        )
-    track = link_sequence(made)
-    for bubble in range(2):
-        assert (
-            len({int(number[ids == bubble][0]) for number, ids in zip(track, made.id, strict=True)})
-            == 1
-        )
+    for t in np.arange(-4.0, 5.0):
+        places = np.array([[t, 0.1, 0.0], [-t, -0.1, 0.0]])
+        made.add(places, np.ones(2), np.arange(2), np.random.default_rng(int(t) + 9))
+    tracks = zip(link_sequence(made), made.id, strict=True)
+    assert len({tuple(number[np.argsort(ids)].tolist()) for number, ids in tracks}) == 1
 
 
-def test_a_track_may_miss_as_many_frames_as_allowed() -> None:
-    for absent, gap, whole in (
-        ({3}, 1, True),
-        ({3, 4}, 1, False),
-        ({3, 4}, 2, True),
-        ({3}, 0, False),
-    ):
-        made = make_sequence(0.8, count=60, frames=8)
-        lost = int(np.intersect1d(made.id[0], made.id[-1])[0])
-        for frame in absent:
-            keep = made.id[frame] != lost
-            made.center[frame], made.radius[frame], made.id[frame] = (
-                made.center[frame][keep],
-                made.radius[frame][keep],
-                made.id[frame][keep],
-            )
-        track = link_sequence(made, gap)
-        numbers = {
-            int(track[frame][made.id[frame] == lost][0])
-            for frame in range(8)
-            if frame not in absent
-        }
-        assert len(numbers) == (1 if whole else 2), (absent, gap)
+@pytest.mark.parametrize(
+    ("absent", "gap", "whole"),
+    [([3], 1, True), ([3, 4], 1, False), ([3, 4], 2, True), ([3], 0, False)],
+)
+def test_a_track_may_miss_some_frames(absent: list[int], gap: int, whole: bool) -> None:
+    made = make_sequence(0.8, count=60, frames=8)
+    lost = int(np.intersect1d(made.id[0], made.id[-1])[0])
+    for frame in absent:
+        keep = made.id[frame] != lost
+        for part in (made.center, made.radius, made.id):
+            part[frame] = part[frame][keep]
+    tracks = zip(link_sequence(made, gap), made.id, strict=True)
+    numbers = {int(number) for track, ids in tracks for number in track[ids == lost]}
+    assert len(numbers) == (1 if whole else 2)
 
 
 def test_frames_at_unequal_times() -> None:
@@ -122,40 +99,33 @@ def test_neither_order_nor_units_matter() -> None:
     other = link(metres, radii, [100.0 + 5.0 * frame for frame in range(len(metres))])
     for frame in range(len(track) - 1):
         joined = track[frame][turned[frame]][:, None] == track[frame + 1][turned[frame + 1]]
-        np.testing.assert_array_equal(joined, other[frame][:, None] == other[frame + 1])
+        assert_array_equal(joined, other[frame][:, None] == other[frame + 1])
 
 
 def test_numbers_are_different_in_a_frame_and_count_up() -> None:
     track = link_sequence(make_sequence(1.0, missing=0.2, ghosts=0.2))
     assert all(len(np.unique(one)) == len(one) for one in track)
     every = np.unique(np.concatenate(track))
-    np.testing.assert_array_equal(every, np.arange(len(every)))
+    assert_array_equal(every, np.arange(len(every)))
 
 
 def test_few_bubbles_or_none() -> None:
     none, one = np.zeros((0, 3)), np.array([[1.0, 2.0, 3.0]])
-    assert link([], [], []) == []
-    assert [len(track) for track in link([none, none], [np.zeros(0)] * 2, [0.0, 1.0])] == [0, 0]
-    assert [track.tolist() for track in link([one], [np.ones(1)], [0.0])] == [[0]]
-    assert [
-        track.tolist()
-        for track in link([one, one + 5.0, one + 10.0], [np.ones(1)] * 3, [0.0, 1.0, 2.0])
-    ] == [[0], [0], [0]]
-    assert [
-        track.tolist() for track in link([one, one], [np.ones(1), np.full(1, 3.0)], [0.0, 1.0])
-    ] == [[0], [1]]  # another size
-    assert [
-        track.tolist()
-        for track in link([one, none, one], [np.ones(1), np.zeros(0), np.ones(1)], [0.0, 1.0, 2.0])
-    ] == [[0], [], [0]]
-    assert [
-        track.tolist()
-        for track in link(
-            [one, none, one], [np.ones(1), np.zeros(0), np.ones(1)], [0.0, 1.0, 2.0], 0
-        )
-    ] == [[0], [], [1]]
+
+    def numbers(*centers: F64, radii: tuple[float, ...] = (1.0, 1.0, 1.0), gap: int = 1) -> Any:
+        sizes = [np.full(len(center), own) for center, own in zip(centers, radii, strict=False)]
+        times = [float(number) for number in range(len(centers))]
+        return [track.tolist() for track in link([*centers], sizes, times, gap)]
+
+    assert numbers() == []
+    assert numbers(none, none) == [[], []]
+    assert numbers(one) == [[0]]
+    assert numbers(one, one + 5.0, one + 10.0) == [[0], [0], [0]]
+    assert numbers(one, one, radii=(1.0, 3.0)) == [[0], [1]]
+    assert numbers(one, none, one) == [[0], [], [0]]
+    assert numbers(one, none, one, gap=0) == [[0], [], [1]]
     twice = np.repeat(one, 2, axis=0)
-    assert sorted(link([twice, twice], [np.ones(2)] * 2, [0.0, 1.0])[1].tolist()) == [0, 1]
+    assert sorted(numbers(twice, twice)[1]) == [0, 1]
 
 
 def test_times_must_increase() -> None:
@@ -165,24 +135,20 @@ def test_times_must_increase() -> None:
 
 @pytest.mark.parametrize("seed", range(30))
 def test_the_choice_is_the_best_of_all(seed: int) -> None:
-    """Against every possible choice of small cases."""
     rng = np.random.default_rng(seed)
     shape = (int(rng.integers(1, 5)), int(rng.integers(1, 5)))
     row, column = np.nonzero(rng.random(shape) < 0.7)
     cost = np.where(rng.random(len(row)) < 0.1, 0.0, 1.4 * GATE * rng.random(len(row)))
     i, j = assign(row, column, cost, shape)
     assert len(set(i.tolist())) == len(i) == len(set(j.tolist())) == len(j)
-    price = {(int(a), int(b)): float(c) for a, b, c in zip(row, column, cost, strict=True)}
-    best = np.inf
-    for ends in itertools.product(range(-1, shape[1]), repeat=shape[0]):
-        used = [end for end in ends if end >= 0]
-        if len(set(used)) == len(used) and all(
-            end < 0 or (start, end) in price for start, end in enumerate(ends)
-        ):
-            best = min(
-                best, sum(price[start, end] if end >= 0 else GATE for start, end in enumerate(ends))
-            )
-    got = sum(price[int(a), int(b)] for a, b in zip(i, j, strict=True)) + GATE * (shape[0] - len(i))
+    price = np.full((shape[0], shape[1] + 1), np.inf)
+    price[row, column], price[:, -1] = cost, GATE  # the last column: no link
+    best = min(
+        price[range(shape[0]), ends].sum()
+        for ends in itertools.product(range(-1, shape[1]), repeat=shape[0])
+        if len(set(ends) - {-1}) == len(ends) - ends.count(-1)
+    )
+    got = price[i, j].sum() + GATE * (shape[0] - len(i))
     assert got == pytest.approx(best, abs=1e-9)
 
 

@@ -1,7 +1,5 @@
-"""Positions from particle images, and maps of a box, against cameras' own projection.
-
-Triangulation within a time budget, and of more peaks than can be told apart.
-"""
+"""Positions from particle images, and maps of a box, against cameras' own projection. Triangulation
+within a time budget, and of more peaks than can be told apart."""
 
 from __future__ import annotations
 
@@ -11,67 +9,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.calibration.disparity import match, pair_up
-from sabench.algorithms.particles import matching as module
-from sabench.algorithms.particles.matching import (
-    PeakSets,
-    TriangulationSettings,
-    count_by_chance,
-    find_peak_sets,
-    fit_cameras,
-    move_to_pixel,
-    select_best,
-    triangulate_particles,
-)
+from sabench.algorithms.particles import matching, matching as module
 from sabench.api import Observation
-from sabench.geometry.camera import Camera, aim, aimed_rotation
-from sabench.geometry.lens import Distortion
-from sabench.geometry.refraction import Layer, Wall
-from sabench.geometry.volume_polynomials import (
-    VolumePolynomials,
-    fit_volume_polynomials,
-    project_point,
-    project_points,
-)
+from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
 from sabench.images.peaks import Peaks, find_near, keep_peaks, sort_peaks
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64, Bool
+from tests.helpers.particle_box import CAMERAS, COLUMNS, ROWS, Maps, distances, unit_points
 from tests.helpers.particle_scenes import make_scene
 from tests.helpers.small_particles import count_found, make_small
 
-WALL = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.5, 6.0),), 1.333)
 
-
-LOW, HIGH = np.array([-7.0, -5.0, 30.0]), np.array([7.0, 5.0, 42.0])
-
-
-ROWS, COLUMNS = 160, 200
-
-
-def camera(x: float, y: float) -> Camera:
-    """About 11 px a millimetre; the whole box is on the sensor."""
-    rotation, middle = aimed_rotation(np.array([0.0, 0.0, 1.0])), (101.0, 78.0)
-    lens = Distortion(k1=-0.2, p1=1e-3)
-    plain = Camera(
-        "one", ROWS, COLUMNS, (x, y, -300.0), rotation, 36.0, 0.01, middle, lens, 32.0, 8.0, WALL
-    )
-    return aim(plain, (0.0, 0.0, 36.0))
-
-
-CAMERAS = [camera(-90.0, -60.0), camera(90.0, -60.0), camera(90.0, 60.0), camera(-90.0, 60.0)]
-
-
-@pytest.fixture(scope="module")
-def maps() -> VolumePolynomials:
-    return fit_volume_polynomials(CAMERAS, LOW, HIGH)
-
-
-def unit_points(count: int, seed: int = 1) -> F64:
-    return np.random.default_rng(seed).uniform(-0.95, 0.95, (count, 3))
-
-
-def images_of(points: F64, maps: VolumePolynomials, cameras: int = 4) -> tuple[F64, ...]:
+def images_of(points: F64, maps: Maps, cameras: int = 4) -> tuple[F64, ...]:
     """Exact pixels (n, 2) in each camera of points of the box from -1 to 1."""
     world = maps.middle_mm + maps.half_mm * points
     return tuple(one.project(world)[0] for one in CAMERAS[:cameras])
@@ -81,66 +33,40 @@ def peaks_of(pixels: tuple[F64, ...]) -> tuple[Peaks, ...]:
     return tuple(sort_peaks(own, (ROWS, COLUMNS)) for own in pixels)
 
 
-def first(maps: VolumePolynomials, cameras: int) -> VolumePolynomials:
+def first(maps: Maps, cameras: int) -> VolumePolynomials:
     return VolumePolynomials(np.ascontiguousarray(maps.coefficients[:cameras]), *maps[1:])
 
 
-def distances(found: F64, points: F64, maps: VolumePolynomials) -> F64:
-    """Of each point from the nearest position that was found, mm."""
-    apart = (points[:, None] - found[None]) * maps.half_mm
-    return np.asarray(np.linalg.norm(apart, axis=2).min(axis=1, initial=np.inf))
-
-
-def test_maps_are_the_cameras_to_a_thousandth_of_a_pixel_in_all_of_the_box(
-    maps: VolumePolynomials,
-) -> None:
-    axis = np.linspace(-1.0, 1.0, 8)
-    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
-    for number, exact in enumerate(images_of(points, maps)):
-        assert np.abs(project_points(maps, number, points) - exact).max() < 1.0e-3
-
-
-def test_slopes_of_maps_are_their_differences(maps: VolumePolynomials) -> None:
+def test_slopes_of_maps_are_their_differences(maps: Maps) -> None:
     pixel, slope = np.zeros(2), np.zeros((2, 3))
     for point in np.vstack([unit_points(5), np.zeros((1, 3))]):
         for number in range(4):
             project_point(maps, number, point, pixel, slope)
-            np.testing.assert_allclose(pixel, project_points(maps, number, point[None])[0])
+            assert_allclose(pixel, project_points(maps, number, point[None])[0])
             steps = 1e-5 * np.eye(3)
             ends = [project_points(maps, number, point + sign * steps) for sign in (1.0, -1.0)]
-            np.testing.assert_allclose(slope.T, (ends[0] - ends[1]) / 2e-5, atol=1e-4)
+            assert_allclose(slope.T, (ends[0] - ends[1]) / 2e-5, atol=1e-4)
 
 
 def open_sensors(cameras: int) -> Bool:
-    """No pixel is covered."""
     return np.zeros((cameras, ROWS, COLUMNS), dtype=np.bool_)
 
 
 @pytest.mark.parametrize("cameras", [3, 4])
-def test_all_particles_are_found_where_they_are(maps: VolumePolynomials, cameras: int) -> None:
-    points = unit_points(30)
+@pytest.mark.parametrize("count", [1, 30])
+def test_all_particles_are_found_where_they_are(maps: Maps, cameras: int, count: int) -> None:
+    points = unit_points(count)
     peaks = peaks_of(images_of(points, maps, cameras))
-    found = find_peak_sets(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
+    found = matching.find_peak_sets(first(maps, cameras), peaks, 0.1, open_sensors(cameras))
     assert distances(found.position, points, maps).max() < 2e-3
     assert found.error_px.max() < 0.1
-    best = select_best(found, peaks)
-    assert len(best) == 30
+    best = matching.select_best(found, peaks)
+    assert len(best) == count
     for number in range(cameras):  # each particle image once
-        assert sorted(found.hit[best, number]) == list(range(30))
+        assert sorted(found.hit[best, number]) == list(range(count))
 
 
-def test_a_single_particle_is_found_by_all_cameras(maps: VolumePolynomials) -> None:
-    point = np.array([[0.2, -0.4, 0.9]])
-    for cameras in (3, 4):
-        peaks = peaks_of(images_of(point, maps, cameras))
-        found = find_peak_sets(first(maps, cameras), peaks, 0.5, open_sensors(cameras))
-        assert found.hit.tolist() == [[0] * cameras]
-        assert distances(found.position, point, maps)[0] < 2e-3
-
-
-def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
-    maps: VolumePolynomials,
-) -> None:
+def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(maps: Maps) -> None:
     points = unit_points(10)
     pixels = images_of(points, maps)
     peaks = peaks_of((*pixels[:2], pixels[2][1:], pixels[3]))
@@ -148,7 +74,7 @@ def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
     covered = open_sensors(4)
     covered[2, row, column] = True
     strict, tolerant = (
-        find_peak_sets(maps, peaks, 0.1, area) for area in (open_sensors(4), covered)
+        matching.find_peak_sets(maps, peaks, 0.1, area) for area in (open_sensors(4), covered)
     )
     assert distances(strict.position, points, maps)[0] > 0.1
     assert distances(strict.position, points[1:], maps).max() < 2e-3
@@ -156,7 +82,7 @@ def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(
     lost = np.argmin(np.linalg.norm(tolerant.position - points[0], axis=1))
     assert np.flatnonzero(tolerant.hit[lost] < 0).tolist() == [2]
     # a sensor that ends before the particle's image misses nothing
-    cut = find_peak_sets(maps, peaks, 0.1, open_sensors(4)[:, :, : int(pixels[2][0, 0])])
+    cut = matching.find_peak_sets(maps, peaks, 0.1, open_sensors(4)[:, :, : int(pixels[2][0, 0])])
     assert distances(cut.position, points[:1], maps)[0] < 2e-3
 
 
@@ -164,11 +90,11 @@ def test_each_peak_goes_to_the_complete_set_that_fits_best() -> None:
     hit = np.array([[0, 0, 0], [0, 1, 1], [1, 1, -1], [1, 2, 2], [2, 0, -1]])
     error = np.array([0.3, 0.1, 0.0, 0.2, 0.0])
     peaks = tuple(Peaks(np.zeros((3, 2)), np.zeros(2, dtype=np.int64), 1, 1) for _ in range(3))
-    kept = select_best(PeakSets(np.zeros((5, 3)), hit, error), peaks)
+    kept = matching.select_best(matching.PeakSets(np.zeros((5, 3)), hit, error), peaks)
     assert kept.tolist() == [1, 3, 4]
 
 
-def matched(maps: VolumePolynomials, peaks: tuple[Peaks, ...], radius: float) -> Any:
+def matched(maps: Maps, peaks: tuple[Peaks, ...], radius: float) -> Any:
     """Positions and errors of the sets that self-calibration matches."""
     positions, errors = np.zeros((500, 3)), np.zeros((500, 4, 2))
     hits, order = np.zeros((500, 4), dtype=np.int64), np.arange(len(peaks[0].pixels))
@@ -176,7 +102,7 @@ def matched(maps: VolumePolynomials, peaks: tuple[Peaks, ...], radius: float) ->
     return positions[:count], errors[:count]
 
 
-def test_matches_fit_their_images_best(maps: VolumePolynomials) -> None:
+def test_matches_fit_their_images_best(maps: Maps) -> None:
     """The errors of a match have no part along the slopes of its position: least squares."""
     points = unit_points(12)
     pixels = images_of(points, maps)
@@ -196,15 +122,15 @@ def test_matches_fit_their_images_best(maps: VolumePolynomials) -> None:
     assert len(matched(maps, peaks_of((*pixels[:-1], pixels[-1] + [0.0, 3.0])), 0.5)[0]) < 12
 
 
-def test_a_line_of_sight_is_followed_as_far_as_the_box_goes(maps: VolumePolynomials) -> None:
+def test_a_line_of_sight_is_followed_as_far_as_the_box_goes(maps: Maps) -> None:
     here, slope = np.zeros(2), np.zeros((2, 3))
     for goal in ([0.3, 0.4, -0.5], [0.3, 1.3, -0.5], [-1.2, 0.2, 0.6], [0.9, -1.1, 0.0]):
         pixel = project_points(maps, 0, np.array([goal]))[0]
         position = np.array([0.0, 0.0, goal[2]])
-        inside = move_to_pixel(maps, pixel, position, 2, here, slope)
+        inside = matching.move_to_pixel(maps, pixel, position, 2, here, slope)
         assert inside == (max(np.abs(goal)) <= 1.0)
         if inside:
-            np.testing.assert_allclose(position, goal, atol=1e-4)
+            assert_allclose(position, goal, atol=1e-4)
 
 
 def test_pairs_are_those_within_the_radius_until_the_room_is_full() -> None:
@@ -213,15 +139,13 @@ def test_pairs_are_those_within_the_radius_until_the_room_is_full() -> None:
     pixels, out = rng.uniform(0.0, 60.0, (50, 2)), np.zeros((500, 2), dtype=np.int64)
     count = pair_up(peaks, pixels, 5.0, out)
     near = np.linalg.norm(pixels[:, None] - peaks.pixels[None], axis=2) <= 5.0
-    assert {(int(a), int(b)) for a, b in out[:count]} == {
-        (int(a), int(b)) for a, b in np.argwhere(near)
-    }
+    assert {*map(tuple, out[:count].tolist())} == {*map(tuple, np.argwhere(near).tolist())}
     assert pair_up(peaks, pixels, 5.0, out[:7]) == 7
 
 
 def test_particles_are_looked_for_in_whole_border_voxels() -> None:
     case = simulate(make_scene(particles={"count": 5}), seed=1).observation
-    maps, grid = fit_cameras(case), case.grid
+    maps, grid = matching.fit_cameras(case), case.grid
     low = np.asarray(grid.low_mm) - np.asarray(grid.voxel_mm) / 2.0
     assert (maps.middle_mm - maps.half_mm < low).all()
     high = low + np.asarray(grid.shape[::-1]) * np.asarray(grid.voxel_mm)
@@ -237,35 +161,36 @@ def straight_and_oblique(*tilts: float) -> VolumePolynomials:
 
 
 @pytest.mark.parametrize("tilts", [(25.0, 0.0), (0.0, 25.0), (25.0, -25.0)])
-def test_lines_of_sight_are_followed_closely_whichever_camera_looks_along_the_depth(
+def test_lines_of_sight_are_followed_closely(
     tilts: tuple[float, float],
 ) -> None:
     maps = straight_and_oblique(*tilts)
     points = np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)])
     for point in points:
         peaks = peaks_of(tuple(project_points(maps, number, point[None]) for number in range(3)))
-        found = find_peak_sets(maps, peaks, 0.5, open_sensors(3))
+        found = matching.find_peak_sets(maps, peaks, 0.5, open_sensors(3))
         assert len(found.position) == 1
-        np.testing.assert_allclose(found.position[0], point, atol=1e-6)
+        assert_allclose(found.position[0], point, atol=1e-6)
 
 
 def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back() -> None:
     maps = straight_and_oblique(0.0, 25.0, -10.0)
     for point in ([0.1, -0.2, -0.99], [0.1, -0.2, 0.01], [0.1, -0.2, 0.99]):
-        peaks = peaks_of(
-            tuple(project_points(maps, number, np.array([point])) for number in range(4))
-        )
+        pixels = [project_points(maps, number, np.array([point])) for number in range(4)]
+        peaks = peaks_of(tuple(pixels))
         positions, errors = np.zeros((5, 3)), np.zeros((5, 4, 2))
         hits, order = np.zeros((5, 4), dtype=np.int64), np.arange(1)
         assert match(maps, peaks, order, 0.5, 2, 3, positions, hits, errors) == 1
-        np.testing.assert_allclose(positions[0], point, atol=1e-6)
+        assert_allclose(positions[0], point, atol=1e-6)
 
 
 CLOCK = "sabench.utils.threads.time.monotonic"
 
 
 def solve(case: Observation, **changes: Any) -> Any:
-    return triangulate_particles(case, fit_cameras(case), TriangulationSettings(**changes))
+    return matching.triangulate_particles(
+        case, matching.fit_cameras(case), matching.TriangulationSettings(**changes)
+    )
 
 
 def noisy(case: Observation, black: float = 0.0) -> Observation:
@@ -301,7 +226,7 @@ def test_noise_without_particles_makes_none() -> None:
     assert len(solve(case, floor=1e-6).position_mm) == 0
 
 
-def test_peaks_that_agree_by_chance_are_thinned_with_a_sentence(
+def test_peaks_that_agree_by_chance_are_thinned(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     case = noisy(make_small(3).observation, black=20.0)
@@ -314,15 +239,15 @@ def test_peaks_that_agree_by_chance_are_thinned_with_a_sentence(
 
 def test_the_number_of_sets_by_chance_is_about_right() -> None:
     case = make_small(3).observation
-    rng, maps = np.random.default_rng(2), fit_cameras(case)
+    rng, maps = np.random.default_rng(2), matching.fit_cameras(case)
     rows, columns = case.images.shape[1:]
     peaks = tuple(
         sort_peaks(rng.uniform([1.0, 1.0], [columns - 2.0, rows - 2.0], (400, 2)), (rows, columns))
         for _ in case.cameras
     )
     covered = np.zeros(case.images.shape, dtype=np.bool_)
-    found = find_peak_sets(maps, peaks, 0.8, covered)
-    expected = count_by_chance(maps, peaks, 0.8, rows * columns)
+    found = matching.find_peak_sets(maps, peaks, 0.8, covered)
+    expected = matching.count_by_chance(maps, peaks, 0.8, rows * columns)
     assert 0.2 < len(found.position) / 400.0 / expected < 1.5
 
 

@@ -1,31 +1,16 @@
-"""Ghosts are removed and pairs split, single particles are neither.
-
-Widths and shifts of cameras are learned.
-"""
+"""Ghosts are removed and pairs split, single particles are neither. Widths and shifts of cameras
+are learned."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
+from sabench.algorithms.particles import image_model, model_moves
 from sabench.algorithms.particles.candidate_search import pixel_mm
-from sabench.algorithms.particles.image_model import (
-    SHAPES,
-    ImageModel,
-    ModelParticles,
-    paint_all,
-    without_margins,
-)
 from sabench.algorithms.particles.learned_model import add_camera_misses, add_shape_misses
-from sabench.algorithms.particles.model_moves import (
-    count_meetings,
-    find_neighbours,
-    measure_misfit,
-    measure_split_gains,
-    remove_ghosts,
-    split_pairs,
-)
-from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
+from sabench.geometry.volume_polynomials import project_points
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import (
     NOISE,
@@ -37,28 +22,43 @@ from tests.helpers.image_model import (
     refine_all,
     room_of,
 )
-from tests.unit.algorithms.particles.test_matching import (
-    COLUMNS,
-    ROWS,
-    distances,
-    maps,
-    unit_points,
-)
-
-__all__ = ["maps"]
-
+from tests.helpers.particle_box import COLUMNS, ROWS, Maps, distances, unit_points
 
 WIDTHS = np.tile(np.array(SIGMA), (4, 1))
 
 
-def noisy(maps: VolumePolynomials, points: F64, light: F64) -> F64:
+def noisy(maps: Maps, points: F64, light: F64) -> F64:
     """Images of particles with noise: the same at each call."""
     images = paint(maps, points, light, ROWS, COLUMNS)
     noise = np.random.default_rng(9).standard_normal(images.shape)
     return np.asarray(images + NOISE * noise)
 
 
-def crossing(maps: VolumePolynomials, ghost: F64) -> F64:
+def subtracted(
+    maps: Maps, images: F64, points: F64, light: F64, between: float = 0.1
+) -> tuple[image_model.ImageModel, image_model.Room, image_model.ModelParticles]:
+    """A model of images from which particles are subtracted."""
+    model, room = model_of(maps, images, between), room_of(maps)
+    particles = particles_of(points, light)
+    image_model.paint_all(model, room, particles, -1.0)
+    return model, room, particles
+
+
+def even_light(count: int, share: float = 1.0) -> F64:
+    return np.full((count, 4), share * TYPICAL)
+
+
+def split(
+    model: image_model.ImageModel,
+    room: image_model.Room,
+    particles: image_model.ModelParticles,
+    steps: F64,
+) -> None:
+    order, row = np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)
+    model_moves.split_pairs(model, room, particles, order, row, steps)
+
+
+def crossing(maps: Maps, ghost: F64) -> F64:
     """Four particles, each of which one camera sees where it sees the ghost."""
     out = []
     for camera, depth in enumerate((-0.7, -0.4, 0.4, 0.7)):
@@ -66,125 +66,113 @@ def crossing(maps: VolumePolynomials, ghost: F64) -> F64:
         point[2] = depth
         for _ in range(30):
             off = goal - project_points(maps, camera, point[None])[0]
-            slope = (
-                project_points(maps, camera, point + 1e-4 * np.eye(3)[:2])
-                - project_points(maps, camera, point[None])
-            ).T / 1e-4
-            point[:2] += np.linalg.solve(slope, off)
+            ends = project_points(maps, camera, point + 1e-4 * np.eye(3)[:2])
+            slope = (ends - goal + off) / 1e-4
+            point[:2] += np.linalg.solve(slope.T, off)
         out.append(point)
     return np.array(out)
 
 
-def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(
-    maps: VolumePolynomials,
-) -> None:
+def test_a_ghost_of_four_particles_is_removed_and_they_get_their_light_back(maps: Maps) -> None:
     ghost = np.array([0.05, -0.1, 0.1])
     true = crossing(maps, ghost)
-    light = np.full((4, 4), TYPICAL)
+    light = even_light(4)
     images = noisy(maps, true, light)
     shared = light.copy()
     shared[np.arange(4), np.arange(4)] *= 0.5  # the ghost has half of one image of each
     particles = particles_of(np.vstack([true, ghost]), np.vstack([shared, 0.5 * light[:1]]))
     model, room = model_of(maps, images, between=0.3), room_of(maps)
-    paint_all(model, room, particles, -1.0)
-    starts, near = find_neighbours(maps, WIDTHS, particles.position)
+    image_model.paint_all(model, room, particles, -1.0)
+    starts, near = model_moves.find_neighbours(maps, WIDTHS, particles.position)
     assert set(near[starts[4] :]) == {0, 1, 2, 3}
     order = np.arange(5)[::-1].copy()
     sure, odds = np.zeros(5, dtype=np.bool_), np.zeros(5)
-    assert remove_ghosts(model, room, particles, order, starts, near, 4, True, sure, odds) == 1
+    assert (
+        model_moves.remove_ghosts(model, room, particles, order, starts, near, 4, True, sure, odds)
+        == 1
+    )
     assert sure.tolist() == [True] * 4 + [False]
     assert (odds > 10.0).tolist() == [True] * 4 + [False]
     assert particles.alive.tolist() == [True] * 4 + [False]
-    kept = ModelParticles(particles.position[:4], particles.light[:4], particles.alive[:4])
+    kept = image_model.ModelParticles(
+        particles.position[:4], particles.light[:4], particles.alive[:4]
+    )
     refine_all(model, room, kept, 10)
     assert np.abs(kept.light / light - 1.0).max() < 0.1
 
 
-def test_light_in_one_camera_alone_is_no_particle(maps: VolumePolynomials) -> None:
+def test_light_in_one_camera_alone_is_no_particle(maps: Maps) -> None:
     point = np.zeros((1, 3))
     light = np.array([[1e-3, 3.0 * TYPICAL, 1e-3, 1e-3]])
     images = noisy(maps, point, light)
     starts, near = np.zeros(2, dtype=np.int64), np.zeros(0, dtype=np.int64)
     for lone, expected in ((True, 1), (False, 0)):
-        model, room = model_of(maps, images, between=1.0), room_of(maps)
-        particles = particles_of(point, np.array([[8.0, 3.0 * TYPICAL, 8.0, 8.0]]))
-        paint_all(model, room, particles, -1.0)
-        order = np.zeros(1, dtype=np.int64)
-        sure = np.zeros(1, dtype=np.bool_)
-        found = remove_ghosts(
-            model, room, particles, order, starts, near, 1, lone, sure, np.zeros(1)
-        )
-        assert found == expected
+        guess = np.array([[8.0, 3.0 * TYPICAL, 8.0, 8.0]])
+        model, room, particles = subtracted(maps, images, point, guess, 1.0)
+        rest = np.arange(1), starts, near, 1, lone, np.zeros(1, dtype=np.bool_), np.zeros(1)
+        assert model_moves.remove_ghosts(model, room, particles, *rest) == expected
 
 
-def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(
-    maps: VolumePolynomials,
-) -> None:
+def test_of_two_at_one_place_one_is_removed_and_none_of_two_apart(maps: Maps) -> None:
     """Light is a particle's own only where others leave none: it is sure without a trial."""
-    size, light = pixel_mm(maps) / maps.half_mm, np.full((2, 4), TYPICAL)
+    size, light = pixel_mm(maps) / maps.half_mm, even_light(2)
     for apart, expected in ((0.0, 1), (6.0, 0)):
         pair = apart * size * np.array([[0.5, 0.5, 0.0], [-0.5, -0.5, 0.0]])
         share = 1.0 if apart else 0.5
-        model, room = model_of(maps, noisy(maps, pair, share * light), 0.3), room_of(maps)
-        particles = particles_of(pair, share * light)
-        paint_all(model, room, particles, -1.0)
-        starts, near = find_neighbours(maps, WIDTHS, pair)
+        images = noisy(maps, pair, share * light)
+        model, room, particles = subtracted(maps, images, pair, share * light, 0.3)
+        starts, near = model_moves.find_neighbours(maps, WIDTHS, pair)
         sure, odds = np.zeros(2, dtype=np.bool_), np.zeros(2)
-        removed = remove_ghosts(
-            model, room, particles, np.arange(2), starts, near, 3, True, sure, odds
-        )
-        assert removed == expected
+        rest = np.arange(2), starts, near, 3, True, sure, odds
+        assert model_moves.remove_ghosts(model, room, particles, *rest) == expected
         assert sure.sum() == 2 - expected
 
 
-def test_true_particles_stay_and_nothing_moves(maps: VolumePolynomials) -> None:
-    points, light = 0.5 * unit_points(30), np.full((30, 4), TYPICAL)
-    model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
-    particles = particles_of(points, light)
-    paint_all(model, room, particles, -1.0)
+def test_true_particles_stay_and_nothing_moves(maps: Maps) -> None:
+    points, light = 0.5 * unit_points(30), even_light(30)
+    model, room, particles = subtracted(maps, noisy(maps, points, light), points, light)
     left = model.left.copy()
-    starts, near = find_neighbours(maps, WIDTHS, points)
+    starts, near = model_moves.find_neighbours(maps, WIDTHS, points)
     order, sure = np.arange(30), np.zeros(30, dtype=np.bool_)
-    assert (
-        remove_ghosts(model, room, particles, order, starts, near, 2, True, sure, np.zeros(30)) == 0
-    )
+    rest = order, starts, near, 2, True, sure, np.zeros(30)
+    assert model_moves.remove_ghosts(model, room, particles, *rest) == 0
     assert sure.all()
-    np.testing.assert_array_equal(particles.position, points)
-    np.testing.assert_array_equal(particles.light, light)
-    np.testing.assert_allclose(model.left, left, atol=1e-3)
+    assert_array_equal(particles.position, points)
+    assert_array_equal(particles.light, light)
+    assert_allclose(model.left, left, atol=1e-3)
 
 
 @pytest.mark.slow
-def test_squares_left_are_those_of_noise_where_particles_fit_and_more_where_they_do_not(
-    maps: VolumePolynomials,
+def test_squares_left_are_those_of_noise_where_particles_fit(
+    maps: Maps,
 ) -> None:
-    points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
+    points, light = 0.8 * unit_points(30), even_light(30)
     model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
     particles = particles_of(points, light)
     particles.light[0] *= 0.5
-    paint_all(model, room, particles, -1.0)
-    measure_misfit(model, room, particles, misfit := np.zeros(30))
+    image_model.paint_all(model, room, particles, -1.0)
+    model_moves.measure_misfit(model, room, particles, misfit := np.zeros(30))
     assert misfit[0] > 10.0
     assert abs(np.median(misfit)) < 1.0
 
 
-def test_meetings_with_chosen_particles_are_counted(maps: VolumePolynomials) -> None:
+def test_meetings_with_chosen_particles_are_counted(maps: Maps) -> None:
     """A particle meets one at its side in all cameras, and each of four others in one."""
     ghost, size = np.array([0.05, -0.1, 0.1]), pixel_mm(maps) / maps.half_mm
     beside = ghost + size * np.array([1.0, 0.0, 0.0])
     points = np.vstack([ghost, beside, crossing(maps, ghost)])
-    starts, near = find_neighbours(maps, WIDTHS, points)
+    starts, near = model_moves.find_neighbours(maps, WIDTHS, points)
     for chosen, expected in (([1], 4), ([2], 1), ([2, 4, 5], 3), ([1, 3], 5), ([0], 0)):
         marked = np.isin(np.arange(6), chosen)
-        counts = count_meetings(maps, WIDTHS, points, marked, starts, near)
+        counts = model_moves.count_meetings(maps, WIDTHS, points, marked, starts, near)
         assert counts[0] == expected
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("shaped", [False, True])
-def test_shapes_that_change_over_the_box_are_learned(maps: VolumePolynomials, shaped: bool) -> None:
+def test_shapes_that_change_over_the_box_are_learned(maps: Maps, shaped: bool) -> None:
     """Of two cameras, one has other widths, and one may have tilted or flat images."""
-    points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
+    points, light = 0.8 * unit_points(30), even_light(30)
     model, room = model_of(maps, np.zeros((4, ROWS, COLUMNS))), room_of(maps)
     expected = model.shapes.copy()
     expected[2, :2] += 0.02 * np.array([[1.0, -1.0, 0.5, 2.0], [-1.0, 1.5, 1.0, 0.5]])
@@ -192,33 +180,35 @@ def test_shapes_that_change_over_the_box_are_learned(maps: VolumePolynomials, sh
         expected[1, 2] = 0.02 * np.array([5.0, -2.0, 1.0, 2.0])
         expected[3, 3] = 0.02 * np.array([2.0, 0.5, -0.5, 0.2])
     model.shapes[:] = expected
-    paint_all(model, room, particles_of(points, light), -1.0)
-    images = -without_margins(model.left).astype(np.float64)
+    image_model.paint_all(model, room, particles_of(points, light), -1.0)
+    images = -image_model.without_margins(model.left).astype(np.float64)
     model, particles = model_of(maps, images), particles_of(points, 1.1 * light)
     particles.light[:, 2] *= 0.95  # as if its images were narrower
-    paint_all(model, room, particles, -1.0)
+    image_model.paint_all(model, room, particles, -1.0)
     for _ in range(4):
         matrices, right = np.zeros((4, 16, 16)), np.zeros((4, 16))
         add_shape_misses(model, room, particles, np.arange(30), matrices, right)
         matrices[:3, 12:], matrices[:3, :, 12:], right[:3, 12:] = 0.0, 0.0, 0.0
         matrices[:3, 12:, 12:] = np.eye(4)  # these are known not to be flat
-        model.shapes[:] += np.linalg.solve(matrices, right[:, :, None]).reshape(4, SHAPES, 4)
+        model.shapes[:] += np.linalg.solve(matrices, right[:, :, None]).reshape(
+            4, image_model.SHAPES, 4
+        )
         model.left[:] = model.images
-        paint_all(model, room, particles, -1.0)
+        image_model.paint_all(model, room, particles, -1.0)
         refine_all(model, room, particles, 2)
-    np.testing.assert_allclose(model.shapes, expected, atol=2e-3)
+    assert_allclose(model.shapes, expected, atol=2e-3)
 
 
-def test_a_particle_of_which_a_camera_knows_a_far_tail_alone_says_nothing_of_widths(
-    maps: VolumePolynomials,
+def test_a_far_tail_alone_says_nothing_of_widths(
+    maps: Maps,
 ) -> None:
     """Its squared image there is less than the least number: quotients by it have no bound."""
-    images = paint(maps, np.zeros((1, 3)), np.full((1, 4), TYPICAL), ROWS, COLUMNS)
-    particles = particles_of(np.zeros((1, 3)), np.full((1, 4), TYPICAL))
+    images = paint(maps, np.zeros((1, 3)), even_light(1), ROWS, COLUMNS)
+    particles = particles_of(np.zeros((1, 3)), even_light(1))
     model, room = model_of(maps, images), room_of(maps)
     column, row = np.rint(project_points(maps, 2, np.zeros((1, 3)))[0]).astype(int)
     model.weight[2] = 0.0
-    without_margins(model.weight[2])[row - 2, column - 2] = 1.0
+    image_model.without_margins(model.weight[2])[row - 2, column - 2] = 1.0
     for width in np.linspace(0.15, 0.3, 31):
         model.shapes[:, :2, 0] = width
         matrices, right = np.zeros((4, 16, 16)), np.zeros((4, 16))
@@ -226,32 +216,32 @@ def test_a_particle_of_which_a_camera_knows_a_far_tail_alone_says_nothing_of_wid
         assert np.abs(matrices[2]).max() < 1e-6
 
 
-def test_a_shift_of_a_camera_shows_in_its_equations(maps: VolumePolynomials) -> None:
-    points, light = 0.8 * unit_points(30), np.full((30, 4), TYPICAL)
+def test_a_shift_of_a_camera_shows_in_its_equations(maps: Maps) -> None:
+    points, light = 0.8 * unit_points(30), even_light(30)
     shifted = maps._replace(coefficients=maps.coefficients.copy())
     shifted.coefficients[1, 0] += [0.04, -0.06]
     model, room = model_of(maps, paint(shifted, points, light, ROWS, COLUMNS)), room_of(maps)
     particles = particles_of(points, light)
-    paint_all(model, room, particles, -1.0)
+    image_model.paint_all(model, room, particles, -1.0)
     sums = np.zeros((4, 5))
     add_camera_misses(model, room, particles, sums)
     for camera, (xx, xy, yy, x, y) in enumerate(sums):
         shift = np.linalg.solve([[xx, xy], [xy, yy]], [x, y])
         expected = [0.04, -0.06] if camera == 1 else [0.0, 0.0]
-        np.testing.assert_allclose(shift, expected, atol=3e-3)
+        assert_allclose(shift, expected, atol=3e-3)
 
 
-def gains_of(model: ImageModel, maps: VolumePolynomials, particles: ModelParticles) -> F64:
+def gains_of(
+    model: image_model.ImageModel, maps: Maps, particles: image_model.ModelParticles
+) -> F64:
     """Gains that splits along the axes promise each particle that is in the model."""
     steps = 0.7 * pixel_mm(maps) / maps.half_mm * np.diag([1.0, 1.0, 3.0])
     gains = np.zeros(len(particles.position))
-    measure_split_gains(model, room_of(maps), particles, steps, gains)
+    model_moves.measure_split_gains(model, room_of(maps), particles, steps, gains)
     return gains
 
 
-def test_the_promise_is_the_parabola_of_costs_of_halves_that_move_apart(
-    maps: VolumePolynomials,
-) -> None:
+def test_the_promise_is_the_parabola_of_costs_of_halves_that_move_apart(maps: Maps) -> None:
     """Halves are painted a little apart here, and each camera's light is fitted to what they do."""
     point, light = np.array([[0.1, -0.2, 0.3]]), TYPICAL * np.array([[1.0, 1.5, 0.7, 1.2]])
     step = pixel_mm(maps) / maps.half_mm * np.array([[0.6, 0.3, 1.5]])
@@ -259,115 +249,104 @@ def test_the_promise_is_the_parabola_of_costs_of_halves_that_move_apart(
     images = noisy(maps, pair, 0.5 * np.vstack([light, light]))
     particles, room = particles_of(point, light), room_of(maps)
     model = model_of(maps, images)
-    paint_all(model, room, particles, -1.0)
-    measure_split_gains(model, room, particles, step, gain := np.zeros(1))
+    image_model.paint_all(model, room, particles, -1.0)
+    model_moves.measure_split_gains(model, room, particles, step, gain := np.zeros(1))
 
     small = 0.1 * step
     halves = np.vstack([point + small, point - small])
     apart = paint(maps, halves, 0.5 * np.vstack([light, light]), ROWS, COLUMNS)
     single = paint(maps, point, light, ROWS, COLUMNS)
-    left, change = without_margins(model.left).astype(np.float64), apart - single
+    left, change = image_model.without_margins(model.left).astype(np.float64), apart - single
     share = (change * single).sum(axis=(1, 2)) / (single**2).sum(axis=(1, 2))
     change -= share[:, None, None] * single
     expected = 0.5 * (left * change).sum() ** 2 / ((change**2).sum() * NOISE**2)
     assert gain[0] == pytest.approx(expected, rel=0.03)
 
 
-def test_noise_promises_half_the_square_of_a_normal_deviate_if_positive(
-    maps: VolumePolynomials,
-) -> None:
+def test_noise_promises_half_the_square_of_a_normal_deviate_if_positive(maps: Maps) -> None:
     """Its mean is a quarter, and its variance 5 / 16, along any one step."""
-    points, light = 0.8 * unit_points(200), np.full((200, 4), TYPICAL)
-    model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
-    particles = particles_of(points, light)
-    paint_all(model, room, particles, -1.0)
+    points, light = 0.8 * unit_points(200), even_light(200)
+    model, room, particles = subtracted(maps, noisy(maps, points, light), points, light)
     step = pixel_mm(maps) / maps.half_mm * np.array([[0.6, 0.3, 1.5]])
-    measure_split_gains(model, room, particles, step, gains := np.zeros(200))
+    model_moves.measure_split_gains(model, room, particles, step, gains := np.zeros(200))
     assert gains.mean() == pytest.approx(0.25, abs=3.0 * np.sqrt(5.0 / 16.0 / 200.0))
     assert gains.max() < 12.0
 
 
-def test_a_peak_of_the_wrong_height_promises_nothing(maps: VolumePolynomials) -> None:
+def test_a_peak_of_the_wrong_height_promises_nothing(maps: Maps) -> None:
     """Light explains it: it is no pair."""
-    point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
+    point, light = np.zeros((1, 3)), even_light(1)
     model = model_of(maps, paint(maps, point, light, ROWS, COLUMNS))
     particles = particles_of(point, light * [0.7, 1.4, 0.8, 1.3])
-    paint_all(model, room_of(maps), particles, -1.0)
+    image_model.paint_all(model, room_of(maps), particles, -1.0)
     assert gains_of(model, maps, particles)[0] < 0.1
 
 
-def test_a_pair_stands_out_where_the_model_errs_more_than_the_noise(
-    maps: VolumePolynomials,
-) -> None:
+def test_a_pair_stands_out_where_the_model_errs_more_than_the_noise(maps: Maps) -> None:
     """The squares left around it are less than expected then, and tell nothing."""
     size = pixel_mm(maps) / maps.half_mm
     half = 0.8 * size * np.array([1.0, 0.0, 0.0])
     points = np.vstack([0.9 * unit_points(20), [half], [-half]])
-    images = noisy(maps, points, np.full((22, 4), TYPICAL))
+    images = noisy(maps, points, even_light(22))
     seen = np.vstack([points[:20], np.zeros((1, 3))])
-    light = np.full((21, 4), TYPICAL)
+    light = even_light(21)
     light[20] *= 2.0
     model, room, particles = model_of(maps, images), room_of(maps), particles_of(seen, light)
     model.weight[:] /= 5.0
-    paint_all(model, room, particles, -1.0)
+    image_model.paint_all(model, room, particles, -1.0)
     refine_all(model, room, particles, 10)
     gains = gains_of(model, maps, particles)
     assert gains[20] > 5.0 + gains[:20].max()
 
 
 @pytest.mark.parametrize("direction", [[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])
-def test_two_particles_that_look_like_one_are_split(
-    maps: VolumePolynomials, direction: list[float]
-) -> None:
+def test_two_particles_that_look_like_one_are_split(maps: Maps, direction: list[float]) -> None:
     size = pixel_mm(maps) / maps.half_mm
     half = 0.8 * size * np.array(direction) * [1.0, 1.0, 4.0]
     pair = np.array([half, -half])
-    images = noisy(maps, pair, np.full((2, 4), TYPICAL))
+    images = noisy(maps, pair, even_light(2))
     model, room = model_of(maps, images), room_of(maps)
     rows, lights = np.zeros((2, 3)), np.full((2, 4), 2.0 * TYPICAL)
-    particles = ModelParticles(rows, lights, np.array([True, False]))
-    single = ModelParticles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
-    paint_all(model, room, single, -1.0)
+    particles = image_model.ModelParticles(rows, lights, np.array([True, False]))
+    single = image_model.ModelParticles(rows[:1], lights[:1], np.ones(1, dtype=np.bool_))
+    image_model.paint_all(model, room, single, -1.0)
     refine_all(model, room, single, 10)
     steps = 0.7 * size * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]])
-    measure_split_gains(model, room, single, steps, gain := np.zeros(1))
+    model_moves.measure_split_gains(model, room, single, steps, gain := np.zeros(1))
     assert gain[0] > 20.0
-    order = np.zeros(1, dtype=np.int64)
-    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
+    split(model, room, particles, steps)
     assert particles.alive.all()
     refine_all(model, room, particles, 20)
     assert distances(particles.position, pair, maps).max() < 0.3 * pixel_mm(maps)
-    measure_split_gains(model, room, particles, steps, two := np.zeros(2))
+    model_moves.measure_split_gains(model, room, particles, steps, two := np.zeros(2))
     assert two.max() < 4.0
 
 
-def test_a_single_particle_is_not_split(maps: VolumePolynomials) -> None:
-    point, light = np.zeros((1, 3)), np.full((1, 4), TYPICAL)
+def test_a_single_particle_is_not_split(maps: Maps) -> None:
+    point, light = np.zeros((1, 3)), even_light(1)
     model, room = model_of(maps, noisy(maps, point, light)), room_of(maps)
-    particles = ModelParticles(np.zeros((2, 3)), np.full((2, 4), TYPICAL), np.array([True, False]))
-    paint_all(model, room, particles_of(point, light), -1.0)
+    particles = image_model.ModelParticles(np.zeros((2, 3)), even_light(2), np.array([True, False]))
+    image_model.paint_all(model, room, particles_of(point, light), -1.0)
     left, size = model.left.copy(), pixel_mm(maps) / maps.half_mm
     steps = 0.7 * size * np.eye(3)
-    order = np.zeros(1, dtype=np.int64)
-    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
+    split(model, room, particles, steps)
     assert particles.alive.tolist() == [True, False]
-    np.testing.assert_allclose(particles.position[0], 0.0, atol=1e-12)
-    np.testing.assert_allclose(model.left, left, atol=1e-3)
+    assert_allclose(particles.position[0], 0.0, atol=1e-12)
+    assert_allclose(model.left, left, atol=1e-3)
 
 
-def test_a_wide_particle_is_not_split(maps: VolumePolynomials) -> None:
+def test_a_wide_particle_is_not_split(maps: Maps) -> None:
     """Two so near that no camera sees them apart are one with a wider image."""
     size = pixel_mm(maps) / maps.half_mm
     pair = 0.15 * size * np.array([[1.0, 1.0, 1.0], [-1.0, -1.0, -1.0]])
     images = noisy(maps, pair, np.full((2, 4), 50.0 * TYPICAL))
     model, room = model_of(maps, images), room_of(maps)
     light = np.full((2, 4), 100.0 * TYPICAL)
-    particles = ModelParticles(np.zeros((2, 3)), light, np.array([True, False]))
-    single = ModelParticles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
-    paint_all(model, room, single, -1.0)
-    order = np.zeros(1, dtype=np.int64)
+    particles = image_model.ModelParticles(np.zeros((2, 3)), light, np.array([True, False]))
+    single = image_model.ModelParticles(np.zeros((1, 3)), light[:1], np.ones(1, dtype=np.bool_))
+    image_model.paint_all(model, room, single, -1.0)
     steps = 0.15 * size * np.ones((1, 3))
-    measure_split_gains(model, room, single, steps, gain := np.zeros(1))
+    model_moves.measure_split_gains(model, room, single, steps, gain := np.zeros(1))
     assert gain[0] > 100.0
-    split_pairs(model, room, particles, order, np.ones(1, dtype=np.int64), steps)
+    split(model, room, particles, steps)
     assert particles.alive.tolist() == [True, False]

@@ -1,7 +1,5 @@
-"""Refocusing against a second implementation, and between both back ends.
-
-The second implementation uses exact projection, and scipy's splines and interpolation.
-"""
+"""Refocusing against a second implementation, and between both back ends. The second implementation
+uses exact projection, and scipy's splines and interpolation."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from sabench.algorithms.refocus import (
@@ -28,11 +27,12 @@ from sabench.algorithms.refocus.slabs import (
     rectifying_maps,
     slabs,
 )
-from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
 from sabench.utils.arrays import F32, F64
+from tests.helpers import cameras
 
 FLOOR = 0.05
 FLAT = Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (Layer("glass", 1.52, 5.0),), 1.333)
@@ -42,81 +42,74 @@ GRID = Grid((-5.0, 0.7, 40.0), (0.06, 0.06, 0.5), (9, 151, 190))
 
 
 def make_camera(x: float, y: float, wall: Wall | None, lens: Distortion = BROWN) -> Camera:
-    camera = Camera(
-        name="camera_00",
+    camera = cameras.make_camera(
         rows=110,
         columns=140,
         center_mm=(x, y, -300.0),
-        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        rotation=cameras.ALONG_Z,
         principal_distance_mm=60.0,
-        pixel_mm=0.01,
         principal_point_px=(66.0, 47.0),
         distortion=lens,
-        focal_length_mm=45.0,
-        f_number=8.0,
         wall=wall,
     )
     return aim(camera, (1.0, 5.0, 42.0))
 
 
+def even(level: float, count: int) -> F32:
+    return np.full((count, 110, 140), level, dtype=np.float32)
+
+
+def spot(column: float, row: float) -> F64:
+    rows, columns = np.mgrid[0:110, 0:140]
+    return np.asarray(np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / 4.0))
+
+
+def in_plane(spots: F64, z_mm: float) -> F64:
+    """Points (n, 3) of places (n, 2) in voxels of the grid's lateral lattice."""
+    lateral = np.asarray(GRID.low_mm)[:2] + np.asarray(GRID.voxel_mm)[:2] * spots
+    return np.column_stack([lateral, np.full(len(spots), z_mm)])
+
+
 def array(wall: Wall | None) -> list[Camera]:
-    return [
-        make_camera(120.0, -80.0, wall),
-        make_camera(-90.0, 130.0, wall),
-        make_camera(0.0, 10.0, wall, Distortion()),
-    ]
+    distorted = [make_camera(x, y, wall) for x, y in ((120.0, -80.0), (-90.0, 130.0))]
+    return [*distorted, make_camera(0.0, 10.0, wall, Distortion())]
 
 
 def smooth_images(seed: int, count: int = 3) -> F32:
-    """Noise with details of about three pixels, from 0 to 1.
-
-    It shows a misplaced sample.
-    """
+    """Noise with details of about three pixels, from 0 to 1. It shows a misplaced sample."""
     noise = np.random.default_rng(seed).standard_normal((count, 110, 140))
     smooth = np.stack([gaussian_filter(image, 1.5, mode="wrap") for image in noise])
     return np.asarray((smooth - smooth.min()) / (smooth.max() - smooth.min()), dtype=np.float32)
 
 
-def reference(images: F32, cameras: list[Camera], grid: Grid) -> F64:
-    """Return samples (camera, z, y, x) by exact projections.
-
-    A spline onto the slab's plane, then bilinear interpolation. NaN near an image's border.
-    """
-    x, y, z = grid.axes_mm
-    zz, yy, xx = np.meshgrid(z, y, x, indexing="ij")
+def reference(images: F32, rig: list[Camera], grid: Grid) -> F64:
+    """Return samples (camera, z, y, x) by exact projections. A spline onto the slab's plane, then
+    bilinear interpolation. NaN near an image's border."""
+    zz, yy, xx = np.meshgrid(*grid.axes_mm[::-1], indexing="ij")
     points = np.stack([xx, yy, zz], axis=-1).reshape(-1, 3)
-    samples = np.full((len(cameras), len(points)), np.nan)
-    for slab in slabs(cameras, grid):
-        planes = (
-            np.abs(points[:, 2] - slab.z_mm) <= (slab.count - 1) / 2.0 * grid.voxel_mm[2] + 1e-9
-        )
-        for number, (image, camera) in enumerate(zip(images, cameras, strict=True)):
+    samples = np.full((len(rig), len(points)), np.nan)
+    for slab in slabs(rig, grid):
+        half = (slab.count - 1) / 2.0 * grid.voxel_mm[2]
+        planes = np.abs(points[:, 2] - slab.z_mm) <= half + 1e-9
+        for number, (image, camera) in enumerate(zip(images, rig, strict=True)):
             samples[number, planes] = looked_up(image, camera, points[planes], grid, slab.z_mm)
-    return samples.reshape(len(cameras), *grid.shape)
+    return samples.reshape(len(rig), *grid.shape)
 
 
 def looked_up(image: F32, camera: Camera, points: F64, grid: Grid, z_mm: float) -> F64:
     pixels = camera.project(points)[0]
-    rays = camera.back_project(pixels)
-    hits = (
-        rays.origins_mm + (z_mm - rays.origins_mm[:, 2:]) / rays.directions[:, 2:] * rays.directions
+    voxels = grid.to_voxels(
+        np.column_stack([camera.carry(points, z_mm), np.full(len(points), z_mm)])
     )
-    voxels = grid.to_voxels(hits)[:, :2]
+    voxels = voxels[:, :2]
     low = np.floor(voxels.min(axis=0)).astype(int) - 1
     columns, rows = np.ceil(voxels.max(axis=0)).astype(int) + 2 - low
     i, j = np.meshgrid(np.arange(columns) + low[0], np.arange(rows) + low[1])
-    corners = (
-        np.column_stack([i.ravel(), j.ravel()]) * np.asarray(grid.voxel_mm)[:2]
-        + np.asarray(grid.low_mm)[:2]
-    )
-    place = camera.project(np.column_stack([corners, np.full(i.size, z_mm)]))[0]
-    spline = map_coordinates(
-        spline_filter(image.astype(np.float64), mode="mirror"),
-        place[:, ::-1].T,
-        mode="mirror",
-        prefilter=False,
-    )
-    flat = np.maximum(spline, 0.0).reshape(rows, columns)
+    corners = np.column_stack([i.ravel(), j.ravel()]) * grid.voxel_mm[:2] + grid.low_mm[:2]
+    place = camera.project(np.column_stack([corners, np.full(i.size, z_mm)]))[0][:, ::-1].T
+    spline = spline_filter(image.astype(np.float64), mode="mirror")
+    plane = map_coordinates(spline, place, mode="mirror", prefilter=False)
+    flat = np.maximum(plane, 0.0).reshape(rows, columns)
     value = map_coordinates(flat, (voxels - low)[:, ::-1].T, order=1)
     value[~camera.contains(pixels, -3.5)] = np.nan
     return np.asarray(value)
@@ -124,275 +117,179 @@ def looked_up(image: F32, camera: Camera, points: F64, grid: Grid, z_mm: float) 
 
 @pytest.mark.parametrize("wall", [None, FLAT, TILTED])
 def test_refocusing_is_interpolation_at_exact_projections(wall: Wall | None) -> None:
-    cameras, images = array(wall), smooth_images(5)
-    samples = reference(images, cameras, GRID)
+    rig, images = array(wall), smooth_images(5)
+    samples = reference(images, rig, GRID)
     seen = np.isfinite(samples).all(axis=0)
     assert 0.05 < seen.mean() < 0.95  # the grid is wider than what the cameras see
-    steepest = np.abs(np.diff(images)).max()
-    found = refocus_sum(images, cameras, GRID)
+    most = np.abs(np.diff(images)).max() * DEVIATION_PX * 3
+    found = refocus_sum(images, rig, GRID)
     assert found.dtype == np.float32
-    np.testing.assert_allclose(
-        found[seen], samples.sum(axis=0)[seen], rtol=0, atol=3 * steepest * DEVIATION_PX * 1.5
-    )
+    assert_allclose(found[seen], samples.sum(axis=0)[seen], rtol=0, atol=1.5 * most)
     product = np.log2(np.maximum(samples, FLOOR)).sum(axis=0)
-    log2 = refocus_log2(images, cameras, GRID, FLOOR)
-    np.testing.assert_allclose(
-        np.exp2(log2[seen] / 3),
-        np.exp2(product[seen] / 3),
-        rtol=0,
-        atol=steepest * DEVIATION_PX * 3,
-    )
+    log2 = refocus_log2(images, rig, GRID, FLOOR)
+    assert_allclose(np.exp2(log2[seen] / 3), np.exp2(product[seen] / 3), rtol=0, atol=most)
+    alone = np.zeros_like(images)
+    alone[1] = images[1]
+    seen = np.isfinite(samples[1])
+    assert_allclose(refocus_sum(alone, rig, GRID)[seen], samples[1][seen], rtol=0, atol=2e-3)
 
 
 @pytest.mark.parametrize("wall", [None, FLAT, TILTED])
 def test_maps_stay_within_their_tolerance_by_slabs(wall: Wall | None) -> None:
-    cameras, deep = array(wall), replace(GRID, voxel_mm=(0.06, 0.06, 1.5), shape=(40, 151, 600))
-    parts = slabs(cameras, deep)
-    assert [part.first for part in parts] == list(
-        np.cumsum([0] + [part.count for part in parts])[:-1]
-    )
+    rig, deep = array(wall), replace(GRID, voxel_mm=(0.06, 0.06, 1.5), shape=(40, 151, 600))
+    parts = slabs(rig, deep)
+    ends = np.cumsum([0] + [part.count for part in parts])
+    assert [part.first for part in parts] == ends[:-1].tolist()
     assert sum(part.count for part in parts) == 40
-    assert all(deviation_px(part, cameras, deep) <= DEVIATION_PX for part in parts)
+    assert all(deviation_px(part, rig, deep) <= DEVIATION_PX for part in parts)
     if wall is None:
         assert len(parts) == 1  # scale and shift are exact for a pinhole in air
-        assert deviation_px(parts[0], cameras, deep) < 1e-3
+        assert deviation_px(parts[0], rig, deep) < 1e-3
     else:
-        assert deviation_px(make_slab(cameras, deep, 0, 40), cameras, deep) > DEVIATION_PX
+        assert deviation_px(make_slab(rig, deep, 0, 40), rig, deep) > DEVIATION_PX
 
 
 def test_deviation_is_that_of_all_voxels() -> None:
-    """The probes find about the largest error of the affine maps.
-
-    It is their distance from exact lines of sight.
-    """
-    cameras = array(TILTED)
-    slab = make_slab(cameras, GRID, 0, 9)
+    """The probes find about the largest error of the affine maps, from exact lines of sight."""
+    rig = array(TILTED)
+    slab = make_slab(rig, GRID, 0, 9)
     maps, worst = slab.tiles(GRID), 0.0
-    z, y, x = (
-        v.ravel() for v in np.meshgrid(np.arange(9), np.arange(151), np.arange(190), indexing="ij")
-    )
-    tile = y // cpu_kernels.TILE_ROWS
-    for number, camera in enumerate(cameras):
+    z, y, x = np.indices((9, 151, 190)).reshape(3, -1)
+    tile, row = np.divmod(y, cpu_kernels.TILE_ROWS)
+    for number, camera in enumerate(rig):
         q = maps[tile, z, number]
-        row = y % cpu_kernels.TILE_ROWS
-        spot = (
-            q[:, [0, 3]]
-            + q[:, [1, 4]] * x[:, None]
-            + q[:, [2, 5]] * row[:, None]
-            + slab.corners[number]
-        )
-        step, low = np.asarray(GRID.voxel_mm), np.asarray(GRID.low_mm)
-        exact = camera.project(low + step * np.column_stack([x, y, z]))[0]
-        there = camera.project(
-            np.column_stack([low[:2] + step[:2] * spot, np.full(len(x), slab.z_mm)])
-        )[0]
+        shift = q[:, [1, 4]] * x[:, None] + q[:, [2, 5]] * row[:, None]
+        spots = q[:, [0, 3]] + shift + slab.corners[number]
+        points = np.asarray(GRID.low_mm) + np.asarray(GRID.voxel_mm) * np.column_stack([x, y, z])
+        exact, there = (camera.project(p)[0] for p in (points, in_plane(spots, slab.z_mm)))
         seen = camera.contains(exact)
         worst = max(worst, float(np.linalg.norm(exact - there, axis=1)[seen].max()))
-    assert 0.5 * worst <= deviation_px(slab, cameras, GRID) <= 1.001 * worst
-
-
-def test_refocusing_samples_each_camera_by_itself() -> None:
-    cameras, images = array(TILTED), smooth_images(6)
-    samples = reference(images, cameras, GRID)
-    for number in range(3):
-        alone = np.zeros_like(images)
-        alone[number] = images[number]
-        seen = np.isfinite(samples[number])
-        np.testing.assert_allclose(
-            refocus_sum(alone, cameras, GRID)[seen], samples[number][seen], rtol=0, atol=2e-3
-        )
+    assert 0.5 * worst <= deviation_px(slab, rig, GRID) <= 1.001 * worst
 
 
 def test_sum_is_linear() -> None:
-    cameras, first, second = (
-        array(FLAT),
-        smooth_images(7) + np.float32(0.5),
-        smooth_images(8) + np.float32(0.5),
-    )  # no spline dips below zero
-    both = refocus_sum(2.0 * first + np.float32(0.5) * second, cameras, GRID)
-    apart = 2.0 * refocus_sum(first, cameras, GRID) + 0.5 * refocus_sum(second, cameras, GRID)
-    np.testing.assert_allclose(both, apart, rtol=0, atol=1e-5)
+    half = np.float32(0.5)  # no spline dips below zero
+    rig, first, second = array(FLAT), smooth_images(7) + half, smooth_images(8) + half
+    both = refocus_sum(2.0 * first + half * second, rig, GRID)
+    apart = 2.0 * refocus_sum(first, rig, GRID) + 0.5 * refocus_sum(second, rig, GRID)
+    assert_allclose(both, apart, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("refocused", [refocus_sum, functools.partial(refocus_log2, floor=FLOOR)])
 @pytest.mark.parametrize("outside", [0.0, 1.0])
-def test_even_images_show_how_many_cameras_see_a_voxel(
-    refocused: Callable[..., F32], outside: float
-) -> None:
-    cameras = array(FLAT)
-    x, y, z = np.meshgrid(*GRID.axes_mm, indexing="ij")
-    points = np.stack([x, y, z], axis=-1).transpose(2, 1, 0, 3).reshape(-1, 3)
-    pixels = [camera.project(points)[0] for camera in cameras]
-    seen = np.sum(
-        [camera.contains(pixel, -0.5) for camera, pixel in zip(cameras, pixels, strict=True)],
-        axis=0,
-    ).reshape(GRID.shape)
-    clear = np.all(
-        [
-            camera.contains(p, -2.5) | ~camera.contains(p, 1.5)
-            for camera, p in zip(cameras, pixels, strict=True)
-        ],
-        axis=0,
-    )
-    found = refocused(np.full((3, 110, 140), 0.5, dtype=np.float32), cameras, GRID, outside=outside)
-    inside, beyond = (
-        (0.5, outside) if refocused is refocus_sum else (-1.0, np.log2(max(outside, FLOOR)))
-    )
+def test_even_images_count_the_cameras(refocused: Callable[..., F32], outside: float) -> None:
+    rig = array(FLAT)
+    z, y, x = np.meshgrid(*GRID.axes_mm[::-1], indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
+    pairs = [(camera, camera.project(points)[0]) for camera in rig]
+    seen = np.sum([camera.contains(pixel, -0.5) for camera, pixel in pairs], axis=0)
+    sure = [camera.contains(p, -2.5) | ~camera.contains(p, 1.5) for camera, p in pairs]
+    clear = np.all(sure, axis=0)
+    found = refocused(even(0.5, 3), rig, GRID, outside=outside)
+    inside, beyond = 0.5, outside
+    if refocused is not refocus_sum:
+        inside, beyond = -1.0, np.log2(max(outside, FLOOR))
     expected = seen * inside + (3 - seen) * beyond
-    np.testing.assert_allclose(found.ravel()[clear], expected.ravel()[clear], rtol=0, atol=2e-5)
+    assert_allclose(found.ravel()[clear], expected[clear], rtol=0, atol=2e-5)
 
 
 @pytest.mark.parametrize("shape", [(1, 7, 11), (3, 1, 11), (3, 7, 1), (1, 1, 1)])
 def test_grids_of_one_voxel_along_an_axis(shape: tuple[int, int, int]) -> None:
-    grid, cameras, images = (
-        Grid((0.3, 4.6, 42.0), (0.1, 0.15, 0.4), shape),
-        array(TILTED),
-        smooth_images(9),
-    )
-    samples = reference(images, cameras, grid)
-    seen = np.isfinite(samples).all(axis=0)
+    grid = Grid((0.3, 4.6, 42.0), (0.1, 0.15, 0.4), shape)
+    rig, images = array(TILTED), smooth_images(9)
+    samples = reference(images, rig, grid).sum(axis=0)
+    seen = np.isfinite(samples)
     assert seen.any()
-    np.testing.assert_allclose(
-        refocus_sum(images, cameras, grid)[seen], samples.sum(axis=0)[seen], rtol=0, atol=5e-3
-    )
+    assert_allclose(refocus_sum(images, rig, grid)[seen], samples[seen], rtol=0, atol=5e-3)
 
 
 @pytest.mark.parametrize("wall", [None, TILTED])
-def test_both_back_ends_make_the_same_volume(
-    wall: Wall | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cameras, images = array(wall), smooth_images(10)
-    on_cpu = refocus_sum(images, cameras, GRID), refocus_log2(images, cameras, GRID, FLOOR)
+def test_both_back_ends_agree(wall: Wall | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But at the borders of images, where a sample is in or out."""
+    rig, images = array(wall), smooth_images(10)
+    on_cpu = refocus_sum(images, rig, GRID), refocus_log2(images, rig, GRID, FLOOR)
     monkeypatch.setattr(synthetic_aperture, "_on_device", lambda: True)
-    elsewhere = refocus_sum(images, cameras, GRID), refocus_log2(images, cameras, GRID, FLOOR)
+    elsewhere = refocus_sum(images, rig, GRID), refocus_log2(images, rig, GRID, FLOOR)
     for mine, other in zip(on_cpu, elsewhere, strict=True):
-        assert (
-            np.quantile(np.abs(mine - other), 0.99) < 0.01
-        )  # the rest lies at the borders of images, where a sample is in or out
+        assert np.quantile(np.abs(mine - other), 0.99) < 0.01
         assert np.median(np.abs(mine - other)) < 5e-4
 
 
-def test_many_factors_do_not_leave_the_range_of_floats() -> None:
+@pytest.mark.parametrize("level", [0.0, 0.01, 3.0, 10.0])
+def test_many_factors_do_not_leave_the_range_of_floats(level: float) -> None:
     """Thirty cameras whose product is 1e-60, and 1e30 with bright ones."""
     camera = make_camera(0.0, 10.0, None, Distortion())
     grid = Grid((0.5, 4.6, 42.0), (0.05, 0.05, 0.4), (2, 5, 6))
-    for level in (0.0, 0.01, 3.0, 10.0):
-        found = refocus_log2(
-            np.full((30, 110, 140), level, dtype=np.float32), [camera] * 30, grid, 0.01
-        )
-        np.testing.assert_allclose(found, 30.0 * np.log2(max(level, 0.01)), rtol=2e-5)
+    found = refocus_log2(even(level, 30), [camera] * 30, grid, 0.01)
+    assert_allclose(found, 30.0 * np.log2(max(level, 0.01)), rtol=2e-5)
 
 
 def test_a_particle_in_all_images_is_brightest_where_it_is() -> None:
-    cameras, voxel = array(TILTED), (4, 71, 101)
+    rig, (k, j, i) = array(TILTED), (4, 71, 101)
     x, y, z = GRID.axes_mm
-    place = np.array([[x[voxel[2]], y[voxel[1]], z[voxel[0]]]])
-    rows, columns = np.mgrid[0:110, 0:140]
-    pixels = [camera.project(place)[0][0] for camera in cameras]
-    images = np.stack(
-        [np.exp(-((columns - c) ** 2 + (rows - r) ** 2) / 4.0) for c, r in pixels]
-    ).astype(np.float32)
-    assert refocus_log2(images, cameras, GRID, FLOOR).argmax() == np.ravel_multi_index(
-        voxel, GRID.shape
-    )
+    pixels = [camera.project([[x[i], y[j], z[k]]])[0][0] for camera in rig]
+    images = np.stack([spot(*pixel) for pixel in pixels]).astype(np.float32)
+    found = refocus_log2(images, rig, GRID, FLOOR)
+    assert found.argmax() == np.ravel_multi_index((k, j, i), GRID.shape)
 
 
 def test_spline_passes_through_pixels_and_is_scipys() -> None:
     images = np.random.default_rng(11).random((2, 37, 53)).astype(np.float32)
     coefficients = coefficients_of(images, CUBIC)
     for image, found in zip(images, coefficients, strict=True):
-        np.testing.assert_allclose(
-            found[1:-2, 1:-2],
-            spline_filter(image.astype(np.float64), mode="mirror"),
-            rtol=0,
-            atol=3e-6,
-        )
+        expected = spline_filter(image.astype(np.float64), mode="mirror")
+        assert_allclose(found[1:-2, 1:-2], expected, rtol=0, atol=3e-6)
     out = np.empty((2, 37, 53), dtype=np.float32)
     identity = np.array([[[26.0, 26.0, 0.0], [18.0, 0.0, 18.0]]] * 2)
     resample(coefficients, CUBIC, identity, 1, 0.0, out)
-    np.testing.assert_allclose(out, images, rtol=0, atol=2e-5)
+    assert_allclose(out, images, rtol=0, atol=2e-5)
 
 
 def test_linear_resampling_is_scipys() -> None:
     images = np.random.default_rng(13).random((1, 37, 53)).astype(np.float32)
-    out = np.empty((1, 21, 33), dtype=np.float32)
-    resample(
-        coefficients_of(images, LINEAR),
-        LINEAR,
+    out, maps = (
+        np.empty((1, 21, 33), np.float32),
         np.array([[[25.0, 20.0, 3.0], [18.0, 2.0, 14.0]]]),
-        1,
-        0.0,
-        out,
     )
+    resample(coefficients_of(images, LINEAR), LINEAR, maps, 1, 0.0, out)
     v, u = np.meshgrid(np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 33), indexing="ij")
-    expected = map_coordinates(
-        images[0].astype(np.float64),
-        [18.0 + 2.0 * u + 14.0 * v, 25.0 + 20.0 * u + 3.0 * v],
-        order=1,
-    )
-    np.testing.assert_allclose(out[0], expected, rtol=0, atol=2e-5)
+    places = [18.0 + 2.0 * u + 14.0 * v, 25.0 + 20.0 * u + 3.0 * v]
+    expected = map_coordinates(images[0].astype(np.float64), places, order=1)
+    assert_allclose(out[0], expected, rtol=0, atol=2e-5)
 
 
 def test_rectifying_maps_are_projections() -> None:
-    cameras = array(TILTED)
-    (slab, *_) = slabs(cameras, GRID)
-    maps, degree = rectifying_maps(slab, cameras, GRID)
+    rig = array(TILTED)
+    (slab, *_) = slabs(rig, GRID)
+    maps, degree = rectifying_maps(slab, rig, GRID)
     height, width = slab.shape
     unit = np.random.default_rng(12).uniform(-1.0, 1.0, (200, 2))
     powers = [(i, j) for j in range(degree + 1) for i in range(degree + 1 - j)]
     basis = np.stack([unit[:, 0] ** i * unit[:, 1] ** j for i, j in powers], axis=1)
-    for number, camera in enumerate(cameras):
-        spot = slab.corners[number] + (unit + 1.0) / 2.0 * [width - 1, height - 1]
-        points = np.column_stack(
-            [
-                np.asarray(GRID.low_mm)[:2] + np.asarray(GRID.voxel_mm)[:2] * spot,
-                np.full(200, slab.z_mm),
-            ]
-        )
-        np.testing.assert_allclose(
-            basis @ maps[number].T, camera.project(points)[0], rtol=0, atol=1e-3
-        )
+    for number, camera in enumerate(rig):
+        spots = slab.corners[number] + (unit + 1.0) / 2.0 * [width - 1, height - 1]
+        points = in_plane(spots, slab.z_mm)
+        assert_allclose(basis @ maps[number].T, camera.project(points)[0], rtol=0, atol=1e-3)
 
 
 def planar_array(wall: Wall | None) -> list[Camera]:
-    """Five cameras on one plane, 60 mm apart.
-
-    They look straight ahead at the grid's middle.
-    """
-    places = ((0.0, 0.0), (-60.0, 0.0), (60.0, 0.0), (0.0, -60.0), (0.0, 60.0))
-    return [
-        aim(
-            replace(make_camera(0.0, 5.0, wall, Distortion()), center_mm=(x, y + 5.0, -300.0)),
-            (0.7, 5.2, 42.0),
-        )
-        for x, y in places
-    ]
+    """Five cameras on one plane, 60 mm apart. They look straight ahead at the grid's middle."""
+    plain = make_camera(0.0, 5.0, wall, Distortion())
+    places = ((0.0, 5.0), (-60.0, 5.0), (60.0, 5.0), (0.0, -55.0), (0.0, 65.0))
+    placed = (replace(plain, center_mm=(x, y, -300.0)) for x, y in places)
+    return [aim(camera, (0.7, 5.2, 42.0)) for camera in placed]
 
 
 @pytest.mark.slow
 def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
-    """The published method equals exact refocusing where shifts are whole numbers.
-
-    On such planes, both agree up to the method's bilinear first step.
-    """
-    cameras = planar_array(None)
-    distance = 342.0
-    step = (
-        0.06 * distance / (60.0 + 0.06)
-    )  # one voxel of shift between neighbours, at the middle plane
+    """The published method equals exact refocusing where shifts are whole numbers. On such planes,
+    both agree up to the method's bilinear first step."""
+    rig, step = planar_array(None), 0.06 * 342.0 / (60.0 + 0.06)  # one voxel between neighbours
     grid = Grid((-1.0, 4.0, 42.0 - step), (0.06, 0.06, step), (3, 41, 57))
-    images = np.zeros((5, 110, 140), dtype=np.float32)
-    places = np.array([[0.2, 5.0, 42.0 + k * step] for k in (-1, 0, 1)]) + np.array(
-        [[-0.6, -0.3, 0.0], [0.0, 0.0, 0.0], [0.9, 0.4, 0.0]]
-    )
-    rows, columns = np.mgrid[0:110, 0:140]
-    for image, camera in zip(images, cameras, strict=True):
-        for column, row in camera.project(places)[0]:
-            image += np.exp(-((columns - column) ** 2 + (rows - row) ** 2) / 4.0)
-    shifted, exact = (
-        refocus_by_shifts(images, cameras, grid),
-        refocus_sum(images, cameras, grid) / 5.0,
-    )
+    places = np.array([[-0.4, 4.7, 42.0 - step], [0.2, 5.0, 42.0], [1.1, 5.4, 42.0 + step]])
+    images = np.stack([sum(spot(*pixel) for pixel in camera.project(places)[0]) for camera in rig])
+    light = images.astype(np.float32)
+    shifted, exact = refocus_by_shifts(light, rig, grid), refocus_sum(light, rig, grid) / 5.0
     assert np.abs(shifted - exact).max() < 0.12
     for plane, place in enumerate(places):
         x, y, _ = np.rint(grid.to_voxels(place[None])[0]).astype(int)
@@ -402,10 +299,5 @@ def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
 
 
 def test_whole_shifts_keep_an_even_image_even() -> None:
-    cameras = planar_array(FLAT)
     grid = Grid((0.2, 4.9, 41.0), (0.06, 0.06, 0.5), (4, 9, 11))
-    np.testing.assert_allclose(
-        refocus_by_shifts(np.full((5, 110, 140), 0.75, dtype=np.float32), cameras, grid),
-        0.75,
-        rtol=1e-5,
-    )
+    assert_allclose(refocus_by_shifts(even(0.75, 5), planar_array(FLAT), grid), 0.75, rtol=1e-5)

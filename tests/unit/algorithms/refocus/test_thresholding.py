@@ -1,16 +1,15 @@
-"""Thresholds.
-
-Q of many k in one pass against one extraction each, and the k from the images against the best
-one.
-"""
+"""Thresholds. Q of many k in one pass against one extraction each, and the k from the images
+against the best one."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from reproduction.refocused_frames import best_k, quality_of_k
 from sabench.algorithms.refocus import refocus_sum
@@ -30,36 +29,23 @@ from sabench.metrics.quality_factor import quality
 from sabench.metrics.synthesised_field import true_field
 from sabench.scenes import parse_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.utils.arrays import F32
+from sabench.utils.arrays import F32, F64
 
 KEEPS: list[Keep] = ["reduced", "whole"]
 
 
 def array_scene(per_pixel: float, **changes: Any) -> Any:
-    """Nine cameras in plain air, 12 x 12 x 8 mm.
-
-    As in the thesis's simulations, but smaller.
-    """
+    """Nine cameras in plain air, 12 x 12 x 8 mm. As in the thesis's simulations, but smaller."""
+    lens = {"pixel_mm": 0.01, "focal_length_mm": 85.0, "f_number": 16.0, "particle_sigma_px": 0.6}
+    layout = {"kind": "grid", "columns": 3, "rows": 3, "spacing_mm": [204.0, 204.0]}
+    size = {"rows": 240, "columns": 240, "center_mm": [0.0, 0.0, -510.0], "layout": layout}
+    light = {"pulse_energy_mj": 25.0, "thickness_mm": 60.0, "height_mm": 60.0}
     values: dict[str, Any] = {
         "title": "array",
         "volume": {"center_mm": [0.0, 0.0, 0.0], "size_mm": [12.0, 12.0, 8.0]},
         "grid": {"voxel_mm": [0.05, 0.05, 0.125], "crop_mm": [3.0, 3.0, 0.0]},
-        "cameras": {
-            "rows": 240,
-            "columns": 240,
-            "pixel_mm": 0.01,
-            "focal_length_mm": 85.0,
-            "f_number": 16.0,
-            "particle_sigma_px": 0.6,
-            "center_mm": [0.0, 0.0, -510.0],
-            "layout": {"kind": "grid", "columns": 3, "rows": 3, "spacing_mm": [204.0, 204.0]},
-        },
-        "illumination": {
-            "pulse_energy_mj": 25.0,
-            "thickness_mm": 60.0,
-            "height_mm": 60.0,
-            "scattering": "isotropic",
-        },
+        "cameras": lens | size,
+        "illumination": light | {"scattering": "isotropic"},
         "particles": {"generator": "uniform", "per_pixel": per_pixel, "diameter_mm": 0.02},
         "sensor": {"full_well_e": 10200.0, "gain_dn_e": 0.025, "bit_depth": 8, "shot_noise": False},
     }
@@ -74,9 +60,15 @@ def shot() -> Shot:
 
 
 def refocused(case: Observation) -> F32:
-    return refocus_sum(normalise(case.images, case.black_dn), case.cameras, case.grid) / np.float32(
-        len(case.cameras)
-    )
+    light = normalise(case.images, case.black_dn)
+    return refocus_sum(light, case.cameras, case.grid) / np.float32(len(case.cameras))
+
+
+def share_filled(field: F64) -> float:
+    return float(field.sum() ** 2 / (field.size * np.sum(field**2)))
+
+
+AIMS = {"reduced": 0.85, "whole": 0.65}  # of the share that the images tell
 
 
 def random_volumes() -> tuple[F32, F32]:
@@ -90,15 +82,11 @@ def random_volumes() -> tuple[F32, F32]:
 
 @pytest.mark.parametrize("keep", KEEPS)
 @pytest.mark.parametrize("scored", [(slice(None),) * 3, (slice(1, -1), slice(4, -3), slice(2, -5))])
-def test_one_pass_gives_the_q_of_every_extraction(
-    keep: Keep, scored: tuple[slice, slice, slice]
-) -> None:
+def test_one_pass_gives_all_q(keep: Keep, scored: tuple[slice, slice, slice]) -> None:
     volume, truth = random_volumes()
     ks = np.array([0.0, 0.3, 1.0, 2.2, 3.0, 5.0, 50.0])
     expected = [quality(extract(volume.copy(), k, keep)[scored], truth[scored]) for k in ks]
-    np.testing.assert_allclose(
-        quality_of_k(volume, truth, ks, keep, scored), expected, rtol=0, atol=1e-6
-    )
+    assert_allclose(quality_of_k(volume, truth, ks, keep, scored), expected, rtol=0, atol=1e-6)
     assert expected[0] > expected[4] > expected[-1] == 0.0
 
 
@@ -106,18 +94,14 @@ def test_a_value_at_the_threshold_is_left_out() -> None:
     volume = np.zeros((1, 2, 2), dtype=np.float32)
     volume[0, 0, 0] = 2.0  # mean 1/2, standard deviation sqrt(3) / 2
     ks = np.array([1.0, math.sqrt(3.0), 2.0])
-    np.testing.assert_allclose(
-        quality_of_k(volume, volume, ks, "whole"),
-        [quality(extract(volume.copy(), k, "whole"), volume) for k in ks],
-    )
+    expected = [quality(extract(volume.copy(), k, "whole"), volume) for k in ks]
+    assert_allclose(quality_of_k(volume, volume, ks, "whole"), expected)
 
 
 @pytest.mark.parametrize("keep", KEEPS)
 def test_the_best_k_has_the_highest_q(shot: Shot, keep: Keep) -> None:
-    volume, truth = (
-        refocused(shot.observation),
-        true_field(shot.observation.grid, shot.particles, shot.views),
-    )
+    volume = refocused(shot.observation)
+    truth = true_field(shot.observation.grid, shot.particles, shot.views)
     k, q = best_k(volume, truth, keep)
     around = quality_of_k(volume, truth, np.array([k - 0.3, k, k + 0.3]), keep)
     assert around[1] == pytest.approx(q)
@@ -144,22 +128,13 @@ def test_widths_of_narrow_and_wide_particles() -> None:
 @pytest.mark.parametrize("per_pixel", [0.02, 0.1])
 def test_images_tell_the_share_of_the_volume_that_particles_fill(per_pixel: float) -> None:
     """Brightness spreads, so that it is not a count of particles."""
-    shot = simulate(
-        array_scene(
-            per_pixel,
-            particles={"diameter_spread": 0.2},
-            sensor={"full_well_e": 1e6, "bit_depth": 16},
-        ),
-        seed=102,
-    )
-    grid = shot.observation.grid
-    weights = shot.views[4].photons
-    field = synthesise(grid, shot.particles.position_mm, weights, 0.6 * grid.voxel_mm[0]).astype(
-        np.float64
-    )
-    assert occupancy(shot.observation) == pytest.approx(
-        field.sum() ** 2 / (field.size * np.sum(field**2)), rel=0.1
-    )
+    sensor = {"full_well_e": 1e6, "bit_depth": 16}
+    scene = array_scene(per_pixel, particles={"diameter_spread": 0.2}, sensor=sensor)
+    shot = simulate(scene, seed=102)
+    grid, weights = shot.observation.grid, shot.views[4].photons
+    field = synthesise(grid, shot.particles.position_mm, weights, 0.6 * grid.voxel_mm[0])
+    expected = share_filled(field.astype(np.float64))
+    assert occupancy(shot.observation) == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.slow
@@ -173,30 +148,20 @@ def test_auto_k_comes_near_the_best_q(
     truth = true_field(case.grid, shot.particles, shot.views)
     k = auto_k(volume, occupancy(case), keep)
     assert k_from < k < k_to
-    assert (
-        quality_of_k(volume, truth, np.array([k]), keep, case.grid.scored)[0]
-        > best_k(volume, truth, keep, case.grid.scored)[1] - gap
-    )
+    found = quality_of_k(volume, truth, np.array([k]), keep, case.grid.scored)[0]
+    assert found > best_k(volume, truth, keep, case.grid.scored)[1] - gap
 
 
 @pytest.mark.parametrize("keep", KEEPS)
-def test_auto_k_fills_the_share_that_it_aims_at(keep: Keep) -> None:
-    volume, _ = random_volumes()
-    left = extract(volume.copy(), auto_k(volume, 0.1, keep), keep).astype(np.float64)
-    assert left.sum() ** 2 / (left.size * np.sum(left**2)) == pytest.approx(
-        0.1 * {"reduced": 0.85, "whole": 0.65}[keep], rel=0.02
-    )
-
-
-@pytest.mark.parametrize("keep", KEEPS)
-def test_auto_k_is_the_lowest_step_that_does_not_fill_more(keep: Keep) -> None:
+def test_auto_k_is_the_lowest_step_that_does_not_fill_more_than_it_aims_at(keep: Keep) -> None:
     volume, _ = random_volumes()
     k = auto_k(volume, 0.1, keep)
-    filled = []
-    for level in (k - 0.01, k):
-        left = extract(volume.copy(), level, keep).astype(np.float64)
-        filled.append(left.sum() ** 2 / (left.size * np.sum(left**2)))
-    assert filled[1] <= 0.1 * {"reduced": 0.85, "whole": 0.65}[keep] < filled[0]
+    more, filled = (
+        share_filled(extract(volume.copy(), level, keep).astype(np.float64))
+        for level in (k - 0.01, k)
+    )
+    assert filled <= 0.1 * AIMS[keep] < more
+    assert filled == pytest.approx(0.1 * AIMS[keep], rel=0.02)
 
 
 def test_auto_k_of_a_field_that_is_sparser_than_its_images_keeps_all_above_the_mean() -> None:
@@ -209,48 +174,35 @@ def test_a_black_camera_and_black_images(shot: Shot) -> None:
     case = shot.observation
     covered = case.images.copy()
     covered[3] = 0
-    blocked = Observation(covered, case.cameras, case.grid, case.black_dn, case.white_dn)
-    assert occupancy(blocked) == pytest.approx(occupancy(case), rel=0.1)
-    dark = Observation(
-        np.zeros_like(covered), case.cameras, case.grid, case.black_dn, case.white_dn
-    )
+    assert occupancy(replace(case, images=covered)) == pytest.approx(occupancy(case), rel=0.1)
+    dark, nothing = replace(case, images=0 * covered), np.zeros(case.grid.shape, dtype=np.float32)
     assert occupancy(dark) == 0.0
-    assert not extract_particles(
-        np.zeros(case.grid.shape, dtype=np.float32), dark, ExtractionParameters(k="auto")
-    ).any()
+    assert not extract_particles(nothing, dark, ExtractionParameters(k="auto")).any()
 
 
 @pytest.mark.parametrize("keep", KEEPS)
 def test_parameters_choose_the_k(shot: Shot, keep: Keep) -> None:
-    volume = refocused(shot.observation)
-    fixed = extract_particles(
-        volume.copy(), shot.observation, ExtractionParameters(k=2.0, keep=keep)
-    )
-    np.testing.assert_array_equal(fixed, extract(volume.copy(), 2.0, keep))
-    chosen = extract_particles(
-        volume.copy(), shot.observation, ExtractionParameters(k="auto", keep=keep)
-    )
-    np.testing.assert_array_equal(
-        chosen, extract(volume.copy(), auto_k(volume, occupancy(shot.observation), keep), keep)
-    )
+    case, volume = shot.observation, refocused(shot.observation)
+    k = auto_k(volume, occupancy(case), keep)
+    for given, expected in ((2.0, 2.0), ("auto", k)):
+        parameters = ExtractionParameters(k=given, keep=keep)
+        found = extract_particles(volume.copy(), case, parameters)
+        assert_array_equal(found, extract(volume.copy(), expected, keep))
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_bright_level_is_numpys_percentile_of_lit_pixels(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    grey, black = (
-        rng.poisson(rng.uniform(0.1, 300.0), (31, 47)).astype(np.uint16),
-        float(rng.uniform(0.0, 64.0)),
-    )
+    grey = rng.poisson(rng.uniform(0.1, 300.0), (31, 47)).astype(np.uint16)
+    black = float(rng.uniform(0.0, 64.0))
     light = np.maximum(grey.astype(np.float64) - black, 0.0)
     lit = light[light > 0.1 * light.max()]
-    assert bright_dn(grey, black) == pytest.approx(
-        np.percentile(lit, 95.0) if len(lit) else 0.0, abs=1e-9
-    )
+    expected = np.percentile(lit, 95.0) if len(lit) else 0.0
+    assert bright_dn(grey, black) == pytest.approx(expected, abs=1e-9)
 
 
 def test_images_are_scaled_to_their_bright_level() -> None:
     case = simulate(array_scene(0.05, sensor={"black_level_dn": 20.0}), seed=3).observation
     for grey, scaled in zip(case.images, normalise(case.images, case.black_dn), strict=True):
         expected = np.maximum(grey - 20.0, 0.0) / bright_dn(grey, 20.0)
-        np.testing.assert_allclose(scaled, expected, rtol=1e-6, atol=1e-7)
+        assert_allclose(scaled, expected, rtol=1e-6, atol=1e-7)

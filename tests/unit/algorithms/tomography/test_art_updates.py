@@ -1,7 +1,5 @@
-"""Corrections of tomography, each against its formula with a dense W.
-
-Also their common properties: saturation, residuals and the stop rule.
-"""
+"""Corrections of tomography, each against its formula with a dense W. Also their common properties:
+saturation, residuals and the stop rule."""
 
 from __future__ import annotations
 
@@ -10,17 +8,9 @@ from collections.abc import Callable
 import numba
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
-from sabench.algorithms.tomography.art_updates import (
-    DARKEST,
-    Iterate,
-    RecordedLight,
-    block_mart,
-    iterate,
-    mart,
-    sart,
-    smart,
-)
+from sabench.algorithms.tomography import art_updates
 from sabench.algorithms.tomography.mart_sweep import STRIP
 from sabench.algorithms.tomography.projection_operator import (
     BILINEAR,
@@ -37,22 +27,26 @@ from tests.unit.algorithms.tomography.test_projection_operator import (
     lines_of,
 )
 
-Step = Callable[[Iterate, RecordedLight], float]
+Step = Callable[[art_updates.Iterate, art_updates.RecordedLight], float]
+
+
+def sart_step(state: art_updates.Iterate, measured: art_updates.RecordedLight) -> float:
+    return art_updates.sart(state, measured, state.lines.forward(np.ones_like(state.values)), 0.8)
+
+
 STEPS: dict[str, Step] = {
-    "smart": lambda state, measured: smart(state, measured, 0.9),
-    "sart": lambda state, measured: sart(
-        state, measured, state.lines.forward(np.ones_like(state.values)), 0.8
-    ),
-    "block_mart": lambda state, measured: block_mart(state, measured, 0.7),
-    "mart": lambda state, measured: mart(state, measured, 0.9),
+    "smart": lambda state, measured: art_updates.smart(state, measured, 0.9),
+    "sart": sart_step,
+    "block_mart": lambda state, measured: art_updates.block_mart(state, measured, 0.7),
+    "mart": lambda state, measured: art_updates.mart(state, measured, 0.9),
 }
+WHITE = np.ones((3, ROWS, COLUMNS), dtype=np.float32)
+NOWHERE = np.zeros(WHITE.shape, dtype=np.bool_)
 
 
 def matrices(lines: ProjectionOperator) -> F64:
-    """Return W (camera, pixel, voxel), column by column.
-
-    By one thread: for one voxel, waiting for the other threads takes longer.
-    """
+    """Return W (camera, pixel, voxel), column by column. By one thread: for one voxel, waiting for
+    the other threads takes longer."""
     unit, most = np.eye(len(lines.support), dtype=np.float32), numba.get_num_threads()
     numba.set_num_threads(1)
     columns = [lines.forward(row).reshape(len(lines.cameras), -1) for row in unit]
@@ -60,24 +54,21 @@ def matrices(lines: ProjectionOperator) -> F64:
     return np.stack(columns, axis=-1).astype(np.float64)
 
 
-def make_state(footprint: Footprint = BLOB, every: int = 4) -> Iterate:
+def make_state(footprint: Footprint = BLOB, every: int = 4) -> art_updates.Iterate:
     lines = lines_of(array(TILTED), footprint, every=every)
-    seen = np.maximum(
-        np.rint(lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32))), np.float32(1.0)
-    )
-    return Iterate(
-        lines,
-        np.random.default_rng(1).random(len(lines.support), dtype=np.float32) + np.float32(0.5),
-        seen,
-    )
+    seen = np.maximum(np.rint(lines.adjoint(WHITE)), np.float32(1.0))
+    values = np.random.default_rng(1).random(len(lines.support), dtype=np.float32)
+    return art_updates.Iterate(lines, values + np.float32(0.5), seen)
 
 
-def recorded(state: Iterate, seed: int) -> RecordedLight:
-    """Return the light that other values than the state's would cast."""
-    light = state.lines.forward(
-        np.random.default_rng(seed).random(len(state.values), dtype=np.float32) * np.float32(2.0)
-    )
-    return RecordedLight(np.maximum(light, np.float32(1e-6)), np.zeros(light.shape, dtype=np.bool_))
+def with_values(state: art_updates.Iterate, values: F32) -> art_updates.Iterate:
+    return art_updates.Iterate(state.lines, values, state.seen)
+
+
+def recorded(state: art_updates.Iterate, seed: int) -> art_updates.RecordedLight:
+    values = np.random.default_rng(seed).random(len(state.values), dtype=np.float32)
+    light = state.lines.forward(values * np.float32(2.0))
+    return art_updates.RecordedLight(np.maximum(light, np.float32(1e-6)), NOWHERE)
 
 
 def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
@@ -92,20 +83,15 @@ def by_formula(name: str, w: F64, p: F64, values: F64) -> F64:
         missing = np.divide(p - cast, lengths, out=np.zeros_like(p), where=lengths > 0.0)
         return np.asarray(np.maximum(values + 0.8 * np.tensordot(missing, w, 2) / seen, 0.0))
     for camera, image in zip(w, p, strict=True):
-        values = (
-            block_by_formula(camera, image, values)
-            if name == "block_mart"
-            else mart_by_formula(camera, image, values)
-        )
+        by_camera = block_by_formula if name == "block_mart" else mart_by_formula
+        values = by_camera(camera, image, values)
     return values
 
 
 def block_by_formula(w: F64, p: F64, values: F64) -> F64:
     cast = w @ values
-    return np.asarray(
-        values
-        * np.exp(0.7 * w.T @ np.log(np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)))
-    )
+    ratio = np.divide(p, cast, out=np.ones_like(p), where=cast > 0.0)
+    return np.asarray(values * np.exp(0.7 * w.T @ np.log(ratio)))
 
 
 def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
@@ -128,44 +114,28 @@ def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:
     for _ in range(3):
         STEPS[name](state, measured)
         expected = by_formula(name, w, p, expected)
-    np.testing.assert_allclose(state.values, expected, rtol=2e-4, atol=1e-4)
+    assert_allclose(state.values, expected, rtol=2e-4, atol=1e-4)
     assert np.ptp(state.values) > 0.5
 
 
 @pytest.mark.parametrize("name", STEPS)
 def test_saturated_pixels_only_make_voxels_brighter(name: str) -> None:
     state = make_state()
-    measured = recorded(state, 2)
-    everywhere, before = (
-        RecordedLight(measured.light, np.ones_like(measured.saturated)),
-        state.values.copy(),
-    )
-    bright = Iterate(state.lines, before * np.float32(50.0), state.seen)
-    assert STEPS[name](bright, everywhere) == pytest.approx(
-        residual_of_dark_pixels(bright, everywhere), rel=1e-4
-    )
-    np.testing.assert_allclose(bright.values, before * 50.0, rtol=1e-6)
+    measured, before = recorded(state, 2), state.values.copy()
+    everywhere = art_updates.RecordedLight(measured.light, ~NOWHERE)
+    bright = with_values(state, before * np.float32(50.0))
+    missed = np.maximum(measured.light - bright.lines.forward(bright.values), 0.0)
+    expected = (missed.astype(np.float64) ** 2).sum()  # only what was not projected
+    assert STEPS[name](bright, everywhere) == pytest.approx(expected, rel=1e-4)
+    assert_allclose(bright.values, before * 50.0, rtol=1e-6)
     assert STEPS[name](bright, measured) > 0.0
     assert (bright.values < before * 40.0).mean() > 0.8
-    dark = [Iterate(state.lines, before * np.float32(0.02), state.seen) for _ in range(2)]
-    for one, what in zip(dark, (measured, everywhere), strict=True):
-        STEPS[name](one, what)
+    dark = [with_values(state, before * np.float32(0.02)) for _ in range(2)]
+    for one, light in zip(dark, (measured, everywhere), strict=True):
+        STEPS[name](one, light)
     assert (dark[1].values > before * 0.03).mean() > 0.8
-    if name in (
-        "smart",
-        "sart",
-    ):  # the others turn to other cameras in between, which may then see too much
-        np.testing.assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
-
-
-def residual_of_dark_pixels(state: Iterate, measured: RecordedLight) -> float:
-    """Saturated pixels miss only what was not projected."""
-    return float(
-        (
-            np.maximum(measured.light - state.lines.forward(state.values), 0.0).astype(np.float64)
-            ** 2
-        ).sum()
-    )
+    if name in ("smart", "sart"):  # in between, the others turn to cameras that may see too much
+        assert_allclose(dark[0].values, dark[1].values, rtol=5e-3)
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -177,7 +147,7 @@ def test_steps_do_not_depend_on_the_number_of_threads(name: str) -> None:
         found.append((STEPS[name](state, recorded(state, 3)), state.values))
     for missed, values in found[1:]:
         assert missed == found[0][0]
-        np.testing.assert_array_equal(values, found[0][1])
+        assert_array_equal(values, found[0][1])
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -196,64 +166,56 @@ def test_first_residual_is_what_the_first_values_miss(name: str) -> None:
 @pytest.mark.parametrize("name", STEPS)
 def test_residual_falls_until_the_images_are_explained(name: str) -> None:
     state = make_state(every=9)
-    light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(DARKEST))
-    measured = RecordedLight(light, np.zeros(light.shape, dtype=np.bool_))
-    residuals = list(iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name))
+    light = np.maximum(state.lines.forward(recorded_values(state)), np.float32(art_updates.DARKEST))
+    measured = art_updates.RecordedLight(light, NOWHERE)
+    residuals = list(
+        art_updates.iterate(lambda: STEPS[name](state, measured), measured, 40, 0.0, name)
+    )
     assert len(residuals) == 40
     assert (np.diff(residuals[:10]) < 0.0).all()
     assert residuals[-1] < 0.1 * residuals[0]
 
 
-def recorded_values(state: Iterate) -> F32:
+def recorded_values(state: art_updates.Iterate) -> F32:
     """Values that cast what is recorded: a few bright voxels in the dark."""
     return np.where(np.arange(len(state.values)) % 7 == 0, np.float32(1.0), np.float32(1e-3))
 
 
 def test_iteration_stops_when_little_changes() -> None:
-    measured = RecordedLight(
-        np.full((1, 2, 2), 2.0, dtype=np.float32), np.zeros((1, 2, 2), dtype=np.bool_)
-    )
+    measured = art_updates.RecordedLight(2.0 * WHITE[:1, :2, :2], NOWHERE[:1, :2, :2])
     squares = iter([16.0, 4.0, 3.24, 3.0, 1.0])
-    found = list(iterate(lambda: next(squares), measured, 5, 0.15, "test"))
-    np.testing.assert_allclose(found, [1.0, 0.5, 0.45])
+    found = list(art_updates.iterate(lambda: next(squares), measured, 5, 0.15, "test"))
+    assert_allclose(found, [1.0, 0.5, 0.45])
 
 
-def test_black_pixels_leave_no_light_but_finite_values() -> None:
-    state = make_state()
-    measured = RecordedLight(
-        np.full((3, ROWS, COLUMNS), DARKEST, dtype=np.float32),
-        np.zeros((3, ROWS, COLUMNS), dtype=np.bool_),
+@pytest.mark.parametrize("name", STEPS)
+def test_black_pixels_leave_no_light_but_finite_values(name: str) -> None:
+    state, measured = (
+        make_state(),
+        art_updates.RecordedLight(np.float32(art_updates.DARKEST) * WHITE, NOWHERE),
     )
-    for name in STEPS:
-        fresh = Iterate(state.lines, state.values.copy(), state.seen)
-        for _ in range(5):
-            STEPS[name](fresh, measured)
-        inside = state.lines.adjoint(np.ones((3, ROWS, COLUMNS), dtype=np.float32)) > 0.5
-        assert np.isfinite(fresh.values).all()
-        assert fresh.values[inside].max() < 0.5
+    for _ in range(5):
+        STEPS[name](state, measured)
+    assert np.isfinite(state.values).all()
+    assert state.values[state.lines.adjoint(WHITE) > 0.5].max() < 0.5
 
 
 @pytest.mark.slow
 def test_a_voxel_that_one_camera_sees_is_led_by_that_camera() -> None:
-    """The last camera's image does not change voxels outside its view.
-
-    It changes the others less, the more cameras see them.
-    """
+    """The last camera's image does not change voxels outside its view. It changes the others less,
+    the more cameras see them."""
     state = make_state(every=1)
     lines = state.lines
-    ones = np.ones((3, ROWS, COLUMNS), dtype=np.float32)
-    counts, last = np.rint(lines.adjoint(ones)), np.rint(lines.adjoint(ones[2:], [2])) > 0.0
+    counts, last = np.rint(lines.adjoint(WHITE)), np.rint(lines.adjoint(WHITE[2:], [2])) > 0.0
     assert set(np.unique(counts[last])) == {2.0, 3.0}
     assert set(np.unique(counts[~last])) == {1.0, 2.0}
     measured = recorded(state, 5)
-    other = RecordedLight(measured.light.copy(), measured.saturated)
+    other = art_updates.RecordedLight(measured.light.copy(), measured.saturated)
     other.light[2] *= np.float32(3.0)
     results = []
     for what in (measured, other):
-        fresh = Iterate(lines, state.values.copy(), state.seen)
-        smart(fresh, what, 1.0)
+        fresh = with_values(state, state.values.copy())
+        art_updates.smart(fresh, what, 1.0)
         results.append(fresh.values)
-    np.testing.assert_array_equal(results[0][~last], results[1][~last])
-    np.testing.assert_allclose(
-        results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4
-    )
+    assert_array_equal(results[0][~last], results[1][~last])
+    assert_allclose(results[1][last], results[0][last] * 3.0 ** (1.0 / counts[last]), rtol=1e-4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import map_coordinates
 
 from sabench.algorithms.tomography.motion_tracking import Displacement, enhanced_guesses
@@ -49,7 +50,7 @@ def test_a_deformed_volume_is_the_spline_read_away_from_its_voxels(share: float)
     inside = np.all(
         [(p >= 0) & (p <= n - 1) for p, n in zip(places, volume.shape, strict=True)], axis=0
     )
-    np.testing.assert_allclose(out[inside], expected[inside], atol=2e-5)
+    assert_allclose(out[inside], expected[inside], atol=2e-5)
     assert (out[~inside] == -1.0).all()
 
 
@@ -59,14 +60,14 @@ def test_displacements_at_the_ends_are_those_of_the_same_particles(share: float)
     inverse = np.linalg.inv(np.eye(3) - share * SLOPE)
     expected = (MEAN + lattice_xyz() @ SLOPE.T) @ inverse.T
     inner = (slice(1, -1),) * 3  # beyond the outer nodes the field is continued as a constant
-    np.testing.assert_allclose(found[inner], expected[inner], atol=2e-3)
+    assert_allclose(found[inner], expected[inner], atol=2e-3)
 
 
 def test_split_voxels_have_finer_displacements() -> None:
     windows = Windows((8, 8, 8), (4, 4, 4), (3, 3, 3))
     field = Field(windows, np.ones((3, 3, 3, 3)), np.ones((3, 3, 3), dtype=np.bool_))
     made = Displacement.of(field, (1, 2, 3))
-    np.testing.assert_array_equal(made.shift[0, 0, 0], [1.0, 2.0, 3.0])
+    assert_array_equal(made.shift[0, 0, 0], [1.0, 2.0, 3.0])
     assert made.step == (12.0, 8.0, 4.0)
     assert made.origin == (11.5, 7.5, 3.5)  # the middle of 24, 16 and 8 fine voxels
 

@@ -1,15 +1,15 @@
-"""The operator W against dense matrices from exact projections.
-
-Pinhole and refractive cameras, some of which see only part of the grid.
-"""
+"""The operator W against dense matrices from exact projections. Pinhole and refractive cameras,
+some of which see only part of the grid."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numba
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import erf
 
 from sabench.algorithms.tomography import supersampling
@@ -29,11 +29,12 @@ from sabench.algorithms.tomography.projection_operator import (
     make_geometry,
 )
 from sabench.api import Observation
-from sabench.geometry.camera import Camera, aim, aimed_rotation
+from sabench.geometry.camera import Camera, aim
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall
-from sabench.utils.arrays import F32, F64
+from sabench.utils.arrays import F32, F64, triple
+from tests.helpers import cameras
 
 TILTED = Wall((0.0, 0.0, 0.0), (0.28, 0.0, 0.96), 1.0, (Layer("glass", 1.52, 5.0),), 1.333)
 GRID = Grid((-0.5, 0.7, 40.0), (0.05, 0.045, 0.06), (5, 12, 19))
@@ -44,32 +45,30 @@ ROWS, COLUMNS = 36, 44
 def make_camera(
     x: float, y: float, wall: Wall | None, shift_px: tuple[float, float] = (0.0, 0.0)
 ) -> Camera:
-    camera = Camera(
-        name="camera_00",
+    middle = (COLUMNS - 1) / 2.0, (ROWS - 1) / 2.0
+    camera = cameras.make_camera(
         rows=ROWS,
         columns=COLUMNS,
         center_mm=(x, y, -300.0),
-        rotation=aimed_rotation(np.array([0.0, 0.0, 1.0])),
+        rotation=cameras.ALONG_Z,
         principal_distance_mm=68.0,
-        pixel_mm=0.01,
-        principal_point_px=((COLUMNS - 1) / 2.0, (ROWS - 1) / 2.0),
+        principal_point_px=middle,
         distortion=Distortion(-0.4, 2.0),
-        focal_length_mm=45.0,
-        f_number=8.0,
         wall=wall,
     )
-    middle = [float(axis.mean()) for axis in GRID.axes_mm]
-    column, row = camera.principal_point_px
-    return replace(
-        aim(camera, middle), principal_point_px=(column + shift_px[0], row + shift_px[1])
-    )
+    aimed = aim(camera, [float(axis.mean()) for axis in GRID.axes_mm])
+    return replace(aimed, principal_point_px=triple([*np.add(middle, shift_px), 0.0])[:2])
+
+
+def random_light(rng: np.random.Generator, lines: ProjectionOperator) -> tuple[F32, F32]:
+    """Values of voxels, and images."""
+    values = rng.random(len(lines.support), dtype=np.float32)
+    return values, rng.random((3, ROWS, COLUMNS), dtype=np.float32)
 
 
 def array(wall: Wall | None) -> list[Camera]:
-    """Make cameras, of which only the first sees the whole grid.
-
-    The others look past some of it, to the upper left and to the lower right.
-    """
+    """Make cameras, of which only the first sees the whole grid. The others look past some of it,
+    to the upper left and to the lower right."""
     return [
         make_camera(120.0, -80.0, wall),
         make_camera(-90.0, 130.0, wall, (-14.4, -11.5)),
@@ -78,10 +77,10 @@ def array(wall: Wall | None) -> list[Camera]:
 
 
 def lines_of(
-    cameras: list[Camera], footprint: Footprint, grid: Grid = GRID, every: int = 1
+    rig: list[Camera], footprint: Footprint, grid: Grid = GRID, every: int = 1
 ) -> ProjectionOperator:
     """W on all voxels, or on every so many of them."""
-    geometry = make_geometry(cameras, grid, footprint.margin)
+    geometry = make_geometry(rig, grid, footprint.margin)
     support, _ = every_voxel(geometry)
     keep = np.arange(len(support)) % every == 0
     rows = np.repeat(np.arange(len(support.start) - 1), np.diff(support.start))[keep]
@@ -114,43 +113,30 @@ def dense(camera: Camera, footprint: Footprint, grid: Grid = GRID) -> F64:
 @pytest.mark.parametrize("footprint", [BILINEAR, BLOB])
 @pytest.mark.parametrize("wall", [None, TILTED])
 def test_forward_and_adjoint_are_exact_projections(wall: Wall | None, footprint: Footprint) -> None:
-    cameras = array(wall)
-    lines, rng = lines_of(cameras, footprint), np.random.default_rng(1)
-    values, images = (
-        rng.random(len(lines.support), dtype=np.float32),
-        rng.random((3, ROWS, COLUMNS), dtype=np.float32),
-    )
-    matrices = [dense(camera, footprint) for camera in cameras]
+    """A voxel is within 1 / 2048 of its place, its map within 1e-3."""
+    rig = array(wall)
+    lines = lines_of(rig, footprint)
+    values, images = random_light(np.random.default_rng(1), lines)
+    matrices = [dense(camera, footprint) for camera in rig]
     seen = np.sum([matrix.sum(axis=0) for matrix in matrices], axis=0)
-    assert set(np.rint(seen)) >= {
-        1.0,
-        2.0,
-    }  # some voxels lie beyond the borders of one camera or of two
+    assert set(np.rint(seen)) >= {1.0, 2.0}  # some voxels are beyond the border of a camera or two
     for number, (image, matrix) in enumerate(zip(lines.forward(values), matrices, strict=True)):
-        np.testing.assert_allclose(
-            image.ravel(), matrix @ values, rtol=0, atol=4e-3
-        )  # a voxel is within 1 / 2048 of its place, its map within 1e-3
-        np.testing.assert_allclose(lines.forward(values, [number])[0], image, rtol=0, atol=1e-6)
-    back = sum(matrix.T @ image.ravel() for image, matrix in zip(images, matrices, strict=True))
-    np.testing.assert_allclose(lines.adjoint(images), back, rtol=0, atol=4e-3)
-    np.testing.assert_allclose(
-        lines.adjoint(images[2:], [2]), matrices[2].T @ images[2].ravel(), rtol=0, atol=2e-3
-    )
-    np.testing.assert_allclose(lines.adjoint(np.ones_like(images)), seen, rtol=0, atol=1e-5)
+        assert_allclose(image.ravel(), matrix @ values, rtol=0, atol=4e-3)
+        assert_allclose(lines.forward(values, [number])[0], image, rtol=0, atol=1e-6)
+    parts = [matrix.T @ image.ravel() for image, matrix in zip(images, matrices, strict=True)]
+    assert_allclose(lines.adjoint(images), sum(parts), rtol=0, atol=4e-3)
+    assert_allclose(lines.adjoint(images[2:], [2]), parts[2], rtol=0, atol=2e-3)
+    assert_allclose(lines.adjoint(np.ones_like(images)), seen, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("footprint", [BILINEAR, BLOB])
 @pytest.mark.parametrize("wall", [None, TILTED])
 def test_adjoint_passes_the_dot_test(wall: Wall | None, footprint: Footprint) -> None:
-    lines, rng = lines_of(array(wall), footprint, every=3), np.random.default_rng(2)
-    values, images = (
-        rng.random(len(lines.support), dtype=np.float32),
-        rng.random((3, ROWS, COLUMNS), dtype=np.float32),
-    )
+    lines = lines_of(array(wall), footprint, every=3)
+    values, images = random_light(np.random.default_rng(2), lines)
     forward = np.vdot(lines.forward(values).astype(np.float64), images)
-    assert forward == pytest.approx(
-        np.vdot(values.astype(np.float64), lines.adjoint(images)), rel=1e-6
-    )
+    back = np.vdot(values.astype(np.float64), lines.adjoint(images))
+    assert forward == pytest.approx(back, rel=1e-6)
 
 
 def test_sums_do_not_depend_on_the_number_of_threads() -> None:
@@ -162,8 +148,8 @@ def test_sums_do_not_depend_on_the_number_of_threads() -> None:
         image = lines.forward(values)
         found.append((image, lines.adjoint(image)))
     for image, back in found[1:]:
-        np.testing.assert_array_equal(image, found[0][0])
-        np.testing.assert_array_equal(back, found[0][1])
+        assert_array_equal(image, found[0][0])
+        assert_array_equal(back, found[0][1])
 
 
 def test_parts_hold_every_voxel_once() -> None:
@@ -172,72 +158,51 @@ def test_parts_hold_every_voxel_once() -> None:
         parts = support.parts(count)
         assert (parts[0], parts[-1], len(parts)) == (0, 6, count + 1)
         assert (np.diff(parts) >= 0).all()
-    np.testing.assert_array_equal(
-        Support((1, 2, 3), np.zeros(3, dtype=np.int64), np.zeros(0, dtype=np.int16)).parts(4)[
-            [0, -1]
-        ],
-        [0, 2],
-    )
+    none = Support((1, 2, 3), np.zeros(3, dtype=np.int64), np.zeros(0, dtype=np.int16))
+    assert_array_equal(none.parts(4)[[0, -1]], [0, 2])
 
 
 @pytest.mark.parametrize("wall", [None, TILTED])
 @pytest.mark.parametrize("nearest", [False, True])
-def test_first_guess_is_the_root_of_the_product_where_nothing_is_black(
-    wall: Wall | None, nearest: bool
-) -> None:
-    cameras, threshold = array(wall), 0.45
+def test_first_guess_is_the_root_of_the_product(wall: Wall | None, nearest: bool) -> None:
+    rig, threshold = array(wall), 0.45
     images = np.random.default_rng(4).random((3, ROWS, COLUMNS), dtype=np.float32) + np.float32(0.1)
-    geometry = make_geometry(cameras, GRID, 0)
-    support, values = product_guess(
-        geometry._replace(shift=0.5, mask=0) if nearest else geometry, images, threshold
-    )
+    geometry = make_geometry(rig, GRID, 0)
+    geometry = geometry._replace(shift=0.5, mask=0) if nearest else geometry
+    support, values = product_guess(geometry, images, threshold)
     rows = np.repeat(np.arange(len(support.start) - 1), np.diff(support.start))
     found = np.zeros(np.prod(GRID.shape))
     found[rows * GRID.shape[2] + support.x] = values
-    samples, sure = zip(
-        *[sampled(camera, image, nearest) for camera, image in zip(cameras, images, strict=True)],
-        strict=True,
-    )
-    sample = np.stack(samples)
+    pairs = [sampled(camera, image, nearest) for camera, image in zip(rig, images, strict=True)]
+    sample, sure = np.stack([one for one, _ in pairs]), [safe for _, safe in pairs]
     lit = np.nan_to_num(sample, nan=1.0).min(axis=0)
     clear = np.all(sure, axis=0) & (np.abs(lit - threshold) > 3e-3)
-    expected = np.where(
-        lit > threshold,
-        np.nanprod(sample, axis=0) ** (1.0 / np.maximum(np.isfinite(sample).sum(axis=0), 1)),
-        0.0,
-    )
+    counts = np.maximum(np.isfinite(sample).sum(axis=0), 1)
+    expected = np.where(lit > threshold, np.nanprod(sample, axis=0) ** (1.0 / counts), 0.0)
     assert 0.1 < (expected > 0.0).mean() < 0.9
     assert clear.mean() > 0.85
-    np.testing.assert_allclose(found[clear], expected[clear], rtol=0, atol=6e-3)
+    assert_allclose(found[clear], expected[clear], rtol=0, atol=6e-3)
 
 
-def sampled(camera: Camera, image: F32, nearest: bool) -> tuple[F64, F64]:
-    """Return samples at all voxels, and a mask of safe ones.
-
-    Samples are NaN where the camera does not see the voxel. The mask marks voxels that project
-    well inside a pixel, so that rounding cannot matter.
-    """
+def sampled(camera: Camera, image: F32, nearest: bool) -> tuple[F64, Any]:
+    """Samples at all voxels, NaN where the camera does not see them, and which are safe: those
+    that project so far inside a pixel that rounding cannot matter."""
     if not nearest:
         matrix = dense(camera, BILINEAR)
-        return np.asarray(
-            np.where(matrix.sum(axis=0) > 0.5, matrix.T @ image.ravel(), np.nan)
-        ), np.ones(matrix.shape[1])
+        seen = matrix.sum(axis=0) > 0.5
+        return np.where(seen, matrix.T @ image.ravel(), np.nan), np.ones(len(seen), dtype=bool)
     pixel = positions(camera) + 0.5
     column, row = np.floor(pixel).astype(int).T
     inside = (column >= 0) & (row >= 0) & (column < COLUMNS - 1) & (row < ROWS - 1)
-    value = np.where(
-        inside, image[np.clip(row, 0, ROWS - 1), np.clip(column, 0, COLUMNS - 1)], np.nan
-    )
-    return np.asarray(value), np.asarray(
-        (np.abs(pixel - np.rint(pixel)) > 2e-3).all(axis=1), dtype=np.float64
-    )
+    value = np.full(len(pixel), np.nan)
+    value[inside] = image[row[inside], column[inside]]
+    return value, (np.abs(pixel - np.rint(pixel)) > 2e-3).all(axis=1)
 
 
 def test_voxels_that_no_camera_sees_are_left_out() -> None:
     camera = make_camera(0.0, 0.0, None, (23.2, 0.0))
-    support, values = product_guess(
-        make_geometry([camera], GRID, 1), np.ones((1, ROWS, COLUMNS), dtype=np.float32), 0.5
-    )
+    white = np.ones((1, ROWS, COLUMNS), dtype=np.float32)
+    support, values = product_guess(make_geometry([camera], GRID, 1), white, 0.5)
     assert len(support) == len(values) == int((dense(camera, BLOB).sum(axis=0) > 0.5).sum())
     assert 0 < len(support) < np.prod(GRID.shape)
 
@@ -245,34 +210,29 @@ def test_voxels_that_no_camera_sees_are_left_out() -> None:
 def test_a_uniform_guess_is_as_bright_as_the_images_and_dark_where_no_camera_looks() -> None:
     camera = make_camera(0.0, 0.0, None, (23.2, 0.0))
     images = np.random.default_rng(6).integers(100, 200, (1, ROWS, COLUMNS), dtype=np.uint16)
-    problem = TomographyProblem.from_case(
-        Observation(images, (camera,), GRID, 50.0, 255.0), TomographyParameters(sigma_px=0.6)
-    )
+    case = Observation(images, (camera,), GRID, 50.0, 255.0)
+    problem = TomographyProblem.from_case(case, TomographyParameters(sigma_px=0.6))
     state = problem.uniform()
     seen = dense(camera, BLOB).sum(axis=0) > 0.5
-    np.testing.assert_array_equal(state.values > 0.0, seen)
-    assert state.lines.forward(state.values).sum() == pytest.approx(
-        problem.measured.light.sum(), rel=1e-4
-    )
+    assert_array_equal(state.values > 0.0, seen)
+    light = problem.measured.light.sum()
+    assert state.lines.forward(state.values).sum() == pytest.approx(light, rel=1e-4)
     assert np.ptp(state.values[seen]) == 0.0
 
 
 @pytest.mark.parametrize("sigma", [0.3, 0.6, 0.8])
 def test_a_blob_casts_about_a_gaussian(sigma: float) -> None:
-    """The kernel keeps its light, its position and its variance.
-
-    Averaged over all positions inside a pixel, it has the variance of a Gaussian integrated over
-    pixels.
-    """
+    """The kernel keeps its light, its position and its variance. Averaged over all positions inside
+    a pixel, it has the variance of a Gaussian integrated over pixels."""
     right = (np.arange(64) + 0.5) / 64
     image = np.zeros((64, 5, 9), dtype=np.float32)
     image[:, 2, 3], image[:, 2, 4] = 1.0 - right, right
     cast = gaussian(sigma).smooth(image).astype(np.float64)
     assert gaussian(sigma).margin == 1
-    np.testing.assert_allclose(cast.sum(axis=(1, 2)), 1.0, atol=1e-6)
+    assert_allclose(cast.sum(axis=(1, 2)), 1.0, atol=1e-6)
     away = np.arange(9)[None] - (3.0 + right)[:, None]
     line = cast.sum(axis=1)
-    np.testing.assert_allclose((line * away).sum(axis=1), 0.0, atol=1e-6)
+    assert_allclose((line * away).sum(axis=1), 0.0, atol=1e-6)
     assert (line * away**2).sum(axis=1).mean() == pytest.approx(sigma**2 + 1.0 / 12.0, rel=1e-3)
 
 
@@ -283,28 +243,24 @@ def test_image_size_is_measured_in_a_crowd(sigma: float) -> None:
     for x, y in rng.uniform(2.0, 117.0, (700, 2)):  # 0.05 per pixel
         across, down = (np.diff(erf((edges - c) / (sigma * np.sqrt(2.0)))) for c in (x, y))
         image += np.outer(down, across)
-    found = image_sigma_px(
-        (image / np.quantile(image[image > 0.1 * image.max()], 0.95))[None].astype(np.float32)
-    )
+    image /= np.quantile(image[image > 0.1 * image.max()], 0.95)
+    found = image_sigma_px(image[None].astype(np.float32))
     assert found == pytest.approx(np.sqrt(sigma**2 + 1.0 / 12.0), rel=0.05)
     assert image_sigma_px(np.zeros((1, 20, 20), dtype=np.float32)) is None
 
 
 def test_long_voxels_are_split_and_short_ones_are_not() -> None:
-    cameras = [make_camera(240.0, 0.0, None), make_camera(0.0, 0.0, None)]
-    scale = supersampling.scale_of(cameras, replace(GRID, voxel_mm=(0.05, 0.05, 0.2)))
-    assert scale.px_per_mm == pytest.approx(
-        np.mean([6800.0 / np.hypot(340.0, 240.0), 6800.0 / 340.0]), rel=0.02
-    )
+    rig = [make_camera(240.0, 0.0, None), make_camera(0.0, 0.0, None)]
+    scale = supersampling.scale_of(rig, replace(GRID, voxel_mm=(0.05, 0.05, 0.2)))
+    far = np.hypot(340.0, 240.0)
+    assert scale.px_per_mm == pytest.approx(np.mean([6800.0 / far, 6800.0 / 340.0]), rel=0.02)
     assert scale.travel_px[0] == pytest.approx(1.0, rel=0.02)
-    assert scale.travel_px[2] == pytest.approx(
-        6800.0 * 0.2 * np.sin(np.arctan2(240.0, 340.0)) / np.hypot(340.0, 240.0), rel=0.02
-    )
+    assert scale.travel_px[2] == pytest.approx(6800.0 * 0.2 * 240.0 / far**2, rel=0.02)
     assert supersampling.splits(scale) == (1, 1, 2)
     fine = supersampling.split(Grid((0.0, 1.0, 2.0), (0.1, 0.2, 0.3), (2, 3, 4)), (1, 2, 3))
     assert fine.shape == (6, 6, 4)
-    np.testing.assert_allclose(fine.low_mm, (0.0, 0.95, 1.9))
-    np.testing.assert_allclose(fine.voxel_mm, (0.1, 0.1, 0.1))
+    assert_allclose(fine.low_mm, (0.0, 0.95, 1.9))
+    assert_allclose(fine.voxel_mm, (0.1, 0.1, 0.1))
 
 
 @pytest.mark.parametrize(
@@ -316,21 +272,14 @@ def test_volume_is_the_sum_of_blobs(count: tuple[int, int, int], sigma: float) -
     x, y, z = 6 * count[0] - 1, 5 * count[1] - 1, 4 * count[2] - 1
     start = np.zeros(fine.shape[0] * fine.shape[1] + 1, dtype=np.int64)
     start[z * fine.shape[1] + y + 1 :] = 1
-    volume = supersampling.gather(
-        Support(fine.shape, start, np.array([x], dtype=np.int16)),
-        np.array([2.0], dtype=np.float32),
-        grid,
-        count,
-        sigma,
-    )
+    support = Support(fine.shape, start, np.array([x], dtype=np.int16))
+    volume = supersampling.gather(support, np.array([2.0], np.float32), grid, count, sigma)
     centre = [float(axis[i]) for axis, i in zip(fine.axes_mm, (x, y, z), strict=True)]
     shares = [
         share_of(axis, step, c, sigma)
         for axis, step, c in zip(grid.axes_mm, grid.voxel_mm, centre, strict=True)
     ]
-    np.testing.assert_allclose(
-        volume, 2.0 * np.einsum("k,j,i->kji", *shares[::-1]), rtol=0, atol=0.02
-    )
+    assert_allclose(volume, 2.0 * np.einsum("k,j,i->kji", *shares[::-1]), rtol=0, atol=0.02)
     assert volume.sum() == pytest.approx(2.0, rel=1e-5)
 
 
@@ -348,6 +297,6 @@ def test_dim_voxels_become_zero() -> None:
     volume = np.linspace(0.0, 1.0, 101, dtype=np.float32).reshape(1, 1, 101)
     bright = np.percentile(volume[volume > 0.1], 95.0)
     kept = supersampling.clear_dark(volume.copy(), 0.25)
-    np.testing.assert_array_equal(kept > 0.0, volume >= 0.25 * bright)
-    np.testing.assert_array_equal(supersampling.clear_dark(volume.copy(), 0.0), volume)
+    assert_array_equal(kept > 0.0, volume >= 0.25 * bright)
+    assert_array_equal(supersampling.clear_dark(volume.copy(), 0.0), volume)
     assert not supersampling.clear_dark(np.full((2, 3, 4), 1e-4, dtype=np.float32), 0.25).any()

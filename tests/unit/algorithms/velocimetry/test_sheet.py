@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.velocimetry import find_sheet, light_in_sheet
 from sabench.algorithms.velocimetry.windows import Windows, by_shifts
@@ -60,9 +61,9 @@ def test_uniform_flow_is_recovered_in_any_plane(camera: Camera, normal: F64) -> 
     motion = lambda points: np.tile(move, (len(points), 1))  # noqa: E731
     field = solved(image_pair((camera,), motion, normal), normal)
     assert field.plane_axes is not None
-    np.testing.assert_allclose(field.axes[2], normal, atol=1e-9)
-    np.testing.assert_allclose((field.positions_mm - POINT) @ normal, 0.0, atol=1e-9)
-    np.testing.assert_allclose(field.velocity_mm_s @ normal, 0.0, atol=1e-9)
+    assert_allclose(field.axes[2], normal, atol=1e-9)
+    assert_allclose((field.positions_mm - POINT) @ normal, 0.0, atol=1e-9)
+    assert_allclose(field.velocity_mm_s @ normal, 0.0, atol=1e-9)
     errors = errors_px(field, motion, 0.063)
     assert field.valid.mean() > 0.75
     assert rms(errors) < BOUND_PX / 2.0  # no gradients, no noise
@@ -87,19 +88,16 @@ def test_without_its_wall_a_camera_shows_another_scale(camera: Camera) -> None:
     motion = lambda points: np.tile([0.14, 0.0, 0.0], (len(points), 1))  # noqa: E731
     case = image_pair((camera,), motion)
     bare = replace(camera, wall=None)
-    dry = ImagePair(
-        replace(case.first, cameras=(bare,)), replace(case.second, cameras=(bare,)), INTERVAL_S
-    )
+    frames = [replace(one, cameras=(bare,)) for one in (case.first, case.second)]
+    dry = ImagePair(frames[0], frames[1], INTERVAL_S)
     wet, air = (solved(one) for one in (case, dry))
     assert np.median(wet.velocity_mm_s[..., 0]) == pytest.approx(14.0, rel=0.003)
     assert np.median(air.velocity_mm_s[..., 0]) > 14.0 * 1.03
 
 
 def test_motion_across_the_sheet_costs_pairs(camera: Camera) -> None:
-    """The correlation falls as the share of particles that stay in the light.
-
-    Source: R. D. Keane and R. J. Adrian, Appl. Sci. Res. 49 (1992) 191-215: F_O = 1 - |dz| / t.
-    """
+    """The correlation falls as the share of particles that stay in the light. Source: R. D. Keane
+    and R. J. Adrian, Appl. Sci. Res. 49 (1992) 191-215: F_O = 1 - |dz| / t."""
     heights, valid = [], []
     for share in (0.0, 0.5, 1.5):
         move = share * 0.5 * ALONG_Z
@@ -130,7 +128,7 @@ def test_the_sheet_lies_as_the_image_shows_it(camera: Camera) -> None:
         roll = rotation_matrices(np.array([0.0, 0.0, np.deg2rad(angle)]))
         (rolled,) = rotate_cameras((camera,), roll)
         sheet = find_sheet((rolled,), GRID, (0.0, 0.0, 131.5), (0.0, 0.0, -1.0))
-        np.testing.assert_allclose(sheet.axes @ roll, np.eye(3), atol=1e-9)
+        assert_allclose(sheet.axes @ roll, np.eye(3), atol=1e-9)
         assert sheet.pixel_mm == pytest.approx(0.0628, abs=0.0003)
         seen = sheet.pixels[sheet.seen]
         assert (np.abs(seen - [119.5, 99.5]) < [120.0, 100.0]).all()
@@ -140,9 +138,7 @@ def test_the_sheet_lies_as_the_image_shows_it(camera: Camera) -> None:
 
 
 def test_of_several_cameras_the_squarest_or_the_named_one_is_taken(camera: Camera) -> None:
-    oblique = replace(
-        tank_camera(**{"cameras.layout.places": [{"center_mm": [250.0, 0.0, -580.0]}]})
-    )
+    oblique = tank_camera(**{"cameras.layout.places": [{"center_mm": [250.0, 0.0, -580.0]}]})
     pair = (replace(oblique, name="left"), replace(camera, name="front"))
     point, normal = (0.0, 0.0, 131.5), (0.0, 0.0, 1.0)
     assert find_sheet(pair, GRID, point, normal).camera == 1
@@ -158,9 +154,7 @@ def test_a_camera_that_does_not_see_the_sheet_declines(camera: Camera) -> None:
         find_sheet((camera,), beyond, (305.0, 5.0, 131.5), (0.0, 0.0, 1.0))
     with pytest.raises(DeclinedError, match="none of 2 cameras sees a point of the light sheet"):
         find_sheet((camera, camera), beyond, (305.0, 5.0, 131.5), (0.0, 0.0, 1.0))
-    with pytest.raises(
-        DeclinedError, match=r"camera_00 sees the light sheet edge-on, at \d degrees"
-    ):
+    with pytest.raises(DeclinedError, match=r"camera_00 sees the light sheet edge-on, at \d deg"):
         find_sheet((camera,), GRID, (0.0, 0.0, 131.5), (1.0, 0.0, 0.0))
 
 

@@ -1,7 +1,5 @@
-"""Window correlation.
-
-Its kernels against other programs, its vectors against known displacements.
-"""
+"""Window correlation. Its kernels against other programs, its vectors against known
+displacements."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
@@ -35,9 +34,8 @@ WINDOW = (16, 32, 32)
 
 def particles(per_mm3: float = 5.0) -> F64:
     """More than the grid holds, so that some enter and leave."""
-    return np.random.default_rng(0).uniform(
-        [-5.0, -5.0, -3.0], [5.0, 5.0, 3.0], (round(600.0 * per_mm3), 3)
-    )
+    end = np.array([5.0, 5.0, 3.0])
+    return np.random.default_rng(0).uniform(-end, end, (round(600.0 * per_mm3), 3))
 
 
 def volume(points: F64) -> F32:
@@ -51,17 +49,11 @@ def pair_of(name: str, **parameters: Any) -> tuple[VolumePair, Any]:
 
 
 def errors(field: Velocity, flow: Any) -> F64:
-    """Errors of valid vectors, in voxels.
-
-    Against the displacement about the middle of the interval.
-    """
+    """Errors of valid vectors from displacements about the middle of the interval, in voxels."""
     points = field.positions_mm.reshape(-1, 3)
     exact = advect(flow, points, 0.5, 1.0, 1e-7) - advect(flow, points, 0.5, 0.0, 1e-7)
-    return np.asarray(
-        ((field.velocity_mm_s.reshape(-1, 3) - exact) / np.asarray(GRID.voxel_mm))[
-            field.valid.ravel()
-        ]
-    )
+    off = (field.velocity_mm_s.reshape(-1, 3) - exact) / np.asarray(GRID.voxel_mm)
+    return np.asarray(off[field.valid.ravel()])
 
 
 def solved(case: VolumePair, name: str = "piv3d", **parameters: Any) -> Velocity:
@@ -70,65 +62,43 @@ def solved(case: VolumePair, name: str = "piv3d", **parameters: Any) -> Velocity
     return made
 
 
-def test_spline_coefficients_are_scipy_s() -> None:
-    for shape in ((20, 40, 50), (3, 9, 2)):
-        values = np.random.default_rng(1).random(shape).astype(np.float32)
-        np.testing.assert_allclose(
-            spline_coefficients(values),
-            spline_filter(values.astype(np.float64), 3, mode="mirror"),
-            atol=2e-5,
-        )
+@pytest.mark.parametrize("shape", [(20, 40, 50), (3, 9, 2)])
+def test_spline_coefficients_are_scipy_s(shape: tuple[int, int, int]) -> None:
+    values = np.random.default_rng(1).random(shape).astype(np.float32)
+    expected = spline_filter(values.astype(np.float64), 3, mode="mirror")
+    assert_allclose(spline_coefficients(values), expected, atol=2e-5)
 
 
 def test_moved_volumes_are_scipy_s() -> None:
     rng = np.random.default_rng(2)
-    volumes, field = (
-        rng.random((2, 20, 40, 50)).astype(np.float32),
-        rng.normal(0.0, 1.5, (4, 5, 6, 3)),
-    )
-    out, other = np.empty((2, 20, 40, 50), dtype=np.float32)
-    deform_pair(
-        *(spline_coefficients(values) for values in volumes),
-        field,
-        (2.0, 3.0, 4.0),
-        (4.0, 8.0, 8.0),
-        out,
-        other,
-    )
+    volumes = rng.random((2, 20, 40, 50)).astype(np.float32)
+    field, origin, step = rng.normal(0.0, 1.5, (4, 5, 6, 3)), (2.0, 3.0, 4.0), (4.0, 8.0, 8.0)
+    out = np.empty((2, 20, 40, 50), dtype=np.float32)
+    deform_pair(*(spline_coefficients(values) for values in volumes), field, origin, step, *out)
     place = np.mgrid[:20, :40, :50].astype(np.float64)
-    shift = _continued(
-        field, [(place[i] - (2.0, 3.0, 4.0)[i]) / (4.0, 8.0, 8.0)[i] for i in range(3)]
-    )
+    shift = _continued(field, [(place[i] - origin[i]) / step[i] for i in range(3)])
     found, both = [], np.ones((20, 40, 50), dtype=np.bool_)
     for values, share in zip(volumes, (-0.5, 0.5), strict=True):
         there = place + share * shift
         found.append(map_coordinates(values.astype(np.float64), there, order=3, mode="mirror"))
-        for i in range(3):
-            both &= (there[i] >= 0.0) & (there[i] <= values.shape[i] - 1)
-    for made, expected in zip((out, other), found, strict=True):
-        np.testing.assert_allclose(made[both], expected[both], atol=5e-6)
+        last = np.array(values.shape)[:, None, None, None] - 1
+        both &= ((there >= 0.0) & (there <= last)).all(axis=0)
+    for made, expected in zip(out, found, strict=True):
+        assert_allclose(made[both], expected[both], atol=5e-6)
         assert not made[~both].any()
 
 
 def _continued(field: F64, at: list[F64]) -> F64:
-    """Interpolate displacements (z, y, x) at positions on a lattice.
-
-    Linear beyond the lattice, which is continued by hand.
-    """
+    """Interpolate displacements (z, y, x) at positions on a lattice. Linear beyond the lattice,
+    which is continued by hand."""
     room = 4
     for axis in range(3):
-        before, after = (np.take(field, [n], axis=axis) for n in (0, -1))
-        first, last = (
-            before - np.take(field, [1], axis=axis),
-            after - np.take(field, [-2], axis=axis),
-        )
-        low = [before + n * first for n in range(room, 0, -1)]
-        field = np.concatenate(
-            [*low, field, *[after + n * last for n in range(1, room + 1)]], axis=axis
-        )
-    return np.stack(
-        [map_coordinates(field[..., 2 - i], [own + room for own in at], order=1) for i in range(3)]
-    )
+        before, second, other, after = (np.take(field, [n], axis=axis) for n in (0, 1, -2, -1))
+        low = [before + n * (before - second) for n in range(room, 0, -1)]
+        high = [after + n * (after - other) for n in range(1, room + 1)]
+        field = np.concatenate([*low, field, *high], axis=axis)
+    places = [own + room for own in at]
+    return np.stack([map_coordinates(field[..., 2 - i], places, order=1) for i in range(3)])
 
 
 def test_block_sums_are_sums() -> None:
@@ -141,15 +111,14 @@ def test_block_sums_are_sums() -> None:
         other = padded[dz : dz + 12, dy : dy + 16, dx : dx + 24]
         for sums, values in ((products, first * other), (squares, other * other)):
             expected = values.reshape(3, 4, 2, 8, 3, 8).sum(axis=(1, 3, 5))
-            np.testing.assert_allclose(sums[..., place], expected, rtol=1e-4)
+            assert_allclose(sums[..., place], expected, rtol=1e-4)
 
 
 def test_small_shifts_are_found_to_parts_of_a_voxel() -> None:
     start, shift = particles(), np.array([0.3, -0.45, 0.2])
     windows = Windows.over(GRID.shape, WINDOW, 0.5)
-    peaks = by_shifts(
-        volume(start), volume(start + shift * np.asarray(GRID.voxel_mm)), windows, (1, 1, 1)
-    )
+    moved = volume(start + shift * np.asarray(GRID.voxel_mm))
+    peaks = by_shifts(volume(start), moved, windows, (1, 1, 1))
     assert np.abs(peaks.shift.mean(axis=(0, 1, 2)) - shift).max() < 0.04
     assert peaks.height.min() > 0.7
 
@@ -161,8 +130,8 @@ def test_the_unit_of_light_does_not_matter() -> None:
     plain = by_shifts(*pair, windows, (1, 1, 1))
     dim = np.float32(2.0**-20)
     faint = by_shifts(dim * pair[0], dim * pair[1], windows, (1, 1, 1))
-    np.testing.assert_allclose(faint.shift, plain.shift, atol=1e-6)
-    np.testing.assert_allclose(faint.height, plain.height, atol=1e-6)
+    assert_allclose(faint.shift, plain.shift, atol=1e-6)
+    assert_allclose(faint.height, plain.height, atol=1e-6)
 
 
 def test_large_shifts_are_found_by_spectra() -> None:
@@ -191,9 +160,8 @@ def test_known_flows_are_measured(name: str, parameters: dict[str, Any]) -> None
     off = errors(field, flow)
     assert field.valid.mean() > 0.98
     assert (precision_interval(off) < [0.06, 0.06, 0.1]).all()
-    assert (
-        np.abs(off.mean(axis=0)) < [0.01, 0.01, 0.03]
-    ).all()  # along Z a particle is half a voxel wide: no interpolation is right there
+    # along Z a particle is half a voxel wide: no interpolation is right there
+    assert (np.abs(off.mean(axis=0)) < [0.01, 0.01, 0.03]).all()
 
 
 def test_the_plain_method_is_worse_and_still_right() -> None:
@@ -209,11 +177,9 @@ def test_vectors_lie_at_the_middles_of_their_windows() -> None:
     case, _ = pair_of("linear_flow", velocity_mm_s=(0.1, 0.0, 0.0))
     field = solved(case, overlap=0.5)
     assert field.valid.shape == (4, 9, 9)
-    np.testing.assert_allclose(
-        field.positions_mm[0, 0, 0],
-        np.asarray(GRID.low_mm) + np.asarray(GRID.voxel_mm) * [15.5, 15.5, 7.5],
-    )
-    np.testing.assert_allclose(field.step_mm, [0.8, 0.8, 0.8])
+    first = np.asarray(GRID.low_mm) + np.asarray(GRID.voxel_mm) * [15.5, 15.5, 7.5]
+    assert_allclose(field.positions_mm[0, 0, 0], first)
+    assert_allclose(field.step_mm, [0.8, 0.8, 0.8])
 
 
 def test_windows_without_signal_are_invalid_and_finite() -> None:
@@ -230,27 +196,14 @@ def test_windows_without_signal_are_invalid_and_finite() -> None:
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
-        (
-            {"window": (320, 32, 16)},
-            (
-                "window: expected one that fits into the volume of 160 x 160 x 40 voxels, got "
-                "320 x 32 x 16"
-            ),
-        ),
-        (
-            {"overlap": 0.7},
-            (
-                "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole steps which "
-                "divide it, got 0.7"
-            ),
-        ),
+        ({"window": (320, 32, 16)}, "window: expected one that fits into the volume of 160 x 160"),
+        ({"overlap": 0.7}, "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole"),
     ],
 )
 def test_impossible_windows_are_named(parameters: dict[str, Any], sentence: str) -> None:
     case, _ = pair_of("linear_flow")
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=f"^{sentence}"):
         solved(case, **parameters)
-    assert str(caught.value) == sentence
 
 
 def test_outliers_are_found_and_filled() -> None:
@@ -273,13 +226,10 @@ def test_outliers_are_found_and_filled() -> None:
 
 def test_gradients_are_those_of_linear_fields() -> None:
     slope = np.array([[1.0, 2.0, 3.0], [0.0, -1.0, 0.5], [4.0, 0.0, 0.0]])
-    field = Velocity(
-        (0.0, 0.0, 0.0), (0.5, 0.4, 0.8), np.zeros((4, 5, 6, 3)), np.ones((4, 5, 6), dtype=np.bool_)
-    )
-    values = field.positions_mm @ slope.T
-    np.testing.assert_allclose(
-        gradient(values, field.step_mm)[inner((4, 5, 6))], np.tile(slope, (24, 1, 1)), atol=1e-12
-    )
+    shape, step = (4, 5, 6), (0.5, 0.4, 0.8)
+    field = Velocity((0.0,) * 3, step, np.zeros((*shape, 3)), np.ones(shape, dtype=np.bool_))
+    found = gradient(field.positions_mm @ slope.T, step)[inner(shape)]
+    assert_allclose(found, np.tile(slope, (24, 1, 1)), atol=1e-12)
 
 
 def test_medians_are_those_of_the_neighbours() -> None:
@@ -293,10 +243,9 @@ def test_medians_are_those_of_the_neighbours() -> None:
         around = np.delete(padded[z : z + 3, y : y + 3, x : x + 3].reshape(27, 3), 13, axis=0)
         known = around[np.isfinite(around[:, 0])]
         if len(known):
-            np.testing.assert_allclose(middle[z, y, x], np.median(known, axis=0))
-            np.testing.assert_allclose(
-                spread[z, y, x], np.median(np.abs(known - np.median(known, axis=0)), axis=0)
-            )
+            median = np.median(known, axis=0)
+            assert_allclose(middle[z, y, x], median)
+            assert_allclose(spread[z, y, x], np.median(np.abs(known - median), axis=0))
         else:
             assert np.isnan(middle[z, y, x]).all()
 
@@ -306,10 +255,8 @@ def test_widths_are_those_of_the_particles() -> None:
     for sigma in (0.05, 0.1):
         z, y, x = widths(synthesise(GRID, places, np.ones(len(places)), sigma))
         for found, voxel in ((z, 0.1), (y, 0.05), (x, 0.05)):
-            mean = np.hypot(
-                sigma / voxel, np.sqrt(1.0 / 12.0)
-            )  # a voxel's value is the mean over it
-            assert found == pytest.approx(mean, rel=0.1)
+            over_voxel = np.hypot(sigma / voxel, np.sqrt(1.0 / 12.0))
+            assert found == pytest.approx(over_voxel, rel=0.1)
     assert widths(np.ones((4, 5, 6), dtype=np.float32)) == (np.inf, np.inf, np.inf)
 
 
@@ -319,16 +266,14 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
     expected = gaussian_filter(
         values, sigma, mode="mirror", radius=[int(np.ceil(3.0 * own)) for own in sigma]
     )
-    np.testing.assert_allclose(widen(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
+    assert_allclose(widen(values, (0.4, 1.3, 0.9), 1.2), expected, atol=1e-5)
     assert widen(values, (0.8, 0.9, 1.0), 0.8) is values
 
 
 @pytest.mark.slow
 def test_weighted_windows_resolve_more() -> None:
-    """A Gaussian's weights see more of a wave than equal ones.
-
-    The wave is twice as long as the window.
-    """
+    """A Gaussian's weights see more of a wave than equal ones. The wave is twice as long as the
+    window."""
     parameters = {
         "along": (1.0, 0.0, 0.0),
         "across": (0.0, 1.0, 0.0),

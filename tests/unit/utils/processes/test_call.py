@@ -1,14 +1,21 @@
-"""Calls in a child process: results, faults, and this process's environment."""
+"""Isolated calls, and reading in limited time."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
+import h5py
 import pytest
 
-from sabench.utils.errors import InputError
-from sabench.utils.processes.call import call_isolated
+from sabench.dataset.verification import probe
+from sabench.utils.errors import InputError, UncheckedError
+from sabench.utils.processes import call
+from sabench.utils.processes.call import call_isolated, read_isolated
+from tests.conftest import ROOT
 
 
 def add(one: int, other: int) -> int:
@@ -23,7 +30,7 @@ def refuse() -> None:
     raise InputError("no")
 
 
-def break_off() -> None:
+def break_off(*_: object) -> None:
     os.abort()
 
 
@@ -49,3 +56,89 @@ def test_faults_become_input_errors() -> None:
         call_isolated(break_off, doing="sum")
     with pytest.raises(InputError, match=r"^sleep: expected an end within 0.2 s"):
         call_isolated(time.sleep, 60.0, doing="sleep", time_s=0.2)
+
+
+SLOW_START = """
+import os
+import sys
+
+os.environ["PARENT"] = str(os.getpid())
+from sabench.dataset.verification import probe
+from sabench.utils.processes import call
+from slow_to_import import SlowPath
+
+call._CPU_S = 0.5
+probe(SlowPath(sys.argv[1]))
+"""
+SLOW_MODULE = """
+import os
+import time
+from pathlib import PosixPath
+
+if os.getpid() != int(os.environ["PARENT"]):
+    time.sleep(2.0)
+
+class SlowPath(PosixPath):
+    pass
+"""
+
+
+def turn_in_circles(path: Path) -> None:
+    while True:
+        pass
+
+
+def wait(path: Path, seconds: float) -> None:
+    time.sleep(seconds)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    with h5py.File(tmp_path / "a.h5", "w") as made:
+        made["values"] = [1.0, 2.0]
+    return tmp_path / "a.h5"
+
+
+@pytest.fixture
+def one_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(call, "_CPU_S", 0.5)
+
+
+def test_a_process_that_starts_slowly_makes_no_file_damaged(file: Path) -> None:
+    """On a busy machine it takes longer to import what it needs than to read the file."""
+    (file.parent / "slow_to_import.py").write_text(SLOW_MODULE)
+    words = [sys.executable, "-c", SLOW_START, str(file)]
+    paths = os.pathsep.join((str(ROOT), str(file.parent)))
+    start = time.monotonic()
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": paths}
+    )
+    assert done.returncode == 0, done.stderr
+    assert time.monotonic() - start > 2.0  # the process did start slowly
+
+
+@pytest.mark.usefixtures("one_second")
+def test_time_that_others_take_does_not_count(file: Path) -> None:
+    start = time.monotonic()
+    read_isolated(wait, file, 1.5)
+    assert time.monotonic() - start > 1.5  # thrice the limit of CPU time
+
+
+@pytest.mark.usefixtures("one_second")
+def test_a_file_that_sends_a_library_round_in_circles_is_not_called_damaged(file: Path) -> None:
+    probe(file)
+    with pytest.raises(UncheckedError, match=r"could not be checked.* 1 s of CPU time$"):
+        read_isolated(turn_in_circles, file)
+
+
+@pytest.mark.usefixtures("one_second")
+def test_a_reader_that_sleeps_is_killed(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(call, "_PATIENCE", 0.5)
+    with pytest.raises(UncheckedError, match=r"could not be checked.* 0\.5 s$"):
+        read_isolated(wait, file, 60.0)
+
+
+def test_a_crash_is_a_fault_of_the_file(file: Path) -> None:
+    with pytest.raises(InputError, match="signal SIGABRT") as caught:
+        read_isolated(break_off, file)
+    assert not isinstance(caught.value, UncheckedError)

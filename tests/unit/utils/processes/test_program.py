@@ -1,20 +1,32 @@
-"""Programs within limits: what they see, what they cost, and how they are ended."""
+"""External programs and Python in child processes."""
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
 
 from sabench.utils.errors import InputError
-from sabench.utils.processes.program import Limits, limits_of, run_limited
+from sabench.utils.processes.program import (
+    Limits,
+    check_end,
+    describe_end,
+    kill_tree,
+    last_line,
+    limits_of,
+    run_limited,
+)
+from sabench.utils.processes.python import Reply, Servers, run_code, start_python
 
 
 def program(folder: Path, body: str, name: str = "program") -> list[str]:
-    """A Python program; what follows its path are its arguments."""
     path = folder.parent / name
     path.write_text(f"#!{sys.executable} -I\nimport os, signal, subprocess, sys, time\n{body}\n")
     path.chmod(0o755)
@@ -44,9 +56,7 @@ def test_memory_of_children_counts(folder: Path) -> None:
     assert run_limited(program(folder, body), folder, Limits(), "p").peak_mb > 120.0
 
 
-def test_it_gets_a_clean_environment_and_no_input(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_gets_a_clean_environment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SECRET", "1")
     body = (
         "print(sorted(os.environ), os.environ['HOME'] == os.getcwd(), sys.stdin.read() == '', "
@@ -59,39 +69,26 @@ def test_it_gets_a_clean_environment_and_no_input(
     assert facts == ["True", "True", "True"]
 
 
+HOLD = "held = bytearray(300_000_000)\ntime.sleep(60)"
+ONE_FILE = "signal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nfile = open('big', 'wb')\n"
+ONE_FILE += "while True: file.write(bytes(100_000))"
+FILES = "for i in range(40): open(str(i), 'wb').write(bytes(500_000))\ntime.sleep(60)"
+CONTROLS = r"sys.stderr.write('\x1b[2J\x07evil ' + 'y' * 100_000)" + "\nsys.exit(1)"
+ENDLESS = "while True: print('x' * 1000, file=sys.stderr)"
+
+
 @pytest.mark.parametrize(
     ("body", "limits", "words"),
     [
         ("time.sleep(60)", Limits(time_s=0.4), "within 0.4 s, but it was still running"),
-        (
-            "held = bytearray(300_000_000)\ntime.sleep(60)",
-            Limits(memory_mb=100.0),
-            "at most 100 MB of memory",
-        ),
+        (HOLD, Limits(memory_mb=100.0), "at most 100 MB of memory"),
         ("sys.exit('no such camera')", Limits(), "exit code 1; its last words: no such camera"),
         ("print('only this')\nsys.exit(3)", Limits(), "exit code 3; its last words: only this"),
         ("os.kill(os.getpid(), signal.SIGSEGV)", Limits(), "signal SIGSEGV"),
-        (
-            "signal.signal(signal.SIGXFSZ, signal.SIG_DFL)\nfile = open('big', 'wb')\n"
-            "while True: file.write(bytes(100_000))",
-            Limits(output_mb=1.0),
-            "no file larger than 1 MB",
-        ),
-        (
-            "for i in range(40): open(str(i), 'wb').write(bytes(500_000))\ntime.sleep(60)",
-            Limits(output_mb=1.0),
-            "at most 1 MB of files",
-        ),
-        (
-            "while True: print('x' * 1000, file=sys.stderr)",
-            Limits(time_s=0.5),
-            "still running; its last words: xxx",
-        ),
-        (
-            r"sys.stderr.write('\x1b[2J\x07evil ' + 'y' * 100_000)" + "\nsys.exit(1)",
-            Limits(),
-            "its last words: y",
-        ),
+        (ONE_FILE, Limits(output_mb=1.0), "no file larger than 1 MB"),
+        (FILES, Limits(output_mb=1.0), "at most 1 MB of files"),
+        (ENDLESS, Limits(time_s=0.5), "still running; its last words: xxx"),
+        (CONTROLS, Limits(), "its last words: y"),
     ],
 )
 def test_breaches_end_in_one_sentence(folder: Path, body: str, limits: Limits, words: str) -> None:
@@ -152,3 +149,104 @@ def test_limits_must_be_positive() -> None:
     for bad in (0.0, -1.0, float("inf"), float("nan")):
         with pytest.raises(InputError, match="time limit"):
             limits_of(bad, None)
+
+
+DOUBLE = """
+import json, os, sys
+for line in sys.stdin:
+    value = json.loads(line)
+    if value == "half":
+        os.write(1, b"[1, ")
+        os.kill(os.getpid(), 9)
+    print(json.dumps(2 * value), flush=True)
+"""
+
+
+@pytest.fixture
+def servers() -> Iterator[Servers]:
+    made = Servers(["-c", DOUBLE], 2, threads=1)
+    yield made
+    made.close()
+
+
+def test_each_request_has_one_answer(servers: Servers) -> None:
+    assert servers.running() == [0, 1]
+    servers.request(0, 4)
+    servers.request(1, "ab")
+    replies = {reply.number: reply for reply in (servers.receive(), servers.receive())}
+    assert replies == {0: Reply(0, 8), 1: Reply(1, "abab")}
+
+
+def test_a_killed_server_is_reported_and_replaced(servers: Servers) -> None:
+    servers.running()
+    os.kill(servers.pids[0], signal.SIGKILL)
+    assert servers.receive() == Reply(0, end="signal SIGKILL")
+    assert servers.running() == [1, 2]
+    servers.request(2, 1)
+    assert servers.receive() == Reply(2, 2)
+
+
+def test_half_an_answer_is_none(servers: Servers) -> None:
+    servers.running()
+    servers.request(1, "half")
+    assert servers.receive() == Reply(1, end="signal SIGKILL")
+
+
+def test_a_request_to_a_dead_server_raises_nothing(servers: Servers) -> None:
+    servers.running()
+    os.kill(servers.pids[0], signal.SIGKILL)
+    time.sleep(0.1)
+    servers.request(0, 1)
+    assert servers.receive() == Reply(0, end="signal SIGKILL")
+
+
+def test_children_ignore_interrupts_and_this_process_does_not() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    code = "import signal; print(signal.getsignal(signal.SIGINT) == signal.SIG_IGN)"
+    assert run_code(code, "it", 60.0) == "True"
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_threads_and_modules_of_children() -> None:
+    code = "import os, sabench; print(os.environ['NUMBA_NUM_THREADS'])"
+    process = start_python(["-c", code], threads=3)
+    assert process.communicate()[0].split() == [b"3"]
+
+
+def test_code_that_fails_or_hangs_is_a_sentence() -> None:
+    with pytest.raises(InputError, match=r"^it: .* exit code 1; its last words: no$"):
+        run_code("raise SystemExit('no')", "it", 60.0)
+    with pytest.raises(InputError, match=r"it: expected an end within 0.5 s"):
+        run_code("import time; time.sleep(60)", "it", 0.5)
+
+
+def test_ends_have_names() -> None:
+    names = [describe_end(code) for code in (0, 3, -6, -1000)]
+    assert names == ["exit code 0", "exit code 3", "signal SIGABRT", "signal 1000"]
+    check_end("it", 0, "")
+    with pytest.raises(InputError, match=r"^it: expected exit code 0, but .* exit code 2$"):
+        check_end("it", 2, "")
+
+
+def test_the_last_line_is_printable() -> None:
+    assert last_line(b"one\n  two \x1b[2J\n \n").startswith("two")
+    assert last_line(b"two \x1b[2J").isprintable()
+    assert last_line(b"") == ""
+
+
+def test_a_tree_is_killed_whole() -> None:
+    code = (
+        "import subprocess, sys, time\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'])\n"
+        "print(child.pid, flush=True)\ntime.sleep(60)"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    with process.stdout:
+        below = int(process.stdout.readline())
+    kill_tree(process.pid)
+    assert process.wait() == -signal.SIGKILL
+    end = time.monotonic() + 5.0
+    while psutil.pid_exists(below) and psutil.Process(below).status() != "zombie":
+        assert time.monotonic() < end
+        time.sleep(0.02)

@@ -1,7 +1,4 @@
-"""Surfaces of solid bodies.
-
-Closed, of the right size, and not spoilt by the lattice.
-"""
+"""Surfaces of solid bodies. Closed, of the right size, and not spoilt by the lattice."""
 
 from __future__ import annotations
 
@@ -10,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
-from scipy.optimize import minimize_scalar
 from scipy.spatial import cKDTree
 
 from sabench.api.truth import Solid
@@ -46,10 +43,8 @@ def body(name: str, seed: int = 1, **parameters: object) -> Solid:
 
 
 def volume(solid: Solid) -> float:
-    """Return the volume that a closed surface encloses, by Gauss's theorem.
-
-    Negative if the surface faces inwards.
-    """
+    """Return the volume that a closed surface encloses, by Gauss's theorem. Negative if the surface
+    faces inwards."""
     corners = solid.vertices_mm[solid.faces]
     return float(np.linalg.det(corners).sum() / 6.0)
 
@@ -65,9 +60,7 @@ def characteristic(solid: Solid) -> int:
 
 
 @pytest.mark.parametrize(("name", "parameters"), BODIES)
-def test_bodies_are_one_closed_surface_that_scenes_take(
-    name: str, parameters: dict[str, Any]
-) -> None:
+def test_bodies_are_one_closed_surface(name: str, parameters: dict[str, Any]) -> None:
     made = body(name, **parameters)
     edges = np.concatenate([made.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
     assert len(np.unique(edges, axis=0)) == len(edges)  # every edge once ...
@@ -80,8 +73,8 @@ def test_bodies_are_one_closed_surface_that_scenes_take(
         bubbles=None, solids=[{"generator": name, "place_mm": [0.0, 0.0, 60.0], **parameters}]
     )
     (placed,) = Frames(scene, build_rig(scene), 1).at(0).solids
-    np.testing.assert_array_equal(placed.faces, made.faces)
-    np.testing.assert_allclose(placed.vertices_mm, made.vertices_mm + np.array([0.0, 0.0, 60.0]))
+    assert_array_equal(placed.faces, made.faces)
+    assert_allclose(placed.vertices_mm, made.vertices_mm + np.array([0.0, 0.0, 60.0]))
 
 
 @pytest.mark.parametrize(
@@ -89,73 +82,48 @@ def test_bodies_are_one_closed_surface_that_scenes_take(
     [("0012", 0.0, 0.5, 0.12), ("2412", 0.02, 0.4, 0.12), ("6721", 0.06, 0.7, 0.21)],
 )
 def test_a_wing_has_its_section(digits: str, height: float, place: float, ratio: float) -> None:
-    """A section's area does not depend on the curvature of its mean line.
-
-    With thickness at right angles to the line, it is twice the integral of half the thickness
-    along the line.
-    """
+    """A section's area is twice the integral of half the thickness along its mean line."""
+    powers = np.polynomial.Polynomial([0.0, -0.126, -0.3516, 0.2843, -0.1036])
 
     def strip(x: float) -> float:
-        half = (
-            5.0
-            * ratio
-            * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
-        )
-        slope = (
-            2.0 * height / place**2 * (place - x)
-            if x < place
-            else 2.0 * height / (1.0 - place) ** 2 * (place - x)
-        )
+        half = 5.0 * ratio * (0.2969 * np.sqrt(x) + powers(x))
+        slope = 2.0 * height / (place if x < place else 1.0 - place) ** 2 * (place - x)
         return float(2.0 * half * np.hypot(1.0, slope))
 
     exact = 20.0**2 * 40.0 * (quad(strip, 0.0, place)[0] + quad(strip, place, 1.0)[0])
-    off = [
-        volume(body("hydrofoil", digits=digits, points=points)) / exact - 1.0
-        for points in (100, 200, 400)
-    ]
-    assert abs(off[-1]) < 2e-4
-    assert abs(off[1]) < abs(off[0]) / 3.5
-    made = body("hydrofoil", digits=digits)
-    np.testing.assert_allclose(np.unique(made.vertices_mm[:, 1]), [-20.0, 20.0])
-    tail = made.vertices_mm[
-        made.vertices_mm[:, 0] > 15.0 - 1e-9
-    ]  # the chord is 20 mm long, a quarter of it in front of the origin
-    np.testing.assert_allclose(tail, [[15.0, -20.0, 0.0], [15.0, 20.0, 0.0]], atol=1e-9)  # closed
-    assert (
-        made.vertices_mm[:, 2].max() >= -made.vertices_mm[:, 2].min() - 1e-9
-    )  # the upper side is +Z
+    made = [body("hydrofoil", digits=digits, points=points) for points in (100, 200, 400)]
+    off = [abs(volume(one) / exact - 1.0) for one in made]
+    assert off[-1] < 2e-4
+    assert off[1] < off[0] / 3.5
+    x, y, z = body("hydrofoil", digits=digits).vertices_mm.T
+    assert_allclose(np.unique(y), [-20.0, 20.0])
+    tail = x > 15.0 - 1e-9  # the chord is 20 mm long, a quarter of it in front of the origin
+    assert_allclose(x[tail], [15.0, 15.0], atol=1e-9)
+    assert_allclose(z[tail], 0.0, atol=1e-9)  # closed
+    assert z.max() >= -z.min() - 1e-9  # the upper side is +Z
+
+
+def ball(points: F64) -> F64:
+    return np.asarray(np.linalg.norm(points - [0.1, 0.2, -0.3], axis=1) - 2.0)
+
+
+def capsule(points: F64) -> F64:
+    ends = np.array([[-2.0, 0.3, 0.1]]), np.array([[1.5, 0.3, 0.1]])
+    return capsules(points, *ends, np.ones(1), np.ones(1))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("function", "radius", "inside", "outside"),
-    [
-        (
-            lambda p: np.linalg.norm(p - [0.1, 0.2, -0.3], axis=1) - 2.0,
-            2.0,
-            4.0 / 3.0 * np.pi * 8.0,
-            4.0 * np.pi * 4.0,
-        ),
-        (
-            lambda p: capsules(
-                p, np.array([[-2.0, 0.3, 0.1]]), np.array([[1.5, 0.3, 0.1]]), np.ones(1), np.ones(1)
-            ),
-            1.0,
-            4.0 / 3.0 * np.pi + 3.5 * np.pi,
-            4.0 * np.pi + 7.0 * np.pi,
-        ),
-    ],
-    ids=["ball", "capsule"],
+    [(ball, 2.0, 32.0 / 3.0, 16.0), (capsule, 1.0, 4.0 / 3.0 + 3.5, 11.0)],
 )
 def test_surfaces_are_exact_to_the_second_order(
     function: Callable[[F64], F64], radius: float, inside: float, outside: float
 ) -> None:
-    """Triangles are off by at most 3/8 step^2 / radius.
-
-    It is the height of an arc over a cell's diagonal.
-    """
+    """Triangles are off by at most 3/8 step^2 / radius, the height of an arc over a cell's
+    diagonal."""
     made = [surface_of(function, [-4.0, -3.0, -3.0], [4.0, 3.0, 3.0], step) for step in (0.3, 0.15)]
-    for measure, exact in ((volume, inside), (area, outside)):
+    for measure, exact in ((volume, np.pi * inside), (area, np.pi * outside)):
         coarse, fine = (abs(measure(one) / exact - 1.0) for one in made)
         assert coarse < 3.0 * 3.0 / 8.0 * (0.3 / radius) ** 2
         assert coarse / 4.5 < fine < coarse / 3.5
@@ -166,35 +134,24 @@ def test_distances_to_cones_are_those_of_all_their_balls() -> None:
     starts, ends = rng.uniform(-1.0, 1.0, (2, 6, 3))
     first, last = rng.uniform(0.1, 0.9, (2, 6))
     ends[0], last[1] = starts[0], first[1] + 9.0  # a ball, and one that holds the other
-    points = rng.uniform(-3.0, 3.0, (40, 3))
+    points, cones = rng.uniform(-3.0, 3.0, (40, 3)), (starts, ends, first, last)
+    share = np.linspace(0.0, 1.0, 20001)[:, None]
 
     def least(point: F64, k: int) -> float:
-        def ball(t: float) -> float:
-            return float(
-                np.linalg.norm(point - starts[k] - t * (ends[k] - starts[k]))
-                - first[k]
-                - t * (last[k] - first[k])
-            )
+        balls = starts[k] + share * (ends[k] - starts[k])
+        radii = first[k] + share[:, 0] * (last[k] - first[k])
+        return float((np.linalg.norm(point - balls, axis=1) - radii).min())
 
-        inner = minimize_scalar(ball, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-10})
-        return min(ball(0.0), ball(1.0), float(inner.fun))
-
-    alone = np.array(
-        [
-            capsules(points, starts[k : k + 1], ends[k : k + 1], first[k : k + 1], last[k : k + 1])
-            for k in range(6)
-        ]
-    )
-    np.testing.assert_allclose(
-        alone, [[least(point, k) for point in points] for k in range(6)], atol=1e-7
-    )
+    alone = np.array([capsules(points, *(part[k : k + 1] for part in cones)) for k in range(6)])
+    assert_allclose(alone, [[least(point, k) for point in points] for k in range(6)], atol=1e-7)
     some = [0, 2, 3, 4, 5]
-    every = capsules(points, starts[some], ends[some], first[some], last[some])
-    np.testing.assert_allclose(every, alone[some].min(axis=0), atol=1e-12)
-    blended = capsules(points, starts[some], ends[some], first[some], last[some], 0.2)
-    np.testing.assert_allclose(blended, smooth_minimum(alone[some], 0.2), atol=1e-4)
+    chosen = [part[some] for part in cones]
+    every = capsules(points, *chosen)
+    assert_allclose(every, alone[some].min(axis=0), atol=1e-12)
+    blended = capsules(points, *chosen, blend_mm=0.2)
+    assert_allclose(blended, smooth_minimum(alone[some], 0.2), atol=1e-4)
     assert (blended < every).all()
-    assert (capsules(points, starts[:0], ends[:0], first[:0], last[:0]) == np.inf).all()
+    assert (capsules(points, *(part[:0] for part in cones)) == np.inf).all()
 
 
 def test_a_smooth_minimum_is_between_its_bounds_in_any_order() -> None:
@@ -202,23 +159,16 @@ def test_a_smooth_minimum_is_between_its_bounds_in_any_order() -> None:
     soft = smooth_minimum(values, 0.3)
     assert (soft <= values.min(axis=0)).all()
     assert (soft >= values.min(axis=0) - 0.3 * np.log(5.0)).all()
-    np.testing.assert_allclose(
-        smooth_minimum([smooth_minimum(values[3:], 0.3), *values[:3]], 0.3), soft
-    )
-    np.testing.assert_array_equal(smooth_minimum(values, 0.0), values.min(axis=0))
-    np.testing.assert_allclose(
-        smooth_minimum(np.full((4, 1), 100.0), 1e-3), 100.0 - 1e-3 * np.log(4.0)
-    )
+    assert_allclose(smooth_minimum([smooth_minimum(values[3:], 0.3), *values[:3]], 0.3), soft)
+    assert_array_equal(smooth_minimum(values, 0.0), values.min(axis=0))
+    assert_allclose(smooth_minimum(np.full((4, 1), 100.0), 1e-3), 100.0 - 1e-3 * np.log(4.0))
 
 
 def test_hollows_are_filled_and_islands_gone() -> None:
     def shell_and_island(points: F64) -> F64:
         radius = np.linalg.norm(points, axis=1)
-        return np.asarray(
-            np.minimum(
-                np.abs(radius - 1.5) - 0.4, np.linalg.norm(points - [2.8, 0.0, 0.0], axis=1) - 0.5
-            )
-        )
+        island = np.linalg.norm(points - [2.8, 0.0, 0.0], axis=1) - 0.5
+        return np.asarray(np.minimum(np.abs(radius - 1.5) - 0.4, island))
 
     every = surface_of(shell_and_island, [-4.0] * 3, [4.0] * 3, 0.1)
     assert volume(every) == pytest.approx(4.0 / 3.0 * np.pi * (1.9**3 - 1.1**3 + 0.5**3), rel=0.01)
@@ -232,9 +182,8 @@ def test_planes_through_nodes_leave_no_flat_triangles() -> None:
     box = surface_of(lambda p: np.abs(p).max(axis=1) - 1.0, [-2.0] * 3, [2.0] * 3, 0.25)
     a, b, c = np.moveaxis(box.vertices_mm[box.faces], 1, 0)
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).min() > 0.0
-    assert volume(box) == pytest.approx(
-        8.0 - 12.0 * 1.5 * 0.25**2 / 2.0 - 8.0 * 0.25**3 * 5.0 / 6.0, rel=1e-3
-    )  # edges and corners are cut
+    expected = 8.0 - 12.0 * 1.5 * 0.25**2 / 2.0 - 8.0 * 0.25**3 * 5.0 / 6.0
+    assert volume(box) == pytest.approx(expected, rel=1e-3)  # edges and corners are cut
 
 
 @pytest.mark.parametrize(
@@ -252,7 +201,6 @@ def test_a_body_must_be_in_its_lattice(low: float, high: float, step: float, sen
 
 
 def turned(points_mm: F64, angle: float) -> F64:
-    """About X."""
     c, s = np.cos(angle), np.sin(angle)
     return np.asarray(points_mm @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]).T)
 
@@ -290,7 +238,7 @@ def test_a_propeller_has_its_blades_and_its_pitch(blades: int, pitch: float) -> 
 @pytest.mark.slow
 def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
     one, again, other = (body("reef", seed, step_mm=0.6) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.vertices_mm, again.vertices_mm)
+    assert_array_equal(one.vertices_mm, again.vertices_mm)
     assert one.vertices_mm.shape != other.vertices_mm.shape
     for made in (one, other):
         low, high = made.vertices_mm.min(axis=0), made.vertices_mm.max(axis=0)
@@ -327,8 +275,6 @@ def test_a_reef_is_the_seed_s_stands_and_hides_itself() -> None:
         ("reef", {"step_mm": 0.01}, "step_mm: expected a lattice of at most 64000000 nodes"),
     ],
 )
-def test_bodies_that_cannot_be_are_named(
-    name: str, parameters: dict[str, Any], sentence: str
-) -> None:
+def test_impossible_bodies_are_named(name: str, parameters: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InputError, match=sentence):
         body(name, **parameters)

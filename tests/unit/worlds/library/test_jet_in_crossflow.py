@@ -1,7 +1,5 @@
-"""A liquid jet in a cross-flow.
-
-The measured laws, motion along them, and drops that touch neither each other nor the column.
-"""
+"""A liquid jet in a cross-flow. The measured laws, motion along them, and drops that touch neither
+each other nor the column."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.api.truth import Bubbles, Solid
 from sabench.geometry.rigid_motion import Domain
@@ -19,12 +18,8 @@ from sabench.worlds.library.overlaps import overlapping, touching
 
 NOZZLE = (5.0, 2.0, -1.0)
 DOMAIN = Domain((35.0, -28.0, 0.0), (70.0, 60.0, 60.0), 1000)
-JET: dict[str, Any] = {
-    "nozzle_mm": NOZZLE,
-    "diameter_mm": 2.0,
-    "momentum_ratio": 12.0,
-    "ligaments": 12,
-}
+FLOW = {"nozzle_mm": NOZZLE, "diameter_mm": 2.0, "momentum_ratio": 12.0}
+JET: dict[str, Any] = FLOW | {"ligaments": 12}
 
 
 def drops(time_s: float = 0.0, seed: int = 1, **more: Any) -> Bubbles:
@@ -75,20 +70,17 @@ def test_drops_are_between_the_edges_and_off_the_column(column: Solid) -> None:
 
 
 def test_drops_move_with_their_velocities_and_the_gas_takes_them_along() -> None:
-    """Motion obeys x'' = (gas - x') / response.
-
-    Positions at three times against the velocity at the middle one, both by the same differences.
-    """
+    """Motion obeys x'' = (gas - x') / response. Positions at three times against the velocity at
+    the middle one, both by the same differences."""
     step = 2e-5
     early, now, late = (drops(1e-3 + k * step) for k in (-1, 0, 1))
     every = [one for one in now.id if one in early.id and one in late.id]
     a, b, c = (made[np.flatnonzero(np.isin(made.id, every))] for made in (early, now, late))
     assert len(b) > 100
-    np.testing.assert_allclose(
-        (c.center_mm - a.center_mm) / (2.0 * step), b.velocity_mm_s, rtol=2e-3, atol=5.0
-    )
+    expected = b.velocity_mm_s
+    assert_allclose((c.center_mm - a.center_mm) / (2.0 * step), expected, rtol=2e-3, atol=5.0)
     gain = (c.velocity_mm_s[:, 0] - a.velocity_mm_s[:, 0]) / (2.0 * step)
-    np.testing.assert_allclose(gain, (40_000.0 - b.velocity_mm_s[:, 0]) / 5e-3, rtol=1e-3)
+    assert_allclose(gain, (40_000.0 - b.velocity_mm_s[:, 0]) / 5e-3, rtol=1e-3)
 
 
 def test_the_spray_stays_as_dense_however_late() -> None:
@@ -103,6 +95,6 @@ def test_lines_are_known_from_places() -> None:
     rng = np.random.default_rng(1)
     age, line = rng.uniform(1e-4, spray.ages[0][-1], 50), rng.random((50, 2))
     again, lines = spray.ages_and_lines(spray.positions(age, line))
-    np.testing.assert_allclose(again, age, rtol=1e-3)
-    np.testing.assert_allclose(lines, line, atol=1e-9)
+    assert_allclose(again, age, rtol=1e-3)
+    assert_allclose(lines, line, atol=1e-9)
     assert spray.ages[1][-1] == pytest.approx(60.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.api import Solid
 from sabench.api.make import generator_of
@@ -42,7 +43,7 @@ def test_drag_is_that_of_hasimoto_and_converges() -> None:
     coarse, fine = (flow(count).force / exact for count in (24, 40))
     assert abs(fine[0] - 1.0) < 0.06
     assert abs(fine[0] - 1.0) < abs(coarse[0] - 1.0)
-    np.testing.assert_allclose(fine[1:], 0.0, atol=2e-3)
+    assert_allclose(fine[1:], 0.0, atol=2e-3)
 
 
 def test_fluid_rests_at_the_surface_and_hardly_passes_it() -> None:
@@ -61,7 +62,7 @@ def test_field_is_free_of_divergence_and_gradient_is_that_of_differences() -> No
         (made.velocity(points + step * axis) - made.velocity(points - step * axis)) / (2.0 * step)
         for axis in np.eye(3)
     ]
-    np.testing.assert_allclose(gradient, np.stack(differences, axis=-1), atol=1e-7)
+    assert_allclose(gradient, np.stack(differences, axis=-1), atol=1e-7)
 
 
 @pytest.mark.slow
@@ -80,7 +81,7 @@ def test_points_in_a_ball_are_those_within_its_radius() -> None:
     points = np.random.default_rng(1).uniform(-4.0, 4.0, (5000, 3))
     radius = np.linalg.norm(points, axis=1)
     clear = np.abs(radius - _RADIUS_MM) > 0.03  # of the facets
-    np.testing.assert_array_equal(contains(ball(), points)[clear], (radius < _RADIUS_MM)[clear])
+    assert_array_equal(contains(ball(), points)[clear], (radius < _RADIUS_MM)[clear])
 
 
 def test_a_body_smaller_than_a_step_is_refused() -> None:

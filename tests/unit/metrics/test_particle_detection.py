@@ -1,7 +1,4 @@
-"""Local maxima.
-
-Against a slow search, on plateaus, and the fit's accuracy for Gaussian particles.
-"""
+"""Peaks of volumes and curves of particles."""
 
 from __future__ import annotations
 
@@ -12,10 +9,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_allclose
 from scipy import ndimage
 
-from sabench.metrics.particle_detection import detect, detect_peaks, fitted_maxima, three_point
-from sabench.utils.arrays import F32, F64
+from sabench.metrics.particle_detection import (
+    count_duplicates,
+    detect,
+    detect_peaks,
+    f1_over_distance,
+    fitted_maxima,
+    three_point,
+)
+from sabench.utils.arrays import F32, F64, Bool
 
 NEIGHBOURS = [offset for offset in itertools.product((-1, 0, 1), repeat=3) if any(offset)]
 
@@ -30,11 +35,8 @@ def gaussians(shape: tuple[int, int, int], places: F64, sigma: float) -> F32:
 
 
 def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
-    """Return the mean positions (x, y, z) of local maxima by a slow search.
-
-    A maximum is a connected set of equal voxels that reach the floor and border on lower voxels
-    only.
-    """
+    """Return the mean positions (x, y, z) of local maxima by a slow search. A maximum is a
+    connected set of equal voxels that reach the floor and border on lower voxels only."""
     maxima = []
     for value in np.unique(volume[volume >= floor]):
         labels, count = ndimage.label(volume == value, structure=np.ones((3, 3, 3)))
@@ -49,11 +51,6 @@ def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(arrays(np.float32, (4, 5, 6), elements=st.integers(0, 4).map(float)))
 def test_plateaus_are_maxima_once_each(volume: F32) -> None:
-    """Every plateau is found once.
-
-    Few different values make many plateaus of odd shapes. A single voxel may be fitted up to half
-    a voxel away.
-    """
     found, expected = fitted_maxima(volume, 1.0), slow_maxima(volume, 1.0)
     assert len(found) == len(expected)
     for place in found:
@@ -61,10 +58,10 @@ def test_plateaus_are_maxima_once_each(volume: F32) -> None:
 
 
 def test_maxima_agree_with_all_neighbours() -> None:
+    """Of all voxels but the faintest tenth."""
     rng = np.random.default_rng(1)
-    volume = np.where(rng.random((9, 11, 13)) < 0.4, rng.exponential(size=(9, 11, 13)), 0.0).astype(
-        np.float32
-    )
+    lit = rng.random((9, 11, 13)) < 0.4
+    volume = np.where(lit, rng.exponential(size=lit.shape), 0.0).astype(np.float32)
     floor = float(np.quantile(volume[volume > 0.0], 0.1))
     padded = np.pad(volume, 1)
     higher = [
@@ -72,23 +69,20 @@ def test_maxima_agree_with_all_neighbours() -> None:
     ]
     expected = np.argwhere((volume >= floor) & ~np.any(higher, axis=0))
     found = detect_peaks(volume)
-    np.testing.assert_allclose(found[:, ::-1], expected, rtol=0, atol=0.5)
+    assert_allclose(found[:, ::-1], expected, rtol=0, atol=0.5)
     assert len(found) > 20
 
 
 @pytest.mark.parametrize("sigma", [0.6, 0.8, 1.5])
-def test_a_gaussian_is_found_where_it_is(sigma: float) -> None:
+def test_gaussians_are_found_where_they_are(sigma: float) -> None:
     for place in np.random.default_rng(2).uniform(3.0, 5.0, (20, 3)):
-        np.testing.assert_allclose(
-            detect_peaks(gaussians((9, 9, 9), place[None], sigma)), place[None], rtol=0, atol=2e-3
-        )
-
-
-def test_particles_that_touch_are_two_peaks_and_one_component() -> None:
+        found = detect_peaks(gaussians((9, 9, 9), place[None], sigma))
+        assert_allclose(found, place[None], rtol=0, atol=2e-3)
+    assert detect_peaks(np.zeros((9, 9, 9), dtype=np.float32)).shape == (0, 3)
     places = np.array([[4.0, 5.0, 3.0], [7.2, 5.4, 3.0]])
     volume = gaussians((7, 11, 12), places, 0.8)
-    assert len(detect(volume)) == 1
-    np.testing.assert_allclose(detect_peaks(volume), places, rtol=0, atol=0.05)
+    assert len(detect(volume)) == 1  # they touch
+    assert_allclose(detect_peaks(volume), places, rtol=0, atol=0.05)
 
 
 def test_a_plateau_is_one_peak_in_its_middle_and_none_on_a_slope() -> None:
@@ -96,7 +90,7 @@ def test_a_plateau_is_one_peak_in_its_middle_and_none_on_a_slope() -> None:
     volume[2, 3, 2:5] = 4.0  # a saturated particle
     volume[2, 2:5, 8] = 2.0
     volume[2, 3, 9] = 3.0  # above the middle of a step
-    np.testing.assert_allclose(detect_peaks(volume), [[3.0, 3.0, 2.0], [9.0 - 2.0 / 5.0, 3.0, 2.0]])
+    assert_allclose(detect_peaks(volume), [[3.0, 3.0, 2.0], [9.0 - 2.0 / 5.0, 3.0, 2.0]])
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -109,17 +103,32 @@ def test_a_mirrored_volume_has_mirrored_peaks(axis: int) -> None:
     assert (found[:, axis] == 0.0).any()
     assert (found[:, axis] == (7, 6, 5)[axis] - 1).any()
     order, other = (np.lexsort(np.round(one, 6).T) for one in (found, mirrored))
-    np.testing.assert_allclose(mirrored[other], found[order], atol=1e-6)
-
-
-def test_the_faintest_tenth_is_left_out_and_nothing_is_found_in_the_dark() -> None:
-    volume = np.zeros((3, 5, 41), dtype=np.float32)
-    assert detect_peaks(volume).shape == (0, 3)
-    volume[1, 2, ::2] = np.arange(1.0, 22.0)
-    np.testing.assert_allclose(detect_peaks(volume)[:, 0], np.arange(4, 41, 2))
+    assert_allclose(mirrored[other], found[order], atol=1e-6)
 
 
 @pytest.mark.parametrize("offset", [-0.5, -0.2, 0.0, 0.37, 0.5])
 def test_three_points_of_a_gaussian_give_its_vertex(offset: float) -> None:
     a, b, c = (math.exp(-((x - offset) ** 2) / 0.9) for x in (-1.0, 0.0, 1.0))
     assert three_point(a, b, c) == pytest.approx(offset, abs=1e-12)
+
+
+_TRUTH = np.array([[5.0, 5.0, 5.0], [15.0, 5.0, 5.0], [25.0, 5.0, 5.0], [35.0, 5.0, 5.0]])
+
+
+def _all(count: int) -> Bool:
+    return np.ones(count, dtype=np.bool_)
+
+
+def test_the_curve_rises_where_particles_come_within_reach() -> None:
+    found = _TRUTH + np.array([[0.05], [0.25], [0.65], [2.0]]) * [1.0, 0.0, 0.0]
+    curve = f1_over_distance(found, _TRUTH, _all(4), _all(4), (0.1, 0.3, 0.5, 0.7, 1.0))
+    assert_allclose(curve, [0.25, 0.5, 0.5, 0.75, 0.75])
+
+
+def test_second_detections_of_a_particle_are_duplicates_and_ghosts_are_not() -> None:
+    near, far = np.array([0.0, 0.4, 0.0]), np.array([0.0, 3.0, 0.0])
+    found = np.concatenate([_TRUTH, _TRUTH[:2] + near, _TRUTH[2:3] + far])
+    assert count_duplicates(found, _TRUTH, _all(len(found))) == 2
+    unscored = _all(len(found))
+    unscored[4] = False
+    assert count_duplicates(found, _TRUTH, unscored) == 1

@@ -1,7 +1,5 @@
-"""Sensors that are tilted against their lenses.
-
-Against a plane in space, OpenCV's tilted model, and laws of the thin lens.
-"""
+"""Sensors that are tilted against their lenses. Against a plane in space, OpenCV's tilted model,
+and laws of the thin lens."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from sabench.geometry.camera import Camera
@@ -16,7 +15,8 @@ from sabench.geometry.lens import UPRIGHT, Distortion, distort, focus_slope, ont
 from sabench.geometry.refraction import Wall, trace_to_points
 from sabench.utils import backend
 from sabench.utils.arrays import F64
-from tests.unit.geometry.test_camera import BROWN, GLASS, TILTED, make_camera, seen_by_opencv
+from tests.helpers.cameras import make_camera
+from tests.unit.geometry.test_camera import BROWN, GLASS, TILTED, seen_by_opencv
 
 TILTS = [(12.0, 0.0), (0.0, -9.0), (18.0, -13.0), (-35.0, 20.0)]
 
@@ -27,10 +27,8 @@ def points_in_view(count: int = 2000) -> F64:
 
 
 def on_a_plane_in_space(camera: Camera, leaving: F64) -> F64:
-    """Let light fall on a sensor behind the lens; places are read off along its own axes.
-
-    The sensor stands upright behind the lens, upside down as images are, and is then turned.
-    """
+    """Let light fall on a sensor behind the lens; places are read off along its own axes. The
+    sensor stands upright behind the lens, upside down as images are, and is then turned."""
     axes, pinhole = np.asarray(camera.rotation), np.asarray(camera.center_mm)
     local = leaving @ axes.T
     ideal = local[:, :2] / local[:, 2:]
@@ -49,29 +47,25 @@ def on_a_plane_in_space(camera: Camera, leaving: F64) -> F64:
 
 @pytest.mark.parametrize("wall", [None, GLASS, TILTED])
 @pytest.mark.parametrize("tilt", TILTS)
-def test_a_pixel_is_where_the_chief_ray_meets_a_plane_in_space(
-    tilt: tuple[float, float], wall: Wall | None
-) -> None:
+def test_a_pixel_is_where_the_chief_ray_ends(tilt: tuple[float, float], wall: Wall | None) -> None:
     camera, points = make_camera(tilt_deg=tilt, distortion=BROWN, wall=wall), points_in_view()
     paths = trace_to_points(wall, np.asarray(camera.center_mm), points)
     pixels, valid = camera.project(points)
     assert valid.mean() > 0.99
     exact = on_a_plane_in_space(camera, paths.leaving)
-    np.testing.assert_allclose(pixels[valid], exact[valid], rtol=0, atol=1e-9)
+    assert_allclose(pixels[valid], exact[valid], rtol=0, atol=1e-9)
     again = camera.pixels_of(paths.leaving, paths.valid)[0]
-    np.testing.assert_allclose(pixels, again, rtol=0, atol=1e-9)
+    assert_allclose(pixels, again, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("lens", [Distortion(), BROWN])
 @pytest.mark.parametrize("tilt", TILTS)
-def test_projection_is_that_of_the_tilted_model_of_opencv(
-    tilt: tuple[float, float], lens: Distortion
-) -> None:
+def test_projection_is_opencv_s_tilted_one(tilt: tuple[float, float], lens: Distortion) -> None:
     camera, points = make_camera(tilt_deg=tilt, distortion=lens), points_in_view()
     pixels, valid = camera.project(points)
     assert valid.mean() > 0.99
     there = seen_by_opencv(camera, points)
-    np.testing.assert_allclose(pixels[valid], there[valid], rtol=0, atol=1e-9)
+    assert_allclose(pixels[valid], there[valid], rtol=0, atol=1e-9)
     upright = replace(camera, tilt_deg=UPRIGHT).project(points)[0]
     assert np.abs(upright - there)[valid].max() > 4.0
 
@@ -95,9 +89,7 @@ def test_a_sensor_without_tilt_changes_no_bit() -> None:
     camera = make_camera(distortion=BROWN, wall=TILTED)
     nearly = replace(camera, tilt_deg=(1e-12, 0.0))
     points = points_in_view(50)
-    np.testing.assert_allclose(
-        camera.project(points)[0], nearly.project(points)[0], rtol=0, atol=1e-9
-    )
+    assert_allclose(camera.project(points)[0], nearly.project(points)[0], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("wall", [None, TILTED])
@@ -109,18 +101,16 @@ def test_without_distortion_a_camera_with_its_axis_normal_to_the_sensor_does_the
     upright = camera.upright()
     assert upright.tilt_deg == UPRIGHT
     pixels, valid = camera.project(points)
-    np.testing.assert_allclose(pixels[valid], upright.project(points)[0][valid], atol=1e-9)
+    assert_allclose(pixels[valid], upright.project(points)[0][valid], atol=1e-9)
     with pytest.raises(ValueError, match="camera_00: expected no distortion next to a tilted"):
         replace(camera, distortion=BROWN).upright()
 
 
 @pytest.mark.parametrize("tilt", TILTS)
 def test_the_plane_in_focus_follows_scheimpflug_and_the_hinge(tilt: tuple[float, float]) -> None:
-    """Two lines by construction.
-
-    Object plane, lens and sensor meet in one line; and the plane through the lens that is parallel
-    to the sensor meets the object plane in the lens's front focal plane.
-    """
+    """Two lines by construction. Object plane, lens and sensor meet in one line; and the plane
+    through the lens that is parallel to the sensor meets the object plane in the lens's front focal
+    plane."""
     camera = make_camera(tilt_deg=tilt, principal_distance_mm=5.3)
     distance, focal = camera.principal_distance_mm, camera.focal_length_mm
     about = Rotation.from_euler("XY", tilt, degrees=True)
@@ -134,7 +124,7 @@ def test_the_plane_in_focus_follows_scheimpflug_and_the_hinge(tilt: tuple[float,
     hinge = np.append(normal, 0.0)
     for other, depth in ((sensor, 0.0), (hinge, focal)):
         ours, theirs = ([p[0], p[1], p[2] * depth + p[3]] for p in (plane, other))
-        np.testing.assert_allclose(np.cross(ours, theirs), 0.0, atol=1e-12)
+        assert_allclose(np.cross(ours, theirs), 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("tilt", TILTS)
@@ -146,7 +136,7 @@ def test_a_round_cone_is_stretched_as_its_rays_are(tilt: tuple[float, float]) ->
         ends = onto_sensor(tilt, place + around)[0] - onto_sensor(tilt, place[None])[0]
         covariance = 2.0 * ends.T @ ends / len(ends) / step**2
         exact = [covariance[0, 0], covariance[1, 1], covariance[0, 1]]
-        np.testing.assert_allclose(found, exact, rtol=0, atol=1e-5)
+        assert_allclose(found, exact, rtol=0, atol=1e-5)
 
 
 def test_renderers_have_the_rays_of_tilted_cameras() -> None:
@@ -162,7 +152,7 @@ def test_renderers_have_the_rays_of_tilted_cameras() -> None:
     exact, valid = camera.directions(pixels)
     assert valid.all()
     rays = pinhole_rays(camera, np.asarray(camera.center_mm), column, row)
-    np.testing.assert_allclose(np.array(rays.d).T, exact, rtol=0, atol=2e-6)
+    assert_allclose(np.array(rays.d).T, exact, rtol=0, atol=2e-6)
     aside = lens_rays(
         camera, np.asarray(camera.center_mm), column, row, (mi.Float(2.0), mi.Float(-1.5))
     )

@@ -1,4 +1,4 @@
-"""Initial poses of boards, in worlds with any axes."""
+"""Poses of boards and cameras from known points."""
 
 from __future__ import annotations
 
@@ -6,18 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from sabench.algorithms.calibration.resection import known_places, place_boards, upright_axes
 from sabench.geometry.rigid_motion import rotation_matrices
 from sabench.utils.arrays import F64
-from tests.helpers.calibration_tanks import (
-    BOARD,
-    MIDDLE,
-    make_tank,
-    rotated,
-    solve,
-    with_places,
-)
+from tests.helpers.calibration_tanks import BOARD, MIDDLE, make_tank, rotated, solve, with_places
 
 Y_UP = np.diag([1.0, -1.0, -1.0])  # Y up, Z towards the cameras
 ALONG_X = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -45,8 +39,8 @@ def test_a_board_upside_down_is_found() -> None:
     turned = replace(case, pixels=case.pixels[:, :, ::-1])
     found = place_boards(turned)
     right = place_boards(case)
-    np.testing.assert_allclose(found[:, ::-1].mean(axis=1), right.mean(axis=1), atol=0.5)
-    np.testing.assert_allclose(found[:, 0], right[:, -1], atol=2.0)
+    assert_allclose(found[:, ::-1].mean(axis=1), right.mean(axis=1), atol=0.5)
+    assert_allclose(found[:, 0], right[:, -1], atol=2.0)
 
 
 def test_known_points_place_a_board() -> None:
@@ -54,4 +48,4 @@ def test_known_points_place_a_board() -> None:
     assert np.isnan(known_places(case)).all()
     some = with_places(case, places, 1e-6)
     some.known_mm[:, 3:-1] = np.nan
-    np.testing.assert_allclose(known_places(some), places, atol=1e-3)
+    assert_allclose(known_places(some), places, atol=1e-3)
