@@ -132,11 +132,9 @@ LARGEST_STEPS = 4e6
 
 @dataclass(frozen=True)
 class Base:
-    """Intact data that cases damage.
-
-    Data sets of particles, of a target and of a code behind bubbles, results of all tasks, a line
-    of a leaderboard, files of other programs, and the folder of an interrupted generation.
-    """
+    """Intact data that cases damage. Data sets of particles, of a target and of a code behind
+    bubbles, results of all tasks, a line of a leaderboard, files of other programs, and the folder
+    of an interrupted generation."""
 
     particles: Dataset
     target: Dataset
@@ -153,7 +151,6 @@ class Base:
 
 
 def make_base(root: Path) -> Base:
-    """Make all of it below a folder."""
     from sabench.simulation.pipeline import generate
 
     made = [
@@ -226,10 +223,8 @@ Case = Callable[[Base, Path, Path, random.Random], Feed]
 
 
 def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Run `sabench generate` on a damaged scene.
-
-    A scene that is accepted and would take long is only checked.
-    """
+    """Run `sabench generate` on a damaged scene. A scene that is accepted and would take long is
+    only checked."""
     whole = dict(TARGETS if rng.random() < 0.15 else SCENE)
     if "particles" in whole:
         whole |= {key: value for key, value in EXTRAS.items() if rng.random() < 0.2}
@@ -303,10 +298,8 @@ def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Run `sabench verify`, `score` and `solve` on a data set with one damaged file.
-
-    In most cases the manifest has the damaged file's checksum.
-    """
+    """Run `sabench verify`, `score` and `solve` on a data set with one damaged file. In most cases
+    the manifest has the damaged file's checksum."""
     source = rng.choice((base.particles, base.particles, base.target, base.code))
     root = Path(shutil.copytree(source.root, inputs / "set"))
     name = rng.choice(
@@ -467,10 +460,8 @@ def _exported(root: Path, out: Path) -> None:
 
 
 def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Score a damaged result, and adopt it as the result of a program.
-
-    As `sabench score` and `sabench solve ./program` do.
-    """
+    """Score a damaged result, and adopt it as the result of a program. As `sabench score` and
+    `sabench solve ./program` do."""
     track = rng.choice(sorted(base.results))
     data = base.data_of(track)
     path = Path(shutil.copy(base.results[track], inputs / "result.h5"))
@@ -513,7 +504,6 @@ CARD = (
 
 
 def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """`sabench submit` of an archive, folder or file."""
     tasks = ("reconstruction", "calibration", "particles", "see_through")
     files = [base.results[task].read_bytes() for task in tasks]
     path = inputs / rng.choice(("a.zip", "a.tar", "a.tar.gz", "a.tgz", "a.h5", "folder"))
@@ -545,7 +535,6 @@ def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """`sabench board` of damaged records."""
     folder = out / "leaderboard" / "records"
     folder.mkdir(parents=True)
     lines = [json.dumps(base.record)]
@@ -579,10 +568,8 @@ KINDS: dict[str, Case] = {
 
 
 def check_sentence(text: str) -> None:
-    """Check that a complaint is one sentence on one line.
-
-    Or a headline and one short indented line for each fault.
-    """
+    """Check that a complaint is one sentence on one line. Or a headline and one short indented line
+    for each fault."""
     assert text, "an error without words"
     head, *faults = text.split("\n")
     assert bool(faults) == head.endswith("faults:"), f"an error of several lines: {text[:300]!r}"

@@ -30,7 +30,6 @@ Feed = Callable[[], None]
 
 
 def write_fields(folder: Path) -> dict[str, Path]:
-    """Write one small field in every format, and tracks."""
     folder.mkdir(parents=True, exist_ok=True)
     axes = {
         name: np.linspace(-half, half, count)
@@ -116,7 +115,6 @@ def _write_vtk(folder: Path, axes: dict[str, Any], parts: dict[str, Any]) -> dic
 
 
 def write_meshes(folder: Path) -> dict[str, Path]:
-    """Write a ball of 2 mm in every format."""
     import trimesh
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -129,7 +127,6 @@ def write_meshes(folder: Path) -> dict[str, Path]:
 
 
 def write_baseline(path: Path) -> Path:
-    """Write a baseline of one case."""
     from sabench.evaluation.gates.baseline import (
         Baseline,
         CaseEntry,
@@ -260,7 +257,6 @@ def mesh(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def describe_calibration(data: Dataset, folder: Path) -> dict[str, Any]:
-    """Write a folder for `sabench calibrate` from a data set of a target; return its TOML."""
     case, setup = data.calibration_case(), data.setup
     wall, first = setup.wall, setup.pinholes[0]
     assert wall is not None
@@ -336,8 +332,6 @@ def _damaged_images(folder: Path, names: list[str], rng: random.Random) -> None:
 
 
 def png(rows: int, columns: int, *, empty: bool = False) -> bytes:
-    """Make a PNG of 16 bits, whose image data may be missing."""
-
     def chunk(kind: bytes, data: bytes) -> bytes:
         end = struct.pack(">I", zlib.crc32(kind + data))
         return struct.pack(">I", len(data)) + kind + data + end
@@ -376,7 +370,6 @@ def baseline(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def secret(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Read a damaged file with the secret of a private test set."""
     from tests.helpers.untrusted import write_toml
 
     write_toml(inputs / "secret.toml", {"secret": "0123456789abcdef", "seeds": 3}, rng)
@@ -392,7 +385,6 @@ def secret(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def interrupted(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Resume the generation of a data set of which a part was damaged."""
     from sabench.scenes import parse_scene
     from tests.helpers.untrusted import SCENE
 

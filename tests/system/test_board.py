@@ -16,12 +16,12 @@ from sabench.evaluation.record_schema import Record
 from sabench.plotting import pictures
 from sabench.tasks import NAMES
 from tests.conftest import Command
+from tests.helpers.commands import succeed
 
 HOSTILE = "</script><script>alert(1)</script><!--<script>"
 
 
 def record(solver: str, q: float | None = None, **changes: Any) -> Record:
-    """A record as a run writes it, with only the scores that are asked for."""
     scores = dict.fromkeys(
         (
             "q",
@@ -281,8 +281,7 @@ def test_bad_records_are_named_and_left_out(tmp_path: Path, command: Command) ->
     lines = [json.dumps(record("whole", 0.5) | changes).encode() for changes in ({}, *BAD)]
     lines += [lines[0][:-1] + b', "seed": 7}', b'"\xff\xfe"', b"x" * 200_000]
     (folder / "a.jsonl").write_bytes(b"\n".join([*lines, b""]))
-    done = command("board")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("board"))
     assert solvers((tmp_path / "leaderboard" / "index.html").read_text()) == ["whole"]
     warnings = [line for line in done.stderr.splitlines() if "is left out" in line]
     assert [f": line {number} is left out" in line for number, line in enumerate(warnings, 2)] == [

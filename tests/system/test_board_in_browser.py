@@ -1,7 +1,5 @@
-"""The leaderboard in a browser.
-
-It sorts, filters, plots and compares, runs no text of a record as code, and fits a phone.
-"""
+"""The leaderboard in a browser. It sorts, filters, plots and compares, runs no text of a record as
+code, and fits a phone."""
 
 from __future__ import annotations
 
@@ -50,10 +48,6 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four solvers on two scenes and a second task.
-
-    One solver has a hostile name and one has failed. One scene has pictures, the other has none.
-    """
     folder = tmp_path_factory.mktemp("page")
     draw(
         folder / "pictures" / "tank-1",
@@ -108,10 +102,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def levels() -> list[Record]:
-    """Three solvers in four cases with three seeds each.
-
-    An easy and a standard case, and two that change the standard one along an axis.
-    """
     cases = {
         "easy": ("easy", None, 0.1),
         "standard": ("standard", None, 0.0),
@@ -138,7 +128,6 @@ def levels() -> list[Record]:
 
 @pytest.fixture(scope="module")
 def graded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A page of `levels`, and of one more solver that shares one seed only."""
     folder = tmp_path_factory.mktemp("graded")
     alone = [
         record("late", 0.6, seed=seed, case="standard", difficulty="standard", suite="volumes")
@@ -257,11 +246,7 @@ def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment:
     assert browser.ask(
         "[document.scripts.length, document.title, "
         "document.querySelectorAll('[onerror], b img').length]"
-    ) == [
-        4,
-        "sabench leaderboard",
-        0,
-    ]
+    ) == [4, "sabench leaderboard", 0]
     assert browser.ask("[...document.images].every(image => image.src.startsWith('data:image/'))")
     assert browser.complaints() == []
     if fragment == LOG:
@@ -279,7 +264,6 @@ def test_hostile_texts_are_shown_as_text(browser: Browser, page: Path, fragment:
 
 
 def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) -> None:
-    """The test above would see a complaint: these provoke it."""
     browser.open(page, LOG)
     browser.ask("document.body.append(Object.assign(new Image(), {src: 'absent.png'}))")
     assert any("Content Security Policy" in complaint for complaint in browser.complaints())
@@ -300,7 +284,6 @@ def test_the_policy_stops_what_comes_from_outside(browser: Browser, page: Path) 
 
 
 def labels(browser: Browser, plot: int) -> list[str]:
-    """Return the labels of a plot's points, as a screen reader says them."""
     found = browser.ask(
         f"[...document.querySelectorAll('.plot')[{plot}].querySelectorAll('.mark-symbol "
         "path')].map(path => path.getAttribute('aria-label'))"
@@ -389,7 +372,6 @@ def test_pictures_come_with_their_case_only(browser: Browser, page: Path) -> Non
 
 
 def differences(browser: Browser) -> dict[str, list[str]]:
-    """The lines of the table of differences by their scores' keys."""
     lines = browser.ask(
         "[...document.querySelectorAll('.differences tbody tr')].map(row => [row.dataset.key, "
         "[...row.cells].slice(1).map(cell => cell.textContent)])"
@@ -446,7 +428,6 @@ def test_only_tables_scroll_sideways(
 
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten thousand records of as many rows: 20 solvers in 500 cases."""
     folder = tmp_path_factory.mktemp("large")
     records = [
         record(
@@ -495,7 +476,6 @@ def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, la
 
 
 def judged(solver: str, explained: float | None, **changes: Any) -> Record:
-    """A record of a recorded data set."""
     figures = {"explained": explained, "followed": 0.5}
     quality = {"frames": 1, "again": False, "figures": figures}
     head: dict[str, Any] = {

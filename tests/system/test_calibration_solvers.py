@@ -40,10 +40,6 @@ def solved(name: str, case: CalibrationCase) -> Calibration:
 
 
 def level_case(**changes: Any) -> Any:
-    """A target that is traversed along Z.
-
-    Its nominal positions are known to a hundredth of a millimetre.
-    """
     rough = {"points": 0.0002, "known": KNOWN}
     return case_of(calibration_scene(targets=LEVEL, frames=7, calibration=rough, **changes))
 
@@ -119,10 +115,8 @@ def test_classical_calibrations_need_different_depths(name: str) -> None:
 
 @pytest.mark.slow
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
-    """The thesis's alternation stops before the least-squares solution.
-
-    Its stop rule looks at a change of 0.001 px.
-    """
+    """The thesis's alternation stops before the least-squares solution. Its stop rule looks at a
+    change of 0.001 px."""
     case, _, _, exact = case_of(
         calibration_scene(
             calibration={"points": 0.2, "center_mm": 30.0, "turn_deg": 3.0, "known": []}
@@ -139,7 +133,6 @@ def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
 
 @pytest.fixture(scope="module")
 def boards(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """A data set of points without pictures."""
     return sabench.generate(
         calibration_scene(),
         tmp_path_factory.mktemp("calibration") / "boards",
@@ -182,10 +175,8 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) -> None:
-    """The fluid's index alone can be estimated of the wall, to some thousandths.
-
-    Fixed parameters stay exact.
-    """
+    """The fluid's index alone can be estimated of the wall, to some thousandths. Fixed parameters
+    stay exact."""
     result = sabench.solve(
         "refractive_autocal", boards, tmp_path / "r.h5", parameters={"indices": [2]}
     )

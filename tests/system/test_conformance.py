@@ -1,7 +1,4 @@
-"""The laws of solvers.
-
-Every bundled solver obeys them, and solvers that break one are caught.
-"""
+"""The laws of solvers. Every bundled solver obeys them, and solvers that break one are caught."""
 
 from __future__ import annotations
 
@@ -26,15 +23,9 @@ from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import load_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.tasks import conformance
-from sabench.tasks.conformance import (
-    LAWS,
-    Finding,
-    check_solver,
-    example,
-    example_for,
-    first_case,
-)
+from sabench.tasks.conformance import LAWS, Finding, check_solver, example, example_for, first_case
 from tests.conftest import Command
+from tests.helpers.commands import refuse
 
 SOLVERS = plugins.names("solvers")
 SLOW = {"rim_fit"}  # a minute; tests/system/test_bubbles.py has it find bubbles
@@ -160,18 +151,17 @@ def test_the_command_ends_with_1_for_a_broken_law(
     done = command("conform", "faulty")
     assert done.returncode == 1
     assert "broken   repeat itself: volume: expected the same values twice" in done.stdout
-    unknown = command("conform", "nobody")
-    assert unknown.returncode == 2
-    assert "no solver is named 'nobody'" in unknown.stderr
-    assert "SABENCH_PLUGINS is the folder that holds solvers/nobody.py" in unknown.stderr
+    refuse(
+        command("conform", "nobody"),
+        "no solver is named 'nobody'",
+        "SABENCH_PLUGINS is the folder that holds solvers/nobody.py",
+    )
 
 
 @pytest.mark.parametrize("name", tasks.NAMES)
 def test_the_best_and_the_worst_possible_scores(name: str, examples: Path) -> None:
-    """The truth has the best score.
-
-    An estimate with a known error is worse, and an empty one is worse still.
-    """
+    """The truth has the best score. An estimate with a known error is worse, and an empty one is
+    worse still."""
     from sabench.dataset.results import open_result, result_writer
 
     task = tasks.of(name)

@@ -22,6 +22,7 @@ from sabench.tasks import of
 from sabench.tasks.solve_and_score import score
 from sabench.utils.errors import InputError
 from tests.conftest import Command
+from tests.helpers.commands import succeed
 
 TRACKS: tuple[TrackFormat, ...] = (
     "openptv",
@@ -44,7 +45,6 @@ def tank(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 @pytest.fixture(scope="module")
 def truth(tank: Dataset) -> Path:
-    """Result file of the true particles."""
     path, task = tank.root.parent / "truth.h5", of("particles")
     with result_writer(path, tank, "truth", "particles", {}) as writer:
         for frame in range(tank.setup.frames):
@@ -113,16 +113,15 @@ def test_what_a_program_gets_has_no_truth(form: Format, tank: Dataset, tmp_path:
 def test_the_command_exports_and_imports(
     tank: Dataset, truth: Path, tmp_path: Path, command: Command
 ) -> None:
-    done = command("export", tank.root, truth, "--to", "openptv", "-o", tmp_path / "out")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("export", tank.root, truth, "--to", "openptv", "-o", tmp_path / "out"))
     assert "note: openptv: its camera files do not carry f-numbers" in done.stderr
     found = tmp_path / "found.h5"
-    done = command("import-result", tank.root, tmp_path / "out", "--from", "openptv", "-o", found)
-    assert done.returncode == 0, done.stderr
+    done = succeed(
+        command("import-result", tank.root, tmp_path / "out", "--from", "openptv", "-o", found)
+    )
     assert f"{found}: " in done.stdout
     assert "particles in 6 frames" in done.stdout
-    done = command("score", tank.root, found, "--json")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("score", tank.root, found, "--json"))
 
 
 CSV = "frame,particle,x,y,z\n"
@@ -188,8 +187,7 @@ def test_a_project_of_another_program_is_imported(
     """Images and calibration of one folder become a data set whose cameras see the same."""
     project = export_quietly(tank, tmp_path / "project", None, program)
     box = ("--volume=-6,6,-6,6,24,36",) if program == "myptv" else ()
-    done = command("import", project, "--from", program, "-o", tmp_path / "back", *box)
-    assert done.returncode == 0, done.stderr
+    succeed(command("import", project, "--from", program, "-o", tmp_path / "back", *box))
     back = open_dataset(tmp_path / "back")
     assert back.setup.frames == tank.setup.frames
     grid = tank.setup.grid

@@ -57,7 +57,6 @@ _WORK_S, _END_S = 2.0, 20.0
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
-    """Folder with an endless program, an endless plug-in and suites of them."""
     program = tmp_path / "endless_program"
     program.write_text(PROGRAM)
     program.chmod(0o755)

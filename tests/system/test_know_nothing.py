@@ -1,10 +1,7 @@
-"""No score from nothing.
-
-Rationale: an estimate chooses where it lies, how much it contains, what it leaves out, and how
-large its numbers are. Expected behaviour: whatever it chooses, without knowing the observations it
-ranks no better than the worst possible estimate, or is refused with one sentence; its figure is
-drawn.
-"""
+"""No score from nothing. Rationale: an estimate chooses where it lies, how much it contains, what
+it leaves out, and how large its numbers are. Expected behaviour: whatever it chooses, without
+knowing the observations it ranks no better than the worst possible estimate, or is refused with one
+sentence; its figure is drawn."""
 
 from __future__ import annotations
 

@@ -37,7 +37,6 @@ MODULES = {
 
 
 def call(*words: str) -> subprocess.CompletedProcess[str]:
-    """Call sabench where the modules of the extra `full` are missing."""
     script = SCRIPT.format(missing=set(FULL), words=words)
     return subprocess.run(
         [sys.executable, "-c", script],
@@ -49,7 +48,6 @@ def call(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def scores_of_both(dataset: Dataset, result: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Score without what is missing, and with it."""
     done = call("score", str(dataset.root), str(result), "--json")
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout), sabench.score(dataset, result)

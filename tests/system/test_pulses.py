@@ -35,7 +35,6 @@ Claim = Callable[[Particles, float], FoundParticles]
 
 @pytest.fixture(scope="module", params=list(TIMES_S))
 def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """Two groups of pulses of a steady flow, 80 x 80 pixels, 0.04 particles per pixel."""
     values = tomllib.loads(find("particle-tracking", "scenes").read_text(encoding="utf-8"))
     pulses = TIMES_S[request.param]
     values["frames"] = GROUPS * len(pulses)
@@ -95,7 +94,6 @@ def velocity_coverage(recording: Dataset, frames: list[FoundParticles]) -> float
 
 
 def trajectories_of(found: Solved, group: int) -> set[int]:
-    """Numbers of all trajectories of a group."""
     count = len(found.frames) // GROUPS
     part = found.frames[count * group : count * (group + 1)]
     return {int(number) for one in part for number in np.asarray(one.trajectory)}
@@ -190,7 +188,6 @@ def test_accelerations_need_three_pulses_at_equal_intervals(
 
 
 def spacing(recording: Dataset) -> F64:
-    """Times from pulse to pulse of the first group."""
     return np.diff([recording.setup.time_s(n) for n in range(recording.setup.pulses)])
 
 
@@ -208,7 +205,6 @@ def share_of(extra: F64, recording: Dataset) -> float:
 
 
 def scored_places(recording: Dataset, frame: int) -> dict[int, F64]:
-    """Positions of the scored particles of a frame, by identity."""
     true, grid = recording.particles(frame), recording.setup.grid
     scored = grid.in_scored(grid.to_voxels(true.position_mm))
     return dict(zip(true.id[scored].tolist(), true.position_mm[scored], strict=True))

@@ -37,7 +37,6 @@ ABC = {
 
 
 def moving(frames: int = 6) -> Scene:
-    """Particles that a flow carries from frame to frame."""
     values = load_scene("quick").to_dict()
     values["particles"] = {"generator": "uniform", "count": 150}
     values |= {"frames": frames, "interval_s": 0.02, "flow": ABC, "flow_grid_mm": [4.0, 4.0, 4.0]}
@@ -64,7 +63,6 @@ def made(scene: Scene, folder: Path, **how: Any) -> str:
 
 @pytest.fixture
 def two_rendering_threads() -> Iterator[None]:
-    """As many here as the two processes have together."""
     backend.limit(2)
     yield
     backend.limit(1)
@@ -82,10 +80,8 @@ def test_two_processes_make_the_bytes_of_one(
 
 
 def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> None:
-    """Kill one worker after another.
-
-    Each is killed as soon as some view has been recorded since the last kill.
-    """
+    """Kill one worker after another. Each is killed as soon as some view has been recorded since
+    the last kill."""
     seen, end = 0, time.monotonic() + 60.0
     while len(killed) < 3 and time.monotonic() < end:
         count = len(list(folder.glob(".*.parts-*/views/*.npz")))

@@ -1,8 +1,6 @@
-"""The page of a view in a browser without network.
-
-It draws all points, follows its controls and the keyboard, fits a phone, runs no name as code, and
-says what is missing where there is no WebGL or no script.
-"""
+"""The page of a view in a browser without network. It draws all points, follows its controls and
+the keyboard, fits a phone, runs no name as code, and says what is missing where there is no WebGL
+or no script."""
 
 from __future__ import annotations
 
@@ -49,7 +47,6 @@ def browser() -> Iterator[Browser]:
 
 
 def moving(count: int = 40) -> Contents:
-    """Particles of three kinds that move, in three frames of the quick scene."""
     contents = of_scene(load_scene("quick"), "made up")
     low, high = contents.surroundings.low_mm, contents.surroundings.high_mm
     start = np.random.default_rng(1).uniform(low + 1.0, high - 1.0, (count, 3))
@@ -104,7 +101,6 @@ def faults(browser: Browser) -> list[str]:
 
 
 def drawing(browser: Browser) -> np.ndarray:
-    """Picture of the drawing in space, as the screen has it."""
     browser.ask("new Promise(done => setTimeout(done, 350))")  # the drawing at rest
     box = browser.ask(
         "(({x, y, width, height}) => ({x, y, width, height}))"

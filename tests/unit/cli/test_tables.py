@@ -15,7 +15,6 @@ def row(name: str) -> list[str]:
 
 @pytest.fixture
 def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal of 80 columns."""
     monkeypatch.setattr(tables, "width", lambda: 80)
 
 

@@ -1,7 +1,5 @@
-"""Suites of scenes and their changes, and statistics over seeds.
-
-Errors in a suite are reported before any work starts.
-"""
+"""Suites of scenes and their changes, and statistics over seeds. Errors in a suite are reported
+before any work starts."""
 
 from __future__ import annotations
 
@@ -25,14 +23,12 @@ SOLVER = '[[solvers]]\nname = "asa"\n'
 
 
 def load(folder: Path, text: str) -> list[SceneCase]:
-    """The cases of a suite of this text, rendered by splats."""
     file = folder / "suite.toml"
     file.write_text('title = "t"\nbackend = "splat"\n' + text + SOLVER)
     return scene_cases(file)
 
 
 def scene_cases(suite: str | Path) -> list[SceneCase]:
-    """The cases of a suite's scenes."""
     return [case for case in load_suite(suite)[1] if isinstance(case, SceneCase)]
 
 
@@ -196,18 +192,9 @@ FAULTS = [
     ('[[cases]]\nscene = "quick"\nnames = "x"\n', "cases.0.names: unknown key; did you mean name?"),
     ('[[cases]]\nscene = "quick"\nname = "a/b"\n', "cases.0.name"),
     ('[[cases]]\nscene = "quick"\nname = "../b"\n', "cases.0.name"),
-    (
-        '[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.count" = []\n',
-        "cases.0.vary.particles.count",
-    ),
-    (
-        '[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.cuont" = [1]\n',
-        "case quick-cuont_1: particles.cuont: unknown key; did you mean count?",
-    ),
-    (
-        '[[cases]]\nscene = "quick"\n[cases.set]\n"title.x" = 1\n',
-        "case quick: title.x: expected a table at title",
-    ),
+    ('[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.count" = []\n', "cases.0.vary.particle"),
+    ('[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.cuont" = [1]\n', "case quick-cuont_1:"),
+    ('[[cases]]\nscene = "quick"\n[cases.set]\n"title.x" = 1\n', "case quick: title.x: expected"),
     (
         '[[cases]]\nscene = "quick"\n[cases.set]\n"volume.center_mm" = [0.0, 0.0, 1.0]\n',
         "case quick: volume: expected it to lie behind",
@@ -281,11 +268,9 @@ def test_the_thesis_arrays_are_as_it_says(
     ("name", "share"), [*((name, 1.0 / 16.0) for name, *_ in THESIS), ("elsinga-35x35x7", 0.25)]
 )
 def test_a_lone_particle_is_as_bright_as_the_scene_says(name: str, share: float) -> None:
-    """A lone particle has its brightest pixel at the share that the scene says.
-
-    As a share of the full well, for a particle whose image lies on a pixel's centre, in the
-    camera that sees most light.
-    """
+    """A lone particle has its brightest pixel at the share that the scene says. As a share of the
+    full well, for a particle whose image lies on a pixel's centre, in the camera that sees most
+    light."""
     scene = load_scene(name)
     lone = Particles(
         np.array([0]),

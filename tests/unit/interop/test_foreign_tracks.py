@@ -21,7 +21,7 @@ from sabench.interop.foreign import (
 )
 from sabench.interop.tracks import TrackFormat, read_tracks, write_tracks
 from sabench.utils.errors import InputError
-from tests.unit.interop.test_camera_files import rig
+from tests.unit.interop.test_cameras import rig
 
 CAMERAS, GRID, _ = rig("particle-tracking")
 TIMES = (0.0, 0.25, 0.5)
@@ -38,7 +38,6 @@ FORMATS: tuple[TrackFormat, ...] = (
 
 
 def particles() -> TrackTable:
-    """Seven particles: one is lost in frame 1, another one appears there, frame 2 is empty."""
     generator = np.random.default_rng(4)
     frame, trajectory = np.repeat([0, 1], [4, 3]), np.array([3, 1, 7, 5, 7, 2**40, 3])
     low = np.asarray(GRID.low_mm)
@@ -67,7 +66,6 @@ def write_quietly(folder: Path, table: TrackTable, form: TrackFormat) -> None:
 
 
 def links(table: TrackTable) -> set[frozenset[int]]:
-    """Sets of rows of one trajectory each, whatever its number."""
     assert table.trajectory is not None
     numbers = np.unique(table.trajectory)
     return {frozenset(np.flatnonzero(table.trajectory == one).tolist()) for one in numbers}

@@ -25,6 +25,7 @@ from sabench.simulation.recording.schedule import Task, UnfinishedError
 from sabench.simulation.streaming import stream
 from sabench.utils.errors import InputError
 from tests.conftest import Command
+from tests.helpers.commands import refuse, succeed
 from tests.helpers.sample_sets import COUNT, SHARES, SIZE, make, scene
 from tests.unit.simulation.test_streaming import make_scene, vary
 
@@ -154,7 +155,6 @@ def test_another_version_of_the_code_is_named(
 
 
 def begin(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the first shard, and stop."""
     done = shard_job.ShardMaker.__call__
 
     def stops(self: Any, task: Task) -> None:
@@ -266,8 +266,7 @@ def test_an_impossible_scene_leaves_nothing(tmp_path: Path) -> None:
 def test_the_command_says_what_it_made(command: Command, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(make_scene().to_toml())
     words = ["generate", "s.toml", "-o", "d", "--samples", "6", "--split", "50/50", "--seed", "3"]
-    done = command(*words, "--shard-size", "2", "--truth", "none", "--compression", "gzip")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command(*words, "--shard-size", "2", "--truth", "none", "--compression", "gzip"))
     assert "train, " in done.stdout
     assert "validation samples, hash" in done.stdout
     assert "6 samples" in command("verify", "d").stdout
@@ -275,9 +274,7 @@ def test_the_command_says_what_it_made(command: Command, tmp_path: Path) -> None
         (["--split", "a/b"], "expected shares such as 80/10/10"),
         (["--split", "80/20"], "exists already"),
     ):
-        done = command("generate", "s.toml", "-o", "d", "--samples", "6", *extra)
-        assert done.returncode == 2
-        assert sentence in done.stderr
+        refuse(command("generate", "s.toml", "-o", "d", "--samples", "6", *extra), sentence)
     done = command("solve", "msa", "d", "-o", "r.h5")
     assert "open it with sabench.open_samples" in done.stderr
 

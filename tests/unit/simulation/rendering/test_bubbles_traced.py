@@ -1,7 +1,5 @@
-"""Bubbles, drops and bodies before a diffuser.
-
-Against ray optics by hand, against Mitsuba's own path tracer, and the documented errors.
-"""
+"""Bubbles, drops and bodies before a diffuser. Against ray optics by hand, against Mitsuba's own
+path tracer, and the documented errors."""
 
 from __future__ import annotations
 
@@ -41,7 +39,6 @@ def camera(
     focal: float = 3000.0,
     x: float = 0.0,
 ) -> Camera:
-    """About 5 px a millimetre in the middle of the tank; a small aperture."""
     place, eye = (x, 0.0, -550.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     middle = ((columns - 1) / 2.0, (rows - 1) / 2.0)
     lens = 1.0 / (100.0 / focal + 1.0 / 588.0)  # sharp in the middle of the tank
@@ -110,13 +107,10 @@ def test_nothing_in_the_way_is_the_exposure_that_was_asked_for() -> None:
 
 
 def profile_by_hand(b: F64, half_angle: float) -> F64:
-    """Return the brightness of a ball of air in water before a round diffuser.
-
-    At parts b of its radius, ray by ray with vectors: an independent derivation.
-
-    A ray comes along +Z and meets the ball at (b, 0); its directions are followed by Snell's law in
-    vector form, all orders up to ten.
-    """
+    """Return the brightness of a ball of air in water before a round diffuser. At parts b of its
+    radius, ray by ray with vectors: an independent derivation. A ray comes along +Z and meets the
+    ball at (b, 0); its directions are followed by Snell's law in vector form, all orders up to
+    ten."""
 
     def turned(way: F64, normal: F64, ratio: float) -> F64 | None:
         cosine = -float(way @ normal)
@@ -164,14 +158,10 @@ def crossings(values: F64, places: F64, level: float) -> F64:
 
 @pytest.mark.slow
 def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None:
-    """The dark ring has the edges and brightnesses of ray optics.
-
-    Its outer and inner edge, and the brightness on either side of them, in the rows and columns
-    through the centre.
-
-    The diffuser is far behind, so that its half angle is the same for all of the bubble. Nearly all
-    of the way to it is water.
-    """
+    """The dark ring has the edges and brightnesses of ray optics. Its outer and inner edge, and the
+    brightness on either side of them, in the rows and columns through the centre. The diffuser is
+    far behind, so that its half angle is the same for all of the bubble. Nearly all of the way to
+    it is water."""
     deep, radius, half, z = (
         Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (GLASS,), 1.333, 3000.0),
         8.0,
@@ -213,10 +203,8 @@ def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None
 
 
 def by_path_tracer(lens: Camera, what: Bubbles, light: Backlight, samples: int) -> tuple[F64, F64]:
-    """Return the same picture and its standard error by Mitsuba's `path` integrator.
-
-    Walls are dielectric planes, bubbles spheres or meshes.
-    """
+    """Return the same picture and its standard error by Mitsuba's `path` integrator. Walls are
+    dielectric planes, bubbles spheres or meshes."""
     import trimesh
 
     mi = backend.mitsuba()
@@ -339,10 +327,8 @@ def test_another_integrator_makes_the_same_picture(name: str) -> None:
 
 @pytest.mark.slow
 def test_errors_are_as_large_as_they_are_said_to_be() -> None:
-    """Two renders of different seeds differ by their errors.
-
-    Neither error exceeds the limit that was set.
-    """
+    """Two renders of different seeds differ by their errors. Neither error exceeds the limit that
+    was set."""
     what = CASES["bubbles"]
     one, other = (shot(camera(), what, error=0.01, seed=seed) for seed in (1, 5000))
     again = shot(camera(), what, error=0.01, seed=1)

@@ -11,18 +11,14 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from sabench.simulation.rendering import particles_splatted
-from sabench.simulation.rendering.particle_images import (
-    ParticleImages,
-)
+from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils.arrays import F64
 from tests.helpers.particle_scenes import SMALL, spots
 
 
 def centre_of_rounded(place: F64, sigma: float) -> F64:
-    """Return the mean of a normal variable rounded to whole numbers.
-
-    By the Fourier series of the saw tooth: narrow images are drawn to their pixel's centre.
-    """
+    """Return the mean of a normal variable rounded to whole numbers. By the Fourier series of the
+    saw tooth: narrow images are drawn to their pixel's centre."""
     k = np.arange(1, 30)[:, None]
     return np.asarray(
         place

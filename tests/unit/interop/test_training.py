@@ -1,0 +1,114 @@
+"""Data sets for training: PyTorch, JAX and Hugging Face."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sabench
+from sabench.dataset.sample_set import SampleSet
+from tests.helpers.sample_sets import COUNT, make
+from tests.unit.simulation.test_streaming import make_scene
+
+torch: Any = pytest.importorskip("torch", reason="PyTorch is not installed")
+
+from torch.utils.data import DataLoader  # noqa: E402
+
+from sabench.interop.training.torch_data import TorchBatches, TorchSamples  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> SampleSet:
+    return make(tmp_path_factory.mktemp("samples") / "set")
+
+
+def workers_of(count: int) -> dict[str, Any]:
+    """Options of a loader: numba's threads, which this process has, do not survive a fork."""
+    return {"num_workers": count, "multiprocessing_context": "spawn" if count else None}
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_loader_reads_every_sample_by_index(samples: SampleSet, workers: int) -> None:
+    first = samples[0]  # its file is open here
+    loader = DataLoader(
+        TorchSamples(samples, 50), batch_size=5, shuffle=True, **workers_of(workers)
+    )
+    batches = list(loader)
+    numbers = torch.cat([one["number"] for one in batches]).tolist()
+    assert sorted(numbers) == list(range(COUNT))
+    assert batches[0]["images"].dtype == torch.uint16
+    assert batches[0]["position_mm"].shape == (5, 2, 50, 3)
+    row = numbers.index(first.number)
+    images = batches[row // 5]["images"][row % 5].numpy()
+    np.testing.assert_array_equal(images, first.images)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_batches_have_one_order_for_any_number_of_workers(samples: SampleSet, workers: int) -> None:
+    batches = TorchBatches(functools.partial(samples.batches, 4, shuffle=7))
+    loader = DataLoader(batches, batch_size=None, **workers_of(workers))
+    got = [one["number"].tolist() for one in loader]
+    assert got == [one.numbers.tolist() for one in samples.batches(4, shuffle=7)]
+
+
+def test_workers_share_a_stream() -> None:
+    stream = functools.partial(sabench.stream, make_scene(), seed=2, batch=2, samples=6)
+    loader = DataLoader(TorchBatches(stream, 300), batch_size=None, **workers_of(2))
+    batches = list(loader)
+    assert [one["number"].tolist() for one in batches] == [[0, 1], [2, 3], [4, 5]]
+    expected = next(sabench.stream(make_scene(), seed=2, start=5)).images
+    np.testing.assert_array_equal(batches[2]["images"][1:].numpy(), expected)
+
+
+def test_images_go_to_torch_without_a_copy(samples: SampleSet) -> None:
+    images = next(samples.batches(2)).images
+    tensor = torch.from_dlpack(images)
+    images[0, 0, 0, 0, 0] = 4321
+    assert int(tensor[0, 0, 0, 0, 0]) == 4321
+
+
+jax: Any = pytest.importorskip("jax", reason="JAX is not installed")
+
+from sabench.interop.training.jax_data import jax_batches  # noqa: E402
+
+
+def test_batches_go_through_one_compiled_step(tmp_path: Any) -> None:
+    samples = make(tmp_path / "set")
+    traced = []
+
+    @jax.jit
+    def mean(batch: Any) -> Any:
+        traced.append(1)
+        return batch["images"].astype("float32").mean() + batch["position_mm"].sum()
+
+    own = samples.split("train")
+    batches = list(jax_batches(own.batches(3), 50))
+    values = [float(mean(one)) for one in batches]
+    assert len(traced) == (1 if len(own) % 3 == 0 else 2)
+    first = next(own.batches(3))
+    expected = first.images.mean() + first.arrays(50)["position_mm"].sum()
+    assert values[0] == pytest.approx(expected, rel=1e-5)
+    np.testing.assert_array_equal(batches[0]["images"], first.images)
+
+
+datasets: Any = pytest.importorskip("datasets", reason="the package datasets is not installed")
+
+from sabench.interop.training.hugging_face import hugging_face_samples  # noqa: E402
+
+
+def test_samples_are_read_in_their_order(tmp_path: Any) -> None:
+    samples = make(tmp_path / "set").split("train")
+    given = hugging_face_samples(samples, 50)
+    assert given.features["images"].shape == (2, 4, 48, 64)
+    rows = list(given.with_format("numpy"))
+    assert [int(one["number"]) for one in rows] == [one.number for one in samples]
+    np.testing.assert_array_equal(rows[3]["images"], samples[3].images)
+    there = rows[3]["present"][1]
+    own = samples[3].particles[1].position_mm
+    np.testing.assert_allclose(rows[3]["position_mm"][1][there], own, rtol=1e-6)
+    again = given.skip(2).take(1).map(lambda one: {"bright": np.max(one["images"])})
+    assert next(iter(again))["bright"] == samples[2].images.max()
+    assert given.num_shards == len(samples)
