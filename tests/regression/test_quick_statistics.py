@@ -28,9 +28,7 @@ def measure(dataset: Dataset, result: Path) -> dict[str, float]:
     return figures | {key: float(scores[key]) for key in ("q", "precision", "recall", "rms_px")}
 
 
-def test_statistics_are_as_recorded(
-    quick: Dataset, quick_result: Path, request: pytest.FixtureRequest
-) -> None:
+def test_statistics(quick: Dataset, quick_result: Path, request: pytest.FixtureRequest) -> None:
     """Other processors round single precision otherwise. A tolerance of 1e-3 covers that in means.
     Scores of 255 particles move in steps of 1/255."""
     figures = measure(quick, quick_result)

@@ -106,9 +106,7 @@ def test_first_order_is_the_thesis_table_and_the_limit_of_the_exact_ratio() -> N
 @pytest.mark.parametrize(
     ("cameras", "area", "ppp", "depth"), [(2, 4, 0.05, 12), (3, 9, 0.03, 20), (4, 9, 0.04, 15)]
 )
-def test_ghosts_of_independent_images_follow_the_theory(
-    cameras: int, area: int, ppp: float, depth: int
-) -> None:
+def test_ghosts_follow_the_theory(cameras: int, area: int, ppp: float, depth: int) -> None:
     """Simulated images light voxels as often as the theory says. Square images of `area` pixels lie
     at random positions, and every plane shifts them as refocusing does. A voxel counts the ways in
     which it is lit."""
@@ -144,9 +142,7 @@ def test_ghosts_of_independent_images_follow_the_theory(
         ("mlos-smart", 1.80e10, 1.81e10),
     ],
 )
-def test_operations_are_those_of_table_3_1(
-    algorithm: Algorithm, initial: float, total: float
-) -> None:
+def test_operations_as_in_table_3_1(algorithm: Algorithm, initial: float, total: float) -> None:
     """The table agrees to its printed digits. MLOS gives 1.817e10, which the table truncates to
     1.81e10."""
     first, rest = operations(algorithm, TABLE_3_1[algorithm])

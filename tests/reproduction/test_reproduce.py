@@ -106,9 +106,7 @@ def test_rows_of_other_names_stay_in_the_file(command: Command, tmp_path: Path) 
     assert [row["item"] for row in rows].count("fig-4-9") == 2
 
 
-def test_an_interrupted_measurement_keeps_the_rows_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_keeps_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not the first ones of the new rows: `--list` would take them for all."""
 
     def stopped(names: list[str], *given: int | None) -> Iterator[Row | Figure]:
@@ -130,9 +128,7 @@ def test_an_interrupted_measurement_keeps_the_rows_before(
 
 
 @pytest.mark.parametrize("text", ['{"a": 1}', "[1]", "no JSON", '[{"item": "fig-4-9"}]'])
-def test_a_file_of_something_else_is_not_overwritten(
-    command: Command, tmp_path: Path, text: str
-) -> None:
+def test_other_files_are_not_overwritten(command: Command, tmp_path: Path, text: str) -> None:
     (tmp_path / "rows.json").write_text(text)
     refuse(
         command("reproduce", "fig-4-9", "-o", "rows.json"),

@@ -329,9 +329,7 @@ def test_pictures_are_those_of_the_seed_that_has_them(tmp_path: Path) -> None:
         ([None] * 3, []),
     ],
 )
-def test_one_command_makes_all_seeds_of_a_row_again(
-    texts: list[str | None], expected: list[str]
-) -> None:
+def test_one_command_makes_all_seeds_again(texts: list[str | None], expected: list[str]) -> None:
     runs = [
         record("a", seed=seed, command=text and text.format(seed))
         for seed, text in zip((1, 2, 12), texts, strict=True)

@@ -154,9 +154,7 @@ def test_a_click_sorts_numbers_as_numbers_and_nulls_last(browser: Browser, page:
 
 
 @pytest.mark.parametrize("key", ["\ue007", " "], ids=["enter", "space"])
-def test_a_key_sorts_aria_says_so_and_the_heading_keeps_the_focus(
-    browser: Browser, page: Path, key: str
-) -> None:
+def test_a_key_sorts_and_the_heading_keeps_focus(browser: Browser, page: Path, key: str) -> None:
     sorted_by = (
         "[...document.querySelectorAll('[aria-sort]')].map(th => [th.textContent, th.ariaSort])"
     )
@@ -203,9 +201,7 @@ def test_details_and_the_command_are_there_to_be_copied(browser: Browser, page: 
 # Filters and links
 
 
-def test_filters_are_kept_in_the_fragment_and_a_link_opens_the_same_view(
-    browser: Browser, graded: Path
-) -> None:
+def test_filters_are_kept_in_the_fragment_of_a_link(browser: Browser, graded: Path) -> None:
     browser.open(graded, LOG)
     browser.press("//input[@type='search']", "standard a")
     browser.press("//select[option[text()='all axes']]/option[@value='density']")
@@ -291,9 +287,7 @@ def labels(browser: Browser, plot: int) -> list[str]:
     return sorted(found)
 
 
-def test_accuracy_against_time_has_a_point_for_every_solver_with_a_tip(
-    browser: Browser, graded: Path
-) -> None:
+def test_accuracy_against_time_has_points_with_tips(browser: Browser, graded: Path) -> None:
     browser.open(graded, LOG)
     assert browser.ask("document.querySelectorAll('.plot').length") == 0
     browser.press("//a[text()='Accuracy against time']")
@@ -325,9 +319,7 @@ def test_accuracy_against_time_has_a_point_for_every_solver_with_a_tip(
 
 
 @pytest.mark.slow
-def test_difficulty_and_axes_show_scores_and_what_an_axis_costs(
-    browser: Browser, graded: Path
-) -> None:
+def test_difficulty_and_axes_show_scores_and_losses(browser: Browser, graded: Path) -> None:
     browser.open(graded, "#view=why")
     browser.wait(DRAWN)
     by_level = labels(browser, 0)
@@ -410,7 +402,7 @@ def test_two_solvers_are_compared_over_their_common_seeds(browser: Browser, grad
 @pytest.mark.parametrize(
     "fragment", ["#all=1", "#view=time", "#view=why", "#view=case&case=tank-5c5c5c5c-splat"]
 )
-def test_only_tables_scroll_sideways(
+def test_tables_alone_scroll_sideways(
     browser: Browser, page: Path, width: int, fragment: str
 ) -> None:
     browser.open(page, fragment, width)

@@ -76,9 +76,7 @@ def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
-def test_solvers_find_bubbles_that_nothing_hides(
-    name: str, bubbly: Dataset, tmp_path: Path
-) -> None:
+def test_solvers_find_visible_bubbles(name: str, bubbly: Dataset, tmp_path: Path) -> None:
     plugin = load("solvers", name)
     assert plugin.references
     assert all(field.description for field in plugin.Parameters.model_fields.values())

@@ -283,9 +283,7 @@ def test_the_first_line_says_that_boards_show_no_depth(command: Command, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_world_with_y_up_and_its_places_enter_as_they_are(
-    command: Command, tmp_path: Path
-) -> None:
+def test_a_world_with_y_up_and_its_places_enter(command: Command, tmp_path: Path) -> None:
     """The nominal wall is 40 mm off; held-out boards choose its place and k1."""
     case, _, places = make_tank(k1=-0.5)
     case = rotated(off_wall(with_places(case, places), -40.0), Y_UP)
@@ -318,7 +316,7 @@ def test_a_misfit_shows_in_the_expected_error(command: Command, tmp_path: Path) 
 @pytest.mark.slow
 @pytest.mark.parametrize("target", [None, BOARD])
 @pytest.mark.parametrize("solver", ["refractive_resection", "soloff", "pinhole_linear"])
-def test_solvers_of_known_places_are_reachable(
+def test_solvers_of_known_places(
     command: Command, tmp_path: Path, solver: str, target: Any
 ) -> None:
     case, _, places = make_tank()

@@ -185,9 +185,7 @@ def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) 
     assert scores["thickness_error_mm"] == 0.0
 
 
-def test_a_solver_of_another_kind_is_refused(
-    boards: Dataset, quick: Dataset, tmp_path: Path
-) -> None:
+def test_a_solver_of_other_kind_is_refused(boards: Dataset, quick: Dataset, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="solver msa: expected a data set that shows particles"):
         sabench.solve("msa", boards, tmp_path / "r.h5")
     with pytest.raises(

@@ -102,9 +102,7 @@ def test_truth_is_perfect_and_empty_is_the_floor(quick: Dataset) -> None:
     ] == [0.0, 0.0, 0.0, 0.0, 0.0, None]
 
 
-def test_both_solvers_find_the_particles(
-    quick: Dataset, quick_result: Path, tmp_path: Path
-) -> None:
+def test_both_solvers_find_particles(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     multiplicative = sabench.score(quick, quick_result)
     assert multiplicative["q"] > 0.6
     assert multiplicative["recall"] > 0.85  # particles that one camera sees dark are lost
@@ -133,9 +131,7 @@ def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> No
     assert sabench.score(quick, tmp_path / "blind.h5")["recall"] < 0.05
 
 
-def test_auto_renderer_falls_back_where_nothing_runs_mitsuba(
-    own_process: Command, tmp_path: Path
-) -> None:
+def test_auto_renderer_falls_back_without_mitsuba(own_process: Command, tmp_path: Path) -> None:
     broken = {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so", "SABENCH_BACKEND": "llvm"}
     done = succeed(own_process("generate", "quick", "-o", tmp_path / "fallback", env=broken))
     assert "splat" in done.stdout

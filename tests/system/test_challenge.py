@@ -99,9 +99,7 @@ def test_the_organiser_scores_what_the_participant_sent(
 
 
 @pytest.mark.slow
-def test_a_server_scores_to_the_last_digit(
-    organised: Path, submission: Path, tmp_path: Path
-) -> None:
+def test_a_server_scores_exactly(organised: Path, submission: Path, tmp_path: Path) -> None:
     bundle = unzipped(organised / "out" / "codabench.zip", tmp_path / "bundle")
     place = tmp_path / "server" / "input"
     shutil.copytree(bundle / "reference_data", place / "ref")
@@ -151,9 +149,7 @@ def test_the_bundle_is_as_the_server_documents_it(organised: Path, tmp_path: Pat
     assert not [one for one in public if one.suffix in (".h5", ".exr")]
 
 
-def test_what_is_sent_must_be_one_result_for_each_data_set(
-    organised: Path, submission: Path, tmp_path: Path
-) -> None:
+def test_each_data_set_needs_one_result(organised: Path, submission: Path, tmp_path: Path) -> None:
     reference = unzipped(organised / "out" / "codabench.zip", tmp_path / "b") / "reference_data"
     sent = unzipped(submission, tmp_path / "sent")
     shutil.copyfile(sent / "data_000.h5", sent / "more.h5")
@@ -171,7 +167,7 @@ def test_what_is_sent_must_be_one_result_for_each_data_set(
 
 
 @pytest.mark.slow
-def test_both_commands_resume(
+def test_commands_resume(
     organised: Path, submission: Path, command: Command, tmp_path: Path
 ) -> None:
     made = {path: path.stat().st_mtime_ns for path in (tmp_path / "work/challenge").iterdir()}

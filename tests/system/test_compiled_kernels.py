@@ -41,7 +41,7 @@ class Compiler(Solver):
 '''
 
 
-def test_compilation_is_a_figure_of_its_own(
+def test_compilation_is_no_work(
     quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel compiles for about a second in every run, since it has no cache."""
@@ -80,9 +80,7 @@ class Waiting(Solver):
 '''
 
 
-def test_waiting_is_no_work(
-    quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_waits_are_no_work(quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
     (tmp_path / "solvers").mkdir()
     (tmp_path / "solvers" / "waiting.py").write_text(WAITING)
@@ -122,9 +120,7 @@ fill(np.zeros(4), {count})
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "code"), [(4, 0), (5, 1)])
-def test_an_index_beyond_an_array_is_an_error_in_a_parallel_loop(
-    tmp_path: Path, count: int, code: int
-) -> None:
+def test_an_index_beyond_an_array_is_an_error(tmp_path: Path, count: int, code: int) -> None:
     script = tmp_path / "kernel.py"
     script.write_text(_KERNEL.format(count=count), encoding="utf-8")
     done = subprocess.run(

@@ -135,9 +135,7 @@ def test_every_law_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     }
 
 
-def test_arrays_of_another_shape_break_laws(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_arrays_of_other_shape_break_laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = verdicts("misshapen", WRONG_SHAPE, tmp_path, monkeypatch)
     assert found["return declared arrays"] == found["beat nothing"] == "broken"
 

@@ -76,7 +76,7 @@ def test_copies_of_two_processors_have_one_identity(here: Dataset, there: Path) 
 
 
 @pytest.mark.slow
-def test_a_result_of_the_other_copy_is_accepted_and_records_meet(
+def test_results_of_other_copies_and_records_meet(
     here: Dataset, there: Path, tmp_path: Path
 ) -> None:
     board, own = tmp_path / "board", tmp_path / "own.h5"
@@ -199,9 +199,7 @@ ONE_OF_EACH = {  # a fast solver of every task
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ONE_OF_EACH)
-def test_a_solver_takes_the_observation_side_and_scores_the_same(
-    solver: str, tmp_path: Path
-) -> None:
+def test_a_solver_on_the_observation_side_scores_the_same(solver: str, tmp_path: Path) -> None:
     task = tasks.of(ONE_OF_EACH[solver])
     data = example(task, plugins.load("solvers", solver).sees, tmp_path / "data")
     seen = open_dataset(pack(data, tmp_path / "seen", blind=True))

@@ -111,9 +111,7 @@ def test_results_are_what_vtk_reads(moving: Dataset, tmp_path: Path) -> None:
     assert open_result(tmp_path / "piv.h5", moving).task == "velocimetry"
 
 
-def test_the_rig_is_lines_from_each_camera_through_the_volume(
-    moving: Dataset, tmp_path: Path
-) -> None:
+def test_the_rig_is_lines_through_the_volume(moving: Dataset, tmp_path: Path) -> None:
     write_rig(tmp_path / "rig.vtkhdf", moving.setup.cameras, moving.setup.grid)
     lines, about = opened(tmp_path / "rig.vtkhdf")
     camera = about["camera"]
@@ -317,9 +315,7 @@ def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> Non
     assert opened(tmp_path / "none/bubbles_0000.vtkhdf")[0].GetNumberOfPoints() == 0
 
 
-def test_what_cannot_be_exported_is_named(
-    moving: Dataset, tmp_path: Path, command: Command
-) -> None:
+def test_what_is_not_exported_is_named(moving: Dataset, tmp_path: Path, command: Command) -> None:
     done = command("export", moving.root, "--to", "tecplot")
     assert done.returncode == 2
     assert done.stderr.startswith("sabench: to: expected one of vtk, openptv, myptv, ")

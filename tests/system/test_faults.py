@@ -83,7 +83,7 @@ def test_verify_names_missing_and_foreign_files(copy: Path, command: Command) ->
     assert "notes.txt: a file that the manifest does not list" in done.stdout
 
 
-def test_verify_says_what_it_could_not_check(
+def test_verify_says_what_is_open(
     copy: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is neither intact nor damaged: another exit code than that of a fault."""

@@ -110,9 +110,7 @@ def test_what_a_program_gets_has_no_truth(form: Format, tank: Dataset, tmp_path:
     assert not [name for name in names if name.startswith(banned)]
 
 
-def test_the_command_exports_and_imports(
-    tank: Dataset, truth: Path, tmp_path: Path, command: Command
-) -> None:
+def test_export_and_import(tank: Dataset, truth: Path, tmp_path: Path, command: Command) -> None:
     done = succeed(command("export", tank.root, truth, "--to", "openptv", "-o", tmp_path / "out"))
     assert "note: openptv: its camera files do not carry f-numbers" in done.stderr
     found = tmp_path / "found.h5"
@@ -170,9 +168,7 @@ def test_metres_are_taken_if_told(tank: Dataset, tmp_path: Path) -> None:
     assert found.position_mm.round(9).tolist() == [[1.0, 2.0, 30.0]]
 
 
-def test_an_export_that_cannot_be_is_one_sentence(
-    tank: Dataset, truth: Path, tmp_path: Path
-) -> None:
+def test_an_impossible_export_is_one_sentence(tank: Dataset, truth: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="to: expected one of vtk, openptv"):
         export(tank, tmp_path / "out", to="davis")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="exists already"):

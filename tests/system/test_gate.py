@@ -136,7 +136,7 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(
     missing.stdout.no_fnmatch_line("*gates/baseline.py*")  # no traceback
 
 
-def test_pytest_starts_without_loading_sabench(
+def test_pytest_loads_no_sabench(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

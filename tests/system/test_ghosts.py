@@ -87,7 +87,7 @@ A_MOVES, B_MOVES = np.array([[0.10, 0.0, 0.04]]), np.array([[0.04, 0.0, -0.02]])
 
 
 @pytest.mark.slow
-def test_ghosts_of_two_cameras_are_where_geometry_puts_them(
+def test_ghosts_are_where_geometry_puts_them(
     rig: tuple[tuple[CameraModel, ...], Grid],
 ) -> None:
     cameras, grid = rig

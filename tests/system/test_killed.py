@@ -174,9 +174,7 @@ def test_a_killed_run_of_a_program_leaves_none_of_its_processes(folder: Path) ->
 
 
 @pytest.mark.slow
-def test_a_killed_solve_of_a_program_leaves_none_of_its_processes(
-    folder: Path, quick: Dataset
-) -> None:
+def test_a_killed_solve_of_a_program_leaves_no_processes(folder: Path, quick: Dataset) -> None:
     words = ("solve", "./endless_program", str(quick.root), "-o", "r.h5")
     assert kill_in_the_middle(folder, program_works, *words) == []
 

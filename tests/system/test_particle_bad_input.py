@@ -99,7 +99,7 @@ def test_uniform_images_give_no_particles(solver: str, level: float) -> None:
 @pytest.mark.parametrize(
     ("layout", "noise", "level"), [((2, 2), 0.4, 64.0), ((2, 2), 2.2, 94.0), ((3, 3), 20.0, 94.0)]
 )
-def test_noise_gives_no_particles(
+def test_noise_is_no_light(
     solver: str, layout: tuple[int, int], noise: float, level: float
 ) -> None:
     case = make_small(1, 1e-5, layout).observation
@@ -111,9 +111,7 @@ def test_noise_gives_no_particles(
 @pytest.mark.slow
 @search
 @pytest.mark.parametrize("layout", [(2, 2), (3, 3)])
-def test_a_bright_background_with_noise_gives_no_particles(
-    solver: str, layout: tuple[int, int]
-) -> None:
+def test_a_bright_background_gives_no_particles(solver: str, layout: tuple[int, int]) -> None:
     case = make_small(1, 1e-5, layout, cameras={"rows": 120, "columns": 160}).observation
     for seed in range(3):
         noise = np.random.default_rng(seed).normal(94.0, 5.0, case.images.shape)

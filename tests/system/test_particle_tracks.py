@@ -425,9 +425,7 @@ def track(shots: list[Shot]) -> list[FoundParticles]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("frames", [3, 8])
-def test_held_frames_come_in_order_and_as_good(
-    frames: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_held_frames_come_in_order(frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of any number of frames, each comes once, and easy images give the same particles."""
     shots = shots_of(0.03, frames)
     usual = track(shots)

@@ -37,9 +37,7 @@ def stages(command: Command, *arguments: object) -> list[dict[str, Any]]:
     return out
 
 
-def test_every_step_is_shown_with_its_peaks(
-    command: Command, data: Dataset, tmp_path: Path
-) -> None:
+def test_steps_are_shown_with_their_peaks(command: Command, data: Dataset, tmp_path: Path) -> None:
     picture = tmp_path / "preview.png"
     done = succeed(command("preprocess", str(data.root), *STEPS, "-o", str(picture)))
     for word in ("recorded", "repaired", "sliding_minimum", "gaussian", "1e-05 per pixel"):
@@ -61,7 +59,7 @@ def test_peaks_are_those_of_the_particles(command: Command, data: Dataset) -> No
 
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])
-def test_a_plain_image_is_taken(
+def test_a_plain_image(
     command: Command, data: Dataset, tmp_path: Path, suffix: str, bits: int
 ) -> None:
     if suffix == "bmp" and bits == 16:
@@ -84,7 +82,7 @@ def test_a_plain_image_is_taken(
         (["--step", "gaussian", "--step", "temporal_minimum"], "as the first step"),
     ],
 )
-def test_wrong_options_are_named(
+def test_wrong_options(
     command: Command, data: Dataset, arguments: list[str], sentence: str
 ) -> None:
     refuse(command("preprocess", str(data.root), *arguments), sentence)
@@ -147,9 +145,7 @@ def figures(command: Command, *arguments: object) -> dict[str, Any]:
     return dict(json.loads(done.stdout))
 
 
-def test_the_same_images_have_the_same_figures(
-    busy: Dataset, folder: Path, command: Command
-) -> None:
+def test_equal_images_have_equal_figures(busy: Dataset, folder: Path, command: Command) -> None:
     white = busy.setup.sensor.white_dn
     both = figures(command, busy.root, folder, "--white", white)
     own, other = both["dataset"], both["recording"]
@@ -185,9 +181,7 @@ def test_the_ratio_of_fluxes_is_that_of_the_truth(busy: Dataset) -> None:
     assert found["ln_ratio_robust"] == pytest.approx(robust, rel=0.2)
 
 
-def test_without_truth_particles_are_triangulated(
-    busy: Dataset, tmp_path: Path, command: Command
-) -> None:
+def test_without_truth_they_are_found(busy: Dataset, tmp_path: Path, command: Command) -> None:
     pack(busy, tmp_path / "blind", blind=True)
     both = figures(command, busy.root, tmp_path / "blind")
     assert both["recording"]["ratio_matched_by"] == "triangulated positions"

@@ -131,9 +131,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("body", "words"), BAD, ids=[str(number) for number in range(len(BAD))])
-def test_what_is_no_result_is_refused_and_leaves_nothing(
-    quick: Dataset, tmp_path: Path, body: str, words: str
-) -> None:
+def test_no_result_leaves_nothing(quick: Dataset, tmp_path: Path, body: str, words: str) -> None:
     program = write(tmp_path / "bad.py", body)
     with pytest.raises(InputError) as caught:
         run_program(str(program), quick, tmp_path / "r.h5", limits=Limits(time_s=60.0))
@@ -328,9 +326,7 @@ def test_all_of_a_submission_or_nothing(quick: Dataset, quick_result: Path, tmp_
     assert not (tmp_path / "board").exists()
 
 
-def test_a_data_set_that_was_changed_scores_nothing(
-    quick: Dataset, quick_result: Path, tmp_path: Path
-) -> None:
+def test_changed_data_scores_nothing(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(quick.root, tmp_path / "copy"))
     with h5py.File(copy / "truth.h5", "r+") as file:
         file["frames/0000/position_mm"][...] = np.zeros_like(file["frames/0000/position_mm"])
@@ -339,9 +335,7 @@ def test_a_data_set_that_was_changed_scores_nothing(
 
 
 @pytest.mark.slow
-def test_the_case_comes_from_a_record_of_the_same_data_set(
-    quick: Dataset, quick_result: Path, tmp_path: Path
-) -> None:
+def test_the_case_comes_from_a_record(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     known = {
         "format": "sabench-record",
         "version": 1,
@@ -414,9 +408,7 @@ def test_a_private_data_set_is_not_disclosed(
 
 
 @pytest.mark.slow
-def test_a_seed_that_a_record_tells_is_public(
-    quick: Dataset, quick_result: Path, tmp_path: Path
-) -> None:
+def test_a_recorded_seed_is_public(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     root = Path(shutil.copytree(quick.root, tmp_path / "copy"))
     seed = make_private(root, 77).manifest.seed
     known = {
@@ -440,9 +432,7 @@ def test_a_seed_that_a_record_tells_is_public(
     )
 
 
-def test_a_later_submission_replaces_none(
-    quick: Dataset, quick_result: Path, tmp_path: Path
-) -> None:
+def test_later_submissions_replace_none(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     board, day = tmp_path / "board", datetime.date(2026, 1, 2)
     submit(quick_result, "Ann", [quick.root], board, date=day)
     for name in ("Ann", " Ann "):

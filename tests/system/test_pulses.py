@@ -101,9 +101,7 @@ def trajectories_of(found: Solved, group: int) -> set[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["bayesian_ipr", "ray_triangulation"])
-def test_solvers_of_single_instants_are_linked_within_groups(
-    name: str, recording: Dataset, tmp_path: Path
-) -> None:
+def test_solvers_of_instants_are_linked(name: str, recording: Dataset, tmp_path: Path) -> None:
     found = solved(name, recording, tmp_path / "r.h5")
     assert found.scores["precision"] > 0.98
     if name == "bayesian_ipr":  # triangulation loses the particles whose images overlap
@@ -172,9 +170,7 @@ def test_claimed_velocities_are_those_at_the_pulse(recording: Dataset, tmp_path:
     assert scores["velocity_mm_s"] == pytest.approx(np.linalg.norm(DRIFT_MM_S), rel=1e-3)
 
 
-def test_accelerations_need_three_pulses_at_equal_intervals(
-    recording: Dataset, tmp_path: Path
-) -> None:
+def test_accelerations_need_three_equal_intervals(recording: Dataset, tmp_path: Path) -> None:
     extra = np.array([30.0, -40.0, 0.0])  # mm/s2
 
     def accelerate(true: Particles, time: float) -> FoundParticles:

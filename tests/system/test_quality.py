@@ -115,9 +115,7 @@ def test_volumes(data: Dataset, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_command_without_truth(
-    data: Dataset, solved: Path, tmp_path: Path, command: Command
-) -> None:
+def test_without_truth(data: Dataset, solved: Path, tmp_path: Path, command: Command) -> None:
     folder = write_pngs(data, tmp_path / "images")
     options = ImportOptions(
         black_dn=data.setup.sensor.black_dn, white_dn=data.setup.sensor.white_dn

@@ -177,9 +177,7 @@ def test_images_without_particles(made: Path, folder: Path, command: Command) ->
 
 
 @pytest.mark.slow
-def test_programs_and_images_that_stay_elsewhere(
-    made: Path, folder: Path, command: Command
-) -> None:
+def test_programs_and_images_elsewhere(made: Path, folder: Path, command: Command) -> None:
     data, images = open_dataset(made / "data"), folder / "images"
     shutil.copytree(made / "images", images)
     import_exactly(data, images, folder / "elsewhere", referenced=True)
@@ -294,9 +292,7 @@ def test_one_case_whatever_the_seeds_are(folder: Path, command: Command) -> None
         ("a\0b", "found none"),
     ],
 )
-def test_other_folders_are_refused_in_one_sentence(
-    written: str, sentence: str, made: Path, tmp_path: Path
-) -> None:
+def test_other_folders_are_refused(written: str, sentence: str, made: Path, tmp_path: Path) -> None:
     from sabench.dataset.copies import pack
 
     if not (made / "blind").is_dir():
@@ -318,9 +314,7 @@ def test_other_folders_are_refused_in_one_sentence(
         ({"quality": {"figures": {"explained": "much"}}}, "explained: expected a number or null"),
     ],
 )
-def test_records_with_truth_that_is_not_known_are_left_out(
-    change: dict[str, Any], sentence: str
-) -> None:
+def test_records_with_unknown_truth_are_left_out(change: dict[str, Any], sentence: str) -> None:
     names = ("scene", "scene_hash", "dataset", "renderer", "solver", "run_hash")
     record = dict.fromkeys(names, "tank") | {"seed": 0, "task": "particles", "parameters": {}}
     record |= {"versions": {}, "machine": {}, "version": 2, "recorded": True}

@@ -72,9 +72,7 @@ def two_rendering_threads() -> Iterator[None]:
 @pytest.mark.parametrize(
     "scene", [moving(), bubbly(), load_scene("calibration")], ids=["moving", "bubbly", "target"]
 )
-def test_two_processes_make_the_bytes_of_one(
-    tmp_path: Path, scene: Scene, two_rendering_threads: None
-) -> None:
+def test_two_processes_make_one(tmp_path: Path, scene: Scene, two_rendering_threads: None) -> None:
     assert made(scene, tmp_path / "two", jobs=2) == made(scene, tmp_path / "one")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["one", "two"]
 
@@ -94,9 +92,7 @@ def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> No
 
 
 @pytest.mark.slow
-def test_workers_that_are_killed_are_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_workers_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = made(moving(20), tmp_path / "one")
     pools: list[ProcessPool] = []
     killed: list[int] = []
@@ -148,9 +144,7 @@ class Breaker(Generator):
 
 
 @pytest.mark.slow
-def test_a_frame_that_always_breaks_is_reported_and_the_rest_kept(
-    tmp_path: Path, own_process: Command
-) -> None:
+def test_a_frame_that_breaks_is_reported_alone(tmp_path: Path, own_process: Command) -> None:
     plugin, cure = tmp_path / "mine" / "generators" / "breaker.py", tmp_path / "cure"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(BROKEN)
@@ -209,9 +203,7 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     assert again == made(scene, tmp_path / "anew")
 
 
-def test_another_scene_or_seed_takes_nothing_of_what_was_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_scene_or_seed_starts_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_schedule = schedule.run_schedule
 
     def stop(*arguments: Any) -> None:
@@ -282,9 +274,7 @@ def test_a_cluster_makes_the_same_bytes(tmp_path: Path, cluster: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_cluster_whose_workers_are_killed_makes_the_same_bytes(
-    tmp_path: Path, cluster: Any
-) -> None:
+def test_a_cluster_of_killed_workers_makes_the_same_bytes(tmp_path: Path, cluster: Any) -> None:
     killed: list[int] = []
 
     def kill() -> None:

@@ -212,9 +212,7 @@ def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: C
     assert all(record.get("identity") is None for record in found)  # a hash of the seed
 
 
-def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(
-    command: Command, tmp_path: Path
-) -> None:
+def test_a_suite_ends_in_means_and_leaves_no_data(command: Command, tmp_path: Path) -> None:
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\n'
         'scene = "quick"\nname = "q"\n[cases.set]\n"volume.size_mm" = [6.0, 4.0, 2.0]\n'

@@ -209,7 +209,7 @@ def test_flaws_cost_next_to_nothing(name: str, shots: dict[float, Shot]) -> None
         assert float(scores[whole]) > float(clean[whole]) - loss, flaws
 
 
-def test_preprocessing_neither_spreads_hot_pixels_nor_darkens_reflections(
+def test_preprocessing_keeps_hot_pixels_and_reflections_apart(
     shots: dict[float, Shot],
 ) -> None:
     case = dict(cases_of(shots[0.05], 2))["all"]

@@ -188,9 +188,7 @@ def test_scenes_and_suites_that_ask_for_too_much(tmp_path: Path, quick_toml: str
         ("cameras", "focus_mm", 1e300),
     ],
 )
-def test_extreme_numbers_end_well_or_in_a_sentence(
-    tmp_path: Path, table: str, key: str, value: float
-) -> None:
+def test_extreme_numbers_end_well(tmp_path: Path, table: str, key: str, value: float) -> None:
     try:
         scene = parse_scene({**SCENE, table: {**SCENE[table], key: 1e300}}, "extreme")
         made = sabench.generate(scene, tmp_path / "set", backend="splat")
@@ -207,7 +205,7 @@ def test_extreme_numbers_end_well_or_in_a_sentence(
         (5, 1.7e308, r"pitch_mm of at most 1e\+06"),
     ],
 )
-def test_a_target_beyond_all_measure_is_refused(
+def test_a_huge_target_is_refused(
     tmp_path: Path, columns: int, pitch_mm: float, expected: str
 ) -> None:
     target = {
@@ -330,9 +328,7 @@ def stumble(_: Path) -> None:
     raise IndexError("17")
 
 
-def test_every_end_of_a_reader_is_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ends_of_a_reader_are_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.vti"
     path.write_bytes(b"x")
     monkeypatch.setattr(call, "_CPU_S", 0.5)
@@ -358,9 +354,7 @@ def test_every_end_of_a_reader_is_a_sentence(
         ({"photometric": "miniswhite"}, "photometric interpretation 1, got 0"),
     ],
 )
-def test_a_tiff_of_another_kind_is_not_decoded(
-    options: dict[str, Any], words: str, tmp_path: Path
-) -> None:
+def test_other_tiffs_are_not_decoded(options: dict[str, Any], words: str, tmp_path: Path) -> None:
     path = tmp_path / "a.tif"
     image = np.full(SHAPE, 7, np.uint16)
     tifffile.imwrite(path, image, **({"photometric": "minisblack"} | options))
@@ -457,9 +451,7 @@ def test_a_calibration_that_its_data_do_not_determine(quick: Dataset) -> None:
         ({"wall": {"layers": 4000}}, "wall: expected at most 20 layers, got 4000"),
     ],
 )
-def test_cameras_that_cannot_be(
-    change: dict[str, Any], words: str, quick: Dataset, tmp_path: Path
-) -> None:
+def test_bad_cameras(change: dict[str, Any], words: str, quick: Dataset, tmp_path: Path) -> None:
     root = Path(shutil.copytree(quick.root, tmp_path / "set"))
     values = read_json(root / "cameras.json")
     for key, value in change.items():

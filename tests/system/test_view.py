@@ -43,7 +43,7 @@ def test_cameras_of_a_data_set_are_shown_without_its_images(quick: Dataset) -> N
     assert made.summary["frames"] == 0
 
 
-def test_the_observation_side_alone_shows_what_was_found(
+def test_the_observation_side_shows_finds(
     quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:
     copy_observation(quick, tmp_path / "blind")
@@ -64,9 +64,7 @@ def test_the_observation_side_alone_shows_what_was_found(
         (["broken.h5"], "broken.h5"),
     ],
 )
-def test_errors_are_one_sentence(
-    command: Command, tmp_path: Path, words: list[str], said: str
-) -> None:
+def test_errors_of_view(command: Command, tmp_path: Path, words: list[str], said: str) -> None:
     (tmp_path / "broken.h5").write_bytes(b"no HDF5")
     done = command("view", *words)
     assert done.returncode == 2
@@ -77,7 +75,7 @@ def test_errors_are_one_sentence(
     assert not (tmp_path / "view.html").exists()
 
 
-def test_a_result_without_its_data_set_says_what_to_run(
+def test_a_result_alone_says_what_to_run(
     command: Command, quick_result: Path, tmp_path: Path
 ) -> None:
     shutil.copy(quick_result, tmp_path / "away.h5")

@@ -229,9 +229,7 @@ def test_without_scripts_there_are_drawings_and_tables(browser: Browser, picture
 
 
 @pytest.mark.slow
-def test_many_points_are_drawn_by_the_page_itself_in_software(
-    browser: Browser, tmp_path: Path
-) -> None:
+def test_many_points_are_drawn_by_the_page_in_software(browser: Browser, tmp_path: Path) -> None:
     file = tmp_path / "many.html"
     file.write_text(render(moving(6000))[0], encoding="utf-8")
     open_page(browser, file)

@@ -66,9 +66,7 @@ REFUSED: list[tuple[Change, str]] = [
 
 
 @pytest.mark.parametrize(("change", "sentence"), REFUSED)
-def test_an_observation_that_cannot_be_is_refused(
-    case: Observation, change: Change, sentence: str
-) -> None:
+def test_a_bad_observation_is_refused(case: Observation, change: Change, sentence: str) -> None:
     with pytest.raises(InputError) as caught:
         replace(case, **change(case))
     assert str(caught.value) == sentence
@@ -132,9 +130,7 @@ def test_a_grid_that_does_not_fit_is_refused_before_it_is_allocated(
     TASK.check_case(replace(case, grid=case.grid), "d: frame 0")
 
 
-def test_the_largest_grid_that_is_named_fits(
-    case: Observation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_largest_named_grid_fits(case: Observation, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available_mb", lambda: 50.0)
     for planes, fits in ((62, True), (63, False)):
         grid = Grid(case.grid.low_mm, case.grid.voxel_mm, (planes, 300, 330))

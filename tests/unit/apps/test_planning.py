@@ -65,9 +65,7 @@ def parallel_cameras(**camera: Any) -> Scene:
     ("scene", "ratio", "pixel", "per_pixel"),
     [("thesis-50x50x10", 2.50, 0.05, 0.125), ("array-9", 2.50, 0.05, 0.075)],
 )
-def test_figures_are_those_of_table_2_1(
-    scene: str, ratio: float, pixel: float, per_pixel: float
-) -> None:
+def test_figures_of_table_2_1(scene: str, ratio: float, pixel: float, per_pixel: float) -> None:
     made = plan(scene)
     assert value(made, "plane_spacing_ratio") == pytest.approx(ratio, abs=0.01)
     assert value(made, "pixel_center_mm") == pytest.approx(pixel, rel=1e-3)
@@ -234,9 +232,7 @@ def test_a_good_scene_has_no_warnings() -> None:
     assert plan("standard-particles").advice == ()
 
 
-def test_an_impossible_scene_gets_the_sentence_of_generate(
-    command: Command, tmp_path: Path
-) -> None:
+def test_an_impossible_scene_gets_generates_sentence(command: Command, tmp_path: Path) -> None:
     text = find("quick", "scenes").read_text(encoding="utf-8")
     file = tmp_path / "mine.toml"
     file.write_text(text.replace("[0.0, 0.0, 30.0]", "[0.0, 0.0, 3.0]"), encoding="utf-8")
@@ -399,9 +395,7 @@ def test_the_model_stops_at_the_edge_of_its_range() -> None:
         ({"calibration": {"shift_px": 3.0}}, "calibration"),
     ],
 )
-def test_a_plan_outside_the_range_says_so_and_by_how_much(
-    changes: dict[str, Any], key: str
-) -> None:
+def test_a_plan_outside_the_range_says_how_far(changes: dict[str, Any], key: str) -> None:
     scene = override(load_scene("standard-particles"), changes, "standard-particles")
     sentences = [
         one.sentence

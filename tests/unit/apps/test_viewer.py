@@ -301,7 +301,7 @@ def test_unknown_velocities_come_from_positions_and_known_ones_stay() -> None:
     assert np.isnan(first.velocity_mm_s).all()  # the clouds stay as they were
 
 
-def test_thinning_keeps_trajectories_intact_and_the_share_of_each_kind(
+def test_thinning_keeps_trajectories_and_shares_of_kinds(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(points, "IN_FRAME", 5000)

@@ -71,7 +71,7 @@ def test_a_list_can_be_filtered(command: Command) -> None:
     assert "--kind: expected one of" in command("list", "--kind", "solvers").stderr
 
 
-def test_a_broken_plug_in_is_one_warning(
+def test_a_broken_plug_in(
     command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = command("list").stdout

@@ -59,9 +59,7 @@ def test_shuffled_batches_depend_on_the_seed_alone(samples: SampleSet) -> None:
     assert order(shuffle=1, start=2) == order(shuffle=1)[8:]
 
 
-def test_a_shuffled_epoch_opens_each_file_once(
-    samples: SampleSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_epoch_opens_files_once(samples: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sample_set, "_OPEN", 2)
     fresh = sabench.open_samples(samples.root)
     closed: list[str] = []

@@ -384,9 +384,7 @@ BAD: list[tuple[str, Make, str]] = [
 
 
 @pytest.mark.parametrize(("name", "make", "words"), BAD, ids=[name for name, *_ in BAD])
-def test_what_no_honest_archive_has_is_refused(
-    tmp_path: Path, name: str, make: Make, words: str
-) -> None:
+def test_dishonest_archives_are_refused(tmp_path: Path, name: str, make: Make, words: str) -> None:
     path = make(tmp_path / name)
     with pytest.raises(InputError, match=words), submitted_files(path):
         pytest.fail("it was opened")

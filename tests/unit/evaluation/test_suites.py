@@ -67,9 +67,7 @@ def test_the_interval_holds_the_true_mean_as_often_as_it_says() -> None:
 # Suites
 
 
-def test_many_equal_names_are_refused_before_a_scene_is_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_equal_names_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sabench.evaluation.suite_loading.load_scene", None)
     with pytest.raises(InputError, match="500 cases are named standard-particles"):
         load(tmp_path, f"scenes = {['standard-particles'] * 500}\n")

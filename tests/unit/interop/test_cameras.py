@@ -265,9 +265,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("name", "text", "sentence"), BROKEN)
-def test_a_broken_project_is_one_sentence(
-    name: str, text: str | None, sentence: str, tmp_path: Path
-) -> None:
+def test_a_broken_project(name: str, text: str | None, sentence: str, tmp_path: Path) -> None:
     root = openptv_project(tmp_path / "out")
     (root / name).unlink()
     if text is not None:
@@ -426,7 +424,7 @@ OPTICS_IDS = ["ideal", "distorted", "tilted sensor"]
 
 @pytest.mark.parametrize(("lens", "tilt"), OPTICS, ids=OPTICS_IDS)
 @pytest.mark.parametrize("kind", ["glass", "none", "bare", "two layers", "tilted"])
-def test_openlpt_projects_as_we_do(
+def test_openlpt_agrees(
     kind: str, lens: Distortion, tilt: tuple[float, float], tmp_path: Path
 ) -> None:
     lpt = pytest.importorskip("pyopenlpt")
@@ -449,7 +447,7 @@ def test_openlpt_projects_as_we_do(
 
 @pytest.mark.parametrize(("lens", "tilt"), OPTICS, ids=OPTICS_IDS)
 @pytest.mark.parametrize("kind", ["glass", "none", "bare", "tilted"])
-def test_openptv_projects_as_we_do(
+def test_openptv_agrees(
     kind: str, lens: Distortion, tilt: tuple[float, float], tmp_path: Path
 ) -> None:
     pytest.importorskip("optv")
@@ -539,9 +537,7 @@ CRASHES = [
 
 
 @pytest.mark.parametrize(("code", "said"), CRASHES)
-def test_a_crash_is_a_sentence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, said: str
-) -> None:
+def test_crashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, said: str) -> None:
     (tmp_path / "crashes.py").write_text(code, encoding="utf-8")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     with pytest.raises(

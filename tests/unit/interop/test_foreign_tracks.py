@@ -189,9 +189,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("form", "text", "sentence"), BROKEN)
-def test_broken_files_are_one_sentence(
-    form: TrackFormat, text: str, sentence: str, tmp_path: Path
-) -> None:
+def test_broken_files(form: TrackFormat, text: str, sentence: str, tmp_path: Path) -> None:
     (tmp_path / "found").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=sentence) as error:
         read_quietly(tmp_path / "found", form)

@@ -181,9 +181,7 @@ def test_a_camera_outside_its_margin_shows_nothing_of_that_pulse(tmp_path: Path)
         ({"pulses_s": [0.0, 5e-4], "skew_s": skews()}, 2e-3, r"camera_00 that also holds a pulse"),
     ],
 )
-def test_faults_are_told_in_one_sentence(
-    timing: dict[str, Any], exposure_s: float, fault: str
-) -> None:
+def test_faults_are_one_sentence(timing: dict[str, Any], exposure_s: float, fault: str) -> None:
     with pytest.raises(InputError, match=fault):
         build_rig(scene(timing, exposure_s))
 

@@ -88,9 +88,7 @@ def test_a_view_with_one_bit_wrong_in_a_picture_is_not_there(tmp_path: Path, fil
 @pytest.mark.parametrize(
     "file", ["views/0003-a.npz", "images/frame_0003/a.exr", "images/frame_0003/a.tif"]
 )
-def test_a_view_of_which_a_file_is_torn_or_missing_is_not_there_and_can_be_made_again(
-    tmp_path: Path, file: str
-) -> None:
+def test_a_view_with_a_torn_or_missing_file_is_made_again(tmp_path: Path, file: str) -> None:
     parts, path = Parts(tmp_path), tmp_path / file
     parts.put_view(3, "a", taken())
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])

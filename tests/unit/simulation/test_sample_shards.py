@@ -145,9 +145,7 @@ def test_shards_of_something_else_are_not_resumed(
         assert len(make(tmp_path / "set", overwrite=True, **change)) == COUNT
 
 
-def test_another_version_of_the_code_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_versions_of_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begin(tmp_path, monkeypatch)
     monkeypatch.setattr(recording_parts, "code_hash", lambda: "0" * 64)
     with pytest.raises(InputError, match="another version of sabench or of a library"):

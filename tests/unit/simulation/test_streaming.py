@@ -226,7 +226,7 @@ def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_stream_of_another_scene_seed_or_version_is_refused(
+def test_a_stream_of_other_scene_or_version_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene, other = make_scene(), make_scene(sensor={"read_noise_e": 2.0})

@@ -483,7 +483,7 @@ def test_surfaces_are_met_to_single_precision_from_far_away() -> None:
 
 
 @pytest.mark.slow
-def test_rays_that_are_given_up_between_the_walls_would_have_found_nothing(
+def test_rays_given_up_between_walls_find_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Total reflection from wall to wall ends in darkness: the same image with these rays."""
@@ -504,7 +504,7 @@ def test_rays_that_are_given_up_between_the_walls_would_have_found_nothing(
     np.testing.assert_allclose(slow.photons, fast.photons, rtol=1e-5, atol=1e-6 * FULL)
 
 
-def test_light_from_behind_is_followed_where_no_wall_is_there(
+def test_light_from_behind_is_followed_without_wall(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Light that the front wall reflects totally may still come from the diffuser."""

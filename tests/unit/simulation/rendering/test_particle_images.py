@@ -201,7 +201,7 @@ def test_shape_moves_the_image_by_its_width() -> None:
 @pytest.mark.parametrize(
     "forward", [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)]
 )
-def test_width_does_not_depend_on_where_the_world_points(
+def test_width_does_not_depend_on_world_axes(
     forward: tuple[float, float, float],
 ) -> None:
     scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})

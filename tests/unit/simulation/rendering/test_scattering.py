@@ -37,9 +37,7 @@ def direct(diameters: F64, angles: F64, half: float, in_plane: F64) -> F64:
 
 @pytest.mark.parametrize(("median", "spread"), [(0.02, 0.3), (0.05, 0.1), (0.002, 0.3)])
 @pytest.mark.parametrize("half", [0.0, 0.0025, 0.02])
-def test_single_particles_scatter_as_their_own_series(
-    median: float, spread: float, half: float
-) -> None:
+def test_single_particles_scatter_by_series(median: float, spread: float, half: float) -> None:
     rng = np.random.default_rng(1)
     diameters = on_lattice(median * np.exp(spread * rng.standard_normal(60)))
     angles, in_plane = np.deg2rad(rng.uniform(60.0, 120.0, 60)), rng.random(60)
