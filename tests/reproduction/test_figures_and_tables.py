@@ -276,9 +276,8 @@ def test_a_tilt_is_found_within_its_statistical_error_and_removed() -> None:
     for seed in range(20):
         upright = cloud(seed, count)
         tilted = straighten(upright, np.zeros(3), (0.0, 0.0)) + impact
-        back = straighten(
-            tilted, impact, tilt
-        )  # rotates by the inverse: a jet tilted the other way
+        # rotates by the inverse: a jet tilted the other way
+        back = straighten(tilted, impact, tilt)
         own.append(find_tilt(back, impact))
     mean, scatter = np.mean(own, axis=0), np.std(own, axis=0, ddof=1)
     expected = np.rad2deg(0.1 / np.sqrt(count))

@@ -24,14 +24,8 @@ HOSTILE = "</script><script>alert(1)</script><!--<script>"
 def record(solver: str, q: float | None = None, **changes: Any) -> Record:
     scores = dict.fromkeys(
         (
-            "q",
-            "true_percent",
-            "ghost_percent",
-            "precision",
-            "recall",
-            "rms_px",
-            "seconds",
-            "peak_mb",
+            *("q", "true_percent", "ghost_percent", "precision", "recall", "rms_px"),
+            *("seconds", "peak_mb"),
         )
     )
     return {
@@ -86,9 +80,6 @@ def draw(folder: Path, names: list[str]) -> None:
         (folder / name).write_bytes(
             pictures.slice_picture(volume, (slice(0, 9), slice(2, 28), slice(3, 37)))
         )
-
-
-# The page as text
 
 
 def test_no_text_of_a_record_is_markup(tmp_path: Path) -> None:
@@ -337,12 +328,6 @@ def test_one_command_makes_all_seeds_again(texts: list[str | None], expected: li
     assert page_content.commands(runs) == expected
 
 
-# Colours: WCAG 2.1, success criteria 1.4.3 and 1.4.11
-
-
-# Pictures
-
-
 def decoded(data: bytes) -> Any:
     import cv2
 
@@ -398,6 +383,3 @@ def test_the_truth_has_no_errors_and_nothing_misses_all(scale: float) -> None:
         bgr(pictures.error_slice(np.zeros_like(truth), truth, scored)), -1, 0
     )
     assert (blue > red).all()
-
-
-# The curve over the matching distance

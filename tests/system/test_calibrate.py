@@ -131,9 +131,8 @@ def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
         [own.center_mm[2] - true.center_mm[2] for own, true in zip(made, cameras, strict=True)]
     )
     assert abs(depth) < 0.5
-    assert (
-        true_error_px(made, points, exact) < 40.0
-    )  # turned about the normal, which one known point leaves open
+    # turned about the normal, which one known point leaves open
+    assert true_error_px(made, points, exact) < 40.0
     assert (tmp_path / "mine/result/errors.png").read_bytes().startswith(b"\x89PNG")
     assert command("calibrate", "mine").returncode == 2  # the result is there
     again = succeed(command("calibrate", "mine", "--overwrite"))

@@ -76,9 +76,8 @@ def test_missing_points_and_hidden_boards_are_normal(name: str) -> None:
     assert 0.6 < case.found.mean() < 0.9
     answer = solved(name, case)
     places = points if answer.points_mm is None else answer.points_mm
-    assert (
-        true_error_px(answer.cameras, places, exact) < 3.0 * MOST[name]
-    )  # polynomials go on into what is hidden
+    # polynomials go on into what is hidden
+    assert true_error_px(answer.cameras, places, exact) < 3.0 * MOST[name]
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -220,9 +219,8 @@ def test_a_suite_of_calibrations_leaves_a_page(command: Command, tmp_path: Path)
         '"polynomial_planes" }]\n'
     )
     done = command("run", "suite.toml")
-    assert done.returncode == 0, (
-        done.stderr
-    )  # polynomial_planes declines tilted boards, which is no fault
+    # polynomial_planes declines tilted boards, which is no fault
+    assert done.returncode == 0, done.stderr
     assert "polynomial_planes declines this case: expected frames of one Z each" in " ".join(
         done.stderr.split()
     )

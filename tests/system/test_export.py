@@ -292,9 +292,8 @@ def test_found_bubbles_say_what_they_are(bubbly: Dataset, tmp_path: Path) -> Non
     true = bubbly.bubbles(0)
     shift = np.array([0.05, 0.0, -0.1])
     order = np.array([4, 0, 2])
-    center = np.concatenate(
-        [true.center_mm[order] + shift, [[0.0, 0.0, 20.0]]]
-    )  # three of them, and a ghost
+    # three of them, and a ghost
+    center = np.concatenate([true.center_mm[order] + shift, [[0.0, 0.0, 20.0]]])
     found = Detections.balls(center, np.append(true.radius_mm[order] * 1.1, 0.5))
     for name, detections in {
         "some": found,

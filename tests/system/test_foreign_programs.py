@@ -25,13 +25,7 @@ from tests.conftest import Command
 from tests.helpers.commands import succeed
 
 TRACKS: tuple[TrackFormat, ...] = (
-    "openptv",
-    "myptv",
-    "openlpt",
-    "lpt-challenge",
-    "netcdf",
-    "mat",
-    "csv",
+    *("openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"),
 )
 
 

@@ -312,8 +312,7 @@ def test_particles_are_followed_and_ghosts_end() -> None:
     for shot, one in zip(shots, found, strict=True):
         counts = count(shot, one)
         assert counts.truths > 300
-        assert counts.recall > 0.99
-        assert counts.precision > 0.99
+        assert min(counts.recall, counts.precision) > 0.99
     assert joined(shots, found) > 0.99
 
 

@@ -133,10 +133,7 @@ def folder(busy: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, camera in enumerate(busy.setup.cameras):
         (out / camera.name).mkdir()
         for frame in range(4):
-            cv2.imwrite(
-                str(out / camera.name / f"{frame}.png"),
-                busy.raw_image(number, frame),
-            )
+            cv2.imwrite(str(out / camera.name / f"{frame}.png"), busy.raw_image(number, frame))
     return out
 
 
@@ -158,10 +155,7 @@ def test_equal_images_have_equal_figures(busy: Dataset, folder: Path, command: C
 
 def test_figures_are_those_of_the_scene(busy: Dataset) -> None:
     found = measure_dataset(busy, 4).medians()
-    sensor, scale = (
-        busy.scene.sensor,
-        255.0 / busy.setup.sensor.white_dn,
-    )
+    sensor, scale = (busy.scene.sensor, 255.0 / busy.setup.sensor.white_dn)
     noise = scale * np.hypot(sensor.gain_dn_e * 20.0, 12**-0.5)
     assert found["temporal"] == pytest.approx(noise, rel=0.15)
     assert found["fixed_near"] == pytest.approx(scale * sensor.gain_dn_e * 40.0, rel=0.15)

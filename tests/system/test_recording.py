@@ -153,16 +153,7 @@ def test_a_frame_that_breaks_is_reported_alone(tmp_path: Path, own_process: Comm
     }
     (tmp_path / "s.toml").write_text(tomli_w.dumps(values))
     words = (
-        "generate",
-        "s.toml",
-        "-o",
-        "set",
-        "--backend",
-        "splat",
-        "--frames",
-        "3",
-        "--jobs",
-        "2",
+        *("generate", "s.toml", "-o", "set", "--backend", "splat", "--frames", "3", "--jobs", "2"),
     )
     environment = {"SABENCH_PLUGINS": str(tmp_path / "mine")}
     done = own_process(*words, env=environment)

@@ -40,12 +40,8 @@ SHEAR = np.array([[0.3, 1.0, 0.0], [-0.5, 0.2, 0.0], [0.0, 0.0, 0.0]])
 PARTICLES = ["ray_triangulation", "shake_the_box", "optv"]
 TOMOGRAPHY = ["block_mart", "mart", "mfg_mart", "mlos_sart", "mlos_smart", "smart"]
 CALIBRATIONS = [
-    "linear_autocal",
-    "pinhole_linear",
-    "refractive_autocal",
-    "refractive_autocal_alternating",
-    "refractive_autocal_randomised",
-    "refractive_resection",
+    *("linear_autocal", "pinhole_linear", "refractive_autocal", "refractive_autocal_alternating"),
+    *("refractive_autocal_randomised", "refractive_resection"),
 ]
 PLANES = ["asa", "local_feature", "map_shift_average", "minimum_image", "msa", "see_through"]
 

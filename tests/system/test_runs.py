@@ -107,15 +107,7 @@ def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command
     ]
     words = shlex.split(before[3]["command"])
     assert words == [
-        "sabench",
-        "run",
-        "s.toml",
-        "--case",
-        "few",
-        "--seed",
-        "2",
-        "--solver",
-        "sharp one",
+        *("sabench", "run", "s.toml", "--case", "few", "--seed", "2", "--solver", "sharp one"),
     ]
     assert command(*words[1:], "--fresh").returncode == 0
     anew = lines(tmp_path)[4:]
@@ -241,6 +233,5 @@ def test_a_suite_ends_in_means_and_leaves_no_data(command: Command, tmp_path: Pa
         "particles.count 100",
         "particles.count 200",
     ]
-    assert [len(row["scores"][0]) for row in data["rows"]] == [2] * len(
-        data["rows"]
-    )  # a mean and its half width
+    # a mean and its half width
+    assert [len(row["scores"][0]) for row in data["rows"]] == [2] * len(data["rows"])

@@ -22,6 +22,7 @@ from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from tests.conftest import pinholes
 
+# least Q in air
 SOLVERS = {
     "mlos_sart": 0.82,
     "mlos_smart": 0.92,
@@ -29,7 +30,7 @@ SOLVERS = {
     "block_mart": 0.93,
     "mart": 0.93,
     "mfg_mart": 0.93,
-}  # least Q in air
+}
 
 
 def scene_of(wall: bool) -> Scene:
@@ -209,9 +210,7 @@ def test_flaws_cost_next_to_nothing(name: str, shots: dict[float, Shot]) -> None
         assert float(scores[whole]) > float(clean[whole]) - loss, flaws
 
 
-def test_preprocessing_keeps_hot_pixels_and_reflections_apart(
-    shots: dict[float, Shot],
-) -> None:
+def test_preprocessing_keeps_hot_pixels_and_reflections_apart(shots: dict[float, Shot]) -> None:
     case = dict(cases_of(shots[0.05], 2))["all"]
     nominal = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
     steps = (SlidingMinimum(step="sliding_minimum"), Gaussian(step="gaussian"))

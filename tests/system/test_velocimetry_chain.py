@@ -132,10 +132,11 @@ def test_one_command_and_the_page(command: Command, tmp_path: Path) -> None:
     page = (tmp_path / "leaderboard" / "index.html").read_text(encoding="utf-8")
     assert block(page)["rows"][0]["scores"][0] == [pytest.approx(record["rms_voxel"], rel=1e-8)]
     assert block(page)["tasks"]["velocimetry"]["pictured"]["heading"] == "Fields"
+    # particles are no truth to show beside fields
     assert set(block(page, "album0")) == {
         "images",
         "row0",
-    }  # particles are no truth to show beside fields
+    }
     data = open_dataset(next((tmp_path / "work" / "datasets").iterdir()))
     assert data.setup.times_s == (0.0, 0.001)
 

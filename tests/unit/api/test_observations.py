@@ -102,9 +102,10 @@ def test_a_grid_out_of_view_is_refused(case: Observation) -> None:
             "d: frame 0: grid: expected it in view of at least one camera, but no camera of "
             "4 sees any of it"
         )
+    # a row that begins in view
     TASK.check_case(
         replace(case, grid=Grid((3.0, 0.0, 30.0), grid.voxel_mm, (1, 1, 300))), "d: frame 0"
-    )  # a row that begins in view
+    )
 
 
 def test_a_grid_that_does_not_fit_is_refused_before_it_is_allocated(

@@ -239,9 +239,8 @@ def test_vectors_are_measured_interpolated_and_true(moving: Dataset) -> None:
     assert measured.position_mm[5] == pytest.approx([2.0, 1.0, 30.0])
     assert measured.velocity_mm_s == pytest.approx(np.full((6, 3), 4.0))
     true = cloud.select(cloud.kind == TRUE)
-    assert true.velocity_mm_s == pytest.approx(
-        np.zeros((6, 3))
-    )  # the scene's particles are at rest
+    # the scene's particles are at rest
+    assert true.velocity_mm_s == pytest.approx(np.zeros((6, 3)))
 
 
 def test_a_target_without_images_shows_its_points(tmp_path: Path) -> None:
@@ -301,9 +300,7 @@ def test_unknown_velocities_come_from_positions_and_known_ones_stay() -> None:
     assert np.isnan(first.velocity_mm_s).all()  # the clouds stay as they were
 
 
-def test_thinning_keeps_trajectories_and_shares_of_kinds(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_thinning_keeps_trajectories_and_shares_of_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(points, "IN_FRAME", 5000)
     monkeypatch.setattr(points, "IN_ALL", 8000)
     rng = np.random.default_rng(2)

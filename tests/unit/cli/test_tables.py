@@ -28,9 +28,7 @@ def test_one_wide_row_is_transposed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.usefixtures("narrow")
-def test_wide_rows_are_split_and_parts_name_rows(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_wide_rows_are_split_and_parts_name_rows(capsys: pytest.CaptureFixture[str]) -> None:
     tables.show(HEADINGS, [row("one"), row("two")], keys=2)
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80

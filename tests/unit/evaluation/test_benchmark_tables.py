@@ -14,7 +14,6 @@ from scipy import stats
 import sabench.evaluation.timed_solving  # noqa: F401 - names what the server loads
 from benchmarks import (
     false_alarms,
-    particle_tables,
     quality_without_truth,
     realism,
     standard_tables,
@@ -154,10 +153,6 @@ def test_several_seeds_have_a_mean_and_an_interval() -> None:
     assert row == {"own": "0.95 ± 0.64"}  # t = 12.7 times the standard error
 
 
-def test_no_records_are_no_rows(tmp_path: Path) -> None:
-    assert not any(standard_tables.read_tables([tmp_path]).values())
-
-
 def test_the_bundled_records_are_of_the_present_version() -> None:
     found = standard_tables.read_tables([ROOT / "leaderboard" / "records"])
     assert all(found.values())
@@ -182,41 +177,6 @@ def test_the_best_solver_in_clean_images_comes_first() -> None:
     lines = realism.table(SCORES, ["clean", "mie"]).splitlines()
     assert lines[0] == "| effect | `good` | `bad` |"
     assert [line.split(" | ")[0] for line in lines[2:]] == ["| clean: the score", "| mie"]
-
-
-def test_both_families_have_the_same_effects() -> None:
-    assert realism.effects_of("volume") == realism.effects_of("particle")
-    assert realism.effects_of("volume")[0] == "clean"
-
-
-def test_no_records_are_no_scores(tmp_path: Path) -> None:
-    assert realism.read_scores([tmp_path], "volume", "q") == {}
-
-
-SEVERAL = [
-    {"case": "hard", "solver": "one", "label": None, "seed": 1, "f1": 0.5},
-    {"case": "easy", "solver": "one", "label": None, "seed": 1, "f1": 0.9},
-    {"case": "easy", "solver": "two", "label": "own", "seed": 1, "f1": None},
-    {"case": "other", "solver": "one", "label": None, "seed": 1, "f1": 0.1},
-]
-
-
-def test_rows_are_in_the_order_of_the_suite_and_cells_are_means() -> None:
-    lines = realism.table(
-        particle_tables.collect(SEVERAL, ["easy", "missing", "hard"], "f1", 3)
-    ).splitlines()
-    assert lines == [
-        "| case | one | own |",
-        "|---|---|---|",
-        "| easy | 0.900 | - |",
-        "| hard | 0.500 | - |",
-    ]
-    twice = [
-        *SEVERAL,
-        {"case": "easy", "solver": "one", "label": None, "seed": 2, "f1": 0.7},
-    ]
-    cell = particle_tables.collect(twice, ["easy"], "f1", 3)["easy"]["one"]
-    assert cell.startswith("0.800 ± ")
 
 
 def test_the_record_has_every_sensor() -> None:

@@ -105,9 +105,8 @@ def test_only_what_is_beyond_its_tolerance_is_told() -> None:
     assert found(before, case(msa=entry(q=0.7921, rms_px=0.2))) == []
     assert found(before, case(msa=entry(q=0.7919, rms_px=0.2))) == [("q", True)]
     assert found(before, case(msa=entry(q=0.8081, rms_px=0.2))) == [("q", False)]
-    assert found(before, case(msa=entry(q=0.8, rms_px=0.3))) == [
-        ("rms_px", True)
-    ]  # no tolerance of its own: the rule's
+    # no tolerance of its own: the rule's
+    assert found(before, case(msa=entry(q=0.8, rms_px=0.3))) == [("rms_px", True)]
 
 
 def test_an_absolute_tolerance_holds_where_the_relative_one_is_smaller() -> None:

@@ -408,7 +408,7 @@ def test_links_in_folders(tmp_path: Path) -> None:
         pytest.fail("it was opened")
 
 
-RECORDS = Path(__file__).resolve().parents[4] / "leaderboard" / "records"
+RECORDS = Path(__file__).resolve().parents[3] / "leaderboard" / "records"
 
 
 def found(records: list[Record]) -> list[tuple[str, list[tuple[float, str]]]]:

@@ -27,13 +27,7 @@ CAMERAS, GRID, _ = rig("particle-tracking")
 TIMES = (0.0, 0.25, 0.5)
 RECORDING = Recording(CAMERAS, TIMES)
 FORMATS: tuple[TrackFormat, ...] = (
-    "openptv",
-    "myptv",
-    "openlpt",
-    "lpt-challenge",
-    "netcdf",
-    "mat",
-    "csv",
+    *("openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"),
 )
 
 

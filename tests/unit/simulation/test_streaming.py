@@ -226,9 +226,7 @@ def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_stream_of_other_scene_or_version_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_stream_of_other_scene_or_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, other = make_scene(), make_scene(sensor={"read_noise_e": 2.0})
     key = stream_key(scene, seed=3)
     next(stream(scene, seed=3, start=5, key=key))

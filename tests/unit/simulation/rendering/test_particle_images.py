@@ -65,9 +65,8 @@ def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24)
             )
             passed = paths((inner + outer) / 2.0, (first + last) / 2.0)[1]
             total += passed * (solid_angle_of(a, b, c) + solid_angle_of(a, c, d))
-    return (
-        total * (2.0 * np.pi / sectors) / math.sin(2.0 * np.pi / sectors)
-    )  # chords leave out a share of the disc
+    # chords leave out a share of the disc
+    return total * (2.0 * np.pi / sectors) / math.sin(2.0 * np.pi / sectors)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -116,9 +115,8 @@ def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
             arriving = trace_to_points(
                 moved.wall, np.asarray(moved.center_mm), particles.position_mm
             ).arriving[0]
-            angles.append(
-                math.acos(-arriving[0])
-            )  # the laser runs along +X, the light towards the camera
+            # the laser runs along +X, the light towards the camera
+            angles.append(math.acos(-arriving[0]))
         amplitudes = miepython.S1_S2(
             1.59 / 1.333, np.pi * 1.333 * diameter / WAVELENGTH_MM, np.cos(angles), norm="wiscombe"
         )
@@ -201,9 +199,7 @@ def test_shape_moves_the_image_by_its_width() -> None:
 @pytest.mark.parametrize(
     "forward", [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)]
 )
-def test_width_does_not_depend_on_world_axes(
-    forward: tuple[float, float, float],
-) -> None:
+def test_width_does_not_depend_on_world_axes(forward: tuple[float, float, float]) -> None:
     scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
     camera = replace(
         build_rig(scene).cameras[0],

@@ -21,9 +21,8 @@ def test_a_contour_is_where_lines_of_sight_touch() -> None:
         nearest = np.linalg.norm(
             p - (np.sum(p * d, axis=1) / np.sum(d * d, axis=1))[:, None] * d, axis=1
         )
-        np.testing.assert_allclose(
-            nearest, 1.0, atol=2e-4
-        )  # contours are stored in single precision
+        # contours are stored in single precision
+        np.testing.assert_allclose(nearest, 1.0, atol=2e-4)
         inwards = seen.pixel[n] + 0.98 * (seen.contour[n] - seen.pixel[n])
         assert meets(
             what[np.array([n])],

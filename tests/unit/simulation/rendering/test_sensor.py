@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numba
 import numpy as np
@@ -50,23 +51,8 @@ def chi_square(observed: F64, expected: F64) -> float:
 @pytest.mark.parametrize(
     "mean",
     [
-        1e-3,
-        0.1,
-        0.1249,
-        0.125,
-        0.3,
-        0.7,
-        1.0,
-        3.3,
-        9.999,
-        10.0,
-        10.5,
-        15.9,
-        40.0,
-        300.0,
-        1e4,
-        1e5,
-        1e6,
+        *(1e-3, 0.1, 0.1249, 0.125, 0.3, 0.7, 1.0, 3.3, 9.999, 10.0, 10.5, 15.9, 40.0, 300.0, 1e4),
+        *(1e5, 1e6),
     ],
 )
 def test_electrons_have_poissons_distribution(mean: float) -> None:
@@ -392,6 +378,5 @@ def test_cameras_have_patterns_of_their_own() -> None:
     ],
 )
 def test_flaws_beyond_the_range_are_refused(flaws: dict[str, float], said: str) -> None:
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=re.escape(said)):
         sensor_with(**flaws)
-    assert said in str(error.value)

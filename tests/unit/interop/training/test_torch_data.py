@@ -1,4 +1,4 @@
-"""Data sets for training: PyTorch, JAX and Hugging Face."""
+"""Samples through PyTorch's own loaders, with workers and without."""
 
 from __future__ import annotations
 
@@ -68,47 +68,3 @@ def test_images_go_to_torch_without_a_copy(samples: SampleSet) -> None:
     tensor = torch.from_dlpack(images)
     images[0, 0, 0, 0, 0] = 4321
     assert int(tensor[0, 0, 0, 0, 0]) == 4321
-
-
-jax: Any = pytest.importorskip("jax", reason="JAX is not installed")
-
-from sabench.interop.training.jax_data import jax_batches  # noqa: E402
-
-
-def test_batches_go_through_one_compiled_step(tmp_path: Any) -> None:
-    samples = make(tmp_path / "set")
-    traced = []
-
-    @jax.jit
-    def mean(batch: Any) -> Any:
-        traced.append(1)
-        return batch["images"].astype("float32").mean() + batch["position_mm"].sum()
-
-    own = samples.split("train")
-    batches = list(jax_batches(own.batches(3), 50))
-    values = [float(mean(one)) for one in batches]
-    assert len(traced) == (1 if len(own) % 3 == 0 else 2)
-    first = next(own.batches(3))
-    expected = first.images.mean() + first.arrays(50)["position_mm"].sum()
-    assert values[0] == pytest.approx(expected, rel=1e-5)
-    np.testing.assert_array_equal(batches[0]["images"], first.images)
-
-
-datasets: Any = pytest.importorskip("datasets", reason="the package datasets is not installed")
-
-from sabench.interop.training.hugging_face import hugging_face_samples  # noqa: E402
-
-
-def test_samples_are_read_in_their_order(tmp_path: Any) -> None:
-    samples = make(tmp_path / "set").split("train")
-    given = hugging_face_samples(samples, 50)
-    assert given.features["images"].shape == (2, 4, 48, 64)
-    rows = list(given.with_format("numpy"))
-    assert [int(one["number"]) for one in rows] == [one.number for one in samples]
-    np.testing.assert_array_equal(rows[3]["images"], samples[3].images)
-    there = rows[3]["present"][1]
-    own = samples[3].particles[1].position_mm
-    np.testing.assert_allclose(rows[3]["position_mm"][1][there], own, rtol=1e-6)
-    again = given.skip(2).take(1).map(lambda one: {"bright": np.max(one["images"])})
-    assert next(iter(again))["bright"] == samples[2].images.max()
-    assert given.num_shards == len(samples)
