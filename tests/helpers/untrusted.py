@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import shutil
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +14,24 @@ from typing import Any, get_args
 import numpy as np
 import tomli_w
 
+from sabench import tasks
 from sabench.api import Detections, Velocity
 from sabench.api.solvers import TaskName
 from sabench.dataset import schema
+from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
-from sabench.scenes import Scene, parse_scene
+from sabench.dataset.verification import probe, probe_dataset, verify
+from sabench.evaluation.leaderboard.submissions import submit
+from sabench.evaluation.runner import build_board
+from sabench.evaluation.suite_loading import load_suite
+from sabench.interop.export import export
+from sabench.scenes import Scene, load_scene, parse_scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.external_programs import Account, adopt
+from sabench.tasks.solve_and_score import score, solve, solve_at_desk
 from sabench.utils.errors import InputError
+from sabench.utils.files import sha256
 from tests.helpers import mutations, untrusted_files
 from tests.helpers.bubble_scenes import small
 
@@ -151,8 +163,6 @@ class Base:
 
 
 def make_base(root: Path) -> Base:
-    from sabench.simulation.pipeline import generate
-
     made = [
         generate(parse_scene(scene, name), root / name, seed=1, backend="splat", name=name)
         for scene, name in ((SCENE, "particles"), (TARGETS, "target"))
@@ -194,8 +204,6 @@ def make_base(root: Path) -> Base:
 
 
 def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
-    from sabench import tasks
-
     rng = np.random.default_rng(1 + frame)
     if task == "bubbles":
         balls = Detections.balls(
@@ -209,8 +217,6 @@ def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
 
 
 def _result(task: TaskName, data: Dataset, path: Path) -> Path:
-    from sabench import tasks
-
     with result_writer(path, data, "made", task, {"k": 1}) as writer:
         for frame in tasks.of(task).frames(data):
             writer.add(_estimate(task, data, frame), frame)
@@ -218,7 +224,7 @@ def _result(task: TaskName, data: Dataset, path: Path) -> Path:
     return path
 
 
-Feed = Callable[[], None]
+Feed = Callable[[], object]
 Case = Callable[[Base, Path, Path, random.Random], Feed]
 
 
@@ -232,9 +238,6 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     write_toml(path, whole, rng)
 
     def feed() -> None:
-        from sabench.scenes import load_scene
-        from sabench.simulation.pipeline import generate
-
         loaded = load_scene(path)
         if loaded.illumination is not None and loaded.illumination.scattering == "mie":
             return  # its table takes seconds
@@ -288,13 +291,7 @@ def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     program.write_text("#!/bin/sh\nexit 3\n")
     program.chmod(0o755)
     write_toml(inputs / "suite.toml", SUITE, rng)
-
-    def feed() -> None:
-        from sabench.evaluation.suite_loading import load_suite
-
-        load_suite(inputs / "suite.toml")
-
-    return feed
+    return lambda: load_suite(inputs / "suite.toml")
 
 
 def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
@@ -317,17 +314,11 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         reseal(root)
 
     solved = _solved_as_users_do if rng.random() < 0.05 else _solved
-
-    def feed() -> None:
-        _all_of((_verified, _probed, _scored, solved, _exported), root, out)
-
-    return feed
+    return lambda: _all_of((_verified, _probed, _scored, solved, _exported), root, out)
 
 
 def blind(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     """Run `sabench verify` and `solve` on a damaged observation side, as participants do."""
-    from sabench.dataset.copies import copy_observation
-
     root = inputs / "set"
     root.mkdir()
     copy_observation(rng.choice((base.particles, base.target, base.code)), root)
@@ -336,11 +327,7 @@ def blind(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         reseal(root)
 
     solved = _solved_as_users_do if rng.random() < 0.05 else _solved
-
-    def feed() -> None:
-        _all_of((_verified, _probed, solved), root, out)
-
-    return feed
+    return lambda: _all_of((_verified, _probed, solved), root, out)
 
 
 def _damage(path: Path, rng: random.Random) -> None:
@@ -352,8 +339,6 @@ def _damage(path: Path, rng: random.Random) -> None:
     elif path.suffix == ".h5":
         mutations.hdf5(path, rng)
     elif path.suffix == ".toml":
-        import tomllib
-
         write_toml(path, tomllib.loads(path.read_text()), rng)
     elif path.suffix == ".tif" and rng.random() < 0.3:
         mutations.tiff(path, rng)
@@ -365,8 +350,6 @@ def _damage(path: Path, rng: random.Random) -> None:
 
 def reseal(root: Path) -> None:
     """Let the manifest, if it can still be read, say of all files what they are now."""
-    from sabench.utils.files import sha256
-
     try:
         manifest = json.loads((root / schema.MANIFEST).read_text())
         names = sorted(
@@ -403,8 +386,6 @@ def _all_of(steps: tuple[Callable[[Path, Path], None], ...], root: Path, out: Pa
 
 
 def _verified(root: Path, out: Path) -> None:
-    from sabench.dataset.verification import verify
-
     faults = verify(root)
     for fault in faults:
         check_sentence(fault)
@@ -413,36 +394,26 @@ def _verified(root: Path, out: Path) -> None:
 
 
 def _probed(root: Path, out: Path) -> None:
-    from sabench.dataset.verification import probe_dataset
-
     probe_dataset(root)
 
 
 def _scored(root: Path, out: Path) -> None:
-    from sabench.tasks.solve_and_score import score
-
     check_scores(score(root, "truth"))
 
 
 def _solved(root: Path, out: Path) -> None:
-    from sabench.tasks.solve_and_score import score
-
     solve_here(root, out / "result.h5")
     if open_dataset(root).has_truth:
         check_scores(score(root, out / "result.h5"))
 
 
 def _solved_as_users_do(root: Path, out: Path) -> None:
-    from sabench.tasks.solve_and_score import solve
-
     solver, parameters = _fast_solver(root)
     check_scores({"seconds": solve(solver, root, out / "child.h5", parameters=parameters).seconds})
 
 
 def solve_here(root: Path, out: Path) -> None:
     """Solve a data set by a fast solver, in this process: its child would take half a second."""
-    from sabench.tasks.solve_and_score import solve_at_desk
-
     solver, parameters = _fast_solver(root)
     solve_at_desk(solver, parameters, root, out, threads=None, isolated=False)
 
@@ -454,8 +425,6 @@ def _fast_solver(root: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _exported(root: Path, out: Path) -> None:
-    from sabench.interop.export import export
-
     export(root, out / "vtk")
 
 
@@ -471,23 +440,15 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         mutations.set_attribute(path, "dataset", data.content_hash)
 
     def scored(root: Path, out: Path) -> None:
-        from sabench.tasks.solve_and_score import score
-
         check_scores(score(root, path))
 
     def adopted(root: Path, out: Path) -> None:
-        from sabench.tasks.external_programs import Account, adopt
-
         adopt(path, root, out / "adopted.h5", Account("program", {}, True, 1.0, 2.0), False)
 
     def exported(root: Path, out: Path) -> None:
-        from sabench.interop.export import export
-
         export(root, out / "vtk", path)
 
     def feed() -> None:
-        from sabench.dataset.verification import probe
-
         probe(path)  # as both commands do before anything else
         _all_of((scored, adopted, exported), data.root, out)
 
@@ -526,8 +487,6 @@ def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         card.write_bytes(mutations.data(CARD, rng))
 
     def feed() -> None:
-        from sabench.evaluation.leaderboard.submissions import submit
-
         data = [base.particles.root, base.target.root, base.code.root]
         submit(path, name, data, out / "leaderboard", cards=cards)
 
@@ -546,13 +505,7 @@ def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     (folder / "a.jsonl").write_bytes(
         "\n".join(lines).encode("latin-1") + rng.choice((b"\n", b"", b"\n{"))
     )
-
-    def feed() -> None:
-        from sabench.evaluation.runner import build_board
-
-        build_board(out / "leaderboard")
-
-    return feed
+    return lambda: build_board(out / "leaderboard")
 
 
 KINDS: dict[str, Case] = {
