@@ -92,6 +92,13 @@ class Browser:
             next(iter(self.send("POST", "/element", {"using": "xpath", "value": path}).values()))
         )
 
+    def count(self, selector: str) -> int:
+        return int(self.ask(f"document.querySelectorAll('{selector}').length"))
+
+    def texts(self, selector: str) -> list[str]:
+        found = f"[...document.querySelectorAll('{selector}')].map(one => one.textContent)"
+        return list(self.ask(found))
+
     def press(self, path: str, key: str | None = None) -> None:
         self.send(
             "POST",

@@ -192,7 +192,7 @@ def test_details_and_the_command_are_there_to_be_copied(browser: Browser, page: 
     )
     assert browser.ask("navigator.clipboard.readText()") == "sabench run quick --solver ten"
     browser.press("//button[text()='details']")
-    assert browser.ask("document.querySelectorAll('tr.details').length") == 0
+    assert browser.count("tr.details") == 0
 
 
 # Filters and links
@@ -286,7 +286,7 @@ def labels(browser: Browser, plot: int) -> list[str]:
 
 def test_accuracy_against_time_has_points_with_tips(browser: Browser, graded: Path) -> None:
     browser.open(graded, LOG)
-    assert browser.ask("document.querySelectorAll('.plot').length") == 0
+    assert browser.count(".plot") == 0
     browser.press("//a[text()='Accuracy against time']")
     browser.wait(DRAWN)
     assert [label.split(",")[0] for label in labels(browser, 0)] == [
@@ -294,9 +294,7 @@ def test_accuracy_against_time_has_points_with_tips(browser: Browser, graded: Pa
         "b: Q 0.417 ± 0.038",
         "c: Q 0.530 ± 0.050",
     ]
-    assert browser.ask(
-        "[...document.querySelectorAll('.legend li')].map(item => item.textContent)"
-    ) == ["a", "b", "c"]
+    assert browser.texts(".legend li") == ["a", "b", "c"]
     assert (
         browser.ask(
             "new Set([...document.querySelectorAll('.legend path')].map(path => "
@@ -348,10 +346,7 @@ def test_pictures_come_with_their_case_only(browser: Browser, page: Path) -> Non
     browser.wait("document.querySelector('h2')?.textContent === 'tank'")
     assert browser.ask("document.activeElement.textContent") == "tank"
     assert (
-        browser.ask(
-            "[...document.querySelectorAll('#viewer option')].map(option => option.textContent)"
-        )
-        == ["truth", "add", "add: errors", "ten", "ten: errors"] * 2
+        browser.texts("#viewer option") == ["truth", "add", "add: errors", "ten", "ten: errors"] * 2
     )
     browser.wait("[...document.images].every(image => image.complete)")
     # two figures on top of each other, and the cameras
@@ -436,7 +431,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, large: Path) -> None:
     browser.open(large, LOG)
     assert browser.ask(STATUS) == "10000 of 10000 results"
-    assert browser.ask("document.querySelectorAll('*').length") < 1500
+    assert browser.count("*") < 1500
     browser.press(heading("Q"))
     first = browser.ask(
         "[...document.querySelectorAll('tbody tr')].map(row => "
@@ -456,7 +451,7 @@ def test_ten_thousand_records_make_a_small_page_of_elements(browser: Browser, la
     )
     assert browser.ask(STATUS) == "11 of 10000 results"
     assert re.fullmatch(r"#view=table&q=case-499\+solver_1&sort=q", browser.ask("location.hash"))
-    assert browser.ask("document.querySelectorAll('*').length") < 1500
+    assert browser.count("*") < 1500
     assert browser.complaints() == []
 
 
@@ -488,8 +483,7 @@ def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Pa
     assert browser.ask(SOLVERS) == ["c"]
     browser.press("//nav[@id='tasks']/a[2]")
     assert browser.ask(SOLVERS) == ["a", "b"]  # no ranks: in the order of their names
-    chips = "[...document.querySelectorAll('.chip')].map(one => one.textContent)"
-    assert browser.ask(chips) == ["recorded, no truth"] * 2
+    assert browser.texts(".chip") == ["recorded, no truth"] * 2
     browser.press(heading("explained"))
     browser.press(heading("explained"))
     assert browser.ask(SOLVERS) == ["b", "a"]

@@ -113,8 +113,7 @@ def test_the_page_opens_with_the_ranking(browser: Browser, page: Path) -> None:
     browser.open(page)
     assert browser.ask(PLACES) == [["1", "good"], ["1", "close"], ["3", EVIL], [DASH, "fair"]]
     assert browser.ask(RANKS) == [["=1"] * 3, ["=1"] * 3, ["4", "4", "3"], ["3", "3", DASH]]
-    bold = "[...document.querySelectorAll('.board b.score')].map(one => one.textContent)"
-    assert browser.ask(bold) == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
+    assert browser.texts(".board b.score") == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
     browser.wait(DRAWN)
     assert browser.complaints() == []
 
@@ -242,7 +241,7 @@ def test_without_scripts_a_static_table_is_there(browser: Browser, page: Path) -
     ]
     assert headers == ["good", "close", EVIL, "fair", "alone"]
     browser.open(page)
-    assert browser.ask("document.querySelectorAll('.static').length") == 0
+    assert browser.count(".static") == 0
 
 
 @pytest.mark.parametrize(("mode", "width"), [("light", 1400), ("dark", 390)])
