@@ -15,8 +15,6 @@ from sabench.evaluation.leaderboard import board, page_content
 from sabench.evaluation.record_schema import Record
 from sabench.plotting import pictures
 from sabench.tasks import NAMES
-from tests.conftest import Command
-from tests.helpers.commands import succeed
 
 HOSTILE = "</script><script>alert(1)</script><!--<script>"
 
@@ -255,29 +253,6 @@ def test_pictures_outside_the_folder_are_not_shown(tmp_path: Path, name: str) ->
     text = page_of([record("a", 0.5, pictures=name)], tmp_path)
     assert solvers(text) == ["a"]
     assert "album0" not in text
-
-
-BAD: list[dict[str, Any]] = [
-    {"reference_s": 1.7e308},
-    {"pictures": "../../etc"},
-    {"q": 2.5},
-    {"seconds": -1.0},
-    {"submission": {"name": "Ann", "date": "9999-99-99"}},
-]
-
-
-def test_bad_records_are_named_and_left_out(tmp_path: Path, command: Command) -> None:
-    folder = tmp_path / "leaderboard" / "records"
-    folder.mkdir(parents=True)
-    lines = [json.dumps(record("whole", 0.5) | changes).encode() for changes in ({}, *BAD)]
-    lines += [lines[0][:-1] + b', "seed": 7}', b'"\xff\xfe"', b"x" * 200_000]
-    (folder / "a.jsonl").write_bytes(b"\n".join([*lines, b""]))
-    done = succeed(command("board"))
-    assert solvers((tmp_path / "leaderboard" / "index.html").read_text()) == ["whole"]
-    warnings = [line for line in done.stderr.splitlines() if "is left out" in line]
-    assert [f": line {number} is left out" in line for number, line in enumerate(warnings, 2)] == [
-        True
-    ] * (len(lines) - 1)
 
 
 def test_the_bundled_pictures_are_those_of_the_bundled_records() -> None:

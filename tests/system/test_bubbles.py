@@ -53,17 +53,6 @@ def test_a_data_set_keeps_what_was_made(bubbly: Dataset) -> None:
 
 
 @pytest.mark.slow
-def test_the_same_seed_makes_the_same_bytes(tmp_path: Path) -> None:
-    scene = small(render={"relative_error": 0.2})
-    one, again, other = (
-        generate(scene, tmp_path / name, seed=seed).content_hash
-        for name, seed in (("one", 2), ("again", 2), ("other", 3))
-    )
-    assert again == one
-    assert other != one
-
-
-@pytest.mark.slow
 def test_the_truth_scores_one_and_nothing_scores_nothing(bubbly: Dataset) -> None:
     true, nothing = score(bubbly, "truth"), score(bubbly, "empty")
     assert true["task"] == "bubbles"
@@ -232,26 +221,6 @@ def test_what_cannot_be_is_said(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=sentence):
         generate(small(**change(tmp_path)), tmp_path / "data", seed=1)
     assert not (tmp_path / "data").exists()
-
-
-@pytest.mark.slow
-def test_a_suite_of_bubbles_ends_in_a_page(tmp_path: Path) -> None:
-    from sabench.evaluation.runner import run_suite
-
-    (tmp_path / "small.toml").write_text(
-        small(render={"relative_error": 0.05}).to_toml(), encoding="utf-8"
-    )
-    text = (
-        'title = "bubbles"\nscenes = ["small.toml"]\nbackend = "mitsuba"\nseeds = [2]\n'
-        '[[solvers]]\nname = "minimum_image"\n'
-    )
-    (tmp_path / "suite.toml").write_text(text, encoding="utf-8")
-    (record,) = run_suite(tmp_path / "suite.toml", tmp_path / "work", tmp_path / "board")
-    assert record["error"] is None
-    assert record["f1"] > 0.5
-    page = (tmp_path / "board" / "index.html").read_text(encoding="utf-8")
-    assert "Bubbles from the front and from the side" in page
-    assert "F1, large" in page
 
 
 @pytest.mark.parametrize(

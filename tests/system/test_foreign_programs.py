@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sabench.api import FoundParticles
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.interop.export import Format, export
@@ -151,23 +150,6 @@ def test_missing_frames_and_other_axes_are_said(tank: Dataset, tmp_path: Path) -
     (tmp_path / "found.csv").write_text(CSV + rows, encoding="utf-8")
     with pytest.warns(ForeignFormatWarning, match="0 % of the particles lie in the volume"):
         import_result(tank, tmp_path / "found.csv", tmp_path / "two.h5", "csv")
-
-
-def test_metres_are_taken_if_told(tank: Dataset, tmp_path: Path) -> None:
-    rows = "".join(f"{frame},1,0.001,0.002,0.030\n" for frame in range(6))
-    (tmp_path / "found.csv").write_text(CSV + rows, encoding="utf-8")
-    made = import_result(tank, tmp_path / "found.csv", tmp_path / "out.h5", "csv", unit="m")
-    assert (made.particles, made.trajectories) == (6, 1)
-    found = open_result(made.path, tank).read(FoundParticles)
-    assert found.position_mm.round(9).tolist() == [[1.0, 2.0, 30.0]]
-
-
-def test_an_impossible_export_is_one_sentence(tank: Dataset, truth: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="to: expected one of vtk, openptv"):
-        export(tank, tmp_path / "out", to="davis")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="exists already"):
-        export(tank, tank.root, truth, to="csv")
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("program", ["openptv", "openlpt", "myptv", "lpt-challenge"])

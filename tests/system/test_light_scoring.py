@@ -11,6 +11,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import sabench
 from sabench.dataset.reader import Dataset
 from sabench.utils.installed import FULL
@@ -62,14 +64,13 @@ def test_the_missing_modules_are_those_of_the_extra() -> None:
     assert project["optional-dependencies"]["score"] == []
 
 
-def test_reconstructions_are_scored(quick: Dataset, quick_result: Path) -> None:
+@pytest.mark.parametrize("solver", [None, "ray_triangulation"])
+def test_scores_are_those_with_all_packages(
+    solver: str | None, quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
+    if solver is not None:
+        quick_result = sabench.solve(solver, quick, tmp_path / "result.h5").path
     found, expected = scores_of_both(quick, quick_result)
-    assert found == expected
-
-
-def test_particles_are_scored(quick: Dataset, tmp_path: Path) -> None:
-    sabench.solve("ray_triangulation", quick, tmp_path / "result.h5")
-    found, expected = scores_of_both(quick, tmp_path / "result.h5")
     assert found == expected
 
 

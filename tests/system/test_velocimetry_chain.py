@@ -20,7 +20,6 @@ from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
 from sabench.tasks.velocimetry import TASK, score_pair
-from sabench.worlds.tracers import flow_of
 from tests.conftest import Command
 from tests.helpers.commands import refuse, succeed
 from tests.system.test_board import block
@@ -45,11 +44,6 @@ def vortex(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return generate(
         vortex_scene(), tmp_path_factory.mktemp("vortex") / "data", seed=1, backend="splat"
     )
-
-
-def test_pairs_are_those_of_the_pulses(vortex: Dataset) -> None:
-    assert vortex.setup.pairs() == [(0, 1), (2, 3)]
-    assert flow_of(vortex.scene) is not None
 
 
 @pytest.mark.slow

@@ -55,10 +55,6 @@ def test_noise_of_seeds_frames_and_cameras_is_independent(dark_scene: Scene) -> 
         assert abs(together) < 6.0 / np.sqrt(draws[one].size), (one, other)
 
 
-def test_noise_of_one_seed_frame_and_camera_is_the_same_twice(dark_scene: Scene) -> None:
-    np.testing.assert_array_equal(noise_of(dark_scene, 1, 1), noise_of(dark_scene, 1, 1))
-
-
 def test_images_of_a_short_pulse_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = load_scene("quick")
     frame = Frames(scene, build_rig(scene), 1, "splat").at(0)

@@ -16,7 +16,6 @@ import pytest
 from filelock import FileLock
 
 import sabench
-from sabench.dataset import sample_set
 from sabench.dataset.sample_set import SampleSet
 from sabench.dataset.shards import plan_shards, split_of
 from sabench.simulation import shard_job
@@ -295,12 +294,3 @@ def test_two_runs_do_not_write_one_set(tmp_path: Path) -> None:
     ):
         make(tmp_path / "set")
     assert (tmp_path / ".set.shards" / "lock").exists()
-
-
-def test_memory_holds_few_shards(whole: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sample_set, "_OPEN", 2)
-    samples = sabench.open_samples(whole.root)
-    for one in samples:
-        _ = one.particles
-    opened = [store for _, store in samples._stores if getattr(store, "_files", None)]
-    assert len(opened) <= 2

@@ -211,12 +211,6 @@ def test_ranges_of_a_draw_keep_their_ends() -> None:
     assert Draw(choices=("a", "b")).value(np.nextafter(1.0, 0.0)) == "b"
 
 
-def test_the_public_name() -> None:
-    batch = next(sabench.stream("quick", seed=1, batch=2))
-    assert batch.images.shape == (2, 1, 4, 240, 320)
-    assert batch.numbers.tolist() == [0, 1]
-
-
 def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:
     scene = make_scene(vary=vary(**VARIED))
     with pytest.raises(InputError, match=r"sabench\.stream draw samples"):

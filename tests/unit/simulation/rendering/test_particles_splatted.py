@@ -106,14 +106,6 @@ def test_splat_of_nothing_is_dark() -> None:
     ).any()
 
 
-def test_brightest_pixel_is_where_the_particle_projects() -> None:
-    camera = replace(SMALL, principal_point_px=(0.0, 0.0))
-    image = particles_splatted.render(
-        camera, spots(camera.project([[0.0, 0.0, 100.0]])[0], np.array([100.0]), np.array([0.5]))
-    )
-    assert image.argmax() == 0
-
-
 def slanted(pixels: F64, photons: float, spread: tuple[float, float, float]) -> ParticleImages:
     count = len(pixels)
     images = spots(pixels, np.full(count, photons), np.ones(count))

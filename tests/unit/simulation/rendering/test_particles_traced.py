@@ -165,16 +165,6 @@ def test_render_of_nothing_is_dark() -> None:
     assert not picture.any()
 
 
-def test_the_same_render_twice_gives_the_same_bytes() -> None:
-    scene = make_scene()
-    camera = build_rig(scene).cameras[2]
-    positions = isolated(camera, (27.0, 33.0), 20, 1)[0]
-    images = image_particles(scene, camera, cloud(positions), None)
-    np.testing.assert_array_equal(
-        render(camera, images, positions, 4), render(camera, images, positions, 4)
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("z_mm", [191.0, 200.0, 212.0])
 def test_rays_and_formulas_make_the_same_ellipses(z_mm: float) -> None:
