@@ -3,6 +3,7 @@ use."""
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -67,20 +68,15 @@ REFUSED: list[tuple[Change, str]] = [
 
 @pytest.mark.parametrize(("change", "sentence"), REFUSED)
 def test_a_bad_observation_is_refused(case: Observation, change: Change, sentence: str) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(sentence)):
         replace(case, **change(case))
-    assert str(caught.value) == sentence
 
 
 def test_a_saturated_image_is_refused_and_a_black_one_is_not(case: Observation) -> None:
     images = case.images.copy()
     images[2] = int(case.white_dn)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match="d: frame 0: camera_02: expected an image that shows"):
         TASK.check_case(replace(case, images=images), "d: frame 0")
-    assert str(caught.value) == (
-        "d: frame 0: camera_02: expected an image that shows something, but every pixel is "
-        "saturated (4024 or more)"
-    )
     images[2, 50, 60] -= 1
     TASK.check_case(replace(case, images=images), "d: frame 0")
     images[2] = 0
@@ -96,12 +92,8 @@ def test_a_grid_out_of_view_is_refused(case: Observation) -> None:
         (-1.0, -1.0, -2000.0),
     ):  # beside the images, in the glass, behind the cameras
         away = Grid(low, grid.voxel_mm, (40, 40, 40) if low[2] != -3.0 else (40, 40, 10))
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match="d: frame 0: grid: expected it in view of at least"):
             TASK.check_case(replace(case, grid=away), "d: frame 0")
-        assert str(caught.value) == (
-            "d: frame 0: grid: expected it in view of at least one camera, but no camera of "
-            "4 sees any of it"
-        )
     # a row that begins in view
     TASK.check_case(
         replace(case, grid=Grid((3.0, 0.0, 30.0), grid.voxel_mm, (1, 1, 300))), "d: frame 0"
@@ -113,20 +105,12 @@ def test_a_grid_that_does_not_fit_is_refused_before_it_is_allocated(
 ) -> None:
     huge = replace(case, grid=Grid(case.grid.low_mm, case.grid.voxel_mm, (4000, 5000, 6000)))
     monkeypatch.setattr(memory, "available_mb", lambda: 5000.0)
-    head = (
-        "d: frame 0: grid: expected it to fit into memory, but its 4000 x 5000 x 6000 voxels "
-        "(z, y, x) need 960000 MB where {} MB are there: at most"
-    )
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"960000 MB where 5000 MB .*: at most 20 of its planes"):
         TASK.check_case(huge, "d: frame 0")
-    assert str(caught.value) == head.format(5000) + " 20 of its planes fit"
     monkeypatch.setattr(memory, "available_mb", lambda: 100.0)
-    with pytest.raises(InputError) as caught:
+    count = (100_000_000 - 4 * case.images.size) // 8
+    with pytest.raises(InputError, match=f"where 100 MB .*: at most {count} of its voxels fit"):
         TASK.check_case(huge, "d: frame 0")
-    assert (
-        str(caught.value)
-        == head.format(100) + f" {(100_000_000 - 4 * case.images.size) // 8} of its voxels fit"
-    )
     monkeypatch.setattr(memory, "available_mb", lambda: None)
     TASK.check_case(replace(case, grid=case.grid), "d: frame 0")
 
@@ -156,12 +140,8 @@ def test_a_refused_frame_leaves_nothing(tmp_path: Path) -> None:
     white = np.full((110, 170), 4024, dtype=np.uint16)
     copy = Path(shutil.copytree(data.root, tmp_path / "copy"))
     write_tiff(copy / "images/frame_0001/camera_01.tif", white)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match="copy: frame 1: camera_01: expected an image that shows"):
         sabench.solve("msa", copy, tmp_path / "r.h5")
-    assert str(caught.value) == (
-        f"{copy}: frame 1: camera_01: expected an image that shows something, but every "
-        "pixel is saturated (4024 or more)"
-    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["copy", "set"]
 
 
