@@ -1,4 +1,4 @@
-"""Figures of a checkout: rooms, floors, arrows and circles.
+"""Figures of a checkout: rooms, floors, arrows, circles and weight.
 
 Run `python -m tests.architecture [CHECKOUT]`.
 """
@@ -9,10 +9,10 @@ import sys
 from pathlib import Path
 
 from tests.architecture.plan import ROOT, arrows, circles, height, lines, rooms
+from tests.architecture.weight import figures
 
 
 def main() -> None:
-    """Measure this checkout, or the one at the path that is given."""
     root = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT
     package = root / "sabench"
     found = arrows(package)
@@ -26,6 +26,8 @@ def main() -> None:
     print(f"circles           {[sorted(one) for one in circles(between)]}")
     for part in ("sabench", "generators", "solvers", "reproduction", "tests", "benchmarks"):
         print(f"lines of {part:10} {lines(root / part)}")
+    for name, value in figures(root).items():
+        print(f"{name:35} {value:g}")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +24,6 @@ FLOORS = (
 
 
 def rooms(package: Path) -> set[str]:
-    """Names of the packages and modules that lie directly in a package."""
     found = {
         file.relative_to(package).parts[0].removesuffix(".py") for file in package.rglob("*.py")
     }
@@ -31,10 +31,8 @@ def rooms(package: Path) -> set[str]:
 
 
 def arrows(package: Path, *, files: bool = False) -> Arrows:
-    """Pairs (importer, imported) of rooms, or of files.
-
-    Imports inside functions and imports for type checkers count, too.
-    """
+    """Pairs (importer, imported) of rooms, or of files. Imports inside functions and imports for
+    type checkers count, too."""
     known = {_dotted(file, package.parent) for file in package.rglob("*.py")}
     found = set()
     for file in sorted(package.rglob("*.py")):
@@ -48,9 +46,8 @@ def arrows(package: Path, *, files: bool = False) -> Arrows:
 
 
 def imports(file: Path, known: set[str]) -> set[str]:
-    """Modules of the package that a file imports anywhere."""
     package, found = file_package(known), set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in ast.walk(syntax(file)):
         if (
             isinstance(node, ast.ImportFrom)
             and node.module
@@ -64,7 +61,6 @@ def imports(file: Path, known: set[str]) -> set[str]:
 
 
 def file_package(known: set[str]) -> str:
-    """Name of the package whose modules are known."""
     return next(iter(known)).split(".")[0]
 
 
@@ -87,7 +83,6 @@ def height(between: Arrows) -> int:
 
 
 def circles(between: Arrows) -> set[frozenset[str]]:
-    """Sets of rooms that reach each other."""
     below: dict[str, set[str]] = {}
     for one, other in between:
         below.setdefault(one, set()).add(other)
@@ -109,8 +104,12 @@ def circles(between: Arrows) -> set[frozenset[str]]:
     }
 
 
+@cache
+def syntax(file: Path) -> ast.Module:
+    return ast.parse(file.read_text(encoding="utf-8"))
+
+
 def lines(folder: Path) -> int:
-    """Lines of Python in a folder."""
     return sum(len(file.read_text(encoding="utf-8").splitlines()) for file in folder.rglob("*.py"))
 
 

@@ -24,7 +24,6 @@ def docstrings(source: str) -> Iterator[tuple[int, str]]:
 
 
 def faults(first: str) -> list[str]:
-    """Return what is wrong with the first line of a docstring, if anything."""
     found = []
     if len(first) >= LENGTH:
         found.append(f"expected fewer than {LENGTH} characters, got {len(first)}")

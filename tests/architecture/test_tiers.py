@@ -6,11 +6,6 @@ import ast
 
 from tests.conftest import ROOT
 
-SLOW_AS_A_WHOLE = {
-    "system/test_bounds_check.py": "compiles kernels with checks of bounds, in a child process",
-    "system/test_dense_tracks.py": "algorithms/particles/test_dense_start.py has its law",
-}
-
 
 def has_daily_test(text: str) -> bool:
     tests = [one for one in ast.parse(text).body if getattr(one, "name", "").startswith("test_")]
@@ -25,4 +20,4 @@ def test_every_file_has_a_daily_test() -> None:
         for path in folder.rglob("test_*.py")
         if not has_daily_test(path.read_text(encoding="utf-8"))
     }
-    assert slow == {*SLOW_AS_A_WHOLE}
+    assert not slow

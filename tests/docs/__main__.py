@@ -8,10 +8,6 @@ from tests.docs.pages import PAGES, blocks
 
 
 def main() -> None:
-    """Print the position and the reason of each block that is not run.
-
-    Then the number of blocks of each kind.
-    """
     found = [block for page in PAGES for block in blocks(page)]
     for block in found:
         if block.reason is not None:

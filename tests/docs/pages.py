@@ -27,11 +27,8 @@ _MARKER = re.compile(r"<!-- (not run|file): (.+?) -->$")
 
 
 class Block(NamedTuple):
-    """A fenced code block.
-
-    The marker before it, an HTML comment, may say why it is not run (`not run: REASON`), or the
-    name under which it is saved for later blocks (`file: NAME`).
-    """
+    """A fenced code block. The marker before it, an HTML comment, may say why it is not run (`not
+    run: REASON`), or the name under which it is saved for later blocks (`file: NAME`)."""
 
     page: str
     line: int
@@ -45,12 +42,10 @@ class Block(NamedTuple):
 
     @property
     def marked(self) -> bool:
-        """True if a comment before the block says what to do with it."""
         return self.reason is not None or self.file is not None
 
     @property
     def kind(self) -> str:
-        """Handling of the block: not run, saved, text or run."""
         if self.reason is not None:
             return "not run"
         if self.file is not None:
@@ -59,30 +54,25 @@ class Block(NamedTuple):
 
 
 def read(page: str) -> str:
-    """Return the text of a page."""
     return (ROOT / page).read_text(encoding="utf-8")
 
 
 @functools.cache
 def built(page: str) -> str:
-    """Return the text of a page with the tables that the site has."""
     filled: Callable[[str], str] = site("tables")["filled"]
     return filled(read(page))
 
 
 @functools.cache
 def site(name: str) -> dict[str, Any]:
-    """Return the names of a module of the site."""
     return runpy.run_path(str(ROOT / "docs" / "site" / f"{name}.py"))
 
 
 def blocks(page: str) -> list[Block]:
-    """Return the fenced code blocks of a page in their order."""
     return [part for part in _parts(page, read(page)) if isinstance(part, Block)]
 
 
 def prose(page: str) -> list[tuple[int, str]]:
-    """Return the lines outside code blocks, each with its number."""
     return _lines(page, read(page))
 
 
@@ -91,7 +81,6 @@ def _lines(page: str, text: str) -> list[tuple[int, str]]:
 
 
 def _parts(page: str, text: str) -> Iterator[Block | tuple[int, str]]:
-    """Yield lines of prose and code blocks in their order."""
     lines = iter(enumerate(text.splitlines(), start=1))
     marker: dict[str, str] = {}
     for number, line in lines:
@@ -107,26 +96,22 @@ def _parts(page: str, text: str) -> Iterator[Block | tuple[int, str]]:
 
 
 def _until(ticks: str, lines: Iterator[tuple[int, str]], indent: str) -> str:
-    """Return the lines before the end of a fence."""
     inside = (line for _, line in lines)
     block = itertools.takewhile(lambda line: line.strip() != ticks, inside)
     return "".join(line.removeprefix(indent) + "\n" for line in block)
 
 
 def _marker(line: str) -> dict[str, str]:
-    """Return what the comment before a block says of it."""
     found = _MARKER.match(line.strip())
     return {found[1]: found[2]} if found else {}
 
 
 def links(page: str) -> list[tuple[int, str]]:
-    """Return the targets of a built page's links outside code blocks, each with its line."""
     lines = _lines(page, built(page))
     return [(number, target) for number, line in lines for target in _LINK.findall(line)]
 
 
 def anchors(page: str) -> set[str]:
-    """Return the anchors of a built page's headings, as GitHub makes them."""
     found: Counter[str] = Counter()
     names = set()
     for _, line in _lines(page, built(page)):
@@ -140,9 +125,5 @@ def anchors(page: str) -> set[str]:
 
 
 def _anchor(heading: str) -> str:
-    """Return the anchor of one heading.
-
-    Lower case, hyphens for blanks, no other punctuation.
-    """
     text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).strip().lower()
     return re.sub(r"[^\w\- ]", "", text).replace(" ", "-")

@@ -29,8 +29,6 @@ from tests.docs.pages import ROOT, Block
 
 
 class Page:
-    """The folder of a page, with what its blocks have left there."""
-
     def __init__(self, folder: Path, cache: Path, setenv: Callable[[str, str], None]) -> None:
         """Run in `folder`, which is the current one, and share data sets in `cache`."""
         self.folder, self.cache, self.setenv = folder, cache, setenv
@@ -38,7 +36,6 @@ class Page:
         self.output = ""
 
     def run(self, block: Block) -> None:
-        """Run one block by its language."""
         if block.file is not None:
             self._save(block.file, block.text)
         elif block.language != "text":
@@ -47,25 +44,21 @@ class Page:
             run(block)
 
     def _save(self, name: str, text: str) -> None:
-        """Write a file that later blocks use."""
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
 
     def _run_sh(self, block: Block) -> None:
-        """Run every line as a command and keep what they print."""
         lines = block.text.replace("\\\n", " ").splitlines()
         self.output = "".join(self.command(line) for line in lines)
 
     def _run_python(self, block: Block) -> None:
-        """Execute a block in the namespace of its page."""
         code = compile("\n" * block.line + block.text, str(ROOT / block.page), "exec")
         with contextlib.redirect_stdout(io.StringIO()) as out:
             exec(code, self.names)
         self.output = out.getvalue()
 
     def _run_output(self, block: Block) -> None:
-        """Compare with what the last block has printed; `...` stands for any text."""
         pattern = re.escape(block.text.strip()).replace(re.escape("..."), ".*")
         shown = "\n".join(line.rstrip() for line in self.output.strip().splitlines())
         assert re.fullmatch(pattern, shown, re.DOTALL), f"{block} shows another output:\n{shown}"
@@ -88,7 +81,6 @@ class Page:
             raise AssertionError(f"{block}: neither a scene nor a suite: {', '.join(values)}")
 
     def _completed(self, name: str, values: dict[str, Any]) -> Path:
-        """Write a bundled file with some of its keys and tables replaced."""
         whole = tomllib.loads((ROOT / name).read_text(encoding="utf-8"))
         for key, value in values.items():
             old = whole.get(key)
@@ -97,13 +89,11 @@ class Page:
         return self._written(tomli_w.dumps(whole))
 
     def _written(self, text: str) -> Path:
-        """Write a TOML file."""
         path = self.folder / "block.toml"
         path.write_text(text, encoding="utf-8")
         return path
 
     def command(self, line: str) -> str:
-        """Run one line of a shell and return what it prints."""
         words = shlex.split(line, comments=True)
         target = None
         if ">" in words:
@@ -120,7 +110,6 @@ class Page:
         return ""
 
     def _call(self, words: list[str]) -> str:
-        """Run `sabench ...` or `python FILE ...` in this process."""
         name, *rest = words
         if name == "sabench" and rest[:1] == ["generate"]:
             return self._generate(rest)
@@ -131,7 +120,6 @@ class Page:
         raise AssertionError(f"{name}: a block with this command needs a marker `not run`")
 
     def _generate(self, words: list[str]) -> str:
-        """Generate a data set, or copy one that another page made by the same words."""
         at = words.index("-o")
         out = self.folder / words[at + 1]
         key = "_".join([*words[:at], *words[at + 2 :]]).replace("/", "-")
@@ -148,10 +136,6 @@ class Page:
 
 
 def _printed(call: Callable[[], object], words: list[str]) -> str:
-    """Return the output of a program that is called with these words.
-
-    The program has to end well.
-    """
     before, errors, code = sys.argv, io.StringIO(), None
     sys.argv = list(words)
     try:

@@ -1,10 +1,6 @@
-"""Tables of scores in the pages of the tasks.
-
-Run `python -m tests.docs.score_tables [--write]`.
-
-A page holds its table between `<!-- scores: TASK -->` and `<!-- end scores -->`. The costs, which
-all tasks share, are described in the page of the task reconstruction.
-"""
+"""Tables of scores in the pages of the tasks. Run `python -m tests.docs.score_tables [--write]`. A
+page holds its table between `<!-- scores: TASK -->` and `<!-- end scores -->`. The costs, which all
+tasks share, are described in the page of the task reconstruction."""
 
 from __future__ import annotations
 
@@ -23,7 +19,6 @@ PAGES = tuple(sorted((ROOT / "docs" / "tasks").glob("*.md")))
 
 
 def table(scores: Iterable[Score]) -> str:
-    """Write scores as a table: one row for each, or for the same along several axes."""
     families: dict[tuple[str, str], list[Score]] = {}
     for score in scores:
         families.setdefault(_family(score, families), []).append(score)
@@ -36,7 +31,6 @@ def table(scores: Iterable[Score]) -> str:
 
 
 def _family(score: Score, families: Iterable[tuple[str, str]]) -> tuple[str, str]:
-    """Return the pattern of a score's key and its meaning, both without the axis."""
     pattern = re.sub(r"(?<![a-z])[u-z](?=_)", "?", score.key)
     meaning = re.sub(r"along [XYZ]\b", "along each axis", score.meaning)
     if meaning == "the same along each axis":
@@ -45,28 +39,23 @@ def _family(score: Score, families: Iterable[tuple[str, str]]) -> tuple[str, str
 
 
 def _cell(text: str) -> str:
-    """Escape what would end a cell."""
     return text.replace("|", "\\|")
 
 
 def filled(text: str) -> str:
-    """Return the text of a page with its tables made anew."""
     return _TABLE.sub(lambda found: found[1] + table(_scores(found[2])) + found[3], text)
 
 
 def _scores(name: str) -> tuple[Score, ...]:
-    """Return the scores of a task but its costs, which are the same for all tasks."""
     return tasks.of(name).scores
 
 
 def outdated() -> list[Path]:
-    """Return the pages whose tables are not those of the tasks."""
     texts = {page: page.read_text(encoding="utf-8") for page in PAGES}
     return [page for page, text in texts.items() if filled(text) != text]
 
 
 def main() -> None:
-    """List the pages with outdated tables, or write them anew."""
     for page in outdated():
         print(page.relative_to(ROOT))
         if "--write" in sys.argv[1:]:

@@ -1,10 +1,7 @@
-"""Every code block of the documents runs, or says why it does not.
-
-A comment before a block may say why it is not run, `<!-- not run: REASON -->`, or under which name
-it is saved for the blocks after it, `<!-- file: NAME -->`. A block in the language `output` is what
-the block before it prints; `...` in it stands for any text. `python -m tests.docs` lists the blocks
-that are not run.
-"""
+"""Every code block of the documents runs, or says why it does not. A comment before a block may say
+why it is not run, `<!-- not run: REASON -->`, or under which name it is saved for the blocks after
+it, `<!-- file: NAME -->`. A block in the language `output` is what the block before it prints;
+`...` in it stands for any text. `python -m tests.docs` lists the blocks that are not run."""
 
 from __future__ import annotations
 
@@ -23,13 +20,11 @@ _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(p
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder for the data sets that several pages generate."""
     return tmp_path_factory.mktemp("shared")
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty current folder with the checkout's scenes and examples."""
     for name in ("scenes", "examples"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)

@@ -33,7 +33,6 @@ def test_named_modules_files_and_suites_exist(page: str) -> None:
 
 
 def _words(page: str) -> Iterator[tuple[int, str]]:
-    """Yield the words in backquotes, and those in reasons not to run a block."""
     for block in blocks(page):
         for word in (block.reason or "").split():
             yield block.line, word.strip(",;")
@@ -44,7 +43,6 @@ def _words(page: str) -> Iterator[tuple[int, str]]:
 
 
 def _exists(word: str) -> bool:
-    """Return True if a word is no name of the code, or an existing one."""
     if re.fullmatch(r"sabench(\.\w+)+", word):
         return _is_importable(word)
     suite = re.fullmatch(r"suites/([\w-]+)", word)
@@ -60,7 +58,6 @@ def _exists(word: str) -> bool:
 
 
 def _is_importable(name: str) -> bool:
-    """Return True if a dotted name is a module, or a name in one."""
     parts = name.split(".")
     for count in range(len(parts), 0, -1):
         try:
@@ -78,7 +75,6 @@ def test_named_commands_and_options_exist(page: str) -> None:
 
 
 def _calls(page: str) -> Iterator[tuple[int, str]]:
-    """Yield calls of sabench, in the text and in blocks."""
     for line, text in prose(page):
         for code in _CODE.findall(text):
             if code.startswith("sabench "):
@@ -92,10 +88,6 @@ def _calls(page: str) -> Iterator[tuple[int, str]]:
 
 
 def _is_command(call: str) -> bool:
-    """Return True if a call's command and options exist.
-
-    `sabench[extra]` and the like are no calls.
-    """
     name, *rest = call.split()[1:]
     options = {word.partition("=")[0] for word in rest if word.startswith("--")}
     return name in _options() and options <= _options()[name] | _WRITTEN
@@ -103,7 +95,6 @@ def _is_command(call: str) -> bool:
 
 @cache
 def _options() -> dict[str, set[str]]:
-    """Return the options of every command."""
     group: Any = typer.main.get_command(app)
     return {
         name: {word for option in command.params for word in (*option.opts, *option.secondary_opts)}

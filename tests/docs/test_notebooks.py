@@ -1,7 +1,5 @@
-"""Every notebook of the examples runs, and is stored without outputs.
-
-Their cells are executed in this process, in an empty folder: no kernel starts.
-"""
+"""Every notebook of the examples runs, and is stored without outputs. Their cells are executed in
+this process, in an empty folder: no kernel starts."""
 
 from __future__ import annotations
 
@@ -18,13 +16,11 @@ NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
 def cells(path: Path, kind: str) -> list[dict[str, Any]]:
-    """Return the cells of one kind of a notebook."""
     found = json.loads(path.read_text(encoding="utf-8"))["cells"]
     return [cell for cell in found if cell["cell_type"] == kind]
 
 
 def run(path: Path) -> dict[str, Any]:
-    """Execute the code cells of a notebook in their order; returns its names."""
     names: dict[str, Any] = {"__name__": "notebook"}
     for cell in cells(path, "code"):
         exec(compile("".join(cell["source"]), f"{path.name}:{cell['id']}", "exec"), names)

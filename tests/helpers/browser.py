@@ -1,7 +1,5 @@
-"""A headless Chromium, driven by WebDriver.
-
-It has as much of WebDriver as tests and benchmarks of the page need.
-"""
+"""A headless Chromium, driven by WebDriver. It has as much of WebDriver as tests and benchmarks of
+the page need."""
 
 from __future__ import annotations
 
@@ -19,16 +17,9 @@ from pathlib import Path
 from typing import Any
 
 _FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--disable-quic",
-    "--no-proxy-server",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--disable-quic"),
+    *("--no-proxy-server", "--no-first-run", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync"),
 ]
 
 
@@ -38,8 +29,6 @@ RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
 
 
 class Browser:
-    """One session of a chromedriver on this machine."""
-
     def __init__(self, port: int, binary: str, profile: Path) -> None:
         self._opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         self._base = f"http://127.0.0.1:{port}/session"
@@ -50,7 +39,6 @@ class Browser:
         self._base += "/" + self.send("POST", "", {"capabilities": wanted})["sessionId"]
 
     def send(self, method: str, path: str, body: dict[str, Any] | None = None) -> Any:
-        """One command of WebDriver; its value."""
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(
             self._base + path, data, {"Content-Type": "application/json"}, method=method
@@ -59,16 +47,13 @@ class Browser:
             return json.load(answer)["value"]
 
     def devtools(self, command: str, **parameters: Any) -> Any:
-        """One command of the developer tools' protocol."""
         return self.send("POST", "/goog/cdp/execute", {"cmd": command, "params": parameters})
 
     def prefer(self, mode: str | None) -> None:
-        """Say whether pages are to be light or dark; None leaves it to them."""
         features = [{"name": "prefers-color-scheme", "value": mode}] if mode else []
         self.devtools("Emulation.setEmulatedMedia", features=features)
 
     def violations(self) -> list[str]:
-        """List what axe-core (MPL-2.0) finds against WCAG 2.1 AA, such as contrast and roles."""
         source = gzip.decompress(AXE.read_bytes()).decode()
         self.devtools("Runtime.evaluate", expression=source)
         found: list[str] = self.ask(
@@ -79,7 +64,6 @@ class Browser:
         return found
 
     def open(self, page: Path, fragment: str = "", width: int = 1200) -> None:
-        """Open a page afresh, also if only the fragment is another one."""
         self.devtools(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -101,7 +85,6 @@ class Browser:
             time.sleep(0.02)
 
     def ask(self, script: str) -> Any:
-        """The value of an expression; a promise is waited for."""
         return self.send("POST", "/execute/sync", {"script": f"return {script};", "args": []})
 
     def _find(self, path: str) -> str:
@@ -109,8 +92,14 @@ class Browser:
             next(iter(self.send("POST", "/element", {"using": "xpath", "value": path}).values()))
         )
 
+    def count(self, selector: str) -> int:
+        return int(self.ask(f"document.querySelectorAll('{selector}').length"))
+
+    def texts(self, selector: str) -> list[str]:
+        found = f"[...document.querySelectorAll('{selector}')].map(one => one.textContent)"
+        return list(self.ask(found))
+
     def press(self, path: str, key: str | None = None) -> None:
-        """Click the first element at an XPath, or type keys into it."""
         self.send(
             "POST",
             f"/element/{self._find(path)}/" + ("click" if key is None else "value"),
@@ -118,7 +107,6 @@ class Browser:
         )
 
     def hover(self, path: str) -> None:
-        """Move the pointer onto an element."""
         target = {"element-6066-11e4-a52e-4f735466cecf": self._find(path)}
         move = {"type": "pointerMove", "duration": 0, "x": 0, "y": 0, "origin": target}
         self.send(
@@ -137,10 +125,6 @@ class Browser:
         )
 
     def wait(self, script: str) -> None:
-        """Wait until an expression is true.
-
-        The page evaluates it once per frame, and fails after 600 frames.
-        """
         look = (
             f"const look = () => ({script}) ? done() : left-- ? requestAnimationFrame(look) : "
             "fail(new Error('never so'));"
@@ -148,11 +132,9 @@ class Browser:
         self.ask(f"new Promise((done, fail) => {{ let left = 600; {look} look(); }})")
 
     def complaints(self) -> list[str]:
-        """Return the console's messages since the last call."""
         return [entry["message"] for entry in self.send("POST", "/se/log", {"type": "browser"})]
 
     def close(self) -> None:
-        """End the session."""
         self.send("DELETE", "")
 
 

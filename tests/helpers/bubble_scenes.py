@@ -8,10 +8,8 @@ from sabench.scenes import Scene, parse_scene
 
 
 def small(**changes: Any) -> Scene:
-    """Five cameras in a cross before a tank with two dozen bubbles.
-
-    `changes` replace whole tables.
-    """
+    """Five cameras in a cross before a tank with two dozen bubbles. `changes` replace whole
+    tables."""
     values: dict[str, Any] = {
         "title": "small",
         "volume": {"center_mm": [0.0, 0.0, 60.0], "size_mm": [24.0, 18.0, 16.0]},

@@ -1,7 +1,5 @@
-"""Image sequences of moving bubbles whose ids are known.
-
-For the tests of linking and its benchmark.
-"""
+"""Image sequences of moving bubbles whose ids are known. For the tests of linking and its
+benchmark."""
 
 from __future__ import annotations
 
@@ -18,10 +16,7 @@ EDGE = 60.0
 
 @dataclass
 class BubbleSequence:
-    """Detections of some frames with the ids of their bubbles.
-
-    The ids of ghosts are negative.
-    """
+    """Detections of some frames with the ids of their bubbles. The ids of ghosts are negative."""
 
     center: list[F64] = field(default_factory=list)
     radius: list[F64] = field(default_factory=list)
@@ -43,11 +38,8 @@ def make_sequence(
     ghosts: float = 0.0,
     noise: float = 0.0,
 ) -> BubbleSequence:
-    """Make an image sequence of bubbles in a box.
-
-    The bubbles move on average by `relative` mean distances of nearest neighbours a frame. A new
-    bubble replaces each one that leaves the box.
-    """
+    """Make an image sequence of bubbles in a box. The bubbles move on average by `relative` mean
+    distances of nearest neighbours a frame. A new bubble replaces each one that leaves the box."""
     rng = np.random.default_rng(5)
     position, radius, identity = (
         EDGE * rng.random((count, 3)),
@@ -87,11 +79,9 @@ def make_sequence(
 
 
 def link_scores(made: BubbleSequence, track: list[I64]) -> tuple[float, float]:
-    """Return the recall and the precision of links.
-
-    Recall is the share of the true links that were found, precision the share of the found links
-    that are true. Links join pairs of detections in consecutive frames.
-    """
+    """Return the recall and the precision of links. Recall is the share of the true links that were
+    found, precision the share of the found links that are true. Links join pairs of detections in
+    consecutive frames."""
     true = found = both = 0
     for frame in range(len(track) - 1):
         same = (made.id[frame][:, None] == made.id[frame + 1]) & (made.id[frame] >= 0)[:, None]

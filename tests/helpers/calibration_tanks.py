@@ -26,10 +26,8 @@ _CENTERS = ((-180.0, -60.0, -430.0), (190.0, -50.0, -450.0), (10.0, 170.0, -440.
 def make_tank(
     *, k1: float = 0.0, bend_mm: float = 0.0, noise_px: float = 0.05, seed: int = 1
 ) -> tuple[CalibrationCase, tuple[Camera, ...], F64]:
-    """Return a case, the true cameras and the true places (frame, point, 3).
-
-    The nominal cameras are off by about 10 mm, and the boards all at one nominal place.
-    """
+    """Return a case, the true cameras and the true places (frame, point, 3). The nominal cameras
+    are off by about 10 mm, and the boards all at one nominal place."""
     rng = np.random.default_rng(seed)
     cameras = tuple(_camera(number, center, k1) for number, center in enumerate(_CENTERS))
     board = BOARD.points_mm.copy()
@@ -60,26 +58,22 @@ def make_tank(
 
 
 def with_places(case: CalibrationCase, places: F64, sigma_mm: float = 0.01) -> CalibrationCase:
-    """Add measured places of all points to a case."""
     noise = sigma_mm * np.random.default_rng(3).standard_normal(places.shape)
     return replace(case, known_mm=places + noise, known_sigma_mm=np.full(places.shape, sigma_mm))
 
 
 def off_wall(case: CalibrationCase, shift_mm: float) -> CalibrationCase:
-    """Move the nominal wall of a case along Z."""
     wall = replace(WALL, point_mm=(0.0, 0.0, shift_mm))
     return replace(case, cameras=tuple(replace(camera, wall=wall) for camera in case.cameras))
 
 
 def solve(case: CalibrationCase, **parameters: Any) -> Calibration:
-    """Place the boards of a case and calibrate it by `refractive_autocal`."""
     solver: Any = make_algorithm("refractive_autocal", parameters)
     answer: Calibration = solver.solve(replace(case, initial_mm=place_boards(case)))
     return answer
 
 
 def rotated(case: CalibrationCase, rotation: F64) -> CalibrationCase:
-    """Rotate the world of a case about its origin."""
     return replace(
         case,
         cameras=tuple(_rotate(camera, rotation) for camera in case.cameras),

@@ -1,10 +1,8 @@
-"""Tricks by which a solver might learn or change what is not its own.
-
-Each is the body of a function that returns what it got, and may raise. `DATA` is the data set's
-folder, `SECRET` a file next to it, `MARK` a path that must not come to be, `PORT` a listening
-server's, `SEEN` the observation side that the solver was given, `TOKEN` a word in the environment
-of the process that started it.
-"""
+"""Tricks by which a solver might learn or change what is not its own. Each is the body of a
+function that returns what it got, and may raise. `DATA` is the data set's folder, `SECRET` a file
+next to it, `MARK` a path that must not come to be, `PORT` a listening server's, `SEEN` the
+observation side that the solver was given, `TOKEN` a word in the environment of the process that
+started it."""
 
 from __future__ import annotations
 
@@ -156,7 +154,6 @@ def _head(constants: tuple[object, ...]) -> str:
 
 
 def plugin(kind: str, constants: tuple[object, ...]) -> str:
-    """Source of a plug-in that tries all tricks, for "reconstruction" or "particles"."""
     case, base = {
         "reconstruction": ("Observation", "Solver"),
         "particles": ("ImageSequence", "ParticleSolver"),
@@ -165,7 +162,6 @@ def plugin(kind: str, constants: tuple[object, ...]) -> str:
 
 
 def program(constants: tuple[object, ...], python: str) -> str:
-    """Source of a program that tries all tricks."""
     return _PROGRAM.format(python=python, head=_head(constants))
 
 

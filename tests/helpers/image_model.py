@@ -22,13 +22,11 @@ SIGMA, TYPICAL, NOISE = (0.6, 0.75), 100.0, 1.0
 
 
 def profile(center: F64, sigma: float, count: int) -> F64:
-    """Shares (n, pixel) of Gaussians in the pixels of a row."""
     edges = (np.arange(count + 1) - 0.5 - center[:, None]) / (sigma * math.sqrt(2.0))
     return np.asarray(0.5 * np.diff(erf(edges), axis=1))
 
 
 def paint(maps: VolumePolynomials, points: F64, light: F64, rows: int, columns: int) -> F64:
-    """Images (camera, row, column) of particles (n, 3) in the box with light (n, camera)."""
     out = []
     for camera in range(len(maps.coefficients)):
         pixels = project_points(maps, camera, points)
@@ -38,7 +36,6 @@ def paint(maps: VolumePolynomials, points: F64, light: F64, rows: int, columns: 
 
 
 def model_of(maps: VolumePolynomials, images: F64, between: float = 0.1) -> ImageModel:
-    """A model of images with nothing subtracted yet."""
     cameras = len(images)
     precision: F64 = np.linalg.inv(even_covariance(cameras, between, 0.5)).astype(np.float64)
     return ImageModel(
@@ -56,16 +53,13 @@ def model_of(maps: VolumePolynomials, images: F64, between: float = 0.1) -> Imag
 
 
 def particles_of(points: F64, light: F64) -> ModelParticles:
-    """Particles of copies of the arrays."""
     return ModelParticles(points.copy(), light.copy(), np.ones(len(points), dtype=np.bool_))
 
 
 def room_of(maps: VolumePolynomials) -> Room:
-    """Room to work in for the maps' cameras."""
     return make_room(np.tile(np.array(SIGMA), (len(maps.coefficients), 1)))
 
 
 def refine_all(model: ImageModel, room: Room, particles: ModelParticles, rounds: int) -> float:
-    """Fit all particles in several rounds; the change of the cost."""
     rows = np.arange(len(particles.position))
     return float(sum(fit_particles(model, room, particles, rows) for _ in range(rounds)))

@@ -20,7 +20,6 @@ Motion = Callable[[F64], F64]  # displacements (n, 3) of points (n, 3) in the in
 
 
 def tank_camera(**changes: Any) -> Camera:
-    """The camera behind glass of vortex-ring-sheet, with fewer pixels: 0.063 mm each."""
     values = {"cameras.rows": 200, "cameras.columns": 240}
     scene = override(load_scene("vortex-ring-sheet"), values | changes, "sheet")
     return build_rig(scene, "sheet").cameras[0]
@@ -55,7 +54,6 @@ def image_pair(
 
 
 def photograph(camera: Any, points_mm: F64, peak_dn: float = 2000.0, sigma_px: float = 1.0) -> U16:
-    """Draw every point as a Gaussian."""
     image = np.zeros((camera.rows, camera.columns))
     pixels, valid = camera.project(points_mm)
     for column, row in pixels[valid & camera.contains(pixels, 5.0)]:

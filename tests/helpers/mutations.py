@@ -31,7 +31,6 @@ TEXTS = (
 
 
 def tree(value: Any, rng: random.Random) -> Any:
-    """A copy of nested dicts and lists with one to four changes."""
     made = copy.deepcopy(value)
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         made = _changed(made, rng)
@@ -78,7 +77,6 @@ def _at(root: Any, place: tuple[Any, ...]) -> Any:
 
 
 def _other(value: Any, rng: random.Random) -> Any:
-    """Something in a value's place, more often than not of its kind."""
     if rng.random() < 0.25:
         return odd(rng)
     if isinstance(value, bool):
@@ -106,7 +104,6 @@ def _other(value: Any, rng: random.Random) -> Any:
 
 
 def odd(rng: random.Random) -> Any:
-    """A value that nobody expects."""
     deep: Any = 1
     for _ in range(rng.choice((3, 3, 200))):
         deep = [deep]
@@ -125,10 +122,8 @@ def _typo(text: str, rng: random.Random) -> str:
 
 
 def data(whole: bytes, rng: random.Random, head: int = 4096) -> bytes:
-    """Change one to eight bytes.
-
-    Half of them are near the beginning, where the headers of formats are.
-    """
+    """Change one to eight bytes. Half of them are near the beginning, where the headers of formats
+    are."""
     made = bytearray(whole)
     for _ in range(rng.choice((1, 1, 2, 4, 8))):
         if not made:
@@ -190,7 +185,6 @@ def _other_type(file: Any, name: str, rng: random.Random) -> None:
 
 
 def _bomb(file: Any, name: str, rng: random.Random) -> None:
-    """A small file that says that it holds much."""
     rank = len(file[name].shape)
     last = file[name].shape[-1] if rank > 1 else 10**9
     del file[name]
@@ -344,7 +338,6 @@ _CHANGES: tuple[Change, ...] = (
 
 
 def tiff(path: Path, rng: random.Random) -> None:
-    """Write a TIFF of another kind."""
     shape = rng.choice(
         ((24, 32), (24, 32), (32, 24), (24, 32, 3), (2, 24, 32), (1, 1), (3000, 3000))
     )
@@ -366,7 +359,6 @@ def tiff(path: Path, rng: random.Random) -> None:
 
 
 def exr(path: Path, rng: random.Random) -> None:
-    """Write an EXR of another kind, or one with radiance that cannot be."""
     import OpenEXR
 
     shape = rng.choice(((24, 32), (24, 32), (24, 32), (32, 24), (1, 1), (2000, 2000)))
@@ -387,17 +379,14 @@ def exr(path: Path, rng: random.Random) -> None:
 
 
 def set_attribute(path: Path, name: str, value: Any) -> None:
-    """Set an attribute of an HDF5 file, if it can still be opened."""
     with contextlib.suppress(OSError, RuntimeError, KeyError), h5py.File(path, "r+") as file:
         file.attrs[name] = value
 
 
 def _is_small(node: Any) -> bool:
-    """Say whether a data set can be changed: the first change may have made a bomb of it.
-
-    One value written to a chunk of gigabytes writes all of the chunk, and a value for each of a
-    million chunks takes minutes.
-    """
+    """Say whether a data set can be changed: the first change may have made a bomb of it. One value
+    written to a chunk of gigabytes writes all of the chunk, and a value for each of a million
+    chunks takes minutes."""
     if node.shape is None:
         return True
     values = math.prod(node.chunks or node.shape)
@@ -406,7 +395,6 @@ def _is_small(node: Any) -> bool:
 
 
 def hdf5(path: Path, rng: random.Random) -> None:
-    """Change an HDF5 file in place: its bytes, or by its own library what it holds."""
     if rng.random() < 0.35:
         path.write_bytes(data(path.read_bytes(), rng))
         return
@@ -435,10 +423,8 @@ _NAMES = (
 
 
 def archive(path: Path, files: list[bytes], rng: random.Random) -> None:
-    """Make an archive of some files under good and bad names.
-
-    It has members that nobody should unpack, and sometimes damaged bytes.
-    """
+    """Make an archive of some files under good and bad names. It has members that nobody should
+    unpack, and sometimes damaged bytes."""
     if path.name.endswith(".zip"):
         _zip(path, files, rng)
     else:

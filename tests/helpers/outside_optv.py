@@ -1,7 +1,5 @@
-"""OpenPTV's library run on a project folder as its own users do: python outside_optv.py FOLDER.
-
-It reads the project's files only, by the library's own readers, and writes res/rt_is and ptv_is.
-"""
+"""OpenPTV's library run on a project folder as its own users do: python outside_optv.py FOLDER. It
+reads the project's files only, by the library's own readers, and writes res/rt_is and ptv_is."""
 
 from __future__ import annotations
 
@@ -15,7 +13,6 @@ import tifffile
 
 
 def main(folder: Path) -> None:
-    """Detect, match, locate and track particles."""
     from optv.calibration import Calibration
     from optv.parameters import (
         ControlParams,

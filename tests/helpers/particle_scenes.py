@@ -15,19 +15,12 @@ from sabench.geometry.lens import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.scenes.focusing import focus
 from sabench.simulation.rendering import particles_splatted
-from sabench.simulation.rendering.particle_images import (
-    ParticleImages,
-    image_particles,
-)
+from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64, I64
 
 
 def make_scene(**changes: dict[str, Any] | None) -> Scene:
-    """Return the quick scene with unequal, small images.
-
-    Each table is updated with the given keys, or left out; a wall of another shape replaces it.
-    """
     values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
     values["cameras"] |= {"rows": 110, "columns": 170}
     values["illumination"] |= {
@@ -101,10 +94,8 @@ SMALL = Camera(
 def isolated(
     camera: Camera, depth_mm: tuple[float, float], pitch: int, seed: int
 ) -> tuple[F64, I64]:
-    """Return particles behind the wall whose images lie on a jittered lattice.
-
-    And the lattice's nearest pixels (column, row).
-    """
+    """Return particles behind the wall whose images lie on a jittered lattice. And the lattice's
+    nearest pixels (column, row)."""
     rng = np.random.default_rng(seed)
     column, row = np.meshgrid(
         np.arange(pitch, camera.columns - pitch, pitch),

@@ -29,12 +29,10 @@ def make_scene_in_motion(frames: int = 4, **changes: Any) -> Scene:
 
 
 def stack_of(data: Dataset, camera: int) -> U16:
-    """Return the raw images (frame, row, column) of a camera."""
     return np.stack([data.raw_image(camera, frame) for frame in range(data.setup.frames)])
 
 
 def write_pngs(data: Dataset, folder: Path) -> Path:
-    """Write PNG files into a folder for each camera."""
     import cv2
 
     for number, camera in enumerate(data.setup.cameras):
@@ -45,7 +43,6 @@ def write_pngs(data: Dataset, folder: Path) -> Path:
 
 
 def write_stacks(data: Dataset, folder: Path, **options: Any) -> Path:
-    """Write a TIFF file of many pages for each camera, by its name."""
     import tifffile
 
     folder.mkdir()

@@ -26,6 +26,5 @@ def scene() -> Scene:
 
 
 def make(folder: Path, **options: Any) -> SampleSet:
-    """Generate it."""
     given: dict[str, Any] = {"samples": COUNT, "split": SHARES, "size": SIZE, "seed": 4} | options
     return generate_samples(given.pop("scene", None) or scene(), folder, **given)

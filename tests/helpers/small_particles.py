@@ -34,14 +34,12 @@ def make_small(
 
 
 def count_found(shot: Shot, found: FoundParticles) -> Counts:
-    """Count found and true particles in the scored part of the grid."""
     grid = shot.observation.grid
     here, there = grid.to_voxels(found.position_mm), grid.to_voxels(shot.particles.position_mm)
     return count_challenge(here, there, grid.in_scored(here), grid.in_scored(there))
 
 
 def rotate_cameras(cameras: tuple[Any, ...], rotation: F64) -> tuple[Camera, ...]:
-    """Rotate cameras and their walls about the world's origin by a matrix (3, 3)."""
     made = []
     for camera in cameras:
         assert isinstance(camera, Camera)

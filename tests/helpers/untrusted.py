@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import shutil
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +14,24 @@ from typing import Any, get_args
 import numpy as np
 import tomli_w
 
+from sabench import tasks
 from sabench.api import Detections, Velocity
 from sabench.api.solvers import TaskName
 from sabench.dataset import schema
+from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
-from sabench.scenes import Scene, parse_scene
+from sabench.dataset.verification import probe, probe_dataset, verify
+from sabench.evaluation.leaderboard.submissions import submit
+from sabench.evaluation.runner import build_board
+from sabench.evaluation.suite_loading import load_suite
+from sabench.interop.export import export
+from sabench.scenes import Scene, load_scene, parse_scene
+from sabench.simulation.pipeline import generate
+from sabench.tasks.external_programs import Head, write_anew
+from sabench.tasks.solve_and_score import run_plug_in, score, solve
 from sabench.utils.errors import InputError
+from sabench.utils.files import sha256
 from tests.helpers import mutations, untrusted_files
 from tests.helpers.bubble_scenes import small
 
@@ -132,11 +144,9 @@ LARGEST_STEPS = 4e6
 
 @dataclass(frozen=True)
 class Base:
-    """Intact data that cases damage.
-
-    Data sets of particles, of a target and of a code behind bubbles, results of all tasks, a line
-    of a leaderboard, files of other programs, and the folder of an interrupted generation.
-    """
+    """Intact data that cases damage. Data sets of particles, of a target and of a code behind
+    bubbles, results of all tasks, a line of a leaderboard, files of other programs, and the folder
+    of an interrupted generation."""
 
     particles: Dataset
     target: Dataset
@@ -153,9 +163,6 @@ class Base:
 
 
 def make_base(root: Path) -> Base:
-    """Make all of it below a folder."""
-    from sabench.simulation.pipeline import generate
-
     made = [
         generate(parse_scene(scene, name), root / name, seed=1, backend="splat", name=name)
         for scene, name in ((SCENE, "particles"), (TARGETS, "target"))
@@ -197,8 +204,6 @@ def make_base(root: Path) -> Base:
 
 
 def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
-    from sabench import tasks
-
     rng = np.random.default_rng(1 + frame)
     if task == "bubbles":
         balls = Detections.balls(
@@ -212,8 +217,6 @@ def _estimate(task: TaskName, data: Dataset, frame: int) -> Any:
 
 
 def _result(task: TaskName, data: Dataset, path: Path) -> Path:
-    from sabench import tasks
-
     with result_writer(path, data, "made", task, {"k": 1}) as writer:
         for frame in tasks.of(task).frames(data):
             writer.add(_estimate(task, data, frame), frame)
@@ -221,15 +224,13 @@ def _result(task: TaskName, data: Dataset, path: Path) -> Path:
     return path
 
 
-Feed = Callable[[], None]
+Feed = Callable[[], object]
 Case = Callable[[Base, Path, Path, random.Random], Feed]
 
 
 def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Run `sabench generate` on a damaged scene.
-
-    A scene that is accepted and would take long is only checked.
-    """
+    """Run `sabench generate` on a damaged scene. A scene that is accepted and would take long is
+    only checked."""
     whole = dict(TARGETS if rng.random() < 0.15 else SCENE)
     if "particles" in whole:
         whole |= {key: value for key, value in EXTRAS.items() if rng.random() < 0.2}
@@ -237,9 +238,6 @@ def scene(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     write_toml(path, whole, rng)
 
     def feed() -> None:
-        from sabench.scenes import load_scene
-        from sabench.simulation.pipeline import generate
-
         loaded = load_scene(path)
         if loaded.illumination is not None and loaded.illumination.scattering == "mie":
             return  # its table takes seconds
@@ -293,20 +291,12 @@ def suite(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     program.write_text("#!/bin/sh\nexit 3\n")
     program.chmod(0o755)
     write_toml(inputs / "suite.toml", SUITE, rng)
-
-    def feed() -> None:
-        from sabench.evaluation.suite_loading import load_suite
-
-        load_suite(inputs / "suite.toml")
-
-    return feed
+    return lambda: load_suite(inputs / "suite.toml")
 
 
 def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Run `sabench verify`, `score` and `solve` on a data set with one damaged file.
-
-    In most cases the manifest has the damaged file's checksum.
-    """
+    """Run `sabench verify`, `score` and `solve` on a data set with one damaged file. In most cases
+    the manifest has the damaged file's checksum."""
     source = rng.choice((base.particles, base.particles, base.target, base.code))
     root = Path(shutil.copytree(source.root, inputs / "set"))
     name = rng.choice(
@@ -324,17 +314,11 @@ def dataset(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         reseal(root)
 
     solved = _solved_as_users_do if rng.random() < 0.05 else _solved
-
-    def feed() -> None:
-        _all_of((_verified, _probed, _scored, solved, _exported), root, out)
-
-    return feed
+    return lambda: _all_of((_verified, _probed, _scored, solved, _exported), root, out)
 
 
 def blind(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     """Run `sabench verify` and `solve` on a damaged observation side, as participants do."""
-    from sabench.dataset.copies import copy_observation
-
     root = inputs / "set"
     root.mkdir()
     copy_observation(rng.choice((base.particles, base.target, base.code)), root)
@@ -343,11 +327,7 @@ def blind(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         reseal(root)
 
     solved = _solved_as_users_do if rng.random() < 0.05 else _solved
-
-    def feed() -> None:
-        _all_of((_verified, _probed, solved), root, out)
-
-    return feed
+    return lambda: _all_of((_verified, _probed, solved), root, out)
 
 
 def _damage(path: Path, rng: random.Random) -> None:
@@ -359,8 +339,6 @@ def _damage(path: Path, rng: random.Random) -> None:
     elif path.suffix == ".h5":
         mutations.hdf5(path, rng)
     elif path.suffix == ".toml":
-        import tomllib
-
         write_toml(path, tomllib.loads(path.read_text()), rng)
     elif path.suffix == ".tif" and rng.random() < 0.3:
         mutations.tiff(path, rng)
@@ -372,8 +350,6 @@ def _damage(path: Path, rng: random.Random) -> None:
 
 def reseal(root: Path) -> None:
     """Let the manifest, if it can still be read, say of all files what they are now."""
-    from sabench.utils.files import sha256
-
     try:
         manifest = json.loads((root / schema.MANIFEST).read_text())
         names = sorted(
@@ -410,8 +386,6 @@ def _all_of(steps: tuple[Callable[[Path, Path], None], ...], root: Path, out: Pa
 
 
 def _verified(root: Path, out: Path) -> None:
-    from sabench.dataset.verification import verify
-
     faults = verify(root)
     for fault in faults:
         check_sentence(fault)
@@ -420,36 +394,26 @@ def _verified(root: Path, out: Path) -> None:
 
 
 def _probed(root: Path, out: Path) -> None:
-    from sabench.dataset.verification import probe_dataset
-
     probe_dataset(root)
 
 
 def _scored(root: Path, out: Path) -> None:
-    from sabench.tasks.solve_and_score import score
-
     check_scores(score(root, "truth"))
 
 
 def _solved(root: Path, out: Path) -> None:
-    from sabench.tasks.solve_and_score import score
-
     solve_here(root, out / "result.h5")
     if open_dataset(root).has_truth:
         check_scores(score(root, out / "result.h5"))
 
 
 def _solved_as_users_do(root: Path, out: Path) -> None:
-    from sabench.tasks.solve_and_score import solve
-
     solver, parameters = _fast_solver(root)
     check_scores({"seconds": solve(solver, root, out / "child.h5", parameters=parameters).seconds})
 
 
 def solve_here(root: Path, out: Path) -> None:
     """Solve a data set by a fast solver, in this process: its child would take half a second."""
-    from sabench.tasks.solve_and_score import run_plug_in
-
     solver, parameters = _fast_solver(root)
     run_plug_in(solver, parameters, root, out, threads=None, isolated=False)
 
@@ -461,16 +425,12 @@ def _fast_solver(root: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _exported(root: Path, out: Path) -> None:
-    from sabench.interop.export import export
-
     export(root, out / "vtk")
 
 
 def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Score a damaged result, and adopt it as the result of a program.
-
-    As `sabench score` and `sabench solve ./program` do.
-    """
+    """Score a damaged result, and adopt it as the result of a program. As `sabench score` and
+    `sabench solve ./program` do."""
     track = rng.choice(sorted(base.results))
     data = base.data_of(track)
     path = Path(shutil.copy(base.results[track], inputs / "result.h5"))
@@ -480,23 +440,15 @@ def result(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         mutations.set_attribute(path, "dataset", data.content_hash)
 
     def scored(root: Path, out: Path) -> None:
-        from sabench.tasks.solve_and_score import score
-
         check_scores(score(root, path))
 
     def adopted(root: Path, out: Path) -> None:
-        from sabench.tasks.external_programs import Head, write_anew
-
         write_anew(path, root, out / "adopted.h5", Head("program", {}, True, 1.0, 2.0), False)
 
     def exported(root: Path, out: Path) -> None:
-        from sabench.interop.export import export
-
         export(root, out / "vtk", path)
 
     def feed() -> None:
-        from sabench.dataset.verification import probe
-
         probe(path)  # as both commands do before anything else
         _all_of((scored, adopted, exported), data.root, out)
 
@@ -513,7 +465,6 @@ CARD = (
 
 
 def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """`sabench submit` of an archive, folder or file."""
     tasks = ("reconstruction", "calibration", "particles", "see_through")
     files = [base.results[task].read_bytes() for task in tasks]
     path = inputs / rng.choice(("a.zip", "a.tar", "a.tar.gz", "a.tgz", "a.h5", "folder"))
@@ -536,8 +487,6 @@ def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
         card.write_bytes(mutations.data(CARD, rng))
 
     def feed() -> None:
-        from sabench.evaluation.leaderboard.submissions import submit
-
         data = [base.particles.root, base.target.root, base.code.root]
         submit(path, name, data, out / "leaderboard", cards=cards)
 
@@ -545,7 +494,6 @@ def submission(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """`sabench board` of damaged records."""
     folder = out / "leaderboard" / "records"
     folder.mkdir(parents=True)
     lines = [json.dumps(base.record)]
@@ -557,13 +505,7 @@ def records(base: Base, inputs: Path, out: Path, rng: random.Random) -> Feed:
     (folder / "a.jsonl").write_bytes(
         "\n".join(lines).encode("latin-1") + rng.choice((b"\n", b"", b"\n{"))
     )
-
-    def feed() -> None:
-        from sabench.evaluation.runner import build_board
-
-        build_board(out / "leaderboard")
-
-    return feed
+    return lambda: build_board(out / "leaderboard")
 
 
 KINDS: dict[str, Case] = {
@@ -579,10 +521,8 @@ KINDS: dict[str, Case] = {
 
 
 def check_sentence(text: str) -> None:
-    """Check that a complaint is one sentence on one line.
-
-    Or a headline and one short indented line for each fault.
-    """
+    """Check that a complaint is one sentence on one line. Or a headline and one short indented line
+    for each fault."""
     assert text, "an error without words"
     head, *faults = text.split("\n")
     assert bool(faults) == head.endswith("faults:"), f"an error of several lines: {text[:300]!r}"

@@ -6,6 +6,7 @@ import contextlib
 import copy
 import csv
 import io
+import json
 import random
 import shutil
 import struct
@@ -13,24 +14,33 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import h5py
 import numpy as np
 import tomli_w
 from scipy.io import netcdf_file
 
+from sabench.apps.own_calibration.calibrate import calibrate
 from sabench.dataset.reader import Dataset
+from sabench.evaluation.gates import baseline as baselines
+from sabench.evaluation.gates.findings import compare
+from sabench.evaluation.suite_loading import read_secret
+from sabench.interop.vtkhdf import write_lattice
+from sabench.scenes import load_scene, parse_scene
+from sabench.simulation.pipeline import generate
 from sabench.utils.arrays import triple
+from sabench.worlds.bubbles_and_bodies import Phases
 from tests.helpers import mutations
+from tests.helpers.bubble_scenes import small
 
 _COUNTS = (5, 6, 7)  # nodes of fields along z, y, x
 _HALF_MM = (6.0, 6.0, 45.0)
 _LONG = 140_000  # characters: more than a field of Python's csv may have
-Feed = Callable[[], None]
+Feed = Callable[[], object]
 
 
 def write_fields(folder: Path) -> dict[str, Path]:
-    """Write one small field in every format, and tracks."""
     folder.mkdir(parents=True, exist_ok=True)
     axes = {
         name: np.linspace(-half, half, count)
@@ -81,8 +91,6 @@ def _write_netcdf(path: Path, arrays: dict[str, Any]) -> None:
 
 
 def _write_vtkhdf(path: Path, axes: dict[str, Any], parts: dict[str, Any]) -> None:
-    from sabench.interop.vtkhdf import write_lattice
-
     low, step = (triple([axis[i] for axis in axes.values()]) for i in (0, 1))
     step = triple(np.subtract(step, low))
     write_lattice(path, low, step, {"velocity": np.stack([*parts.values()], axis=-1)})
@@ -116,7 +124,6 @@ def _write_vtk(folder: Path, axes: dict[str, Any], parts: dict[str, Any]) -> dic
 
 
 def write_meshes(folder: Path) -> dict[str, Path]:
-    """Write a ball of 2 mm in every format."""
     import trimesh
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -129,36 +136,25 @@ def write_meshes(folder: Path) -> dict[str, Path]:
 
 
 def write_baseline(path: Path) -> Path:
-    """Write a baseline of one case."""
-    from sabench.evaluation.gates.baseline import (
-        Baseline,
-        CaseEntry,
-        Entry,
-        Tolerance,
-        write_baseline,
-    )
-
     figures = {"q": 0.5, "seconds": 1.0, "rms_px": None}
-    entry = CaseEntry(
+    entry = baselines.CaseEntry(
         case="tiny",
         seed=1,
         renderer="splat",
         scene_hash="a" * 64,
         data={"camera_00.grey_mean": 5.0},
-        solvers={"asa": Entry(figures=figures, reference_s=0.1)},
+        solvers={"asa": baselines.Entry(figures=figures, reference_s=0.1)},
     )
-    tolerances = {"reconstruction": {"q": Tolerance(relative=0.0, absolute=0.1)}}
+    tolerances = {"reconstruction": {"q": baselines.Tolerance(relative=0.0, absolute=0.1)}}
     head = {"suite": "tiny", "sabench": "1", "machine": {}, "versions": {}}
-    write_baseline(path, Baseline(**head, tolerances=tolerances, cases=(entry,)))
+    baselines.write_baseline(
+        path, baselines.Baseline(**head, tolerances=tolerances, cases=(entry,))
+    )
     return path
 
 
 def interrupt(values: dict[str, Any], folder: Path) -> Path:
     """Generate a data set up to its last step; its parts stay in the folder."""
-    from unittest import mock
-
-    from sabench.scenes import parse_scene
-    from sabench.simulation.pipeline import generate
 
     class Stopped(Exception):  # noqa: N818 (no fault)
         pass
@@ -233,34 +229,18 @@ def field(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
         own = {} if plain else {"velocity": ["velocity"], "length": "mm", "speed": "mm/s"}
         values["flow"] = {"generator": "from_field", "file": path.name, **own}
     (inputs / "scene.toml").write_text(tomli_w.dumps(values))
-
-    def feed() -> None:
-        from sabench.scenes import load_scene
-        from sabench.simulation.pipeline import generate
-
-        generate(load_scene(inputs / "scene.toml"), out / "set", seed=1, backend="splat")
-
-    return feed
+    return lambda: generate(load_scene(inputs / "scene.toml"), out / "set", seed=1, backend="splat")
 
 
 def mesh(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
     """Make the bodies of a scene with a damaged mesh, as `sabench generate` does first."""
-    from tests.helpers.bubble_scenes import small
-
     name = rng.choice(sorted(one for one in base.files if one.startswith("mesh")))
     path = damage_file(base.files[name], inputs, rng)
     body = {"generator": "mesh_file", "file": str(path), "unit": "mm", "place_mm": [0, 0, 60.0]}
-
-    def feed() -> None:
-        from sabench.worlds.bubbles_and_bodies import Phases
-
-        Phases(small(bubbles=None, solids=[body]), 1).bodies(0)
-
-    return feed
+    return lambda: Phases(small(bubbles=None, solids=[body]), 1).bodies(0)
 
 
 def describe_calibration(data: Dataset, folder: Path) -> dict[str, Any]:
-    """Write a folder for `sabench calibrate` from a data set of a target; return its TOML."""
     case, setup = data.calibration_case(), data.setup
     wall, first = setup.wall, setup.pinholes[0]
     assert wall is not None
@@ -309,13 +289,7 @@ def calibration(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
         path.write_bytes(mutations.data(path.read_bytes(), rng))
     else:
         _damaged_images(folder, [c.name for c in base.target.setup.cameras], rng)
-
-    def feed() -> None:
-        from sabench.apps.own_calibration.calibrate import calibrate
-
-        calibrate(folder, out / "result", "refractive_autocal", {})
-
-    return feed
+    return lambda: calibrate(folder, out / "result", "refractive_autocal", {})
 
 
 def _damaged_images(folder: Path, names: list[str], rng: random.Random) -> None:
@@ -336,8 +310,6 @@ def _damaged_images(folder: Path, names: list[str], rng: random.Random) -> None:
 
 
 def png(rows: int, columns: int, *, empty: bool = False) -> bytes:
-    """Make a PNG of 16 bits, whose image data may be missing."""
-
     def chunk(kind: bytes, data: bytes) -> bytes:
         end = struct.pack(">I", zlib.crc32(kind + data))
         return struct.pack(">I", len(data)) + kind + data + end
@@ -350,8 +322,6 @@ def png(rows: int, columns: int, *, empty: bool = False) -> bytes:
 
 def baseline(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
     """Read a damaged baseline, as `sabench check` does, and compare it with the intact one."""
-    import json
-
     whole = json.loads(base.files["baseline"].read_text())
     path = inputs / "tiny.json"
     if rng.random() < 0.2:
@@ -361,11 +331,8 @@ def baseline(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
         path.write_text(text, encoding="utf-8", errors="surrogatepass")
 
     def feed() -> None:
-        from sabench.evaluation.gates.baseline import read_baseline
-        from sabench.evaluation.gates.findings import compare
-
-        before = read_baseline(path, "tiny")
-        now = read_baseline(base.files["baseline"], "tiny")
+        before = baselines.read_baseline(path, "tiny")
+        now = baselines.read_baseline(base.files["baseline"], "tiny")
         for entry in now.cases:
             old = before.case(entry.key)
             if old is not None:
@@ -376,14 +343,11 @@ def baseline(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def secret(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Read a damaged file with the secret of a private test set."""
     from tests.helpers.untrusted import write_toml
 
     write_toml(inputs / "secret.toml", {"secret": "0123456789abcdef", "seeds": 3}, rng)
 
     def feed() -> None:
-        from sabench.evaluation.suite_loading import read_secret
-
         drawn = read_secret(inputs / "secret.toml")
         if drawn.seeds < 1000:
             drawn.seeds_of("tiny", 1, "tiny")
@@ -392,8 +356,6 @@ def secret(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
 
 
 def interrupted(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
-    """Resume the generation of a data set of which a part was damaged."""
-    from sabench.scenes import parse_scene
     from tests.helpers.untrusted import SCENE
 
     scene = parse_scene(SCENE, "tiny")
@@ -401,13 +363,7 @@ def interrupted(base: Any, inputs: Path, out: Path, rng: random.Random) -> Feed:
     parts = Path(shutil.copytree(folder, out / folder.name))
     path = rng.choice(sorted(one for one in parts.rglob("*") if one.is_file()))
     path.write_bytes(mutations.data(path.read_bytes(), rng))
-
-    def feed() -> None:
-        from sabench.simulation.pipeline import generate
-
-        generate(scene, out / "set", seed=1, backend="splat", name="tiny")
-
-    return feed
+    return lambda: generate(scene, out / "set", seed=1, backend="splat", name="tiny")
 
 
 KINDS = {

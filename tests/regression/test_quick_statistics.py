@@ -1,7 +1,5 @@
-"""Regression of the quick scene's figures.
-
-Change a figure here only on purpose, and report the change in the CHANGELOG.
-"""
+"""Regression of the quick scene's figures. Change a figure here only on purpose, and report the
+change in the CHANGELOG."""
 
 from __future__ import annotations
 
@@ -18,7 +16,6 @@ GOLDEN = Path(__file__).with_name("quick_statistics.json")
 
 
 def measure(dataset: Dataset, result: Path) -> dict[str, float]:
-    """Radiance (noise-free), grey values and scores."""
     figures: dict[str, float] = {}
     for camera, radiance, grey in zip(
         dataset.setup.cameras, dataset.radiance(0), dataset.observation(0).images, strict=True
@@ -31,13 +28,9 @@ def measure(dataset: Dataset, result: Path) -> dict[str, float]:
     return figures | {key: float(scores[key]) for key in ("q", "precision", "recall", "rms_px")}
 
 
-def test_statistics_are_as_recorded(
-    quick: Dataset, quick_result: Path, request: pytest.FixtureRequest
-) -> None:
-    """Other processors round single precision otherwise.
-
-    A tolerance of 1e-3 covers that in means. Scores of 255 particles move in steps of 1/255.
-    """
+def test_statistics(quick: Dataset, quick_result: Path, request: pytest.FixtureRequest) -> None:
+    """Other processors round single precision otherwise. A tolerance of 1e-3 covers that in means.
+    Scores of 255 particles move in steps of 1/255."""
     figures = measure(quick, quick_result)
     if request.config.getoption("--update-golden"):
         GOLDEN.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")

@@ -16,6 +16,7 @@ from sabench.cli.main import app
 from sabench.dataset.reader import Dataset
 from tests.conftest import Command
 from tests.helpers.calibration_cases import calibration_scene, case_of
+from tests.helpers.commands import succeed
 from tests.system.test_calibrate import describe, write_points
 
 BLIND = '''"""Turns all cameras away from the target."""
@@ -76,8 +77,7 @@ def read_strictly(text: str) -> Any:
 def run_suite(command: Command, folder: Path) -> list[dict[str, Any]]:
     (folder / "boards.toml").write_text(small_scene().to_toml(), encoding="utf-8")
     (folder / "suite.toml").write_text(SUITE)
-    done = command("run", "suite.toml", "--json")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("run", "suite.toml", "--json"))
     return list(read_strictly(done.stdout))
 
 
@@ -85,11 +85,12 @@ def run_suite(command: Command, folder: Path) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("name", NAMES)
 def test_score_prints_json(command: Command, boards: Dataset, tmp_path: Path, name: str) -> None:
     made = sabench.solve(name, boards, tmp_path / "r.h5")
-    done = command("score", boards.root, made.path, "--json")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("score", boards.root, made.path, "--json"))
     scores = read_strictly(done.stdout)
     first = boards.setup.cameras[0]
     assert scores["true_px"] == pytest.approx(np.hypot(first.rows, first.columns))
+    done = succeed(command("view", boards.root, made.path, "--json"))
+    assert read_strictly(done.stdout)["cameras"] == len(boards.setup.cameras)
 
 
 @pytest.mark.slow
@@ -98,20 +99,19 @@ def test_run_check_and_submit_print_json(command: Command, tmp_path: Path) -> No
     records = run_suite(command, tmp_path)
     assert [one["error"] for one in records] == [None] * 3
     (result,) = (tmp_path / "work" / "results").glob("*-behind-*.h5")
-    done = command("submit", result, "--name", "me", "--json")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("submit", result, "--name", "me", "--json"))
     assert len(read_strictly(done.stdout)) == 1
     for words in (["--update"], []):
-        done = command("check", "suite.toml", "--baseline", "b.json", "--json", *words)
-        assert done.returncode == 0, done.stderr
+        done = succeed(command("check", "suite.toml", "--baseline", "b.json", "--json", *words))
         assert read_strictly(done.stdout)["worse"] == []
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("words", ["conform", "warmup"])
 @pytest.mark.parametrize("name", NAMES)
-def test_conform_prints_json(command: Command, name: str) -> None:
-    done = command("conform", name, "--json")
+def test_conform_and_warmup_print_json(command: Command, name: str, words: str) -> None:
+    done = command(words, name, "--json")
     assert done.returncode in (0, 1), done.stderr
     assert read_strictly(done.stdout)
 
@@ -134,29 +134,10 @@ def test_calibrate_prints_json_or_one_sentence(command: Command, tmp_path: Path,
         assert not (tmp_path / "mine" / "result").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("plugins")
-@pytest.mark.parametrize("name", NAMES)
-def test_warmup_prints_json(command: Command, name: str) -> None:
-    done = command("warmup", name, "--json")
-    assert done.returncode in (0, 1), done.stderr
-    assert len(read_strictly(done.stdout)) == 1
-
-
 @pytest.mark.usefixtures("plugins")
 def test_list_prints_json(command: Command) -> None:
     done = command("list", "--json")
     assert set(NAMES) < {one["name"] for one in read_strictly(done.stdout)}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("plugins")
-@pytest.mark.parametrize("name", NAMES)
-def test_view_prints_json(command: Command, boards: Dataset, tmp_path: Path, name: str) -> None:
-    made = sabench.solve(name, boards, tmp_path / "r.h5")
-    done = command("view", boards.root, made.path, "--json")
-    assert done.returncode == 0, done.stderr
-    assert read_strictly(done.stdout)["cameras"] == len(boards.setup.cameras)
 
 
 def test_refocus_prints_one_sentence(command: Command, boards: Dataset) -> None:
@@ -174,8 +155,7 @@ def test_compare_statistics_prints_json_of_images_that_show_nothing(
 ) -> None:
     for frame in range(3):
         cv2.imwrite(str(tmp_path / f"{frame}.png"), np.full((60, 80), grey, dtype=np.uint8))
-    done = command("compare-statistics", quick.root, tmp_path, "--json")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("compare-statistics", quick.root, tmp_path, "--json"))
     assert read_strictly(done.stdout)
 
 
@@ -198,8 +178,7 @@ def test_commands_on_own_recordings_print_json_of_images_that_show_nothing(
     ]
     for words in asked:
         if words[0] == "quality":
-            solved = command("solve", "ray_triangulation", "tank", "-o", "found.h5")
-            assert solved.returncode == 0, solved.stderr
+            succeed(command("solve", "ray_triangulation", "tank", "-o", "found.h5"))
         done = command(*words)
         if done.returncode == 0:
             assert read_strictly(done.stdout), words
@@ -216,21 +195,6 @@ def test_every_command_with_json_is_tried_here() -> None:
         for command in app.registered_commands
         if "as_json" in inspect.signature(command.callback or len).parameters
     }
-    tried = {
-        "calibrate",
-        "check",
-        "compare-statistics",
-        "conform",
-        "import",
-        "list",
-        "plan",
-        "preprocess",
-        "quality",
-        "refocus",
-        "run",
-        "score",
-        "submit",
-        "warmup",
-        "view",
-    }
-    assert with_json == tried | {"reproduce"}
+    tried = "calibrate check compare-statistics conform import list plan preprocess quality refocus"
+    tried += " run score submit warmup view reproduce"
+    assert with_json == set(tried.split())

@@ -40,10 +40,6 @@ def solved(name: str, case: CalibrationCase) -> Calibration:
 
 
 def level_case(**changes: Any) -> Any:
-    """A target that is traversed along Z.
-
-    Its nominal positions are known to a hundredth of a millimetre.
-    """
     rough = {"points": 0.0002, "known": KNOWN}
     return case_of(calibration_scene(targets=LEVEL, frames=7, calibration=rough, **changes))
 
@@ -80,9 +76,8 @@ def test_missing_points_and_hidden_boards_are_normal(name: str) -> None:
     assert 0.6 < case.found.mean() < 0.9
     answer = solved(name, case)
     places = points if answer.points_mm is None else answer.points_mm
-    assert (
-        true_error_px(answer.cameras, places, exact) < 3.0 * MOST[name]
-    )  # polynomials go on into what is hidden
+    # polynomials go on into what is hidden
+    assert true_error_px(answer.cameras, places, exact) < 3.0 * MOST[name]
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -119,10 +114,8 @@ def test_classical_calibrations_need_different_depths(name: str) -> None:
 
 @pytest.mark.slow
 def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
-    """The thesis's alternation stops before the least-squares solution.
-
-    Its stop rule looks at a change of 0.001 px.
-    """
+    """The thesis's alternation stops before the least-squares solution. Its stop rule looks at a
+    change of 0.001 px."""
     case, _, _, exact = case_of(
         calibration_scene(
             calibration={"points": 0.2, "center_mm": 30.0, "turn_deg": 3.0, "known": []}
@@ -139,7 +132,6 @@ def test_alternation_ends_early_and_joint_adjustment_does_not() -> None:
 
 @pytest.fixture(scope="module")
 def boards(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """A data set of points without pictures."""
     return sabench.generate(
         calibration_scene(),
         tmp_path_factory.mktemp("calibration") / "boards",
@@ -182,10 +174,8 @@ def test_a_calibration_s_scores(boards: Dataset, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) -> None:
-    """The fluid's index alone can be estimated of the wall, to some thousandths.
-
-    Fixed parameters stay exact.
-    """
+    """The fluid's index alone can be estimated of the wall, to some thousandths. Fixed parameters
+    stay exact."""
     result = sabench.solve(
         "refractive_autocal", boards, tmp_path / "r.h5", parameters={"indices": [2]}
     )
@@ -194,9 +184,7 @@ def test_a_wrong_index_is_estimated_and_scored(boards: Dataset, tmp_path: Path) 
     assert scores["thickness_error_mm"] == 0.0
 
 
-def test_a_solver_of_another_kind_is_refused(
-    boards: Dataset, quick: Dataset, tmp_path: Path
-) -> None:
+def test_a_solver_of_other_kind_is_refused(boards: Dataset, quick: Dataset, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="solver msa: expected a data set that shows particles"):
         sabench.solve("msa", boards, tmp_path / "r.h5")
     with pytest.raises(
@@ -231,9 +219,8 @@ def test_a_suite_of_calibrations_leaves_a_page(command: Command, tmp_path: Path)
         '"polynomial_planes" }]\n'
     )
     done = command("run", "suite.toml")
-    assert done.returncode == 0, (
-        done.stderr
-    )  # polynomial_planes declines tilted boards, which is no fault
+    # polynomial_planes declines tilted boards, which is no fault
+    assert done.returncode == 0, done.stderr
     assert "polynomial_planes declines this case: expected frames of one Z each" in " ".join(
         done.stderr.split()
     )

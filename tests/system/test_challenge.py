@@ -21,6 +21,7 @@ from sabench.evaluation.records import read_records
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json
 from tests.conftest import ROOT, Command
+from tests.helpers.commands import refuse, succeed
 
 SECRET = 'secret = "0123456789abcdef"\nseeds = 2\n'
 SUITE = """title = "Tracers: a \\"challenge\\" ü 😀"
@@ -44,7 +45,6 @@ CARD = "".join(
 
 @pytest.fixture(scope="module")
 def organised(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which an organiser has made a challenge with a bundle."""
     folder = tmp_path_factory.mktemp("organiser")
     (folder / "secret.toml").write_text(SECRET, encoding="utf-8")
     (folder / "suite.toml").write_text(SUITE, encoding="utf-8")
@@ -56,7 +56,6 @@ def organised(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def submission(organised: Path, command: Command, tmp_path: Path) -> Path:
-    """What a participant sends who has nothing but the organiser's archive."""
     shutil.copyfile(organised / "out" / "participant.zip", tmp_path / "participant.zip")
     (tmp_path / "card.toml").write_text(CARD, encoding="utf-8")
     done = command("participate", "participant.zip", "asa", "-o", "s.zip", "--card", "card.toml")
@@ -93,17 +92,14 @@ def test_the_organiser_scores_what_the_participant_sent(
     organised: Path, submission: Path, command: Command, tmp_path: Path
 ) -> None:
     where = organised / "out" / "private" / "datasets"
-    done = command("submit", submission, "--name", "Ann", "--data", where)
-    assert done.returncode == 0, done.stderr
+    succeed(command("submit", submission, "--name", "Ann", "--data", where))
     records = read_records(tmp_path / "leaderboard" / "records")
     assert {one["split"] for one in records} == {"hidden"}
     assert {one["card"]["hardware"] for one in records} == {"a laptop"}
 
 
 @pytest.mark.slow
-def test_a_server_scores_to_the_last_digit(
-    organised: Path, submission: Path, tmp_path: Path
-) -> None:
+def test_a_server_scores_exactly(organised: Path, submission: Path, tmp_path: Path) -> None:
     bundle = unzipped(organised / "out" / "codabench.zip", tmp_path / "bundle")
     place = tmp_path / "server" / "input"
     shutil.copytree(bundle / "reference_data", place / "ref")
@@ -153,9 +149,7 @@ def test_the_bundle_is_as_the_server_documents_it(organised: Path, tmp_path: Pat
     assert not [one for one in public if one.suffix in (".h5", ".exr")]
 
 
-def test_what_is_sent_must_be_one_result_for_each_data_set(
-    organised: Path, submission: Path, tmp_path: Path
-) -> None:
+def test_each_data_set_needs_one_result(organised: Path, submission: Path, tmp_path: Path) -> None:
     reference = unzipped(organised / "out" / "codabench.zip", tmp_path / "b") / "reference_data"
     sent = unzipped(submission, tmp_path / "sent")
     shutil.copyfile(sent / "data_000.h5", sent / "more.h5")
@@ -173,18 +167,16 @@ def test_what_is_sent_must_be_one_result_for_each_data_set(
 
 
 @pytest.mark.slow
-def test_both_commands_resume(
+def test_commands_resume(
     organised: Path, submission: Path, command: Command, tmp_path: Path
 ) -> None:
     made = {path: path.stat().st_mtime_ns for path in (tmp_path / "work/challenge").iterdir()}
-    again = command("participate", "participant.zip", "asa", "-o", "s.zip", "--overwrite")
-    assert again.returncode == 0, again.stderr
+    succeed(command("participate", "participant.zip", "asa", "-o", "s.zip", "--overwrite"))
     assert made == {path: path.stat().st_mtime_ns for path in made}
     kept = {path: path.stat().st_mtime_ns for path in private(organised)}
     archive = (organised / "out" / "participant.zip").read_bytes()
     words = ("--hidden", organised / "secret.toml", "-o", organised / "out")
-    done = command("challenge", organised / "suite.toml", *words)
-    assert done.returncode == 0, done.stderr
+    succeed(command("challenge", organised / "suite.toml", *words))
     assert kept == {path: path.stat().st_mtime_ns for path in kept}
     assert (organised / "out" / "participant.zip").read_bytes() == archive
 
@@ -196,10 +188,7 @@ def test_both_commands_resume(
         (("participate", ".", "asa", "-o", "s.zip"), "with a file challenge.json, found none"),
         (("participate", "bad.zip", "asa", "-o", "s.tar"), "a name that ends in .zip"),
         (("participate", "bad.zip", "asa", "-o", "s.zip"), "expected an intact .zip archive"),
-        (
-            ("challenge", "standard", "--hidden", "secret.toml", "-o", "out"),
-            "expected solvers of one task",
-        ),
+        (("challenge", "standard", "--hidden", "secret.toml", "-o", "out"), "expected solvers of"),
         (
             ("challenge", "suite.toml", "--hidden", "secret.toml", "-o", "o", "--task", "bubbles"),
             "--task: expected one of reconstruction",
@@ -212,7 +201,4 @@ def test_wrong_words_are_one_sentence(
     (tmp_path / "bad.zip").write_bytes(b"PK no archive")
     (tmp_path / "secret.toml").write_text(SECRET, encoding="utf-8")
     (tmp_path / "suite.toml").write_text(SUITE, encoding="utf-8")
-    done = command(*words)
-    assert done.returncode == 2
-    assert expected in done.stderr
-    assert "Traceback" not in done.stderr
+    refuse(command(*words), expected)

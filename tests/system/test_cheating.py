@@ -37,7 +37,6 @@ HARMFUL = (  # where nothing stops them
 
 @pytest.fixture
 def place(quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A data set of its own, with a secret next to it."""
     shutil.copytree(quick.root, tmp_path / "set")
     (tmp_path / "secret.toml").write_text('secret = "0123456789abcdef"\n')
     monkeypatch.setenv("A_TOKEN", TOKEN)

@@ -1,8 +1,4 @@
-"""Copies of one data set made with other instructions: one identity, other bytes.
-
-The second copy is made as on a processor without AVX, as far as variables of the environment can
-say so to numba, OpenBLAS, NumPy and the C library.
-"""
+"""Copies of data sets: of other processors, and of the observation side alone."""
 
 from __future__ import annotations
 
@@ -11,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +19,7 @@ import tifffile
 
 import sabench
 from benchmarks.instruction_sets import SMALL
+from sabench import plugins, tasks
 from sabench.dataset import schema
 from sabench.dataset.copies import disagreements, pack
 from sabench.dataset.reader import Dataset, open_dataset
@@ -29,9 +27,12 @@ from sabench.dataset.verification import verify
 from sabench.evaluation.leaderboard.submissions import submit
 from sabench.images.tiff_exr import write_exr, write_tiff
 from sabench.simulation.pipeline import generate
+from sabench.tasks.conformance import example
+from sabench.tasks.solve_and_score import score, solve
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json
 from tests.conftest import ROOT, Command
+from tests.helpers.commands import refuse, succeed
 from tests.helpers.untrusted import reseal
 
 _LIMITS = {key: value for part in SMALL.values() for key, value in part.items()}
@@ -40,7 +41,6 @@ Change = Callable[[Path], None]
 
 @pytest.fixture(scope="module")
 def here(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """A public data set as this processor makes it."""
     folder = tmp_path_factory.mktemp("here")
     return generate("quick", folder / "a", seed=1, backend="splat")
 
@@ -76,7 +76,7 @@ def test_copies_of_two_processors_have_one_identity(here: Dataset, there: Path) 
 
 
 @pytest.mark.slow
-def test_a_result_of_the_other_copy_is_accepted_and_records_meet(
+def test_results_of_other_copies_and_records_meet(
     here: Dataset, there: Path, tmp_path: Path
 ) -> None:
     board, own = tmp_path / "board", tmp_path / "own.h5"
@@ -185,3 +185,63 @@ def test_the_observation_side_does_not_disclose_the_identity(here: Dataset, tmp_
     sabench.solve("msa", blind, tmp_path / "msa.h5")
     (standing,) = submit(tmp_path / "msa.h5", "Ann", [here.root], tmp_path / "board")
     assert standing.record["dataset"] == here.content_hash
+
+
+ONE_OF_EACH = {  # a fast solver of every task
+    "asa": "reconstruction",
+    "ray_triangulation": "particles",
+    "pinhole_linear": "calibration",
+    "piv3d_plain": "velocimetry",
+    "minimum_image": "bubbles",
+    "see_through": "see_through",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ONE_OF_EACH)
+def test_a_solver_on_the_observation_side_scores_the_same(solver: str, tmp_path: Path) -> None:
+    task = tasks.of(ONE_OF_EACH[solver])
+    data = example(task, plugins.load("solvers", solver).sees, tmp_path / "data")
+    seen = open_dataset(pack(data, tmp_path / "seen", blind=True))
+    assert not seen.has_truth
+    assert sabench.verify(seen.root) == []
+    solve(solver, data, tmp_path / "whole.h5")
+    solve(solver, seen, tmp_path / "seen.h5")
+    one, other = score(data, tmp_path / "whole.h5"), score(data, tmp_path / "seen.h5")
+    costs = ("seconds", "peak_mb", "compile_s", "reconstruction_s")
+    assert {k: v for k, v in one.items() if k not in costs} == {
+        k: v for k, v in other.items() if k not in costs
+    }
+
+
+def test_nothing_of_the_truth_is_packed(quick: Dataset, command: Command, tmp_path: Path) -> None:
+    succeed(command("pack", quick.root, "--blind", "-o", "blind.zip"))
+    with zipfile.ZipFile(tmp_path / "blind.zip") as archive:
+        names = archive.namelist()
+        manifest = json.loads(archive.read("manifest.json"))
+        archive.extractall(tmp_path / "blind")
+    assert sorted(names) == [
+        "cameras.json",
+        *(f"images/frame_0000/camera_0{number}.tif" for number in range(4)),
+        "manifest.json",
+    ]
+    assert not {"seed", "scene", "scene_hash", "renderer"} & set(manifest)
+    assert command("verify", "blind").stdout == "blind: intact\n"
+    assert command("solve", "asa", "blind", "-o", "r.h5").returncode == 0
+    refuse(
+        command("score", "blind", "r.h5"),
+        "expected a data set with its truth, got the observation side alone",
+    )
+    assert command("score", quick.root, "r.h5").returncode == 0
+
+
+def test_the_whole_is_packed_and_is_there_once(quick: Dataset, tmp_path: Path) -> None:
+    whole = pack(quick, tmp_path / "whole", blind=False)
+    assert sabench.verify(whole) == []
+    with pytest.raises(InputError, match="exists already"):
+        pack(quick, whole, blind=True)
+    seen = open_dataset(pack(quick, tmp_path / "seen", blind=True))
+    with pytest.raises(InputError, match="observation side alone"):
+        pack(seen, tmp_path / "again", blind=False)
+    assert not (tmp_path / "again").exists()
+    shutil.rmtree(whole)

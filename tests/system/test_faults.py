@@ -1,7 +1,5 @@
-"""Bad input and faults.
-
-One clear sentence, exit code 2, no partial files, and no bad input accepted.
-"""
+"""Bad input and faults. One clear sentence, exit code 2, no partial files, and no bad input
+accepted."""
 
 from __future__ import annotations
 
@@ -39,10 +37,8 @@ def copy(quick: Dataset, tmp_path: Path) -> Path:
 
 
 def check_sentence(done: subprocess.CompletedProcess[str], *words: str) -> None:
-    """Check the exit code 2 and a complaint of exactly one line.
-
-    The line holds all the words. Progress bars may precede it.
-    """
+    """Check the exit code 2 and a complaint of exactly one line. The line holds all the words.
+    Progress bars may precede it."""
     assert done.returncode == 2, (done.stdout, done.stderr)
     assert "Traceback" not in done.stderr
     complaint = [line for line in done.stderr.splitlines() if line.startswith("sabench: ")]
@@ -87,7 +83,7 @@ def test_verify_names_missing_and_foreign_files(copy: Path, command: Command) ->
     assert "notes.txt: a file that the manifest does not list" in done.stdout
 
 
-def test_verify_says_what_it_could_not_check(
+def test_verify_says_what_is_open(
     copy: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is neither intact nor damaged: another exit code than that of a fault."""
@@ -301,10 +297,8 @@ def limit_files() -> None:
 
 @pytest.mark.slow
 def test_a_disk_that_takes_no_more(quick: Dataset, own_process: Command, tmp_path: Path) -> None:
-    """A limit on the size of files stands in for a full disk.
-
-    Writes fail in the middle with the system's error.
-    """
+    """A limit on the size of files stands in for a full disk. Writes fail in the middle with the
+    system's error."""
     check_sentence(
         own_process(
             "generate", "quick", "-o", "full", "--backend", "splat", preexec_fn=limit_files
@@ -350,12 +344,10 @@ def start(tmp_path: Path, scene: Path, out: Path, *more: str) -> subprocess.Pope
 
 
 def recorded(folder: Path) -> int:
-    """Return the number of recorded views."""
     return len(list(folder.glob(".*.parts-*/views/*.npz")))
 
 
 def wait_for_work(folder: Path, before: int) -> None:
-    """Until more views have been recorded than there were."""
     end = time.monotonic() + 60.0
     while recorded(folder) <= before:
         assert time.monotonic() < end
@@ -364,7 +356,6 @@ def wait_for_work(folder: Path, before: int) -> None:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory, quick_toml: str) -> str:
-    """Content hash of the many frames when nobody disturbs their making."""
     folder = tmp_path_factory.mktemp("undisturbed")
     return sabench.generate(
         many_frames(quick_toml, folder), folder / "set", backend="splat"
@@ -460,10 +451,7 @@ class Sleeper(Solver):
 
 @pytest.mark.slow
 def test_ctrl_c_in_a_suite_keeps_what_is_finished(tmp_path: Path) -> None:
-    """The interrupt goes to the command and to the solver's process.
-
-    As it does from a terminal.
-    """
+    """The interrupt goes to the command and to the solver's process. As it does from a terminal."""
     plugin = tmp_path / "mine" / "solvers" / "sleeper.py"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(SLEEPER)
@@ -504,10 +492,8 @@ def write_for_ever(path: Path, written: list[str]) -> None:
 
 
 def test_ctrl_c_inside_hdf5_is_not_lost(tmp_path: Path) -> None:
-    """The interrupt comes while HDF5 calls back into Python.
-
-    It must arrive once, after the write.
-    """
+    """The interrupt comes while HDF5 calls back into Python. It must arrive once, after the
+    write."""
     written: list[str] = []
     with pytest.raises(KeyboardInterrupt):
         write_for_ever(tmp_path / "a.h5", written)

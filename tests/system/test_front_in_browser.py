@@ -14,7 +14,7 @@ import pytest
 from sabench.evaluation.leaderboard import board
 from sabench.evaluation.record_schema import Record
 from tests.helpers.browser import Browser, chromium
-from tests.system.test_board import HOSTILE, draw, record
+from tests.system.test_board import draw, record
 
 DASH = "\u2013"
 EVIL = '=1+1"><img src=x onerror="document.title=1">'
@@ -113,8 +113,7 @@ def test_the_page_opens_with_the_ranking(browser: Browser, page: Path) -> None:
     browser.open(page)
     assert browser.ask(PLACES) == [["1", "good"], ["1", "close"], ["3", EVIL], [DASH, "fair"]]
     assert browser.ask(RANKS) == [["=1"] * 3, ["=1"] * 3, ["4", "4", "3"], ["3", "3", DASH]]
-    bold = "[...document.querySelectorAll('.board b.score')].map(one => one.textContent)"
-    assert browser.ask(bold) == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
+    assert browser.texts(".board b.score") == ["0.900 ± 0.059", "0.800 ± 0.059", "0.500 ± 0.059"]
     browser.wait(DRAWN)
     assert browser.complaints() == []
 
@@ -242,7 +241,7 @@ def test_without_scripts_a_static_table_is_there(browser: Browser, page: Path) -
     ]
     assert headers == ["good", "close", EVIL, "fair", "alone"]
     browser.open(page)
-    assert browser.ask("document.querySelectorAll('.static').length") == 0
+    assert browser.count(".static") == 0
 
 
 @pytest.mark.parametrize(("mode", "width"), [("light", 1400), ("dark", 390)])
@@ -258,16 +257,6 @@ def test_axe_finds_nothing(browser: Browser, page: Path, view: str, width: int, 
     found = browser.violations()
     browser.prefer(None)
     assert found == []
-
-
-def test_hostile_names_stay_text_in_the_ranking(browser: Browser, tmp_path: Path) -> None:
-    records = [record(name, 0.5, suite=EVIL, case=EVIL, axis=EVIL) for name in (HOSTILE, EVIL)]
-    board.build_page(records, tmp_path, tmp_path / "index.html")
-    browser.open(tmp_path / "index.html")
-    assert browser.ask("document.title") == "sabench leaderboard"
-    assert browser.ask("document.querySelectorAll('[onerror], b img').length") == 0
-    assert HOSTILE in browser.ask("document.getElementById('content').innerText")
-    assert browser.complaints() == []
 
 
 def test_marks_of_results_are_kept_in_the_ranking(browser: Browser, tmp_path: Path) -> None:

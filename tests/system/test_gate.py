@@ -1,7 +1,5 @@
-"""A gate as users run it, from the command line and as a fixture of pytest.
-
-It prints nothing where nothing has changed, and the figure where one has.
-"""
+"""A gate as users run it, from the command line and as a fixture of pytest. It prints nothing where
+nothing has changed, and the figure where one has."""
 
 from __future__ import annotations
 
@@ -18,6 +16,7 @@ import scipy.sparse.csgraph
 import scipy.spatial  # noqa: F401
 
 from tests.conftest import ROOT, Command
+from tests.helpers.commands import refuse, succeed
 
 pytest_plugins = "pytester"
 
@@ -74,11 +73,8 @@ def test_a_check_is_silent_until_something_got_worse(
 ) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
     words = ("check", "tiny.toml")
-    missing = command(*words)
-    assert missing.returncode == 2
-    assert "--update makes one" in missing.stderr
-    made = command(*words, "--update")
-    assert made.returncode == 0, made.stderr
+    refuse(command(*words), "--update makes one")
+    made = succeed(command(*words, "--update"))
     assert made.stdout == "tiny: 1 data sets, 1 results: baseline written to tiny.baseline.json\n"
     silent = command(*words, "--junit", "ok.xml")
     assert silent.returncode == 0, silent.stdout + silent.stderr
@@ -97,9 +93,10 @@ def test_a_baseline_of_another_suite_is_bad_input(
     algorithms: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
-    done = command("check", "tiny.toml", "--baseline", ROOT / "leaderboard/baselines/ci.json")
-    assert done.returncode == 2
-    assert "expected a baseline of the suite tiny, got one of ci" in done.stderr
+    refuse(
+        command("check", "tiny.toml", "--baseline", ROOT / "leaderboard/baselines/ci.json"),
+        "expected a baseline of the suite tiny, got one of ci",
+    )
 
 
 def test_solvers_that_no_case_is_for_are_bad_input(
@@ -107,9 +104,7 @@ def test_solvers_that_no_case_is_for_are_bad_input(
 ) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(algorithms / "mine"))
     words = ("check", "tiny.toml", "--baseline", "base.json", "--update", "--solver", "piv3d")
-    done = command(*words)
-    assert done.returncode == 2
-    assert "got only some of the task velocimetry" in done.stderr
+    refuse(command(*words), "got only some of the task velocimetry")
 
 
 @pytest.mark.slow
@@ -141,7 +136,7 @@ def test_the_fixture_runs_a_plug_in_against_its_baseline(
     missing.stdout.no_fnmatch_line("*gates/baseline.py*")  # no traceback
 
 
-def test_pytest_starts_without_loading_sabench(
+def test_pytest_loads_no_sabench(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

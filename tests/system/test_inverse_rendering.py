@@ -91,10 +91,8 @@ def test_projects_as_cameras_do(name: str) -> None:
 
 
 def shapes_of(change: float) -> F64:
-    """Widths that grow along x, shrink along y and do not change along z.
-
-    If they change, images of two cameras are tilted, and of two are flat.
-    """
+    """Widths that grow along x, shrink along y and do not change along z. If they change, images of
+    two cameras are tilted, and of two are flat."""
     rates = change * np.array([0.1, -0.2, 0.0])
     shapes = np.tile([[one, *(one * rates)] for one in (*SIGMA, 0.0, 0.0)], (4, 1, 1))
     shapes[1:3, 2] = change * np.array([0.1, -0.02, 0.01, 0.03])
@@ -119,7 +117,6 @@ def make_model(images: F64, change: float = 0.0) -> Any:
 
 
 def particles(rng: np.random.Generator) -> tuple[F64, F64]:
-    """Positions (mm) that overlap and stick out of the images, and logarithms of light."""
     place = unit_points(COUNT) * [0.5, 1.1, 0.9]
     place[:4] = unit_points(4, 9) * [0.1, 0.1, 0.9] + [0.99, 0.0, 0.0]
     return MIDDLE + HALF * place, 0.3 * rng.standard_normal((COUNT, 4))
@@ -143,7 +140,6 @@ def _derivatives(center: F64, sigma: F64, count: int) -> list[F64]:
 
 
 def painted(position: F64, logs: F64, change: float) -> F64:
-    """Images by exact cameras and the error function."""
     terms = np.column_stack([np.ones(COUNT), (position - MIDDLE) / HALF])
     images = []
     for camera, shift, shapes, log in zip(CAMERAS, SHIFTS, shapes_of(change), logs.T, strict=True):
@@ -164,7 +160,6 @@ def painted(position: F64, logs: F64, change: float) -> F64:
 
 
 def prepared(change: float) -> tuple[Any, F64, F64, F64]:
-    """A renderer of noisy images, particles next to the true ones, and the images."""
     rng = np.random.default_rng(4)
     position, logs = particles(rng)
     images = painted(position, logs, change) + rng.standard_normal((4, ROWS, COLUMNS))
@@ -203,7 +198,6 @@ def test_slopes_are_those_of_central_differences() -> None:
 
 @pytest.fixture
 def searched() -> Any:
-    """What `bayesian_ipr` finds, its model of images, and the true positions."""
     shot = make_shot(21, particles={"per_pixel": 0.03})
     maps = fit_cameras(shot.observation)
     search = search_frame(shot.observation, maps, BayesianIprSettings())
@@ -213,7 +207,6 @@ def searched() -> Any:
 
 
 def rms_px(search: Any, true: F64) -> tuple[float, float]:
-    """Share of the particles next to a true one, and their distance."""
     apart = points_in_mm(search.maps, search.position)[:, None] - true
     nearest = np.linalg.norm(apart, axis=2).min(axis=1) / PIXEL_MM
     near = nearest < 1.0
@@ -221,7 +214,6 @@ def rms_px(search: Any, true: F64) -> tuple[float, float]:
 
 
 def perturb(search: Any) -> None:
-    """Move particles by 0.3 px along every axis, and change their light by 20 %."""
     rng = np.random.default_rng(5)
     step_mm = 0.3 * PIXEL_MM * rng.standard_normal(search.position.shape)
     search.position[:] = np.clip(search.position + step_mm / search.maps.half_mm, -1.0, 1.0)
@@ -229,15 +221,12 @@ def perturb(search: Any) -> None:
 
 
 def cost_of(search: Any, model: Any) -> float:
-    """Minus the logarithm of the probability of images and lights, from what is left."""
     logs = np.log(search.light / model.typical)
     prior = np.einsum("ni,ij,nj->", logs, model.precision, logs)
     return 0.5 * float(np.sum(model.weight * np.square(search.left, dtype=np.float64)) + prior)
 
 
-def test_a_descent_from_a_start_that_is_off_is_as_good_as_bayesian_ipr(
-    searched: Any,
-) -> None:
+def test_a_descent_from_a_start_that_is_off_is_as_good_as_bayesian_ipr(searched: Any) -> None:
     search, model, true = searched
     share, rms = rms_px(search, true)
     cost = cost_of(search, model)

@@ -57,7 +57,6 @@ _WORK_S, _END_S = 2.0, 20.0
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
-    """Folder with an endless program, an endless plug-in and suites of them."""
     program = tmp_path / "endless_program"
     program.write_text(PROGRAM)
     program.chmod(0o755)
@@ -170,25 +169,17 @@ def server_waits(pid: int) -> bool:
     return False
 
 
-def test_a_killed_run_of_a_program_leaves_none_of_its_processes(folder: Path) -> None:
-    assert kill_in_the_middle(folder, program_works, "run", "program.toml") == []
-
-
-@pytest.mark.slow
-def test_a_killed_solve_of_a_program_leaves_none_of_its_processes(
-    folder: Path, quick: Dataset
+@pytest.mark.parametrize(
+    ("works", "words"),
+    [
+        (program_works, "run program.toml"),
+        pytest.param(child_works, "check plugin.toml --update", marks=pytest.mark.slow),
+        pytest.param(server_waits, "score {quick} {result}", marks=pytest.mark.slow),
+    ],
+    ids=["program", "plug-in", "server"],
+)
+def test_a_killed_command_leaves_no_process(
+    works: Callable[[int], bool], words: str, folder: Path, quick: Dataset, quick_result: Path
 ) -> None:
-    words = ("solve", "./endless_program", str(quick.root), "-o", "r.h5")
-    assert kill_in_the_middle(folder, program_works, *words) == []
-
-
-@pytest.mark.slow
-def test_a_killed_check_of_a_plug_in_leaves_no_process(folder: Path) -> None:
-    words = ("check", "plugin.toml", "--update", "--baseline", "b.json")
-    assert kill_in_the_middle(folder, child_works, *words) == []
-
-
-@pytest.mark.slow
-def test_a_killed_score_leaves_no_process(folder: Path, quick: Dataset, quick_result: Path) -> None:
-    words = ("score", str(quick.root), str(quick_result))
-    assert kill_in_the_middle(folder, server_waits, *words) == []
+    made = words.format(quick=quick.root, result=quick_result).split()
+    assert kill_in_the_middle(folder, works, *made) == []

@@ -11,6 +11,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import sabench
 from sabench.dataset.reader import Dataset
 from sabench.utils.installed import FULL
@@ -37,7 +39,6 @@ MODULES = {
 
 
 def call(*words: str) -> subprocess.CompletedProcess[str]:
-    """Call sabench where the modules of the extra `full` are missing."""
     script = SCRIPT.format(missing=set(FULL), words=words)
     return subprocess.run(
         [sys.executable, "-c", script],
@@ -49,7 +50,6 @@ def call(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def scores_of_both(dataset: Dataset, result: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Score without what is missing, and with it."""
     done = call("score", str(dataset.root), str(result), "--json")
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout), sabench.score(dataset, result)
@@ -64,14 +64,13 @@ def test_the_missing_modules_are_those_of_the_extra() -> None:
     assert project["optional-dependencies"]["score"] == []
 
 
-def test_reconstructions_are_scored(quick: Dataset, quick_result: Path) -> None:
+@pytest.mark.parametrize("solver", [None, "ray_triangulation"])
+def test_scores_are_those_with_all_packages(
+    solver: str | None, quick: Dataset, quick_result: Path, tmp_path: Path
+) -> None:
+    if solver is not None:
+        quick_result = sabench.solve(solver, quick, tmp_path / "result.h5").path
     found, expected = scores_of_both(quick, quick_result)
-    assert found == expected
-
-
-def test_particles_are_scored(quick: Dataset, tmp_path: Path) -> None:
-    sabench.solve("ray_triangulation", quick, tmp_path / "result.h5")
-    found, expected = scores_of_both(quick, tmp_path / "result.h5")
     assert found == expected
 
 

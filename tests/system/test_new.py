@@ -1,21 +1,31 @@
-"""Templates of repositories: their own tests pass in a fresh folder."""
+"""Templates of repositories, and plug-ins that CONTRIBUTING.md shows."""
 
 from __future__ import annotations
 
+import ast
+import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from sabench.api import Observation
+from sabench.api.make import make_solver
 from sabench.evaluation.solver_card import read_card
+from sabench.scenes import load_scene
+from sabench.simulation.in_memory import simulate
+from sabench.tasks.conformance import check_solver
 from tests.conftest import ROOT, Command
+from tests.docs.pages import blocks
+from tests.helpers.commands import refuse, succeed
 
 
 def own_tests(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run the tests of a repository as its author does."""
     return subprocess.run(
         [sys.executable, "-m", "pytest", "-q", *words],
         cwd=folder,
@@ -28,8 +38,6 @@ def own_tests(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def made(command: Command, tmp_path: Path) -> Callable[[str], Path]:
-    """Make a repository of a kind in a fresh folder."""
-
     def make(kind: str) -> Path:
         done = command("new", kind, "repository")
         assert done.stdout == f"repository: template of a {kind}; read README.md\n", done.stderr
@@ -74,9 +82,10 @@ def test_a_folder_that_is_there_is_kept(command: Command, tmp_path: Path) -> Non
     (tmp_path / "here").mkdir()
     assert command("new", "solver", "here").returncode == 2
     assert list((tmp_path / "here").iterdir()) == []
-    done = command("new", "solvers", "there")
-    assert done.returncode == 2
-    assert "expected one of scene, solver, suite, gate, got 'solvers'" in done.stderr
+    refuse(
+        command("new", "solvers", "there"),
+        "expected one of scene, solver, suite, gate, got 'solvers'",
+    )
 
 
 def test_a_scene_is_the_bundled_one(command: Command, tmp_path: Path) -> None:
@@ -87,6 +96,64 @@ def test_a_scene_is_the_bundled_one(command: Command, tmp_path: Path) -> None:
     assert command("new", "scene", "tank.toml").returncode == 2
     assert (tmp_path / "tank.toml").read_bytes() == bundled.read_bytes()
     assert command("new", "scene", "quick.toml").returncode == 0
-    wrong = command("new", "solver", "mine", "--like", "quick")
-    assert wrong.returncode == 2
-    assert "--like: expected with a scene" in wrong.stderr
+    refuse(command("new", "solver", "mine", "--like", "quick"), "--like: expected with a scene")
+
+
+EXAMPLES = ROOT / "examples/plugins"
+FILES = ("solvers/min_los.py", "generators/lattice.py")
+ALLOWED = ("sabench.api", "sabench.algorithms")
+
+
+def test_the_page_shows_the_solver() -> None:
+    (shown,) = (one.text for one in blocks("CONTRIBUTING.md") if one.file == f"mine/{FILES[0]}")
+    assert shown == (EXAMPLES / FILES[0]).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_plug_in_imports_public_names_only(name: str) -> None:
+    tree = ast.parse((EXAMPLES / name).read_text(encoding="utf-8"))
+    modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    own = [module for module in modules if module.split(".")[0] == "sabench"]
+    assert own
+    assert all(module.startswith(ALLOWED) for module in own)
+
+
+@pytest.mark.slow
+def test_copied_plug_ins_are_listed_run_and_scored(
+    tmp_path: Path, command: Command, quick_toml: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path / "mine"))
+    shutil.copytree(EXAMPLES, tmp_path / "mine")
+    text = quick_toml.replace('generator = "uniform"\ncount = 300', 'generator = "lattice"')
+    text = text.replace("diameter_spread = 0.1", "pitch_mm = 1.5\njitter_mm = 0.2")
+    (tmp_path / "lattice.toml").write_text(text, encoding="utf-8")
+    listed = command("list")
+    assert not listed.stderr
+    assert {"min_los", "lattice"} <= {line.split()[1] for line in listed.stdout.splitlines()}
+    for words in (
+        "generate lattice.toml -o data --seed 1 --backend splat",
+        "solve min_los data -o found.h5 -p floor=0.1",
+    ):
+        succeed(command(*words.split()))
+    assert command("verify", "data").returncode == 0
+    scores = json.loads(command("score", "data", "found.h5", "--json").stdout)
+    assert scores["parameters"] == {"floor": 0.1}
+    assert scores["true_percent"] > 80.0
+
+
+@pytest.fixture
+def case(monkeypatch: pytest.MonkeyPatch) -> Observation:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(EXAMPLES))
+    return simulate(load_scene("quick"), seed=5).observation
+
+
+@pytest.mark.slow
+def test_the_solver_obeys_the_laws_of_all_solvers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SABENCH_PLUGINS", str(EXAMPLES))
+    assert not [one for one in check_solver("min_los") if one.verdict == "broken"]
+
+
+def test_one_camera_is_refused_with_a_reason(case: Observation) -> None:
+    one = replace(case, images=case.images[:1], cameras=case.cameras[:1])
+    assert make_solver("min_los", {}).skip(one)
+    assert make_solver("min_los", {}).skip(case) is None

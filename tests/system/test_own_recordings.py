@@ -1,8 +1,6 @@
-"""Own recordings, as a stranger brings them: imported, verified, solved, judged.
-
-A generated data set loses its truth: its images become files as recorders write them. All that
-solvers find must be as on the original.
-"""
+"""Own recordings, as a stranger brings them: imported, verified, solved, judged. A generated data
+set loses its truth: its images become files as recorders write them. All that solvers find must be
+as on the original."""
 
 from __future__ import annotations
 
@@ -29,6 +27,7 @@ from sabench.geometry.projective_camera import fit_projective
 from sabench.interop.cameras import read_camera_source
 from sabench.utils.errors import InputError
 from tests.conftest import Command
+from tests.helpers.commands import refuse, succeed
 from tests.helpers.recordings import (
     exact_options,
     import_exactly,
@@ -82,24 +81,21 @@ def test_solvers_find_the_same(original: Dataset, pngs: Path, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_commands(original: Dataset, pngs: Path, tmp_path: Path, command: Command) -> None:
-    done = command("import", pngs, "--cameras", original.root, "-o", "tank", "--interval", 0.01)
-    assert done.returncode == 0, done.stderr
+    done = succeed(
+        command("import", pngs, "--cameras", original.root, "-o", "tank", "--interval", 0.01)
+    )
     assert "tank: 4 frame(s) of 4 camera(s), recorded, without truth" in done.stdout
     assert command("verify", "tank").stdout == (
         "tank: intact; recorded: 4 frame(s) of 4 camera(s); no truth, no scene\n"
     )
-    done = command("solve", "ray_triangulation", "tank", "-o", "r.h5")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("solve", "ray_triangulation", "tank", "-o", "r.h5"))
     for word in ("r.h5", "truth", "empty"):
-        done = command("score", "tank", word)
-        assert done.returncode == 2
-        assert "expected a data set with its truth, got a recorded one" in done.stderr
-    done = command("pack", "tank", "-o", "copy")
-    assert done.returncode == 0, done.stderr
+        refuse(
+            command("score", "tank", word), "expected a data set with its truth, got a recorded one"
+        )
+    done = succeed(command("pack", "tank", "-o", "copy"))
     assert verify(tmp_path / "copy") == []
-    done = command("import", pngs, "--cameras", original.root, "-o", "tank")
-    assert done.returncode == 2
-    assert "tank" in done.stderr
+    refuse(command("import", pngs, "--cameras", original.root, "-o", "tank"), "tank")
 
 
 def test_export_needs_no_truth(original: Dataset, pngs: Path, tmp_path: Path) -> None:
@@ -124,7 +120,6 @@ def test_changed_files_are_found(original: Dataset, pngs: Path, tmp_path: Path) 
 
 
 def models(cameras: tuple[CameraModel, ...], points: Any) -> list[CameraModel]:
-    """Replace cameras by fits of other models."""
     one, two, three, four = (
         (camera.name, camera.rows, camera.columns, points, camera.project(points)[0])
         for camera in cameras

@@ -1,10 +1,9 @@
-"""Particle solvers on images and cameras that are wrong, empty or nearly so.
-
-Each case ends in one sentence, or in a valid result.
-"""
+"""Particle solvers on wrong or empty input, and within a budget of time."""
 
 from __future__ import annotations
 
+import itertools
+import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -100,7 +99,7 @@ def test_uniform_images_give_no_particles(solver: str, level: float) -> None:
 @pytest.mark.parametrize(
     ("layout", "noise", "level"), [((2, 2), 0.4, 64.0), ((2, 2), 2.2, 94.0), ((3, 3), 20.0, 94.0)]
 )
-def test_noise_gives_no_particles(
+def test_noise_is_no_light(
     solver: str, layout: tuple[int, int], noise: float, level: float
 ) -> None:
     case = make_small(1, 1e-5, layout).observation
@@ -112,9 +111,7 @@ def test_noise_gives_no_particles(
 @pytest.mark.slow
 @search
 @pytest.mark.parametrize("layout", [(2, 2), (3, 3)])
-def test_a_bright_background_with_noise_gives_no_particles(
-    solver: str, layout: tuple[int, int]
-) -> None:
+def test_a_bright_background_gives_no_particles(solver: str, layout: tuple[int, int]) -> None:
     case = make_small(1, 1e-5, layout, cameras={"rows": 120, "columns": 160}).observation
     for seed in range(3):
         noise = np.random.default_rng(seed).normal(94.0, 5.0, case.images.shape)
@@ -213,8 +210,7 @@ def test_discs_out_of_focus_are_flat(solver: str) -> None:
     noise = 2.0 * np.random.default_rng(1).standard_normal(images.shape)
     found = solve(solver, [with_images(case, images + noise)])[0]
     counts = count_found(shot, found)
-    assert counts.recall > 0.97
-    assert counts.precision > 0.97
+    assert min(counts.recall, counts.precision) > 0.97
 
 
 @pytest.mark.slow
@@ -248,13 +244,45 @@ def test_right_cameras_are_not_reported(solver: str, seed: int, layout: tuple[in
     assert counts.recall > 0.97
 
 
+def solve_within(solver: str, budget_s: float | None, frames: int = 1) -> list[FoundParticles]:
+    case = ImageSequence.of([make_small(6, 0.05).observation] * frames)
+    algorithm = make_algorithm(solver, {} if budget_s is None else {"budget_s": budget_s})
+    return list(find_in_each_frame(algorithm, solver, case, range(frames), SolverClock()))
+
+
+def equal(one: FoundParticles, other: FoundParticles) -> bool:
+    values = {declared.name: value for declared, value in other.arrays()}
+    return all(np.array_equal(value, values[declared.name]) for declared, value in one.arrays())
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_long_budget_changes_nothing(solver: str) -> None:
+    assert equal(solve_within(solver, None, 2)[1], solve_within(solver, 1e6, 2)[1])
+
+
 @pytest.mark.slow
-@both
-@pytest.mark.parametrize("level", [64.0])
-def test_a_missing_frame_leaves_the_others(solver: str, level: float) -> None:
-    shot = make_small(4)
-    case = shot.observation
-    missing = with_images(case, np.full(case.images.shape, level))
-    found = solve(solver, [case, case, missing, case])
-    for frame in (0, 1, 3):
-        assert count_found(shot, found[frame]).recall > 0.97
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_budget_that_is_spent_gives_a_valid_result_quickly(solver: str) -> None:
+    start = time.perf_counter()
+    full = solve_within(solver, None, 3)
+    between = time.perf_counter()
+    found = solve_within(solver, 1e-6, 3)
+    assert time.perf_counter() - between < 0.5 * (between - start)
+    assert len(full[2].position_mm) > 200
+    assert [len(one.position_mm) for one in found] == [0, 0, 0]
+
+
+@pytest.mark.slow
+def test_more_time_finds_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever the search ends, the result is valid; its F1 grows with the budget."""
+    shot = make_small(6, 0.05)
+    scores = []
+    for ticks in (2, 12, 40, 100, 100_000):
+        tick = itertools.count().__next__
+        monkeypatch.setattr("sabench.utils.threads.time.monotonic", tick)
+        found = solve_within("bayesian_ipr", float(ticks))[0]
+        assert found.probability is not None
+        scores.append(count_found(shot, found).f1)
+    assert scores[-1] > 0.97
+    assert scores == sorted(scores)
+    assert scores[1] > 0.2

@@ -1,22 +1,35 @@
-"""The task particles: duties of every solver, bundled or not, scores and results."""
+"""Particles followed through sequences: duties of solvers, scores, and dense starts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from sabench import plugins
+from sabench.algorithms.particles import (
+    BayesianIprSettings,
+    ShakeTheBoxSettings,
+    fit_cameras,
+    shake_the_box,
+    track_particles,
+)
+from sabench.algorithms.particles.bayesian_ipr import Known, search_frame
 from sabench.api import FoundParticles, ImageSequence, Observation, ParticleSolver
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import open_result, result_writer
 from sabench.evaluation.suite_loading import override
-from sabench.scenes import load_scene, parse_scene
-from sabench.simulation.in_memory import Shot, simulate
+from sabench.metrics.particle_detection import Counts, count_challenge
+from sabench.scenes import find, load_scene, parse_scene
+from sabench.simulation.in_memory import Shot, simulate, simulate_sequence
 from sabench.simulation.pipeline import generate
 from sabench.tasks.particles import TASK
 from sabench.tasks.solve_and_score import score, solve
@@ -31,10 +44,8 @@ SOLVERS = [  # ddpiv takes three parallel pinholes alone
 
 @pytest.fixture(scope="module")
 def shot() -> Shot:
-    """Four cameras in water behind glass, with particles far apart.
-
-    The sides are unequal everywhere.
-    """
+    """Four cameras in water behind glass, with particles far apart. The sides are unequal
+    everywhere."""
     values = load_scene("quick").to_dict()
     values["volume"]["size_mm"] = [9.0, 6.0, 3.0]
     values["particles"]["count"] = 60
@@ -43,7 +54,6 @@ def shot() -> Shot:
 
 @pytest.fixture(scope="module")
 def sequence(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """Six frames of a sparse flow."""
     scene = override(
         load_scene("particle-tracking"), {"frames": 6, "particles.per_pixel": 0.004}, "small"
     )
@@ -51,7 +61,6 @@ def sequence(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def ready(name: str, case: ImageSequence) -> ParticleSolver:
-    """The solver, if what it needs is installed."""
     made = make_algorithm(name, {})
     assert isinstance(made, ParticleSolver)
     reason = made.skip(case)
@@ -95,11 +104,8 @@ def test_the_truth_is_perfect_and_nothing_is_the_floor(sequence: Dataset) -> Non
 
 
 def test_known_faults_have_known_scores(sequence: Dataset, tmp_path: Path) -> None:
-    """Scores of a known fault.
-
-    Every fourth particle is left out, all others lie 0.03 mm aside along X, and each has a ghost
-    far away. The result has no trajectories.
-    """
+    """Scores of a known fault. Every fourth particle is left out, all others lie 0.03 mm aside
+    along X, and each has a ghost far away. The result has no trajectories."""
     shift = np.array([0.03, 0.0, 0.0])
     with result_writer(tmp_path / "r.h5", sequence, "faulty", "particles", {}) as writer:
         for frame in range(sequence.setup.frames):
@@ -255,3 +261,178 @@ def test_frames_are_read_when_they_are_asked_for(shot: Shot) -> None:
     assert asked == [0, 1, 2]
     with pytest.raises(IndexError):
         case[3]
+
+
+FRAMES, STEP_S = 6, 0.01
+SETTINGS = ShakeTheBoxSettings(BayesianIprSettings())
+
+
+@functools.cache
+def make_shots(per_pixel: float = 0.06) -> tuple[Shot, ...]:
+    values = tomllib.loads(find("particle-tracking", "scenes").read_text(encoding="utf-8"))
+    values["frames"] = FRAMES
+    values["volume"]["size_mm"] = [7.0, 7.0, 5.0]
+    values["grid"]["crop_mm"] = [0.8, 0.8, 0.3]
+    values["cameras"] |= {"rows": 130, "columns": 130}
+    values["particles"]["per_pixel"] = per_pixel
+    values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 6.5}
+    scene = parse_scene(values, "test")
+    return tuple(simulate_sequence(scene, seed=21))
+
+
+def follow(cases: Sequence[Observation]) -> list[FoundParticles]:
+    times = [STEP_S * number for number in range(len(cases))]
+    return list(track_particles(iter(cases), times, fit_cameras(cases[0]), SETTINGS))
+
+
+def count(shot: Shot, found: FoundParticles) -> Counts:
+    grid = shot.observation.grid
+    here, there = grid.to_voxels(found.position_mm), grid.to_voxels(shot.particles.position_mm)
+    return count_challenge(here, there, grid.in_scored(here), grid.in_scored(there))
+
+
+def joined(shots: Sequence[Shot], found: Sequence[FoundParticles]) -> float:
+    """The share of the particles found in the first and last frame that a trajectory joins."""
+    names = []
+    for shot, one in ((shots[0], found[0]), (shots[-1], found[-1])):
+        apart = np.linalg.norm(one.position_mm[:, None] - shot.particles.position_mm, axis=2)
+        near = apart.argmin(axis=0)
+        good = apart.min(axis=0) < 0.03
+        assert one.trajectory is not None
+        names.append(dict(zip(shot.particles.id[good], one.trajectory[near[good]], strict=True)))
+    both = names[0].keys() & names[1].keys()
+    assert len(both) > 300
+    return float(np.mean([names[0][name] == names[1][name] for name in both]))
+
+
+@pytest.mark.slow
+def test_particles_are_followed_and_ghosts_end() -> None:
+    shots = make_shots()
+    found = follow([shot.observation for shot in shots])
+    for shot, one in zip(shots, found, strict=True):
+        counts = count(shot, one)
+        assert counts.truths > 300
+        assert min(counts.recall, counts.precision) > 0.99
+    assert joined(shots, found) > 0.99
+
+
+@pytest.mark.slow
+def test_trajectories_bridge_a_frame_that_is_dark() -> None:
+    shots = make_shots()
+    cases = [shot.observation for shot in shots]
+    dark = np.full_like(cases[3].images, 64)
+    cases[3] = replace(cases[3], images=dark)
+    found = follow(cases)
+    counts = count(shots[3], found[3])  # positions between the frames before and after it
+    assert counts.recall > 0.95
+    assert counts.precision > 0.98
+    assert joined(shots, found) > 0.97
+
+
+@pytest.mark.slow
+def test_a_sequence_may_begin_in_the_dark_or_be_dark() -> None:
+    shots = make_shots()
+    cases = [shot.observation for shot in shots[:3]]
+    dark = replace(cases[0], images=np.full_like(cases[0].images, 64))
+    found = follow([dark, *cases[1:]])
+    assert len(found[0].position_mm) == 0
+    assert count(shots[2], found[2]).recall > 0.99
+    assert [len(one.position_mm) for one in follow([dark] * 3)] == [0] * 3
+
+
+@pytest.mark.slow
+def test_tracking_begins_again_after_many_dark_frames() -> None:
+    shots = make_shots()
+    cases = [shot.observation for shot in shots]
+    for number in (2, 3, 4):
+        cases[number] = replace(cases[number], images=np.full_like(cases[number].images, 64))
+    found = follow(cases)
+    assert len(found[4].position_mm) == 0
+    assert count(shots[1], found[1]).recall > 0.98
+    assert count(shots[5], found[5]).recall > 0.98
+
+
+def test_a_single_frame_is_searched() -> None:
+    shots = make_shots()
+    found = follow([shots[0].observation])
+    assert count(shots[0], found[0]).recall > 0.98
+
+
+@pytest.mark.slow
+def test_frames_one_after_the_other_are_the_same_as_single_ones() -> None:
+    values = tomllib.loads(find("particle-tracking", "scenes").read_text(encoding="utf-8"))
+    values["frames"], values["particles"]["per_pixel"] = 3, 0.002
+    scene = parse_scene(values, "test")
+    for frame, shot in enumerate(simulate_sequence(scene, seed=3)):
+        single = simulate(scene, seed=3, frame=frame).observation
+        np.testing.assert_array_equal(shot.observation.images, single.images)
+
+
+@pytest.mark.slow
+def test_a_camera_whose_image_is_another_frames_is_left_out_there() -> None:
+    """The search of the frame has fewer cameras than the one that it is linked to."""
+    shots = make_shots(0.02)
+    cases = [shot.observation for shot in shots]
+    images = cases[1].images.copy()
+    images[-1] = cases[5].images[-1]
+    cases[1] = replace(cases[1], images=images)
+    with pytest.warns(UserWarning, match="the camera is left out"):
+        found = follow(cases[:3])
+    counts = count(shots[1], found[1])
+    assert counts.recall > 0.9
+
+
+NEAR_MM = 0.025  # half a pixel
+TIMES = [0.01 * number for number in range(8)]
+
+
+def shots_of(per_pixel: float, frames: int) -> list[Shot]:
+    values = tomllib.loads(find("particle-tracking", "scenes").read_text(encoding="utf-8"))
+    values["frames"] = frames
+    values["volume"]["size_mm"] = [4.6, 4.6, 3.0]
+    values["cameras"] |= {"rows": 80, "columns": 80}
+    values["particles"]["per_pixel"] = per_pixel
+    values["illumination"] |= {"scattering": "isotropic", "pulse_energy_mj": 6.5}
+    return list(simulate_sequence(parse_scene(values, "dense"), seed=7))
+
+
+@pytest.mark.slow
+def test_known_particles_help_to_find_the_others() -> None:
+    (shot,) = shots_of(0.26, 1)
+    truth, maps = shot.particles.position_mm, fit_cameras(shot.observation)
+    given = np.random.default_rng(8).random(len(truth)) < 0.5
+    light = np.zeros((int(given.sum()), 4))  # not known
+    known = Known(truth[given], light)
+    alone = search_frame(shot.observation, maps, BayesianIprSettings())
+    together = search_frame(shot.observation, maps, BayesianIprSettings(), known)
+    assert alone is not None
+    assert together is not None
+    others = truth[~given]
+    before, after = (
+        (cKDTree(search.found().position_mm).query(others)[0] < NEAR_MM).mean()
+        for search in (alone, together)
+    )
+    assert after > before + 0.1
+    assert after > 0.85
+
+
+def track(shots: list[Shot]) -> list[FoundParticles]:
+    cases = [shot.observation for shot in shots]
+    settings = ShakeTheBoxSettings(BayesianIprSettings())
+    return list(track_particles(cases, TIMES[: len(cases)], fit_cameras(cases[0]), settings))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frames", [3, 8])
+def test_held_frames_come_in_order(frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of any number of frames, each comes once, and easy images give the same particles."""
+    shots = shots_of(0.03, frames)
+    usual = track(shots)
+    monkeypatch.setattr(shake_the_box, "are_mostly_wrong", lambda *_: True)
+    held = track(shots)
+    assert len(held) == frames
+    for shot, one, other in zip(shots, usual, held, strict=True):
+        assert abs(len(one.position_mm) - len(other.position_mm)) <= 3
+        distance, _ = cKDTree(shot.particles.position_mm).query(other.position_mm)
+        assert (distance < NEAR_MM).mean() > 0.97
+        assert other.velocity_mm_s is not None

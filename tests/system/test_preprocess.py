@@ -1,4 +1,4 @@
-"""The command preprocess on data sets, recorded ones, and image files."""
+"""The commands preprocess and compare-statistics."""
 
 from __future__ import annotations
 
@@ -11,9 +11,13 @@ import numpy as np
 import pytest
 
 import sabench
+from sabench.apps.recordings import measure_dataset
+from sabench.dataset.copies import pack
 from sabench.dataset.reader import Dataset
+from sabench.evaluation.suite_loading import override
 from sabench.scenes import load_scene, parse_scene
 from tests.conftest import Command
+from tests.helpers.commands import refuse, succeed
 
 STEPS = ("--step", "sliding_minimum,window_px=9", "--step", "gaussian,sigma_px=0.6")
 
@@ -28,26 +32,20 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 def stages(command: Command, *arguments: object) -> list[dict[str, Any]]:
-    done = command("preprocess", *map(str, arguments), "--json")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("preprocess", *map(str, arguments), "--json"))
     out: list[dict[str, Any]] = json.loads(done.stdout)
     return out
 
 
-def test_every_step_is_shown_with_its_peaks(
-    command: Command, data: Dataset, tmp_path: Path
-) -> None:
+def test_steps_are_shown_with_their_peaks(command: Command, data: Dataset, tmp_path: Path) -> None:
     picture = tmp_path / "preview.png"
-    done = command("preprocess", str(data.root), *STEPS, "-o", str(picture))
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("preprocess", str(data.root), *STEPS, "-o", str(picture)))
     for word in ("recorded", "repaired", "sliding_minimum", "gaussian", "1e-05 per pixel"):
         assert word in done.stdout
     image = cv2.imread(str(picture))
     assert image is not None
     assert image.shape[1] > 1.5 * image.shape[0]
-    again = command("preprocess", str(data.root), "-o", str(picture))
-    assert again.returncode == 2
-    assert "exists already" in again.stderr
+    refuse(command("preprocess", str(data.root), "-o", str(picture)), "exists already")
 
 
 def test_peaks_are_those_of_the_particles(command: Command, data: Dataset) -> None:
@@ -61,7 +59,7 @@ def test_peaks_are_those_of_the_particles(command: Command, data: Dataset) -> No
 
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])
-def test_a_plain_image_is_taken(
+def test_a_plain_image(
     command: Command, data: Dataset, tmp_path: Path, suffix: str, bits: int
 ) -> None:
     if suffix == "bmp" and bits == 16:
@@ -84,13 +82,10 @@ def test_a_plain_image_is_taken(
         (["--step", "gaussian", "--step", "temporal_minimum"], "as the first step"),
     ],
 )
-def test_wrong_options_are_named(
+def test_wrong_options(
     command: Command, data: Dataset, arguments: list[str], sentence: str
 ) -> None:
-    done = command("preprocess", str(data.root), *arguments)
-    assert done.returncode == 2
-    assert sentence in done.stderr
-    assert "Traceback" not in done.stderr
+    refuse(command("preprocess", str(data.root), *arguments), sentence)
 
 
 def test_what_is_no_image_is_refused(command: Command, tmp_path: Path) -> None:
@@ -108,8 +103,82 @@ def test_what_is_no_image_is_refused(command: Command, tmp_path: Path) -> None:
         ([grey, "--step", "temporal_minimum"], "two frames or more"),
         ([grey, "--frame", "3"], "image 3"),
     ):
-        done = command("preprocess", *map(str, arguments))
-        assert done.returncode == 2, sentence
-        assert sentence in done.stderr
-        assert "Traceback" not in done.stderr
+        refuse(command("preprocess", *map(str, arguments)), sentence)
     assert command("preprocess", str(grey)).returncode == 0
+
+
+MORE = {
+    "particles.per_pixel": 0.004,
+    "particles.velocity_mm_s": [300.0, 0.0, 0.0],
+    "sensor.read_noise_e": 20.0,
+    "sensor.dsnu_e": 40.0,
+    "sensor.black_level_dn": 64.0,
+}
+
+
+@pytest.fixture(scope="module")
+def busy(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    scene = load_scene("quick")
+    table = scene.to_dict()["particles"]
+    table.pop("count", None)
+    values = {"particles": table | {"per_pixel": 0.004}} | MORE
+    moving = override(scene.with_frames(4), values, "quick, moving")
+    out = tmp_path_factory.mktemp("data") / "quick"
+    return sabench.generate(moving, out, seed=1, backend="splat")
+
+
+@pytest.fixture(scope="module")
+def folder(busy: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("images")
+    for number, camera in enumerate(busy.setup.cameras):
+        (out / camera.name).mkdir()
+        for frame in range(4):
+            cv2.imwrite(str(out / camera.name / f"{frame}.png"), busy.raw_image(number, frame))
+    return out
+
+
+def figures(command: Command, *arguments: object) -> dict[str, Any]:
+    done = succeed(command("compare-statistics", *arguments, "--json"))
+    return dict(json.loads(done.stdout))
+
+
+def test_equal_images_have_equal_figures(busy: Dataset, folder: Path, command: Command) -> None:
+    white = busy.setup.sensor.white_dn
+    both = figures(command, busy.root, folder, "--white", white)
+    own, other = both["dataset"], both["recording"]
+    assert own["cameras"] == other["cameras"]
+    assert own["ratio_matched_by"] == "true positions"
+    assert own["ratio_pairs"] > 100
+    assert other["ratio_matched_by"] is None
+    assert "ln_ratio" not in other["median"]
+
+
+def test_figures_are_those_of_the_scene(busy: Dataset) -> None:
+    found = measure_dataset(busy, 4).medians()
+    sensor, scale = (busy.scene.sensor, 255.0 / busy.setup.sensor.white_dn)
+    noise = scale * np.hypot(sensor.gain_dn_e * 20.0, 12**-0.5)
+    assert found["temporal"] == pytest.approx(noise, rel=0.15)
+    assert found["fixed_near"] == pytest.approx(scale * sensor.gain_dn_e * 40.0, rel=0.15)
+    lowest = scale * (64.0 - 1.5 * sensor.gain_dn_e * np.hypot(20.0, 40.0))
+    assert lowest < (found["background_p50"] or 0.0) < scale * 64.0  # the least of 9 x 9 pixels
+    visible = np.concatenate([view.sigma_px[view.visible] for view in busy.views(0)])
+    assert found["width_p50"] == pytest.approx(np.median(visible), rel=0.1)
+
+
+def test_the_ratio_of_fluxes_is_that_of_the_truth(busy: Dataset) -> None:
+    found = measure_dataset(busy, 4).medians()
+    photons = np.stack([np.where(view.visible, view.photons, np.nan) for view in busy.views(0)])
+    logs = np.log(photons)
+    ratios = [logs[i] - logs[j] for i in range(len(logs)) for j in range(i)]
+    true = np.concatenate([one - np.nanmedian(one) for one in ratios])
+    robust = 1.4826 * np.nanmedian(np.abs(true))
+    assert found["ln_ratio_robust"] == pytest.approx(robust, rel=0.2)
+
+
+def test_without_truth_they_are_found(busy: Dataset, tmp_path: Path, command: Command) -> None:
+    pack(busy, tmp_path / "blind", blind=True)
+    both = figures(command, busy.root, tmp_path / "blind")
+    assert both["recording"]["ratio_matched_by"] == "triangulated positions"
+    assert both["recording"]["median"]["ln_ratio_robust"] == pytest.approx(
+        both["dataset"]["median"]["ln_ratio_robust"], rel=0.15
+    )

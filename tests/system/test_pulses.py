@@ -35,7 +35,6 @@ Claim = Callable[[Particles, float], FoundParticles]
 
 @pytest.fixture(scope="module", params=list(TIMES_S))
 def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    """Two groups of pulses of a steady flow, 80 x 80 pixels, 0.04 particles per pixel."""
     values = tomllib.loads(find("particle-tracking", "scenes").read_text(encoding="utf-8"))
     pulses = TIMES_S[request.param]
     values["frames"] = GROUPS * len(pulses)
@@ -95,7 +94,6 @@ def velocity_coverage(recording: Dataset, frames: list[FoundParticles]) -> float
 
 
 def trajectories_of(found: Solved, group: int) -> set[int]:
-    """Numbers of all trajectories of a group."""
     count = len(found.frames) // GROUPS
     part = found.frames[count * group : count * (group + 1)]
     return {int(number) for one in part for number in np.asarray(one.trajectory)}
@@ -103,9 +101,7 @@ def trajectories_of(found: Solved, group: int) -> set[int]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["bayesian_ipr", "ray_triangulation"])
-def test_solvers_of_single_instants_are_linked_within_groups(
-    name: str, recording: Dataset, tmp_path: Path
-) -> None:
+def test_solvers_of_instants_are_linked(name: str, recording: Dataset, tmp_path: Path) -> None:
     found = solved(name, recording, tmp_path / "r.h5")
     assert found.scores["precision"] > 0.98
     if name == "bayesian_ipr":  # triangulation loses the particles whose images overlap
@@ -174,9 +170,7 @@ def test_claimed_velocities_are_those_at_the_pulse(recording: Dataset, tmp_path:
     assert scores["velocity_mm_s"] == pytest.approx(np.linalg.norm(DRIFT_MM_S), rel=1e-3)
 
 
-def test_accelerations_need_three_pulses_at_equal_intervals(
-    recording: Dataset, tmp_path: Path
-) -> None:
+def test_accelerations_need_three_equal_intervals(recording: Dataset, tmp_path: Path) -> None:
     extra = np.array([30.0, -40.0, 0.0])  # mm/s2
 
     def accelerate(true: Particles, time: float) -> FoundParticles:
@@ -190,7 +184,6 @@ def test_accelerations_need_three_pulses_at_equal_intervals(
 
 
 def spacing(recording: Dataset) -> F64:
-    """Times from pulse to pulse of the first group."""
     return np.diff([recording.setup.time_s(n) for n in range(recording.setup.pulses)])
 
 
@@ -208,7 +201,6 @@ def share_of(extra: F64, recording: Dataset) -> float:
 
 
 def scored_places(recording: Dataset, frame: int) -> dict[int, F64]:
-    """Positions of the scored particles of a frame, by identity."""
     true, grid = recording.particles(frame), recording.setup.grid
     scored = grid.in_scored(grid.to_voxels(true.position_mm))
     return dict(zip(true.id[scored].tolist(), true.position_mm[scored], strict=True))

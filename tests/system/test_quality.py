@@ -18,6 +18,7 @@ from sabench.tasks.quality import Quality, quality
 from sabench.tasks.quality_figures import FIGURES
 from sabench.utils.errors import InputError
 from tests.conftest import Command
+from tests.helpers.commands import succeed
 from tests.helpers.recordings import make_scene_in_motion, write_pngs
 
 
@@ -37,7 +38,6 @@ def solved(data: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def judged(data: Dataset, out: Path, found: list[FoundParticles]) -> Quality:
-    """Judge particles without solving again."""
     out.unlink(missing_ok=True)
     with result_writer(out, data, "none", "particles", {}) as writer:
         for frame, one in enumerate(found):
@@ -52,9 +52,7 @@ def test_the_truth_explains_the_images(data: Dataset, tmp_path: Path) -> None:
     for noise in (0.0, 0.01, 0.03):
         moved = [
             FoundParticles(
-                one.position_mm + noise * rng.standard_normal(one.position_mm.shape),
-                None,
-                one.id,
+                one.position_mm + noise * rng.standard_normal(one.position_mm.shape), None, one.id
             )
             for one in truth
         ]
@@ -117,17 +115,16 @@ def test_volumes(data: Dataset, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_command_without_truth(
-    data: Dataset, solved: Path, tmp_path: Path, command: Command
-) -> None:
+def test_without_truth(data: Dataset, solved: Path, tmp_path: Path, command: Command) -> None:
     folder = write_pngs(data, tmp_path / "images")
     options = ImportOptions(
         black_dn=data.setup.sensor.black_dn, white_dn=data.setup.sensor.white_dn
     )
     import_recording(folder, data.setup.cameras, tmp_path / "tank", options, data.setup.grid)
     sabench.solve("ray_triangulation", tmp_path / "tank", tmp_path / "r.h5")
-    done = command("quality", "tank", "r.h5", "--no-again", "-o", "q", "--frames", 2, "--json")
-    assert done.returncode == 0, done.stderr
+    done = succeed(
+        command("quality", "tank", "r.h5", "--no-again", "-o", "q", "--frames", 2, "--json")
+    )
     figures = json.loads(done.stdout)["figures"]
     expected = quality(data, solved, frames=2, solve_again=False).figures
     for key, value in expected.items():

@@ -1,7 +1,5 @@
-"""Suites of recorded data sets: run, resumed, gated and shown without truth.
-
-The recording is of a generated data set whose truth stays behind. It is never changed or deleted.
-"""
+"""Suites of recorded data sets: run, resumed, gated and shown without truth. The recording is of a
+generated data set whose truth stays behind. It is never changed or deleted."""
 
 from __future__ import annotations
 
@@ -24,6 +22,7 @@ from sabench.evaluation.suite_loading import load_suite
 from sabench.tasks.quality_figures import FIGURES
 from sabench.utils.errors import InputError
 from tests.conftest import Command
+from tests.helpers.commands import refuse, succeed
 from tests.helpers.recordings import import_exactly, make_scene_in_motion, write_pngs
 from tests.system.test_programs import WHOLE, write
 
@@ -43,7 +42,6 @@ ALONE = {"residual_px", "explained", "jitter_mm", "followed"}  # figures of one 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a data set, its images as PNG files, and a recorded data set of them."""
     folder = tmp_path_factory.mktemp("made")
     data = sabench.generate(make_scene_in_motion(), folder / "data", seed=5, backend="splat")
     import_exactly(data, write_pngs(data, folder / "images"), folder / "tank")
@@ -52,7 +50,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(made: Path, tmp_path: Path) -> Path:
-    """A folder with a recorded data set and a suite of it."""
     shutil.copytree(made / "tank", tmp_path / "tank")
     (tmp_path / "s.toml").write_text(SUITE)
     return tmp_path
@@ -76,7 +73,6 @@ def damage(folder: Path) -> Path:
 
 
 def import_again(made: Path, folder: Path) -> None:
-    """Import the same images with other grey levels: another data set of the same name."""
     shutil.rmtree(folder / "tank")
     data = open_dataset(made / "data")
     import_exactly(data, made / "images", folder / "tank", black_dn=50.0)
@@ -84,10 +80,8 @@ def import_again(made: Path, folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_recording_beside_a_scene(folder: Path, command: Command) -> None:
-    """Its record has figures without truth, and a second run computes nothing."""
     (folder / "s.toml").write_text(SUITE + QUICK)
-    done = command("run", "s.toml")
-    assert done.returncode == 0, done.stderr
+    succeed(command("run", "s.toml"))
     scene, recording = lines(folder)
     assert (scene["recorded"], scene.get("quality"), scene["case"]) == (False, None, "few")
     tank = open_dataset(folder / "tank")
@@ -117,8 +111,7 @@ def test_a_recording_beside_a_scene(folder: Path, command: Command) -> None:
 def test_the_page_has_a_table_of_its_own_without_ranks(folder: Path, command: Command) -> None:
     both = '{ name = "msa" }, { name = "ray_triangulation" }'
     (folder / "s.toml").write_text(SUITE.replace('{ name = "ray_triangulation" }', both) + QUICK)
-    done = command("run", "s.toml")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("run", "s.toml"))
     page = data_of_page(folder)
     assert list(page["tasks"]) == [
         "reconstruction",
@@ -152,8 +145,7 @@ def test_all_figures_where_the_suite_asks_for_them(folder: Path, command: Comman
     assert command("run", "s.toml").returncode == 0
     asked = '[{ folder = "tank", quality = { frames = 2, again = true } }]'
     (folder / "s.toml").write_text(SUITE.replace('["tank"]', asked))
-    done = command("run", "s.toml")
-    assert done.returncode == 0, done.stderr
+    succeed(command("run", "s.toml"))
     first, second = lines(folder)
     assert first["run_hash"] != second["run_hash"]
     judged = second["quality"]
@@ -165,7 +157,6 @@ def test_all_figures_where_the_suite_asks_for_them(folder: Path, command: Comman
 
 @pytest.mark.slow
 def test_images_without_particles(made: Path, folder: Path, command: Command) -> None:
-    """Results without particles have no figures, and are no fault."""
     data, rng = open_dataset(made / "data"), np.random.default_rng(0)
     stacks = folder / "dark"
     stacks.mkdir()
@@ -179,17 +170,14 @@ def test_images_without_particles(made: Path, folder: Path, command: Command) ->
     solvers = '{ name = "bayesian_ipr" }, { name = "ray_triangulation" }'
     suite = SUITE.replace('["tank"]', asked).replace('{ name = "ray_triangulation" }', solvers)
     (folder / "s.toml").write_text(suite)
-    done = command("run", "s.toml")
-    assert done.returncode == 0, done.stderr
+    succeed(command("run", "s.toml"))
     first, second = lines(folder)
     assert (first["error"], second["error"]) == (None, None)
     assert first["quality"]["figures"]["followed"] is None
 
 
 @pytest.mark.slow
-def test_programs_and_images_that_stay_elsewhere(
-    made: Path, folder: Path, command: Command
-) -> None:
+def test_programs_and_images_elsewhere(made: Path, folder: Path, command: Command) -> None:
     data, images = open_dataset(made / "data"), folder / "images"
     shutil.copytree(made / "images", images)
     import_exactly(data, images, folder / "elsewhere", referenced=True)
@@ -205,9 +193,7 @@ def test_programs_and_images_that_stay_elsewhere(
     assert (record["solver"], record["error"], record["whole_process"]) == ("mine", None, True)
     assert "expected a solver that sabench has, got mine" in " ".join(done.stderr.split())
     (images / "camera_01/img_2.png").unlink()
-    done = command("run", "s.toml", "--fresh")
-    assert done.returncode == 2
-    assert "img_2.png: missing" in " ".join(done.stderr.split())
+    refuse(command("run", "s.toml", "--fresh"), "img_2.png: missing")
 
 
 @pytest.mark.slow
@@ -222,8 +208,7 @@ def test_a_recording_that_has_changed(made: Path, folder: Path, command: Command
     assert image.is_file()
     assert len(lines(folder)) == 1
     import_again(made, folder)
-    done = command("run", "s.toml")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("run", "s.toml"))
     assert "recording tank: it has changed since its record of" in " ".join(done.stderr.split())
     first, second = lines(folder)
     assert first["dataset"] != second["dataset"]
@@ -256,8 +241,7 @@ def test_a_frozen_suite_freezes_its_recordings(made: Path, folder: Path) -> None
 @pytest.mark.slow
 def test_gates_compare_figures_without_truth(folder: Path, command: Command) -> None:
     words = ("check", "s.toml", "--baseline", "base.json")
-    done = command(*words, "--update")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command(*words, "--update"))
     assert verify(folder / "tank") == []
     base = json.loads((folder / "base.json").read_text())
     entry = base["cases"][0]
@@ -308,9 +292,7 @@ def test_one_case_whatever_the_seeds_are(folder: Path, command: Command) -> None
         ("a\0b", "found none"),
     ],
 )
-def test_other_folders_are_refused_in_one_sentence(
-    written: str, sentence: str, made: Path, tmp_path: Path
-) -> None:
+def test_other_folders_are_refused(written: str, sentence: str, made: Path, tmp_path: Path) -> None:
     from sabench.dataset.copies import pack
 
     if not (made / "blind").is_dir():
@@ -332,9 +314,7 @@ def test_other_folders_are_refused_in_one_sentence(
         ({"quality": {"figures": {"explained": "much"}}}, "explained: expected a number or null"),
     ],
 )
-def test_records_with_truth_that_is_not_known_are_left_out(
-    change: dict[str, Any], sentence: str
-) -> None:
+def test_records_with_unknown_truth_are_left_out(change: dict[str, Any], sentence: str) -> None:
     names = ("scene", "scene_hash", "dataset", "renderer", "solver", "run_hash")
     record = dict.fromkeys(names, "tank") | {"seed": 0, "task": "particles", "parameters": {}}
     record |= {"versions": {}, "machine": {}, "version": 2, "recorded": True}

@@ -37,7 +37,6 @@ ABC = {
 
 
 def moving(frames: int = 6) -> Scene:
-    """Particles that a flow carries from frame to frame."""
     values = load_scene("quick").to_dict()
     values["particles"] = {"generator": "uniform", "count": 150}
     values |= {"frames": frames, "interval_s": 0.02, "flow": ABC, "flow_grid_mm": [4.0, 4.0, 4.0]}
@@ -64,7 +63,6 @@ def made(scene: Scene, folder: Path, **how: Any) -> str:
 
 @pytest.fixture
 def two_rendering_threads() -> Iterator[None]:
-    """As many here as the two processes have together."""
     backend.limit(2)
     yield
     backend.limit(1)
@@ -74,18 +72,14 @@ def two_rendering_threads() -> Iterator[None]:
 @pytest.mark.parametrize(
     "scene", [moving(), bubbly(), load_scene("calibration")], ids=["moving", "bubbly", "target"]
 )
-def test_two_processes_make_the_bytes_of_one(
-    tmp_path: Path, scene: Scene, two_rendering_threads: None
-) -> None:
+def test_two_processes_make_one(tmp_path: Path, scene: Scene, two_rendering_threads: None) -> None:
     assert made(scene, tmp_path / "two", jobs=2) == made(scene, tmp_path / "one")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["one", "two"]
 
 
 def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> None:
-    """Kill one worker after another.
-
-    Each is killed as soon as some view has been recorded since the last kill.
-    """
+    """Kill one worker after another. Each is killed as soon as some view has been recorded since
+    the last kill."""
     seen, end = 0, time.monotonic() + 60.0
     while len(killed) < 3 and time.monotonic() < end:
         count = len(list(folder.glob(".*.parts-*/views/*.npz")))
@@ -98,9 +92,7 @@ def kill_workers(pool: list[ProcessPool], folder: Path, killed: list[int]) -> No
 
 
 @pytest.mark.slow
-def test_workers_that_are_killed_are_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_workers_are_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = made(moving(20), tmp_path / "one")
     pools: list[ProcessPool] = []
     killed: list[int] = []
@@ -152,9 +144,7 @@ class Breaker(Generator):
 
 
 @pytest.mark.slow
-def test_a_frame_that_always_breaks_is_reported_and_the_rest_kept(
-    tmp_path: Path, own_process: Command
-) -> None:
+def test_a_frame_that_breaks_is_reported_alone(tmp_path: Path, own_process: Command) -> None:
     plugin, cure = tmp_path / "mine" / "generators" / "breaker.py", tmp_path / "cure"
     plugin.parent.mkdir(parents=True)
     plugin.write_text(BROKEN)
@@ -163,16 +153,7 @@ def test_a_frame_that_always_breaks_is_reported_and_the_rest_kept(
     }
     (tmp_path / "s.toml").write_text(tomli_w.dumps(values))
     words = (
-        "generate",
-        "s.toml",
-        "-o",
-        "set",
-        "--backend",
-        "splat",
-        "--frames",
-        "3",
-        "--jobs",
-        "2",
+        *("generate", "s.toml", "-o", "set", "--backend", "splat", "--frames", "3", "--jobs", "2"),
     )
     environment = {"SABENCH_PLUGINS": str(tmp_path / "mine")}
     done = own_process(*words, env=environment)
@@ -213,9 +194,7 @@ def test_what_is_there_is_not_made_again(tmp_path: Path, monkeypatch: pytest.Mon
     assert again == made(scene, tmp_path / "anew")
 
 
-def test_another_scene_or_seed_takes_nothing_of_what_was_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_scene_or_seed_starts_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_schedule = schedule.run_schedule
 
     def stop(*arguments: Any) -> None:
@@ -286,9 +265,7 @@ def test_a_cluster_makes_the_same_bytes(tmp_path: Path, cluster: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_cluster_whose_workers_are_killed_makes_the_same_bytes(
-    tmp_path: Path, cluster: Any
-) -> None:
+def test_a_cluster_of_killed_workers_makes_the_same_bytes(tmp_path: Path, cluster: Any) -> None:
     killed: list[int] = []
 
     def kill() -> None:

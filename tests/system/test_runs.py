@@ -1,8 +1,5 @@
-"""Runs of suites.
-
-Nothing is computed twice, every record says how to reproduce it, and hidden data sets stay
-hidden.
-"""
+"""Runs of suites. Nothing is computed twice, every record says how to reproduce it, and hidden data
+sets stay hidden."""
 
 from __future__ import annotations
 
@@ -25,6 +22,7 @@ from sabench.evaluation.suites import Only
 from sabench.tasks.solve_and_score import score, score_iterations, solve
 from sabench.utils.errors import InputError, UncheckedError
 from tests.conftest import Command
+from tests.helpers.commands import refuse, succeed
 from tests.system.test_board import block
 
 SUITE = """title = "t"
@@ -88,14 +86,10 @@ def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command
     tmp_path: Path, command: Command
 ) -> None:
     (tmp_path / "s.toml").write_text(SUITE)
-    first = command("run", "s.toml", "--case", "few", "--seed", "1")
-    assert first.returncode == 0, first.stderr
+    succeed(command("run", "s.toml", "--case", "few", "--seed", "1"))
     assert [
         (r["seed"], r["solver"], r["difficulty"], r["axis"], r["split"]) for r in lines(tmp_path)
-    ] == [
-        (1, "asa", "easy", "density", "public"),
-        (1, "msa", "easy", "density", "public"),
-    ]
+    ] == [(1, "asa", "easy", "density", "public"), (1, "msa", "easy", "density", "public")]
     again = command("run", "s.toml", "--json")
     assert "few, seed 1, known" in again.stderr
     assert [(record["seed"], record["solver"]) for record in json.loads(again.stdout)] == [
@@ -113,15 +107,7 @@ def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command
     ]
     words = shlex.split(before[3]["command"])
     assert words == [
-        "sabench",
-        "run",
-        "s.toml",
-        "--case",
-        "few",
-        "--seed",
-        "2",
-        "--solver",
-        "sharp one",
+        *("sabench", "run", "s.toml", "--case", "few", "--seed", "2", "--solver", "sharp one"),
     ]
     assert command(*words[1:], "--fresh").returncode == 0
     anew = lines(tmp_path)[4:]
@@ -145,9 +131,7 @@ def test_a_data_set_that_could_not_be_checked_stays_as_it_is(
         raise UncheckedError(f"{root}: could not be checked, because reading it takes long")
 
     monkeypatch.setattr("sabench.dataset.verification.probe_dataset", late)
-    done = command(*words)
-    assert done.returncode == 2
-    assert "could not be checked" in done.stderr
+    refuse(command(*words), "could not be checked")
     assert manifest.stat().st_mtime_ns == before
 
 
@@ -197,8 +181,7 @@ def test_scores_of_another_task_than_the_solver_was_listed_with_are_refused() ->
 def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: Command) -> None:
     (tmp_path / "s.toml").write_text(SUITE)
     (tmp_path / "secret.toml").write_text('secret = "the organiser\'s own words"\nseeds = 2\n')
-    done = command("run", "s.toml", "--hidden", "secret.toml", "--solver", "asa")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("run", "s.toml", "--hidden", "secret.toml", "--solver", "asa"))
     found = lines(tmp_path)
     assert [(record["seed"], record["split"], record["pictures"]) for record in found] == [
         (0, "hidden", None),
@@ -221,17 +204,14 @@ def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: C
     assert all(record.get("identity") is None for record in found)  # a hash of the seed
 
 
-def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(
-    command: Command, tmp_path: Path
-) -> None:
+def test_a_suite_ends_in_means_and_leaves_no_data(command: Command, tmp_path: Path) -> None:
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\n'
         'scene = "quick"\nname = "q"\n[cases.set]\n"volume.size_mm" = [6.0, 4.0, 2.0]\n'
         '[cases.vary]\n"particles.count" = [100, 200]\n[[solvers]]\nname = "msa"\n'
         'label = "product"\n'
     )
-    done = command("run", "suite.toml")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("run", "suite.toml"))
     assert "data set 4 of 4: q-count_200, seed 2" in done.stderr
     counts = [line.count("±") for line in done.stdout.splitlines() if "product" in line]
     assert min(counts) > 0
@@ -253,6 +233,5 @@ def test_a_suite_of_cases_and_seeds_ends_in_means_and_leaves_no_data(
         "particles.count 100",
         "particles.count 200",
     ]
-    assert [len(row["scores"][0]) for row in data["rows"]] == [2] * len(
-        data["rows"]
-    )  # a mean and its half width
+    # a mean and its half width
+    assert [len(row["scores"][0]) for row in data["rows"]] == [2] * len(data["rows"])

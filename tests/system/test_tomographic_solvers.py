@@ -1,7 +1,4 @@
-"""The tomographic solvers on small volumes with known particles.
-
-From grey values to scores.
-"""
+"""Tomographic solvers on small volumes, and on images with flaws."""
 
 from __future__ import annotations
 
@@ -12,9 +9,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from benchmarks.flawed_images import VOLUMES, cases_of, measure, part_of_standard
 from sabench import plugins
-from sabench.api import Observation, Reconstruction
+from sabench.api import Camera, Observation, Reconstruction
+from sabench.dataset.reader import build_observation
 from sabench.geometry.grid import Grid, synthesise
+from sabench.images.preprocessing import Gaussian, SlidingMinimum
 from sabench.metrics.quality_factor import quality
 from sabench.metrics.reconstruction_error import score_frame
 from sabench.metrics.synthesised_field import true_field
@@ -22,6 +22,7 @@ from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from tests.conftest import pinholes
 
+# least Q in air
 SOLVERS = {
     "mlos_sart": 0.82,
     "mlos_smart": 0.92,
@@ -29,14 +30,11 @@ SOLVERS = {
     "block_mart": 0.93,
     "mart": 0.93,
     "mfg_mart": 0.93,
-}  # least Q in air
+}
 
 
 def scene_of(wall: bool) -> Scene:
-    """Four cameras, 28 degrees off the axis, of 72 x 72 x 28 voxels.
-
-    A voxel has a pixel's size.
-    """
+    """Four cameras, 28 degrees off the axis, of 72 x 72 x 28 voxels. A voxel has a pixel's size."""
     values = load_scene("quick").to_dict()
     values["volume"] = {"center_mm": [0.0, 0.0, 30.0 if wall else 0.0], "size_mm": [3.6, 3.6, 1.4]}
     values["grid"] = {"voxel_mm": [0.05, 0.05, 0.05]}
@@ -103,10 +101,7 @@ def test_bilinear_points_do_nearly_as_well(name: str, in_air: Shot) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_particles_beyond_one_cameras_border_are_kept(name: str, in_air: Shot) -> None:
-    """The first camera looks past half of the volume.
-
-    There the other three find the particles.
-    """
+    """The first camera looks past half of the volume. There the other three find the particles."""
     case, aside = in_air.observation, 55
     images = case.images.copy()
     images[0] = np.roll(images[0], aside, axis=1)
@@ -180,3 +175,50 @@ def test_more_iterations_are_better_and_tolerance_ends_them(in_air: Shot) -> Non
 def test_nonsense_is_refused(name: str, wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         plugins.load("solvers", name).Parameters(**wrong)
+
+
+_LOSS = 0.01  # of Q, over what no reflection covers
+_FEW = 0.05  # of F1: one of the few dozen particles that this small part leaves
+
+
+@pytest.fixture(scope="module")
+def shots() -> dict[float, Shot]:
+    """Shots by particles per pixel: few for particle solvers, for volumes more in a larger part. In
+    a smaller part, where the reflection covers most particles, Q scatters by more than the loss."""
+    return {
+        density: simulate(part_of_standard(small, density, 9), seed=2)
+        for density, small in ((0.02, True), (0.05, False))
+    }
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name == "asa" else pytest.mark.slow)
+        for name in ("asa", "msa", "block_mart", "mlos_sart", "bayesian_ipr")
+    ],
+)
+def test_flaws_cost_next_to_nothing(name: str, shots: dict[float, Shot]) -> None:
+    shot, kind = (shots[0.05], "q") if name in VOLUMES else (shots[0.02], "f1")
+    cases = dict(cases_of(shot, 2))
+    clean = measure(name, shot, cases["clean"], 2)
+    assert float(clean[kind]) > 0.3
+    for flaws in ("each", "all"):
+        scores = measure(name, shot, cases[flaws], 2)
+        whole = kind if flaws == "each" else f"{kind}_open"
+        loss = _LOSS if name in VOLUMES else _FEW
+        assert float(scores[whole]) > float(clean[whole]) - loss, flaws
+
+
+def test_preprocessing_keeps_hot_pixels_and_reflections_apart(shots: dict[float, Shot]) -> None:
+    case = dict(cases_of(shots[0.05], 2))["all"]
+    nominal = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
+    steps = (SlidingMinimum(step="sliding_minimum"), Gaussian(step="gaussian"))
+    made = build_observation(case.images, nominal, case.grid, (case.black_dn, case.white_dn), steps)
+    raw = case.repaired.flaws
+    assert made.flaws is not None
+    assert raw.unknown.any()
+    for before, after in zip(raw, made.repaired.flaws, strict=True):
+        np.testing.assert_array_equal(before, after)
+    levels = made.images[~raw.covered]
+    assert levels.max() < 0.3 * made.white_dn  # full-well pixels are gone

@@ -12,32 +12,28 @@ import sabench
 from sabench.dataset.copies import copy_observation
 from sabench.dataset.reader import Dataset
 from tests.conftest import Command
+from tests.helpers.commands import refuse, succeed
 
 
 def test_a_result_is_shown_next_to_its_data_set(
     command: Command, quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:
-    done = command("view", quick.root, quick_result, "-o", "mine.html", "--json")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("view", quick.root, quick_result, "-o", "mine.html", "--json"))
     summary = json.loads(done.stdout)
     assert summary["cameras"] == 4
     assert summary["particles"] >= 600
     assert summary["notes"] == ["Particles of the result are local maxima of its volume."]
     page = (tmp_path / "mine.html").read_text(encoding="utf-8")
     assert summary["bytes"] == len(page.encode()) < 15_000_000
-    alone = command("view", quick_result, "-o", "alone.html")
-    assert alone.returncode == 0, alone.stderr
+    succeed(command("view", quick_result, "-o", "alone.html"))
     assert (tmp_path / "alone.html").read_text(encoding="utf-8") == page
-    again = command("view", quick.root, "-o", "mine.html")
-    assert again.returncode == 2
-    assert "mine.html exists already" in again.stderr
+    refuse(command("view", quick.root, "-o", "mine.html"), "mine.html exists already")
 
 
 @pytest.mark.parametrize("what", ["cylinder-tank", "quick.toml"])
 def test_a_rig_is_shown(command: Command, tmp_path: Path, quick_toml: str, what: str) -> None:
     (tmp_path / "quick.toml").write_text(quick_toml, encoding="utf-8")
-    done = command("view", what)
-    assert done.returncode == 0, done.stderr
+    done = succeed(command("view", what))
     assert done.stdout.startswith("view.html: 4 camera(s), 0 frame(s), 0 particles, 0 bubbles, 0.")
 
 
@@ -47,7 +43,7 @@ def test_cameras_of_a_data_set_are_shown_without_its_images(quick: Dataset) -> N
     assert made.summary["frames"] == 0
 
 
-def test_the_observation_side_alone_shows_what_was_found(
+def test_the_observation_side_shows_finds(
     quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:
     copy_observation(quick, tmp_path / "blind")
@@ -68,9 +64,7 @@ def test_the_observation_side_alone_shows_what_was_found(
         (["broken.h5"], "broken.h5"),
     ],
 )
-def test_errors_are_one_sentence(
-    command: Command, tmp_path: Path, words: list[str], said: str
-) -> None:
+def test_errors_of_view(command: Command, tmp_path: Path, words: list[str], said: str) -> None:
     (tmp_path / "broken.h5").write_bytes(b"no HDF5")
     done = command("view", *words)
     assert done.returncode == 2
@@ -81,13 +75,11 @@ def test_errors_are_one_sentence(
     assert not (tmp_path / "view.html").exists()
 
 
-def test_a_result_without_its_data_set_says_what_to_run(
+def test_a_result_alone_says_what_to_run(
     command: Command, quick_result: Path, tmp_path: Path
 ) -> None:
     shutil.copy(quick_result, tmp_path / "away.h5")
-    done = command("view", "away.h5")
-    assert done.returncode == 2
-    assert "run `sabench view DATASET RESULT`" in done.stderr
+    refuse(command("view", "away.h5"), "run `sabench view DATASET RESULT`")
 
 
 def test_notebooks_show_the_page_in_a_frame_of_its_own(tmp_path: Path) -> None:

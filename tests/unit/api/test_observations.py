@@ -1,10 +1,9 @@
-"""Checks of a solver's input before it starts.
-
-One sentence for every input that no algorithm can use.
-"""
+"""Checks of a solver's input before it starts. One sentence for every input that no algorithm can
+use."""
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,7 +28,6 @@ from tests.helpers.particle_scenes import make_scene
 
 @pytest.fixture(scope="module")
 def case() -> Observation:
-    """Four cameras of 110 x 170 pixels."""
     return simulate(make_scene(particles={"count": 30}), seed=1).observation
 
 
@@ -49,82 +47,36 @@ def with_other_camera(case: Observation) -> dict[str, Any]:
 
 
 REFUSED: list[tuple[Change, str]] = [
-    (
-        lambda case: {"images": case.images[:3]},
-        "images: expected one for each of 4 cameras, got 3: none for camera_03",
-    ),
-    (
-        lambda case: {"images": case.images[:2]},
-        "images: expected one for each of 4 cameras, got 2: none for camera_02, camera_03",
-    ),
-    (
-        lambda case: {"cameras": case.cameras[:3]},
-        "images: expected one for each of 3 cameras, got 4",
-    ),
-    (
-        lambda case: {"images": case.images[:0], "cameras": ()},
-        "images: expected one for each of 0 cameras, got 0",
-    ),
-    (
-        lambda case: {"images": case.images[0]},
-        "images: expected the shape (camera, row, column), got (110, 170)",
-    ),
-    (
-        lambda case: {"images": list(case.images)},
-        "images: expected one uint16 array (camera, row, column), got list",
-    ),
-    (
-        with_nan,
-        (
-            "images: expected uint16 grey values, got float32, 2 of them NaN or infinite, 1 of "
-            "them negative"
-        ),
-    ),
-    (
-        lambda case: {"images": case.images.astype(np.float64)},
-        "images: expected uint16 grey values, got float64",
-    ),
+    (lambda case: {"images": case.images[:3]}, "images: expected one for each of 4 cameras, got"),
+    (lambda case: {"images": case.images[:2]}, "images: expected one for each of 4 cameras, got"),
+    (lambda case: {"cameras": case.cameras[:3]}, "images: expected one for each of 3 cameras"),
+    (lambda case: {"images": case.images[:0], "cameras": ()}, "images: expected one for each of"),
+    (lambda case: {"images": case.images[0]}, "images: expected the shape (camera, row, column)"),
+    (lambda case: {"images": list(case.images)}, "images: expected one uint16 array"),
+    (with_nan, "images: expected uint16 grey values, got float32, 2 of them NaN or infinite, 1"),
+    (lambda case: {"images": case.images.astype(np.float64)}, "images: expected uint16 grey"),
     (
         lambda case: {"images": -case.images.astype(np.int32)},
         f"images: expected uint16 grey values, got int32, {4 * 110 * 170} of them negative",
     ),
-    (
-        lambda case: {"images": case.images[:, :100]},
-        "camera_00: expected an image of 110 x 170 pixels (rows x columns), got 100 x 170",
-    ),
-    (
-        with_other_camera,
-        "camera_02: expected an image of 90 x 170 pixels (rows x columns), got 110 x 170",
-    ),
-    (
-        lambda case: {"black_dn": 4024.0, "white_dn": 4024.0},
-        "black_dn: expected it below white_dn, got 4024 and 4024",
-    ),
-    (
-        lambda case: {"white_dn": float("nan")},
-        "black_dn: expected it below white_dn, got 64 and nan",
-    ),
+    (lambda case: {"images": case.images[:, :100]}, "camera_00: expected an image of 110 x 170"),
+    (with_other_camera, "camera_02: expected an image of 90 x 170 pixels (rows x columns), got"),
+    (lambda case: {"black_dn": 4024.0, "white_dn": 4024.0}, "black_dn: expected it below"),
+    (lambda case: {"white_dn": float("nan")}, "black_dn: expected it below white_dn, got 64 and"),
 ]
 
 
 @pytest.mark.parametrize(("change", "sentence"), REFUSED)
-def test_an_observation_that_cannot_be_is_refused(
-    case: Observation, change: Change, sentence: str
-) -> None:
-    with pytest.raises(InputError) as caught:
+def test_a_bad_observation_is_refused(case: Observation, change: Change, sentence: str) -> None:
+    with pytest.raises(InputError, match=re.escape(sentence)):
         replace(case, **change(case))
-    assert str(caught.value) == sentence
 
 
 def test_a_saturated_image_is_refused_and_a_black_one_is_not(case: Observation) -> None:
     images = case.images.copy()
     images[2] = int(case.white_dn)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match="d: frame 0: camera_02: expected an image that shows"):
         TASK.check_case(replace(case, images=images), "d: frame 0")
-    assert str(caught.value) == (
-        "d: frame 0: camera_02: expected an image that shows something, but every pixel is "
-        "saturated (4024 or more)"
-    )
     images[2, 50, 60] -= 1
     TASK.check_case(replace(case, images=images), "d: frame 0")
     images[2] = 0
@@ -140,15 +92,12 @@ def test_a_grid_out_of_view_is_refused(case: Observation) -> None:
         (-1.0, -1.0, -2000.0),
     ):  # beside the images, in the glass, behind the cameras
         away = Grid(low, grid.voxel_mm, (40, 40, 40) if low[2] != -3.0 else (40, 40, 10))
-        with pytest.raises(InputError) as caught:
+        with pytest.raises(InputError, match="d: frame 0: grid: expected it in view of at least"):
             TASK.check_case(replace(case, grid=away), "d: frame 0")
-        assert str(caught.value) == (
-            "d: frame 0: grid: expected it in view of at least one camera, but no camera of "
-            "4 sees any of it"
-        )
+    # a row that begins in view
     TASK.check_case(
         replace(case, grid=Grid((3.0, 0.0, 30.0), grid.voxel_mm, (1, 1, 300))), "d: frame 0"
-    )  # a row that begins in view
+    )
 
 
 def test_a_grid_that_does_not_fit_is_refused_before_it_is_allocated(
@@ -156,27 +105,17 @@ def test_a_grid_that_does_not_fit_is_refused_before_it_is_allocated(
 ) -> None:
     huge = replace(case, grid=Grid(case.grid.low_mm, case.grid.voxel_mm, (4000, 5000, 6000)))
     monkeypatch.setattr(memory, "available_mb", lambda: 5000.0)
-    head = (
-        "d: frame 0: grid: expected it to fit into memory, but its 4000 x 5000 x 6000 voxels "
-        "(z, y, x) need 960000 MB where {} MB are there: at most"
-    )
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"960000 MB where 5000 MB .*: at most 20 of its planes"):
         TASK.check_case(huge, "d: frame 0")
-    assert str(caught.value) == head.format(5000) + " 20 of its planes fit"
     monkeypatch.setattr(memory, "available_mb", lambda: 100.0)
-    with pytest.raises(InputError) as caught:
+    count = (100_000_000 - 4 * case.images.size) // 8
+    with pytest.raises(InputError, match=f"where 100 MB .*: at most {count} of its voxels fit"):
         TASK.check_case(huge, "d: frame 0")
-    assert (
-        str(caught.value)
-        == head.format(100) + f" {(100_000_000 - 4 * case.images.size) // 8} of its voxels fit"
-    )
     monkeypatch.setattr(memory, "available_mb", lambda: None)
     TASK.check_case(replace(case, grid=case.grid), "d: frame 0")
 
 
-def test_the_largest_grid_that_is_named_fits(
-    case: Observation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_largest_named_grid_fits(case: Observation, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "available_mb", lambda: 50.0)
     for planes, fits in ((62, True), (63, False)):
         grid = Grid(case.grid.low_mm, case.grid.voxel_mm, (planes, 300, 330))
@@ -194,22 +133,15 @@ def test_the_system_says_what_memory_is_there() -> None:
 
 
 def test_a_refused_frame_leaves_nothing(tmp_path: Path) -> None:
-    """A refused second frame leaves no result, and no part of one.
-
-    The first frame is solved.
-    """
+    """A refused second frame leaves no result, and no part of one. The first frame is solved."""
     data: Dataset = sabench.generate(
         make_two_frames(), tmp_path / "set", seed=1, backend="splat", name="s"
     )
     white = np.full((110, 170), 4024, dtype=np.uint16)
     copy = Path(shutil.copytree(data.root, tmp_path / "copy"))
     write_tiff(copy / "images/frame_0001/camera_01.tif", white)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match="copy: frame 1: camera_01: expected an image that shows"):
         sabench.solve("msa", copy, tmp_path / "r.h5")
-    assert str(caught.value) == (
-        f"{copy}: frame 1: camera_01: expected an image that shows something, but every "
-        "pixel is saturated (4024 or more)"
-    )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["copy", "set"]
 
 

@@ -15,7 +15,6 @@ def row(name: str) -> list[str]:
 
 @pytest.fixture
 def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A terminal of 80 columns."""
     monkeypatch.setattr(tables, "width", lambda: 80)
 
 
@@ -29,9 +28,7 @@ def test_one_wide_row_is_transposed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.usefixtures("narrow")
-def test_wide_rows_are_split_and_every_part_names_its_rows(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_wide_rows_are_split_and_parts_name_rows(capsys: pytest.CaptureFixture[str]) -> None:
     tables.show(HEADINGS, [row("one"), row("two")], keys=2)
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80

@@ -44,7 +44,6 @@ sys.exit(any(child.exitcode for child in children))
 
 
 def record(solver: str, q: float | None = None, **changes: Any) -> dict[str, Any]:
-    """A record as a run writes it."""
     return {
         "scene": "tank",
         "scene_hash": "5c" * 32,

@@ -1,10 +1,9 @@
-"""Suites of scenes and their changes, and statistics over seeds.
-
-Errors in a suite are reported before any work starts.
-"""
+"""Suites of scenes and their changes, and statistics over seeds. Errors in a suite are reported
+before any work starts."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +24,12 @@ SOLVER = '[[solvers]]\nname = "asa"\n'
 
 
 def load(folder: Path, text: str) -> list[SceneCase]:
-    """The cases of a suite of this text, rendered by splats."""
     file = folder / "suite.toml"
     file.write_text('title = "t"\nbackend = "splat"\n' + text + SOLVER)
     return scene_cases(file)
 
 
 def scene_cases(suite: str | Path) -> list[SceneCase]:
-    """The cases of a suite's scenes."""
     return [case for case in load_suite(suite)[1] if isinstance(case, SceneCase)]
 
 
@@ -71,9 +68,7 @@ def test_the_interval_holds_the_true_mean_as_often_as_it_says() -> None:
 # Suites
 
 
-def test_many_equal_names_are_refused_before_a_scene_is_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_equal_names_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sabench.evaluation.suite_loading.load_scene", None)
     with pytest.raises(InputError, match="500 cases are named standard-particles"):
         load(tmp_path, f"scenes = {['standard-particles'] * 500}\n")
@@ -196,18 +191,9 @@ FAULTS = [
     ('[[cases]]\nscene = "quick"\nnames = "x"\n', "cases.0.names: unknown key; did you mean name?"),
     ('[[cases]]\nscene = "quick"\nname = "a/b"\n', "cases.0.name"),
     ('[[cases]]\nscene = "quick"\nname = "../b"\n', "cases.0.name"),
-    (
-        '[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.count" = []\n',
-        "cases.0.vary.particles.count",
-    ),
-    (
-        '[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.cuont" = [1]\n',
-        "case quick-cuont_1: particles.cuont: unknown key; did you mean count?",
-    ),
-    (
-        '[[cases]]\nscene = "quick"\n[cases.set]\n"title.x" = 1\n',
-        "case quick: title.x: expected a table at title",
-    ),
+    ('[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.count" = []\n', "cases.0.vary.particle"),
+    ('[[cases]]\nscene = "quick"\n[cases.vary]\n"particles.cuont" = [1]\n', "case quick-cuont_1:"),
+    ('[[cases]]\nscene = "quick"\n[cases.set]\n"title.x" = 1\n', "case quick: title.x: expected"),
     (
         '[[cases]]\nscene = "quick"\n[cases.set]\n"volume.center_mm" = [0.0, 0.0, 1.0]\n',
         "case quick: volume: expected it to lie behind",
@@ -221,9 +207,8 @@ FAULTS = [
 
 @pytest.mark.parametrize(("text", "sentence"), FAULTS)
 def test_a_fault_is_named_before_any_work(tmp_path: Path, text: str, sentence: str) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(sentence)):
         load(tmp_path, text)
-    assert sentence in str(caught.value)
 
 
 SUITES = list_suites()
@@ -281,11 +266,9 @@ def test_the_thesis_arrays_are_as_it_says(
     ("name", "share"), [*((name, 1.0 / 16.0) for name, *_ in THESIS), ("elsinga-35x35x7", 0.25)]
 )
 def test_a_lone_particle_is_as_bright_as_the_scene_says(name: str, share: float) -> None:
-    """A lone particle has its brightest pixel at the share that the scene says.
-
-    As a share of the full well, for a particle whose image lies on a pixel's centre, in the
-    camera that sees most light.
-    """
+    """A lone particle has its brightest pixel at the share that the scene says. As a share of the
+    full well, for a particle whose image lies on a pixel's centre, in the camera that sees most
+    light."""
     scene = load_scene(name)
     lone = Particles(
         np.array([0]),

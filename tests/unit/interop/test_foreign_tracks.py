@@ -21,24 +21,17 @@ from sabench.interop.foreign import (
 )
 from sabench.interop.tracks import TrackFormat, read_tracks, write_tracks
 from sabench.utils.errors import InputError
-from tests.unit.interop.test_camera_files import rig
+from tests.unit.interop.test_cameras import rig
 
 CAMERAS, GRID, _ = rig("particle-tracking")
 TIMES = (0.0, 0.25, 0.5)
 RECORDING = Recording(CAMERAS, TIMES)
 FORMATS: tuple[TrackFormat, ...] = (
-    "openptv",
-    "myptv",
-    "openlpt",
-    "lpt-challenge",
-    "netcdf",
-    "mat",
-    "csv",
+    *("openptv", "myptv", "openlpt", "lpt-challenge", "netcdf", "mat", "csv"),
 )
 
 
 def particles() -> TrackTable:
-    """Seven particles: one is lost in frame 1, another one appears there, frame 2 is empty."""
     generator = np.random.default_rng(4)
     frame, trajectory = np.repeat([0, 1], [4, 3]), np.array([3, 1, 7, 5, 7, 2**40, 3])
     low = np.asarray(GRID.low_mm)
@@ -67,7 +60,6 @@ def write_quietly(folder: Path, table: TrackTable, form: TrackFormat) -> None:
 
 
 def links(table: TrackTable) -> set[frozenset[int]]:
-    """Sets of rows of one trajectory each, whatever its number."""
     assert table.trajectory is not None
     numbers = np.unique(table.trajectory)
     return {frozenset(np.flatnonzero(table.trajectory == one).tolist()) for one in numbers}
@@ -191,9 +183,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("form", "text", "sentence"), BROKEN)
-def test_broken_files_are_one_sentence(
-    form: TrackFormat, text: str, sentence: str, tmp_path: Path
-) -> None:
+def test_broken_files(form: TrackFormat, text: str, sentence: str, tmp_path: Path) -> None:
     (tmp_path / "found").write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=sentence) as error:
         read_quietly(tmp_path / "found", form)

@@ -16,7 +16,6 @@ import pytest
 from filelock import FileLock
 
 import sabench
-from sabench.dataset import sample_set
 from sabench.dataset.sample_set import SampleSet
 from sabench.dataset.shards import plan_shards, split_of
 from sabench.simulation import shard_job
@@ -25,6 +24,7 @@ from sabench.simulation.recording.schedule import Task, UnfinishedError
 from sabench.simulation.streaming import stream
 from sabench.utils.errors import InputError
 from tests.conftest import Command
+from tests.helpers.commands import refuse, succeed
 from tests.helpers.sample_sets import COUNT, SHARES, SIZE, make, scene
 from tests.unit.simulation.test_streaming import make_scene, vary
 
@@ -144,9 +144,7 @@ def test_shards_of_something_else_are_not_resumed(
         assert len(make(tmp_path / "set", overwrite=True, **change)) == COUNT
 
 
-def test_another_version_of_the_code_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_versions_of_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begin(tmp_path, monkeypatch)
     monkeypatch.setattr(recording_parts, "code_hash", lambda: "0" * 64)
     with pytest.raises(InputError, match="another version of sabench or of a library"):
@@ -154,7 +152,6 @@ def test_another_version_of_the_code_is_named(
 
 
 def begin(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make the first shard, and stop."""
     done = shard_job.ShardMaker.__call__
 
     def stops(self: Any, task: Task) -> None:
@@ -266,8 +263,7 @@ def test_an_impossible_scene_leaves_nothing(tmp_path: Path) -> None:
 def test_the_command_says_what_it_made(command: Command, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(make_scene().to_toml())
     words = ["generate", "s.toml", "-o", "d", "--samples", "6", "--split", "50/50", "--seed", "3"]
-    done = command(*words, "--shard-size", "2", "--truth", "none", "--compression", "gzip")
-    assert done.returncode == 0, done.stderr
+    done = succeed(command(*words, "--shard-size", "2", "--truth", "none", "--compression", "gzip"))
     assert "train, " in done.stdout
     assert "validation samples, hash" in done.stdout
     assert "6 samples" in command("verify", "d").stdout
@@ -275,9 +271,7 @@ def test_the_command_says_what_it_made(command: Command, tmp_path: Path) -> None
         (["--split", "a/b"], "expected shares such as 80/10/10"),
         (["--split", "80/20"], "exists already"),
     ):
-        done = command("generate", "s.toml", "-o", "d", "--samples", "6", *extra)
-        assert done.returncode == 2
-        assert sentence in done.stderr
+        refuse(command("generate", "s.toml", "-o", "d", "--samples", "6", *extra), sentence)
     done = command("solve", "msa", "d", "-o", "r.h5")
     assert "open it with sabench.open_samples" in done.stderr
 
@@ -300,12 +294,3 @@ def test_two_runs_do_not_write_one_set(tmp_path: Path) -> None:
     ):
         make(tmp_path / "set")
     assert (tmp_path / ".set.shards" / "lock").exists()
-
-
-def test_memory_holds_few_shards(whole: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sample_set, "_OPEN", 2)
-    samples = sabench.open_samples(whole.root)
-    for one in samples:
-        _ = one.particles
-    opened = [store for _, store in samples._stores if getattr(store, "_files", None)]
-    assert len(opened) <= 2

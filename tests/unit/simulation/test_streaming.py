@@ -1,8 +1,11 @@
-"""Streams of independent samples: resumption, draws of what varies, splits and faults."""
+"""Frames made as they are read."""
 
 from __future__ import annotations
 
 import itertools
+import os
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -17,11 +20,11 @@ from sabench.scenes.variation import Draw, Vary, draw_values
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.recording import parts
 from sabench.simulation.streaming import Sample, stream, stream_key
+from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
 
 
 def make_scene(**changes: Any) -> Scene:
-    """Make `quick` with small images."""
     values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
     values["cameras"] |= {"rows": 48, "columns": 64}
     values["volume"]["size_mm"] = [6.0, 5.0, 4.0]
@@ -33,7 +36,6 @@ def make_scene(**changes: Any) -> Scene:
 
 
 def vary(impossible: str = "refuse", **draws: Any) -> dict[str, Any]:
-    """Make the table of what varies; `__` stands for a dot."""
     named = {key.replace("__", "."): value for key, value in draws.items()}
     return {"draw": named, "impossible": impossible}
 
@@ -46,7 +48,6 @@ VARIED: dict[str, Any] = {
 
 
 def all_samples(scene: Scene, **options: Any) -> list[Sample]:
-    """Make some samples."""
     given = {"seed": 4, "samples": 12} | options
     return [one for batch in stream(scene, **given) for one in batch.samples]
 
@@ -158,10 +159,7 @@ def test_a_range_without_any_scene_ends_in_a_sentence() -> None:
     ("draw", "words"),
     [
         ({"particles.count": {}}, "expected one of uniform, log_uniform and choices, got none"),
-        (
-            {"particles.count": {"uniform": [1, 2], "choices": [1]}},
-            "got uniform and choices",
-        ),
+        ({"particles.count": {"uniform": [1, 2], "choices": [1]}}, "got uniform and choices"),
         ({"particles.count": {"uniform": [2, 1]}}, "expected the least value before the largest"),
         ({"partcles.count": {"choices": [1]}}, "has no table 'partcles'"),
         ({"cameras.rows": {"choices": [48]}}, "a key that samples need not share"),
@@ -213,12 +211,6 @@ def test_ranges_of_a_draw_keep_their_ends() -> None:
     assert Draw(choices=("a", "b")).value(np.nextafter(1.0, 0.0)) == "b"
 
 
-def test_the_public_name() -> None:
-    batch = next(sabench.stream("quick", seed=1, batch=2))
-    assert batch.images.shape == (2, 1, 4, 240, 320)
-    assert batch.numbers.tolist() == [0, 1]
-
-
 def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:
     scene = make_scene(vary=vary(**VARIED))
     with pytest.raises(InputError, match=r"sabench\.stream draw samples"):
@@ -228,9 +220,7 @@ def test_one_data_set_has_no_values_that_vary(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_stream_of_another_scene_seed_or_version_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_stream_of_other_scene_or_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, other = make_scene(), make_scene(sensor={"read_noise_e": 2.0})
     key = stream_key(scene, seed=3)
     next(stream(scene, seed=3, start=5, key=key))
@@ -240,3 +230,57 @@ def test_a_stream_of_another_scene_seed_or_version_is_refused(
     monkeypatch.setattr(parts, "code_hash", lambda: "of another version")
     with pytest.raises(InputError, match="or the version of sabench"):
         stream(scene, seed=3, start=5, key=key)
+
+
+STREAM = """
+import sys
+import numpy as np
+from tests.unit.simulation.test_streaming import all_samples, make_scene
+scene = make_scene(illumination={"pulse_energy_mj": 0.6})  # no pixel is full
+samples = all_samples(scene, samples=2, backend="mitsuba")
+np.save(sys.argv[1], [one.images for one in samples])
+"""
+CUDA = "from sabench.utils import backend; print(backend.choose().kind)"
+
+
+def run(code: str, kind: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env=os.environ | {"SABENCH_BACKEND": kind},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def images_on(kind: str, folder: Path) -> U16:
+    """Stream images (sample, frame, camera, row, column) on LLVM or CUDA."""
+    file = folder / f"{kind}.npy"
+    done = run(STREAM, kind, str(file))
+    assert done.returncode == 0, done.stderr
+    found: U16 = np.load(file)
+    return found
+
+
+@pytest.mark.slow
+def test_a_traced_stream_is_what_simulate_traces_and_as_bright_as_the_analytic_one() -> None:
+    scene = make_scene(illumination={"pulse_energy_mj": 0.6})  # no pixel is full
+    traced = all_samples(scene, samples=2, backend="mitsuba")
+    for one, splat in zip(traced, all_samples(scene, samples=2), strict=True):
+        shot = simulate(one.scene, seed=one.seed, backend="mitsuba")
+        np.testing.assert_array_equal(one.images[0], shot.observation.images)
+        np.testing.assert_array_equal(one.particles[0].position_mm, splat.particles[0].position_mm)
+        dark = scene.sensor.black_level_dn * one.images.size
+        assert one.images.max() < scene.sensor.white_dn
+        assert one.images.sum() - dark == pytest.approx(splat.images.sum() - dark, rel=1e-3)
+
+
+def test_a_traced_stream_on_a_gpu_is_that_on_llvm(tmp_path: Path) -> None:
+    if run(CUDA, "cuda").returncode:
+        pytest.skip("needs a CUDA device")
+    on_gpu, on_cpu = (images_on(kind, tmp_path).astype(float) for kind in ("cuda", "llvm"))
+    # single precision rounds rays differently: light by less than a grey value
+    apart = np.abs(on_gpu - on_cpu)
+    assert apart.max() <= 1.0
+    assert (apart > 0.0).mean() < 0.02
+    assert on_gpu.sum() == pytest.approx(on_cpu.sum(), rel=1e-5)

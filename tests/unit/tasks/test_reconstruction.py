@@ -1,8 +1,5 @@
-"""Scores of one frame in memory.
-
-Best and worst possible scores, both rules of detection, and the weights of particles that cameras
-miss.
-"""
+"""Scores of one frame in memory. Best and worst possible scores, both rules of detection, and the
+weights of particles that cameras miss."""
 
 from __future__ import annotations
 
@@ -83,10 +80,8 @@ def test_a_particle_outside_the_light_has_no_weight_and_the_others_keep_theirs()
 
 
 def test_a_covered_camera_takes_no_weight_away() -> None:
-    """Particles hidden from one camera, or from all of them.
-
-    The other cameras determine a particle's brightness.
-    """
+    """Particles hidden from one camera, or from all of them. The other cameras determine a
+    particle's brightness."""
     free = weights([1.0, 3.0, 2.0], [1.0, 3.0, 2.0])
     np.testing.assert_allclose(weights([1.0, 3.0, 2.0], [0.0, 0.0, 0.0]), free)
     np.testing.assert_allclose(weights([2.0, 2.0, 2.0], [0.0, 2.0, 2.0]), np.ones(3))

@@ -15,8 +15,6 @@ from tests.helpers.particle_scenes import make_scene
 
 
 class Counting(IterativeSolver):
-    """Volumes of the number of iterations; a test sets how many there are."""
-
     name = "counting"
     most = 7
 
@@ -32,8 +30,6 @@ class Counting(IterativeSolver):
 
 
 class Declining(Counting):
-    """One that takes no case."""
-
     def skip(self, case: Observation) -> str | None:
         return "it takes none"
 

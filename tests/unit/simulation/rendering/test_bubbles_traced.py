@@ -1,7 +1,5 @@
-"""Bubbles, drops and bodies before a diffuser.
-
-Against ray optics by hand, against Mitsuba's own path tracer, and the documented errors.
-"""
+"""Bubbles, drops and bodies before a diffuser. Against ray optics by hand, against Mitsuba's own
+path tracer, and the documented errors."""
 
 from __future__ import annotations
 
@@ -41,7 +39,6 @@ def camera(
     focal: float = 3000.0,
     x: float = 0.0,
 ) -> Camera:
-    """About 5 px a millimetre in the middle of the tank; a small aperture."""
     place, eye = (x, 0.0, -550.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     middle = ((columns - 1) / 2.0, (rows - 1) / 2.0)
     lens = 1.0 / (100.0 / focal + 1.0 / 588.0)  # sharp in the middle of the tank
@@ -83,9 +80,10 @@ NONE = bubbles([], [])
 
 
 def diffuser(half: float = 60.0, z: float = 130.0) -> Backlight:
+    # no diffraction
     return Backlight(
         center_mm=(0.0, 0.0, z), size_mm=(2.0 * half, 2.0 * half), exposure=0.5, wavelength_nm=1.0
-    )  # no diffraction
+    )
 
 
 def shot(
@@ -110,13 +108,10 @@ def test_nothing_in_the_way_is_the_exposure_that_was_asked_for() -> None:
 
 
 def profile_by_hand(b: F64, half_angle: float) -> F64:
-    """Return the brightness of a ball of air in water before a round diffuser.
-
-    At parts b of its radius, ray by ray with vectors: an independent derivation.
-
-    A ray comes along +Z and meets the ball at (b, 0); its directions are followed by Snell's law in
-    vector form, all orders up to ten.
-    """
+    """Return the brightness of a ball of air in water before a round diffuser. At parts b of its
+    radius, ray by ray with vectors: an independent derivation. A ray comes along +Z and meets the
+    ball at (b, 0); its directions are followed by Snell's law in vector form, all orders up to
+    ten."""
 
     def turned(way: F64, normal: F64, ratio: float) -> F64 | None:
         cosine = -float(way @ normal)
@@ -164,14 +159,10 @@ def crossings(values: F64, places: F64, level: float) -> F64:
 
 @pytest.mark.slow
 def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None:
-    """The dark ring has the edges and brightnesses of ray optics.
-
-    Its outer and inner edge, and the brightness on either side of them, in the rows and columns
-    through the centre.
-
-    The diffuser is far behind, so that its half angle is the same for all of the bubble. Nearly all
-    of the way to it is water.
-    """
+    """The dark ring has the edges and brightnesses of ray optics. Its outer and inner edge, and the
+    brightness on either side of them, in the rows and columns through the centre. The diffuser is
+    far behind, so that its half angle is the same for all of the bubble. Nearly all of the way to
+    it is water."""
     deep, radius, half, z = (
         Wall((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 1.0, (GLASS,), 1.333, 3000.0),
         8.0,
@@ -192,9 +183,10 @@ def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None
     row, column = np.mgrid[0:120, 0:120]
     away = np.hypot(column - truth.pixel[0, 0], row - truth.pixel[0, 1])
     rendered = seen.photons / np.median(seen.photons[away > 1.3 * edge])
+    # the diffuser is square
     near = (np.minimum(abs(column - truth.pixel[0, 0]), abs(row - truth.pixel[0, 1])) < 3.0) & (
         away < 1.25 * edge
-    )  # the diffuser is square
+    )
     bins = np.arange(0.5, 1.2 * edge, 0.5)
     curves = [
         np.array([image[near & (np.abs(away - q) < 0.75)].mean() for q in bins])
@@ -213,10 +205,8 @@ def test_rim_and_bright_spot_of_a_bubble_are_where_ray_optics_has_them() -> None
 
 
 def by_path_tracer(lens: Camera, what: Bubbles, light: Backlight, samples: int) -> tuple[F64, F64]:
-    """Return the same picture and its standard error by Mitsuba's `path` integrator.
-
-    Walls are dielectric planes, bubbles spheres or meshes.
-    """
+    """Return the same picture and its standard error by Mitsuba's `path` integrator. Walls are
+    dielectric planes, bubbles spheres or meshes."""
     import trimesh
 
     mi = backend.mitsuba()
@@ -339,10 +329,8 @@ def test_another_integrator_makes_the_same_picture(name: str) -> None:
 
 @pytest.mark.slow
 def test_errors_are_as_large_as_they_are_said_to_be() -> None:
-    """Two renders of different seeds differ by their errors.
-
-    Neither error exceeds the limit that was set.
-    """
+    """Two renders of different seeds differ by their errors. Neither error exceeds the limit that
+    was set."""
     what = CASES["bubbles"]
     one, other = (shot(camera(), what, error=0.01, seed=seed) for seed in (1, 5000))
     again = shot(camera(), what, error=0.01, seed=1)
@@ -351,9 +339,8 @@ def test_errors_are_as_large_as_they_are_said_to_be() -> None:
     off = np.abs(one.photons - other.photons) / np.maximum(
         0.5 * (one.photons + other.photons), 0.02 * 0.5 * FULL
     )
-    expected = (
-        np.sqrt(2.0) * np.sqrt(2.0 / np.pi) * 0.5 * (one.error + other.error)
-    )  # of the mean modulus of a normal difference
+    # of the mean modulus of a normal difference
+    expected = np.sqrt(2.0) * np.sqrt(2.0 / np.pi) * 0.5 * (one.error + other.error)
     assert 0.5 < off.mean() / expected < 2.0
     finer = shot(camera(), what, error=0.005)
     assert finer.error <= 0.005 < one.error
@@ -371,9 +358,10 @@ def test_a_drop_in_air_needs_no_walls() -> None:
         / FULL
     )
     assert seen.photons[2:6, 2:6].mean() / FULL == pytest.approx(0.5, rel=1e-3)
+    # straight through
     assert middle == pytest.approx(
         0.5 * (1.0 - ((1.333 - 1.0) / (1.333 + 1.0)) ** 2) ** 2, rel=0.02
-    )  # straight through
+    )
     assert seen.photons.min() / FULL < 0.1
 
 
@@ -411,9 +399,8 @@ def test_a_black_body_hides_what_is_behind_it_and_a_lamp_shows_it() -> None:
         0.003,
         1,
     )
-    assert lit.photons[24, 31:33].mean() / FULL == pytest.approx(
-        0.6, rel=0.02
-    )  # 2 mm before the volume's centre, facing the lamp
+    # 2 mm before the volume's centre, facing the lamp
+    assert lit.photons[24, 31:33].mean() / FULL == pytest.approx(0.6, rel=0.02)
     near = cv2.dilate(on.astype(np.uint8), np.ones((13, 13), np.uint8)) > 0
     assert not near.all()
     assert lit.photons[~near].max() == 0.0  # beyond the reach of diffraction
@@ -452,18 +439,16 @@ def test_a_moving_bubble_is_smeared() -> None:
     )
     sharp, smeared = (shot(lens, one, exposure_s=2e-3, error=0.001) for one in (still, moving))
     dark = [(0.5 * FULL - image.photons)[4:16, 6:34].sum(axis=0) for image in (sharp, smeared)]
-    assert dark[1].sum() == pytest.approx(
-        dark[0].sum(), rel=0.06
-    )  # the same shadow, further spread
+    # the same shadow, further spread
+    assert dark[1].sum() == pytest.approx(dark[0].sum(), rel=0.06)
     column = np.arange(6, 34)
     middle = [np.sum(column * one) / one.sum() for one in dark]
     spread = [
         np.sum((column - m) ** 2 * one) / one.sum() for m, one in zip(middle, dark, strict=True)
     ]
     (left, right), _ = lens.project(np.array([[-1.0, 0.0, 50.0], [1.0, 0.0, 50.0]]))
-    assert spread[1] - spread[0] == pytest.approx(
-        (right[0] - left[0]) ** 2 / 12.0, rel=0.08
-    )  # that of 2 mm of way
+    # that of 2 mm of way
+    assert spread[1] - spread[0] == pytest.approx((right[0] - left[0]) ** 2 / 12.0, rel=0.08)
     assert middle[1] == pytest.approx(middle[0], abs=0.15)
 
 
@@ -497,9 +482,7 @@ def test_surfaces_are_met_to_single_precision_from_far_away() -> None:
 
 
 @pytest.mark.slow
-def test_rays_that_are_given_up_between_the_walls_would_have_found_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_rays_given_up_between_walls_find_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Total reflection from wall to wall ends in darkness: the same image with these rays."""
     from sabench.simulation.rendering import tank_walls
 
@@ -518,9 +501,7 @@ def test_rays_that_are_given_up_between_the_walls_would_have_found_nothing(
     np.testing.assert_allclose(slow.photons, fast.photons, rtol=1e-5, atol=1e-6 * FULL)
 
 
-def test_light_from_behind_is_followed_where_no_wall_is_there(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_light_from_behind_is_followed_without_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     """Light that the front wall reflects totally may still come from the diffuser."""
     from sabench.simulation.rendering import tank_walls
 

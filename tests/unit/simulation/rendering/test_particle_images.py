@@ -1,4 +1,4 @@
-"""Images of particles: the light that a lens catches, and widths."""
+"""Images of particles: their profiles, sizes and rings."""
 
 from __future__ import annotations
 
@@ -9,21 +9,30 @@ from dataclasses import replace
 import miepython
 import numpy as np
 import pytest
+from scipy.special import j0, j1
 
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import trace_to_points, transmittance
 from sabench.scenes import build_rig
+from sabench.simulation import camera_view
+from sabench.simulation.frames import Frames
+from sabench.simulation.rendering import particles_splatted
 from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
-from sabench.simulation.rendering.particle_images import (
-    diffract,
-    diffraction_px,
-    image_particles,
-)
+from sabench.simulation.rendering.particle_images import diffract, diffraction_px, image_particles
 from sabench.simulation.rendering.particle_light import _angle_range, scatterers_of
+from sabench.simulation.rendering.particles_splatted import render_with_rings
 from sabench.utils.arrays import F64
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
-from tests.helpers.particle_scenes import SMALL, TILT, VARIANTS, cloud, make_scene, oblique_camera
+from tests.helpers.particle_scenes import (
+    SMALL,
+    TILT,
+    VARIANTS,
+    cloud,
+    make_scene,
+    oblique_camera,
+    spots,
+)
 
 WAVELENGTH_MM = 532e-6
 
@@ -36,11 +45,8 @@ def solid_angle_of(a: F64, b: F64, c: F64) -> F64:
 
 
 def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24) -> F64:
-    """Return the solid angle of the pupil at each point.
-
-    It is weighted with the wall's transmission. The pupil is cut into small cells, and each is
-    traced by itself.
-    """
+    """Return the solid angle of the pupil at each point. It is weighted with the wall's
+    transmission. The pupil is cut into small cells, and each is traced by itself."""
 
     def paths(radius: float, turn: float) -> tuple[F64, F64]:
         moved = camera.shifted(radius * math.cos(turn), radius * math.sin(turn))
@@ -59,9 +65,8 @@ def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24)
             )
             passed = paths((inner + outer) / 2.0, (first + last) / 2.0)[1]
             total += passed * (solid_angle_of(a, b, c) + solid_angle_of(a, c, d))
-    return (
-        total * (2.0 * np.pi / sectors) / math.sin(2.0 * np.pi / sectors)
-    )  # chords leave out a share of the disc
+    # chords leave out a share of the disc
+    return total * (2.0 * np.pi / sectors) / math.sin(2.0 * np.pi / sectors)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -92,10 +97,8 @@ def test_isotropic_particles_scatter_what_falls_on_them() -> None:
 
 @pytest.mark.parametrize("f_number", [4.0, 16.0])
 def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
-    """The table's value at the lens's centre is the mean over the lens.
-
-    Every point of the lens asks Mie's theory at its own angle.
-    """
+    """The table's value at the lens's centre is the mean over the lens. Every point of the lens
+    asks Mie's theory at its own angle."""
     scene, diameter = (
         make_scene(illumination={"scattering": "mie"}, cameras={"f_number": f_number}),
         float(lattice_diameters_mm(size_numbers(np.array([0.02])))[0]),
@@ -112,9 +115,8 @@ def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
             arriving = trace_to_points(
                 moved.wall, np.asarray(moved.center_mm), particles.position_mm
             ).arriving[0]
-            angles.append(
-                math.acos(-arriving[0])
-            )  # the laser runs along +X, the light towards the camera
+            # the laser runs along +X, the light towards the camera
+            angles.append(math.acos(-arriving[0]))
         amplitudes = miepython.S1_S2(
             1.59 / 1.333, np.pi * 1.333 * diameter / WAVELENGTH_MM, np.cos(angles), norm="wiscombe"
         )
@@ -197,9 +199,7 @@ def test_shape_moves_the_image_by_its_width() -> None:
 @pytest.mark.parametrize(
     "forward", [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0)]
 )
-def test_width_does_not_depend_on_where_the_world_points(
-    forward: tuple[float, float, float],
-) -> None:
+def test_width_does_not_depend_on_world_axes(forward: tuple[float, float, float]) -> None:
     scene = make_scene(wall=None, illumination={"thickness_mm": 1e4})
     camera = replace(
         build_rig(scene).cameras[0],
@@ -252,3 +252,71 @@ def test_diffraction_adds_its_variance_however_narrow_it_is(f_number: float) -> 
     assert blurred.sum() == pytest.approx(5.0)
     for offset in (rows, columns):
         assert np.sum(blurred * offset**2) / 5.0 == pytest.approx(sigma**2, rel=1e-3)
+
+
+LARGE = replace(SMALL, rows=120, columns=140, principal_point_px=(69.5, 59.5), f_number=16.0)
+
+
+def airy(place: F64, shape: tuple[int, int]) -> F64:
+    """Integrate the pattern over pixels, by 15 x 15 points in each."""
+    fine = ((np.arange(15) + 0.5) / 15 - 0.5)[:, None, None, None]
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    radius = np.hypot(columns - place[0] + fine, rows - place[1] + fine.reshape(1, 15, 1, 1))
+    x = np.pi * np.maximum(radius, 1e-9) * LARGE.pixel_mm / (532e-6 * 16.0)
+    share = (np.pi * LARGE.pixel_mm / (532e-6 * 16.0)) ** 2 / (4.0 * np.pi)
+    return np.asarray(((2.0 * j1(x) / x) ** 2).mean(axis=(0, 1)) * share)
+
+
+def picture(place: tuple[float, float], sigma: float) -> F64:
+    """Render a point of that width, in px, and the rings around it."""
+
+    def render(camera: Camera) -> F64:
+        fine = SMALL.pixel_mm / camera.pixel_mm
+        pixel, width = (np.array(place) + 0.5) * fine - 0.5, np.array([sigma * fine])
+        return particles_splatted.render(camera, spots(pixel[None], np.array([1000.0]), width))
+
+    return render_with_rings(LARGE, 532.0, render)
+
+
+@pytest.mark.parametrize("place", [(69.5, 59.5), (70.13, 58.84), (68.0, 60.0)])
+def test_the_image_of_a_point_is_airy_s_pattern(place: tuple[float, float]) -> None:
+    found = picture(place, diffraction_px(LARGE, 532.0))
+    expected = 1000.0 * airy(np.array(place), found.shape)
+    assert np.abs(found - expected).max() < 0.01 * expected.max()
+    rows, columns = np.mgrid[:120, :140]
+    radius = np.hypot(columns - place[0], rows - place[1])
+    for ring in (3.0, 5.0, 10.0, 20.0):
+        assert found[radius > ring].sum() == pytest.approx(
+            expected[radius > ring].sum(), rel=0.05, abs=6.0
+        )
+
+
+def test_four_to_eight_hundredths_of_the_light_are_far_away() -> None:
+    image = picture((69.5, 59.5), diffraction_px(LARGE, 532.0)) / 1000.0
+    rows, columns = np.mgrid[:120, :140]
+    near = image[np.hypot(columns - 69.5, rows - 59.5) <= 5.0].sum()
+    x = np.pi * 5.0 * LARGE.pixel_mm / (532e-6 * 16.0)
+    assert near == pytest.approx(1.0 - j0(x) ** 2 - j1(x) ** 2, abs=3e-3)
+    assert 0.03 < 1.0 - near < 0.08
+
+
+def test_a_wide_image_stays_nearly_as_it_is() -> None:
+    point = spots(np.array([[69.5, 59.5]]), np.array([1000.0]), np.array([6.0]))
+    image, found = particles_splatted.render(LARGE, point), picture((69.5, 59.5), 6.0)
+    assert np.abs(found - image).max() < 0.06 * image.max()
+    assert found.sum() == pytest.approx(image.sum(), rel=0.05)
+
+
+def test_both_renderers_add_the_rings() -> None:
+    scene = make_scene(cameras={"airy_rings": True}, particles={"count": 6})
+    plain = make_scene(particles={"count": 6})
+    rig, found = build_rig(scene), []
+    for each, renderer in ((scene, "mitsuba"), (scene, "splat"), (plain, "splat")):
+        view = camera_view.render(Frames(each, rig, 1, renderer).at(0), 0)
+        found.append(view.photons)
+    traced, splatted, gaussian = found
+    assert np.abs(traced - splatted).max() < 0.03 * splatted.max()
+    assert traced.sum() == pytest.approx(splatted.sum(), rel=0.02)
+    dark = gaussian < 1e-6 * gaussian.max()
+    assert gaussian[dark].sum() < 1e-4 * gaussian.sum()
+    assert splatted[dark].sum() > 0.01 * splatted.sum()

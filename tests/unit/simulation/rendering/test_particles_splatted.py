@@ -11,18 +11,14 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from sabench.simulation.rendering import particles_splatted
-from sabench.simulation.rendering.particle_images import (
-    ParticleImages,
-)
+from sabench.simulation.rendering.particle_images import ParticleImages
 from sabench.utils.arrays import F64
 from tests.helpers.particle_scenes import SMALL, spots
 
 
 def centre_of_rounded(place: F64, sigma: float) -> F64:
-    """Return the mean of a normal variable rounded to whole numbers.
-
-    By the Fourier series of the saw tooth: narrow images are drawn to their pixel's centre.
-    """
+    """Return the mean of a normal variable rounded to whole numbers. By the Fourier series of the
+    saw tooth: narrow images are drawn to their pixel's centre."""
     k = np.arange(1, 30)[:, None]
     return np.asarray(
         place
@@ -108,14 +104,6 @@ def test_splat_of_nothing_is_dark() -> None:
     assert not particles_splatted.render(
         SMALL, spots(np.empty((0, 2)), np.empty(0), np.empty(0))
     ).any()
-
-
-def test_brightest_pixel_is_where_the_particle_projects() -> None:
-    camera = replace(SMALL, principal_point_px=(0.0, 0.0))
-    image = particles_splatted.render(
-        camera, spots(camera.project([[0.0, 0.0, 100.0]])[0], np.array([100.0]), np.array([0.5]))
-    )
-    assert image.argmax() == 0
 
 
 def slanted(pixels: F64, photons: float, spread: tuple[float, float, float]) -> ParticleImages:

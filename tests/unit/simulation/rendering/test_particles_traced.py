@@ -11,10 +11,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.lens import Distortion
 from sabench.scenes import build_rig
 from sabench.simulation.rendering import particles_splatted, particles_traced
-from sabench.simulation.rendering.particle_images import (
-    ParticleImages,
-    image_particles,
-)
+from sabench.simulation.rendering.particle_images import ParticleImages, image_particles
 from sabench.simulation.rendering.particles_traced import render
 from sabench.utils.arrays import F64
 from tests.helpers.particle_scenes import (
@@ -70,10 +67,8 @@ def test_portions_of_a_cloud_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_rays_carry_the_light_of_near_and_large_particles() -> None:
-    """The entry point into a ball of glow does not count as its distance.
-
-    The ball reaches far in front of its centre here (0.7 of 40 mm).
-    """
+    """The entry point into a ball of glow does not count as its distance. The ball reaches far in
+    front of its centre here (0.7 of 40 mm)."""
     camera = replace(
         SMALL,
         rows=70,
@@ -168,16 +163,6 @@ def test_render_of_nothing_is_dark() -> None:
     picture = render(camera, image_particles(scene, camera, empty, None), empty.position_mm, 4)
     assert picture.shape == (110, 170)
     assert not picture.any()
-
-
-def test_the_same_render_twice_gives_the_same_bytes() -> None:
-    scene = make_scene()
-    camera = build_rig(scene).cameras[2]
-    positions = isolated(camera, (27.0, 33.0), 20, 1)[0]
-    images = image_particles(scene, camera, cloud(positions), None)
-    np.testing.assert_array_equal(
-        render(camera, images, positions, 4), render(camera, images, positions, 4)
-    )
 
 
 @pytest.mark.slow

@@ -21,9 +21,8 @@ def test_a_contour_is_where_lines_of_sight_touch() -> None:
         nearest = np.linalg.norm(
             p - (np.sum(p * d, axis=1) / np.sum(d * d, axis=1))[:, None] * d, axis=1
         )
-        np.testing.assert_allclose(
-            nearest, 1.0, atol=2e-4
-        )  # contours are stored in single precision
+        # contours are stored in single precision
+        np.testing.assert_allclose(nearest, 1.0, atol=2e-4)
         inwards = seen.pixel[n] + 0.98 * (seen.contour[n] - seen.pixel[n])
         assert meets(
             what[np.array([n])],
@@ -61,10 +60,8 @@ def test_pixels_see_the_first_bubble_at_its_depth() -> None:
 
 
 def test_shares_are_those_of_discs() -> None:
-    """Three bubbles that are partly or wholly hidden.
-
-    One half behind a larger one, one wholly behind it, one half outside the image.
-    """
+    """Three bubbles that are partly or wholly hidden. One half behind a larger one, one wholly
+    behind it, one half outside the image."""
     lens = camera(80, 100)
     (a, b), _ = lens.project(np.array([[0.0, 0.0, 40.0], [1.0, 0.0, 40.0]]))
     edge = (99.5 - a[0]) / (b[0] - a[0])

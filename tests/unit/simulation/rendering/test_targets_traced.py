@@ -30,7 +30,6 @@ BLACK = 0.04
 
 
 def camera(wall: Wall | None, rows: int = 90, columns: int = 110) -> Camera:
-    """Sharp at the boards, with an aperture so small that defocus is below a tenth of a pixel."""
     rotation = aimed_rotation(np.array([0.03, -0.02, 1.0]))
     middle, center = ((columns - 1) / 2.0, (rows - 1) / 2.0), (-9.0, 6.0, -240.0)
     lens = Distortion(k1=-0.1)
@@ -48,7 +47,6 @@ def on_board(one: Camera, pixels: F64) -> tuple[F64, F64]:
 
 
 def painted(target: Target, places: F64) -> F64:
-    """Reflectance of a board at x, y (n, 2): NaN beyond its white margin."""
     x, y = places.T / target.pitch_mm
     if target.pattern == "circles":
         apart = np.linalg.norm(places[:, None] - target.points_mm[None, :, :2], axis=2)

@@ -1,0 +1,477 @@
+"""Plans of experiments: figures, designs of rigs, expected scores, and their page."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from benchmarks import planner
+from sabench.apps.planning.design import Wanted, design_scene
+from sabench.apps.planning.expected_scores import (
+    FEATURES,
+    MODEL,
+    SCORES,
+    GaussianProcess,
+    Kernel,
+    features_of,
+    load_model,
+)
+from sabench.apps.planning.page import draw_rig, render
+from sabench.apps.planning.plan import Plan, Recorder, plan
+from sabench.evaluation.suite_loading import override
+from sabench.plotting.outlines import Outline, draw_outlines
+from sabench.scenes import Scene, find, load_scene, parse_scene
+from sabench.simulation.in_memory import simulate
+from sabench.simulation.rendering.particle_images import defocus_px
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+from tests.conftest import Command
+from tests.helpers.commands import succeed
+
+
+def value(made: Plan, key: str) -> float:
+    found = made.to_dict()["figures"][key]["value"]
+    assert found is not None
+    return float(found)
+
+
+def changed(name: str = "quick", **keys: Any) -> Scene:
+    """Change keys of a bundled scene; two underscores stand for a dot."""
+    values = {key.replace("__", "."): new for key, new in keys.items()}
+    return override(load_scene(name), values, name)
+
+
+def parallel_cameras(**camera: Any) -> Scene:
+    """Make two cameras in plain air that look along Z, 200 mm apart, 500 mm before the volume."""
+    values = tomllib.loads(find("quick", "scenes").read_text(encoding="utf-8"))
+    del values["wall"]
+    values["volume"] = {"center_mm": [0.0, 0.0, 0.0], "size_mm": [14.0, 10.0, 4.0]}
+    upright = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    places = [{"center_mm": [x, 0.0, -502.0], "rotation": upright} for x in (-100.0, 100.0)]
+    values["cameras"] |= {"columns": 4000, "layout": {"kind": "list", "places": places}} | camera
+    return parse_scene(values, "parallel")
+
+
+@pytest.mark.parametrize(
+    ("scene", "ratio", "pixel", "per_pixel"),
+    [("thesis-50x50x10", 2.50, 0.05, 0.125), ("array-9", 2.50, 0.05, 0.075)],
+)
+def test_figures_of_table_2_1(scene: str, ratio: float, pixel: float, per_pixel: float) -> None:
+    made = plan(scene)
+    assert value(made, "plane_spacing_ratio") == pytest.approx(ratio, abs=0.01)
+    assert value(made, "pixel_center_mm") == pytest.approx(pixel, rel=1e-3)
+    assert value(made, "planes") == pytest.approx(10.0 / (ratio * pixel), rel=1e-2)
+    assert value(made, "ppp") == pytest.approx(per_pixel, rel=0.02)
+
+
+def test_parallel_cameras_in_air_obey_the_thesis_s_equations() -> None:
+    made = plan(parallel_cameras())
+    front, focus = 500.0, 502.0
+    image = 1.0 / (1.0 / 85.0 - 1.0 / focus)
+    baseline = 200.0 / front
+    assert value(made, "baseline_ratio") == pytest.approx(baseline, rel=1e-4)
+    oblique = math.cos(math.atan(100.0 / focus))  # a pixel is foreshortened along one axis
+    pixel = 0.01 * focus / image * math.sqrt(oblique)  # (2.5)
+    assert value(made, "pixel_center_mm") == pytest.approx(pixel, rel=1e-4)
+    expected = 1.0 / baseline + 2.0 / (baseline * front)  # (2.11), Z = 2 mm behind the front
+    assert value(made, "plane_spacing_ratio") == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_step_of_plane_spacing_moves_lines_of_sight_apart_by_a_pixel() -> None:
+    made = plan("standard-particles")
+    view, pair = made.viewing, made.viewing.inner_pair
+    assert pair is not None
+    step = value(made, "plane_spacing_mm")
+    ends = [
+        made.rig.cameras[number].carry(view.center_mm[None], float(view.center_mm[2]) + step)
+        for number in pair
+    ]
+    apart = float(np.linalg.norm(ends[0] - ends[1]))
+    assert apart == pytest.approx(value(made, "pixel_center_mm"), rel=1e-6)
+
+
+def test_figures_do_not_depend_on_the_direction_of_the_axes() -> None:
+    scene = load_scene("standard-particles")
+    values = scene.to_dict()
+    order = (2, 0, 1)  # the old axes that become the new x, y and z
+
+    def turned(vector: list[float]) -> list[float]:
+        return [vector[axis] for axis in order]
+
+    for table, key in [
+        ("volume", "center_mm"),
+        ("volume", "size_mm"),
+        ("grid", "voxel_mm"),
+        ("grid", "crop_mm"),
+        ("wall", "point_mm"),
+        ("wall", "normal"),
+        ("cameras", "center_mm"),
+        ("cameras", "x_axis"),
+        ("cameras", "y_axis"),
+        ("illumination", "direction"),
+        ("illumination", "sheet_normal"),
+    ]:
+        values[table][key] = turned(values[table][key])
+    made, other = plan(scene), plan(parse_scene(values, "turned"))
+    assert other.viewing.axis == 0
+    for key in ("plane_spacing_ratio", "planes", "elongation", "common_depth_mm", "blur_back_px"):
+        assert value(other, key) == pytest.approx(value(made, key), rel=1e-3), key
+
+
+def test_defocus_at_the_end_of_the_depth_of_field_is_as_wide_as_diffraction() -> None:
+    made = plan(parallel_cameras())
+    camera = made.rig.cameras[0]
+    half = value(made, "depth_of_field_mm") / 2.0
+    point = np.asarray(camera.center_mm) + np.array([0.0, 0.0, camera.focus_mm + half])
+    magnification = camera.principal_distance_mm / camera.focus_mm
+    airy = 2.44 * 532e-6 * camera.f_number * (1.0 + magnification) / camera.pixel_mm
+    disc = 4.0 * float(defocus_px(camera, point[None])[0])  # diameter of a uniform disc
+    assert disc == pytest.approx(airy, rel=0.1)
+
+
+def test_defocus_falls_as_the_f_number_rises() -> None:
+    wide, narrow = (plan(changed(cameras__f_number=stop)) for stop in (4.0, 8.0))
+    assert value(wide, "blur_back_px") == pytest.approx(2 * value(narrow, "blur_back_px"), rel=0.01)
+    assert value(narrow, "diffraction_px") == pytest.approx(2 * value(wide, "diffraction_px"))
+
+
+@pytest.mark.slow
+def test_photons_and_diameters_are_those_of_simulated_images() -> None:
+    scene = load_scene("quick")
+    made, shot = plan(scene), simulate(scene)
+    medians = [float(np.median(view.photons[view.visible])) for view in shot.views]
+    widths = [float(np.median(view.sigma_px[view.visible])) for view in shot.views]
+    assert value(made, "photons") == pytest.approx(min(medians))
+    assert value(made, "light_ratio") == pytest.approx(min(medians) / max(medians))
+    assert value(made, "image_px") == pytest.approx(4.0 * np.mean(widths))
+
+
+@pytest.mark.slow
+def test_the_brightest_pixel_is_that_of_a_simulated_particle_at_a_pixel_s_centre() -> None:
+    scene = changed(
+        particles__count=1,
+        sensor__shot_noise=False,
+        sensor__read_noise_e=0.0,
+        volume__size_mm=[2, 2, 2],
+    )
+    made, shot = plan(scene), simulate(scene)
+    brightest = float(shot.observation.images.max())
+    grey = value(made, "peak_dn")
+    assert 0.55 * grey < brightest <= 1.01 * grey  # in a corner of four pixels, at a centre
+
+
+def test_density_counts_the_particles_on_the_images() -> None:
+    scene = load_scene("quick")
+    made, shot = plan(scene), simulate(scene)
+    seen = np.mean([view.visible.sum() for view in shot.views])
+    assert value(made, "ppp") == pytest.approx(seen / (240 * 320))
+    assert value(made, "per_mm3") == pytest.approx(300 / (14.0 * 10.0 * 4.0))
+    area = math.pi / 4.0 * value(made, "image_px") ** 2
+    expected = value(made, "ppp_center") ** 3 * area**4 * 40  # (3.14), 40 planes of voxels
+    assert value(made, "ghosts_per_particle") == pytest.approx(expected)
+
+
+def test_two_pulses_straddle_the_gap_between_exposures() -> None:
+    made = plan("vortex-ring-experiment", Recorder(gap_us=250.0))
+    first, second = (value(made, f"{name}_pulse_us") for name in ("first", "second"))
+    assert second - first == pytest.approx(8000.0)
+    period = 1e6 / 20.0  # two frames ten times a second
+    assert first < period - 250.0 < period < second
+
+
+def test_calibration_errors_are_measured_in_the_images() -> None:
+    assert value(plan("quick"), "calibration_px") == 0.0
+    off = changed(calibration={"shift_px": 0.3})
+    assert value(plan(off), "calibration_px") == pytest.approx(0.3)
+
+
+WARNED = [
+    ("grid.voxel_mm", {"grid__voxel_mm": [0.2, 0.2, 0.1]}),
+    ("grid.voxel_mm", {"grid__voxel_mm": [0.05, 0.05, 0.5]}),
+    ("cameras.focal_length_mm", {"cameras__focal_length_mm": 200.0}),
+    ("cameras.f_number", {"cameras__f_number": 2.8}),
+    ("cameras.f_number", {"cameras__f_number": 64.0}),
+    ("cameras.particle_sigma_px", {"cameras__particle_sigma_px": 0.2}),
+    ("illumination.pulse_energy_mj", {"illumination__pulse_energy_mj": 0.01}),
+    ("illumination.pulse_energy_mj", {"illumination__pulse_energy_mj": 500.0}),
+    ("illumination.thickness_mm", {"illumination__thickness_mm": 1.0}),
+    ("particles.count", {"particles__count": 60000}),
+    ("interval_s", {"frames": 2, "interval_s": 1e-4}),
+    ("timing.rate_hz", {"frames": 2, "timing": {"rate_hz": 3000.0}}),
+    ("timing.pulses_s", {"frames": 2, "timing": {"rate_hz": 5.0, "pulses_s": [0.0, 1e-5]}}),
+    ("sensor.exposure_s", {"frames": 2, "interval_s": 0.01, "sensor__exposure_s": 0.0099}),
+]
+
+
+@pytest.mark.parametrize(("key", "changes"), WARNED)
+def test_warnings_name_the_key_to_change(key: str, changes: dict[str, Any]) -> None:
+    advice = plan(changed(**changes)).advice
+    sentences = [one.sentence for one in advice if one.key == key]
+    assert sentences
+    assert any(key in sentence for sentence in sentences)
+
+
+def test_a_remedy_is_enough() -> None:
+    dim = plan(changed(illumination__pulse_energy_mj=0.01))
+    (sentence,) = (one.sentence for one in dim.advice if "raise illumination.pulse" in one.sentence)
+    energy = float(sentence.split(" to ")[1].split(",")[0])
+    cured = plan(changed(illumination__pulse_energy_mj=1.01 * energy))
+    assert value(cured, "peak_snr") == pytest.approx(5.0, rel=0.02)
+
+
+def test_a_good_scene_has_no_warnings() -> None:
+    assert plan("standard-particles").advice == ()
+
+
+def test_an_impossible_scene_gets_generates_sentence(command: Command, tmp_path: Path) -> None:
+    text = find("quick", "scenes").read_text(encoding="utf-8")
+    file = tmp_path / "mine.toml"
+    file.write_text(text.replace("[0.0, 0.0, 30.0]", "[0.0, 0.0, 3.0]"), encoding="utf-8")
+    planned = command("plan", str(file), "--json")
+    made = command("generate", str(file), "-o", str(tmp_path / "made"))
+    assert planned.returncode == made.returncode == 2
+    assert planned.stdout == ""
+    assert "behind the wall's inner face" in planned.stderr
+    assert planned.stderr.splitlines()[-1] == made.stderr.splitlines()[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("base", "wanted"),
+    [
+        ("standard-particles", Wanted(20.0, 0.2, 0.08)),
+        ("standard-particles", Wanted(4.0, 5.0, 0.03)),
+        ("quick", Wanted(60.0, 0.01, 0.1)),
+        ("thesis-50x50x10", Wanted(30.0, 0.5, 0.06)),
+    ],
+)
+def test_a_design_has_what_was_wanted(base: str, wanted: Wanted) -> None:
+    start, made = plan(base), plan(design_scene(load_scene(base), wanted))
+    figures, before = made.to_dict()["figures"], start.to_dict()["figures"]
+    assert figures["depth_mm"]["value"] == wanted.depth_mm
+    assert figures["per_mm3"]["value"] == pytest.approx(wanted.per_mm3, rel=0.01)
+    assert figures["pixel_center_mm"]["value"] == pytest.approx(wanted.pixel_mm, rel=1e-3)
+    assert figures["scored_share"]["value"] > 0.99
+    assert figures["cameras"] == before["cameras"]
+    assert figures["peak_e"]["value"] == pytest.approx(before["peak_e"]["value"], rel=0.05)
+    fields = [one["depth_of_field_mm"]["value"] for one in (figures, before)]
+    assert fields[0] >= 0.999 * wanted.depth_mm
+
+
+def test_the_base_s_own_figures_give_the_base() -> None:
+    base = load_scene("standard-particles")
+    figures = plan(base).to_dict()["figures"]
+    wanted = Wanted(*(figures[key]["value"] for key in ("depth_mm", "per_mm3", "pixel_center_mm")))
+    made = design_scene(base, wanted)
+    assert made.cameras.center_mm == pytest.approx(base.cameras.center_mm, rel=1e-3)
+    assert made.volume.size_mm == pytest.approx(base.volume.size_mm, rel=1e-3)
+    assert made.light.pulse_energy_mj == pytest.approx(base.light.pulse_energy_mj, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("base", "sentence"),
+    [
+        ("vortex-ring-experiment", "cameras.layout.kind: expected grid, ring, line or cross"),
+        ("cylinder-tank", "wall: expected one plane wall or none"),
+        ("plunging-jet-7", "particles: expected a scene with particles"),
+    ],
+)
+def test_bases_that_cannot_be_scaled_are_refused(base: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        design_scene(load_scene(base), Wanted(10.0, 0.1, 0.05))
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_scene_that_can_be_planned(command: Command, tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    words = ("--depth", "8", "--density", "0.5", "--resolution", "0.05")
+    succeed(command("plan", *words, "-o", str(file)))
+    assert load_scene(file).volume.size_mm[2] == 8.0
+    again = command("plan", *words, "-o", str(file))
+    assert again.returncode == 2
+    missing = command("plan", "--depth", "8", "-o", str(tmp_path / "other.toml"))
+    assert "--density, --resolution: expected" in missing.stderr
+    assert "SCENE: expected a scene file" in command("plan").stderr
+    assert not (tmp_path / "other.toml").exists()
+
+
+RECORD = json.loads(planner.RECORD.read_text(encoding="utf-8"))
+
+
+def typical(**changes: float) -> F64:
+    features = np.median([one["features"] for one in RECORD.values()], axis=0)
+    for name, value in changes.items():
+        features[list(FEATURES).index(name)] = value
+    return np.asarray(features)
+
+
+def test_the_model_holds_the_scenes_of_the_record() -> None:
+    kept = json.loads(MODEL.read_text(encoding="utf-8"))
+    fitted = [one for number, one in RECORD.items() if int(number) not in planner.NOT_FITTED]
+    assert kept["names"] == list(FEATURES)
+    assert kept["features"] == [one["features"] for one in fitted]
+    for key in ("q_mart", "ghosts_synthetic_aperture"):
+        measured = planner._scores(fitted, SCORES[key])
+        np.testing.assert_allclose(kept["scores"][key], measured, rtol=0.0, atol=6e-6)
+
+
+def test_ghosts_of_draws_have_a_geometric_mean() -> None:
+    scene = {"scores": {"msa": {"ghosts": [9.0, 99.0], "q": [0.7, 0.8]}}}
+    ghosts, q = (
+        planner._scores([scene], SCORES[f"{name}_synthetic_aperture"]) for name in ("ghosts", "q")
+    )
+    assert ghosts[0] == pytest.approx(math.sqrt(0.1 * 1.0) - 0.01)
+    assert q[0] == pytest.approx(0.75)
+
+
+def test_a_process_without_noise_goes_through_its_points() -> None:
+    process = smooth_process(count=16)  # of more, the kernel has no inverse in double precision
+    value, error = process.predict(process.points)
+    np.testing.assert_allclose(value, process.values, atol=1e-4)
+    assert (error < 1e-3).all()
+    between, _ = process.predict(np.array([[0.33, -0.41]]))
+    assert between[0] == pytest.approx(np.sin(0.33) - 0.41, abs=0.01)
+    _, far = process.predict(np.array([[30.0, 0.0]]))
+    assert far[0] > 0.5
+
+
+def test_values_left_out_are_those_of_a_process_without_them() -> None:
+    process = smooth_process(noise=0.1)
+    without = GaussianProcess(process.points[1:], process.values[1:], process.kernel)
+    shift = process.values.mean() - without.values.mean()  # means are of the values that are left
+    expected, _ = without.predict(process.points[:1])
+    assert process.left_out()[0] == pytest.approx(expected[0], abs=0.1 * abs(shift) + 0.01)
+
+
+def smooth_process(noise: float = 0.0, count: int = 60) -> GaussianProcess:
+    """Make a process of sin x + y at random points."""
+    points = np.random.default_rng(1).uniform(-1.5, 1.5, (count, 2))
+    kernel = Kernel(np.array([1.5, 3.0]), 1.0, 1.0, noise)
+    return GaussianProcess(points, np.sin(points[:, 0]) + points[:, 1], kernel)
+
+
+@pytest.mark.slow
+def test_the_fit_finds_the_likeliest_lengths() -> None:
+    process = load_model().processes["q_mart"]
+    started = replace(process, kernel=planner._as_kernel(planner._START))
+    assert process.surprise() < started.surprise()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("key", ["q_synthetic_aperture", "q_mart"])
+def test_scores_change_in_the_right_direction(key: str) -> None:
+    model, middle = load_model(), typical()
+
+    def score(**changes: float) -> float:
+        return float(model.predict(key, typical(**changes)[None])[0][0])
+
+    assert score(cameras=4.0) < score(cameras=9.0)
+    assert score(source_density=0.1) > score(source_density=0.8)
+    assert 0.0 < model.allowed_error_px(key, middle, 2.0) < 2.0
+
+
+def test_the_model_stops_at_the_edge_of_its_range() -> None:
+    model = load_model()
+    edge, outside = typical(cameras=float(model.high[0])), typical(cameras=100.0)
+    for key in SCORES:
+        assert model.predict(key, outside[None]) == model.predict(key, edge[None])
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"cameras.layout.columns": 8, "cameras.layout.rows": 8}, "cameras.layout"),
+        ({"grid.voxel_mm": [0.05, 0.05, 0.5]}, "grid.voxel_mm"),
+        ({"particles.per_pixel": 0.001}, "particles.per_pixel"),
+        ({"calibration": {"shift_px": 3.0}}, "calibration"),
+    ],
+)
+def test_a_plan_outside_the_range_says_how_far(changes: dict[str, Any], key: str) -> None:
+    scene = override(load_scene("standard-particles"), changes, "standard-particles")
+    sentences = [
+        one.sentence
+        for one in plan(scene).advice
+        if one.key == key and "measured scenes" in one.sentence
+    ]
+    assert sentences
+    assert " times the " in sentences[0]
+
+
+def test_the_record_is_of_the_scenes_that_the_benchmark_draws() -> None:
+    number = planner.NOT_FITTED[0]
+    scene = planner.draw_scene(number)
+    figures = planner.figures_of(scene)
+    features = RECORD[str(number)]["features"]
+    expected = list(features_of(figures))
+    np.testing.assert_allclose(expected, features, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_errors_on_scenes_that_were_not_fitted_are_as_documented() -> None:
+    model = load_model()
+    others = [RECORD[str(number)] for number in planner.TESTED]
+    features = np.array([one["features"] for one in others])
+    for key, most in (("q_synthetic_aperture", 0.025), ("q_mart", 0.025)):
+        error = model.predict(key, features)[0] - planner._scores(others, SCORES[key])
+        assert np.sqrt(np.mean(error**2)) < most
+
+
+def shapes(svg: str, kind: str) -> list[str]:
+    root = ElementTree.fromstring(svg)
+    return [one.attrib["points"] for one in root.iter() if one.attrib.get("class") == kind]
+
+
+@pytest.mark.parametrize(
+    ("scene", "cameras", "walls"),
+    [("quick", 4, 3), ("cylinder-tank", 4, 2), ("thesis-50x50x10", 25, 0)],
+)
+def test_a_rig_is_drawn_with_all_its_parts(scene: str, cameras: int, walls: int) -> None:
+    made = plan(scene)
+    drawings = dict(draw_rig(made.scene, made.viewing))
+    assert list(drawings) == ["Rig, z and x", "Volume, z and x", "Rig, z and y", "Volume, z and y"]
+    svg = drawings["Rig, z and x"]
+    assert len(shapes(svg, "camera")) == cameras
+    assert len(shapes(svg, "ray")) == 3 * cameras
+    assert len(shapes(svg, "volume")) == 1
+    assert len(shapes(svg, "wall")) == min(walls, 2)  # the back wall is outside the window
+    assert shapes(svg, "sheet")
+
+
+def test_outlines_are_to_scale() -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    low, high = np.array([-10.0, -10.0]), np.array([30.0, 30.0])
+    svg = draw_outlines("a < b", [Outline("volume", square, closed=True)], low, high, ("z", "x"))
+    (points,) = shapes(svg, "volume")
+    assert points == "100.0,100.0 200.0,100.0 200.0,200.0 100.0,200.0"  # 400 px for 40 mm
+    assert "10 mm; z to the right, x down" in svg
+    assert 'd="M0 416.0 h100.0"' in svg
+
+
+def test_the_page_escapes_what_a_scene_says() -> None:
+    made = plan("quick")
+    scene = made.scene.model_copy(update={"title": "<script>alert(1)</script>"})
+    page = render(type(made)(scene, made.rig, made.viewing, made.sections))
+    assert "<script" not in page
+
+
+def test_the_command_prints_a_table_json_and_a_page(command: Command, tmp_path: Path) -> None:
+    file = tmp_path / "plan.html"
+    done = command("plan", "quick", "--html", str(file))
+    assert done.stdout.endswith(f"{file}: the plan with drawings\n")
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"plane_spacing_mm +│ 0\.157", done.stdout)
+    assert "warning: illumination.pulse_energy_mj: " in done.stdout
+    assert file.read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert command("plan", "quick", "--html", str(file)).returncode == 2  # it is there already
+    found = json.loads(command("plan", "quick", "--json").stdout)
+    assert found["figures"]["cameras"]["value"] == 4
+    assert found["warnings"][0]["key"]

@@ -1,0 +1,466 @@
+"""The leaderboard: standings of submissions, safe archives, and curves."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import tarfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sabench.evaluation.leaderboard.archives import submitted_files
+from sabench.evaluation.leaderboard.board import over_seeds
+from sabench.evaluation.leaderboard.cells import mean_rank, ranks, ranks_of_distinct
+from sabench.evaluation.leaderboard.curves import curves_of
+from sabench.evaluation.leaderboard.page_content import cases_of
+from sabench.evaluation.leaderboard.standings import Board, boards_of
+from sabench.evaluation.record_schema import Record
+from sabench.evaluation.records import latest, read_records
+from sabench.utils.errors import InputError
+from tests.system.test_board import record
+
+SEEDS = (1, 2, 3, 4, 5)
+
+
+def results(solver: str, scores: dict[str, tuple[float, ...]], **changes: Any) -> list[Record]:
+    return [
+        record(
+            solver,
+            q,
+            **{
+                "seed": seed,
+                "case": level,
+                "scene_hash": level,
+                "difficulty": level,
+                "suite": "trial",
+                "dataset": f"{level}-{seed}",
+                "rms_px": 0.1 + q / 7.0,
+                **changes,
+            },
+        )
+        for level, values in scores.items()
+        for seed, q in zip(SEEDS, values, strict=False)
+    ]
+
+
+def around(value: float, scatter: float = 0.01) -> tuple[float, ...]:
+    """Scores of five seeds."""
+    return tuple(value + scatter * one for one in (0.0, 1.0, -1.0, 0.5, -0.5))
+
+
+def board(records: list[Record]) -> Board:
+    (only,) = boards_of(cases_of(over_seeds(records)))
+    return only
+
+
+def standing(records: list[Record]) -> dict[str, tuple[int | None, list[int | None], list[str]]]:
+    """Place, ranks and notes of every line by its solver."""
+    return {
+        line.result.row["solver"]: (
+            line.place,
+            [cell.rank for cell in line.cells],
+            [cell.note for cell in line.cells],
+        )
+        for line in board(records).lines
+    }
+
+
+# Ranks
+
+
+def test_entries_that_seeds_cannot_tell_apart_share_a_rank() -> None:
+    close = np.array([around(0.80, 0.05), around(0.79, 0.05)[::-1], around(0.5, 0.05)])
+    assert ranks(close, larger=True) == [1, 1, 3]
+    assert ranks(-close, larger=False) == [1, 1, 3]
+
+
+def test_pairs_tell_apart_what_intervals_do_not() -> None:
+    """Seeds are more or less difficult for everybody."""
+    hard = np.array(around(0.0, 0.2))
+    assert ranks(np.array([0.80 + hard, 0.79 + hard]), larger=True) == [1, 2]
+
+
+def test_ranks_follow_the_order_of_the_entries() -> None:
+    rng = np.random.default_rng(1)
+    scores = rng.random((7, 1)) + 0.1 * rng.random((7, 5))
+    order = rng.permutation(7)
+    found = ranks(scores, larger=True)
+    assert ranks(scores[order], larger=True) == [found[row] for row in order]
+    assert ranks(3.0 * scores + 2.0, larger=True) == found
+
+
+def test_scatter_improves_no_rank() -> None:
+    """Nobody beats the third beyond chance, but the second is better."""
+    scores = np.array([[0.9] * 5, [0.8] * 5, [0.1, 0.99, 0.1, 0.99, 0.4]])
+    assert ranks(scores, larger=True) == [1, 2, 2]
+
+
+def test_a_result_sent_again_takes_no_rank() -> None:
+    scores = np.array([[0.9], [0.9], [0.9], [0.8]])
+    assert ranks_of_distinct(scores, True, ["a", "a", "a", "b"]) == [1, 1, 1, 2]
+    assert ranks_of_distinct(scores, True, ["a", "c", "d", "b"]) == [1, 1, 1, 4]
+
+
+def test_a_missing_case_counts_as_the_rank_after_the_last() -> None:
+    assert mean_rank([1, None, 3], [4, 4, 4]) == 3.0
+    assert mean_rank([1, 2], [2, 2]) == 1.5
+
+
+# Standings
+
+
+def test_solvers_are_placed_by_their_mean_rank() -> None:
+    good, fair = (
+        {"easy": around(0.9), "hard": around(0.8)},
+        {"easy": around(0.7), "hard": around(0.6)},
+    )
+    found = standing([*results("fair", fair), *results("good", good)])
+    assert found == {"good": (1, [1, 1], ["", ""]), "fair": (2, [2, 2], ["", ""])}
+
+
+def test_one_lucky_seed_ranks_before_nobody() -> None:
+    five = [results(name, {"easy": around(q)}) for name, q in (("a", 0.7), ("b", 0.6))]
+    lucky = results("lucky", {"easy": (0.99,)})
+    found = standing([*five[0], *five[1], *lucky])
+    assert list(found) == ["a", "b", "lucky"]
+    assert found["lucky"] == (None, [None], ["1 of 5 seeds"])
+    crowd = [results(f"lucky {n}", {"easy": (0.99,)}) for n in range(9)]
+    assert standing([*five[0], *(one for own in crowd for one in own)])["a"][0] == 1
+
+
+def test_a_submission_with_further_seeds_makes_nobody_incomplete() -> None:
+    sent = {"submission": {"name": "Ann", "date": "2026-01-02"}}
+    more = [
+        {**one, "seed": seed, "dataset": f"easy-{seed}"}
+        for seed, one in enumerate(results("much", {"easy": around(0.1)}, **sent) * 2, 1)
+    ]
+    found = standing([*results("a", {"easy": around(0.7)}), *more])
+    assert found["a"] == (1, [1], [""])
+    assert found["much"] == (2, [2], [""])
+
+
+def test_a_solver_that_misses_a_case_comes_after_the_others() -> None:
+    whole = {"easy": around(0.5), "hard": around(0.4)}
+    records = [
+        *results("whole", whole),
+        *results("easy only", {"easy": around(0.9)}),
+        *results("declines", {"easy": around(0.8)}),
+        *results("declines", {"hard": around(0.0)}, error="it needs more", declined=True),
+        *results("fails", {"easy": around(0.8)}),
+        *results("fails", {"hard": around(0.0)}, error="it broke"),
+    ]
+    found = standing(records)
+    assert next(iter(found)) == "whole"
+    assert found["whole"][0] == 1
+    assert found["easy only"][2] == ["", "no result"]
+    assert found["declines"][2] == ["", "declined"]
+    assert found["fails"][2] == ["", "failed"]
+    assert [place for place, *_ in found.values()] == [1, None, None, None]
+
+
+def test_a_seed_that_failed_makes_a_result_incomplete() -> None:
+    one = results("one", {"easy": around(0.9)})
+    one[3] |= {"error": "it broke", "q": None}
+    assert standing([*one, *results("other", {"easy": around(0.1)})])["one"][0] is None
+
+
+def test_the_gate_of_the_task_holds() -> None:
+    records = [
+        record(name, task="velocimetry", rms_voxel=error, yield_percent=share, suite="trial")
+        for name, error, share in (("little", 0.001, 10.0), ("good", 0.1, 90.0))
+    ]
+    assert standing(records)["little"] == (None, [None], ["not ranked"])
+
+
+def test_a_result_sent_under_another_name_shares_the_line_of_the_first() -> None:
+    scores = {"easy": around(0.8)}
+    sent = {"submission": {"name": "Eve", "date": "2026-01-02"}}
+    records = [
+        *results("copy", scores, **sent),
+        *results("original", scores),
+        *results("third", {"easy": around(0.7)}),
+    ]
+    lines = board(records).lines
+    assert [line.result.row["solver"] for line in lines] == ["original", "third"]
+    assert [line.place for line in lines] == [1, 2]
+    assert [one["solver"] for one in lines[0].also] == ["copy"]
+
+
+def test_equal_counts_alone_are_not_one_result() -> None:
+    """Two solvers may both find everything."""
+    records = [record(name, 1.0, suite="trial", peak_f1=1.0) for name in ("a", "b")]
+    found = standing([one | {"q": 1.0} for one in records])
+    assert set(found) == {"a"}  # Q is measured: to the last digit equal is one result
+    counted = [
+        record(name, task="see_through", read_percent=100.0, suite="trial") for name in ("a", "b")
+    ]
+    assert {name: place for name, (place, *_) in standing(counted).items()} == {"a": 1, "b": 1}
+
+
+def test_one_solver_on_two_machines_is_one_entry() -> None:
+    scores = {"easy": around(0.8)}
+    records = [
+        *results("a", scores),
+        *results("a", {"easy": (0.99,)}, machine={"cpu": "another"}),
+        *results("b", {"easy": around(0.7)}),
+    ]
+    assert {name: place for name, (place, *_) in standing(records).items()} == {"a": 1, "b": 2}
+
+
+def test_another_version_of_a_case_or_of_its_data_is_not_compared() -> None:
+    old = results("old", {"easy": around(0.9)}, scene_hash="older", date="2026-01-01T00:00:00Z")
+    new = results("new", {"easy": around(0.1)}, date="2026-02-01T00:00:00Z")
+    assert list(standing([*old, *new])) == ["new"]
+    other = [one | {"identity": "of an older simulation"} for one in old]
+    other = [one | {"scene_hash": "easy"} for one in other]
+    found = standing([*other, *new])
+    assert found["new"][0] == 1
+    assert found["old"] == (None, [None], ["0 of 5 seeds"])
+
+
+def test_suites_renderers_and_splits_have_standings_of_their_own() -> None:
+    scores = {"easy": around(0.8)}
+    records = [
+        *results("a", scores),
+        *results("a", scores, suite="other", scene_hash="another"),
+        *results("a", scores, renderer="mitsuba"),
+        *results("a", scores, split="hidden"),
+    ]
+    found = boards_of(cases_of(over_seeds(records)))
+    assert len({(one.suite, one.renderer, one.split) for one in found}) == len(found) == 4
+
+
+def test_a_record_that_says_less_of_its_case_is_compared_with_the_others() -> None:
+    """As older records do, and submissions of data sets that nobody has run."""
+    old = results("old", {"easy": around(0.7)}, suite=None, difficulty=None)
+    found = board([*old, *results("new", {"easy": around(0.8)})])
+    assert [line.place for line in found.lines] == [1, 2]
+    assert found.columns[0].name == "easy"
+
+
+def test_a_column_of_several_cases_is_their_mean() -> None:
+    records = [
+        one | {"case": f"{one['case']}-{number}", "scene_hash": f"{number}"}
+        for number in (1, 2)
+        for one in results("a", {"easy": around(0.2 * number)})
+    ]
+    only = board(records)
+    (cell,) = only.lines[0].cells
+    assert only.columns[0].cases == (0, 1)
+    assert cell.score is not None
+    assert cell.score.mean == pytest.approx(0.3)
+    assert cell.score.count == 5
+
+
+# Speed
+
+
+def test_speed_counts_above_the_stated_score_only() -> None:
+    head: dict[str, Any] = {"reference_s": 0.5}
+    records = [
+        *results("slow", {"easy": around(0.9)}, seconds=9.0, **head),
+        *results("quick", {"easy": around(0.8)}, seconds=2.0, **head),
+        *results("wrong", {"easy": around(0.1)}, seconds=0.1, **head),
+        *results("unknown", {"easy": around(0.85)}, seconds=None, **head),
+    ]
+    cells = {line.result.row["solver"]: line.cells[0] for line in board(records).lines}
+    assert {name: cell.fastest for name, cell in cells.items()} == {
+        "slow": False,
+        "unknown": False,
+        "quick": True,
+        "wrong": False,
+    }
+    assert not cells["wrong"].sufficient
+    assert cells["quick"].kernels == 4.0
+
+
+Make = Callable[[Path], Path]
+
+
+def zipped(
+    path: Path, members: dict[str, bytes], mode: int = 0, method: int = zipfile.ZIP_DEFLATED
+) -> Path:
+    with zipfile.ZipFile(path, "w", method) as file:
+        for name, content in members.items():
+            info = zipfile.ZipInfo(name)
+            info.external_attr, info.compress_type = mode << 16, method
+            file.writestr(info, content)
+    return path
+
+
+def taped(
+    path: Path, name: str, content: bytes = b"", kind: bytes = tarfile.REGTYPE, target: str = ""
+) -> Path:
+    with tarfile.open(path, "w:gz" if path.suffix == ".gz" else "w") as file:
+        info = tarfile.TarInfo(name)
+        info.type, info.linkname, info.size = kind, target, len(content)
+        file.addfile(info, io.BytesIO(content))
+    return path
+
+
+@pytest.mark.parametrize("ending", ["zip", "tar", "tar.gz"])
+def test_result_files_come_out_as_they_went_in(tmp_path: Path, ending: str) -> None:
+    path, content = tmp_path / f"a.{ending}", bytes(range(256)) * 50
+    if ending == "zip":
+        zipped(
+            path,
+            {
+                "b/two.h5": content,
+                "notes.txt": b"no result",
+                "__MACOSX/._two.h5": b"no result",
+                "__MACOSX/._card.toml": b"no card",
+                "b/card.toml": b"card",
+            },
+        )
+    else:
+        taped(path, "b/two.h5", content)
+    with submitted_files(path) as found:
+        assert [(name, file.read_bytes()) for name, file in found.results] == [
+            ("b/two.h5", content)
+        ]
+        assert [name for name, _ in found.cards] == ["b/card.toml"] * (ending == "zip")
+        places = [file for _, file in (*found.results, *found.cards)]
+    assert not any(place.exists() for place in places)
+
+
+def test_a_folder_and_a_single_file(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for name in ("b.h5", "in/a.h5", "notes.txt", "in/my.card.toml"):
+        (tmp_path / name).write_bytes(b"x")
+    with submitted_files(tmp_path) as found:
+        assert [name for name, _ in found.results] == ["b.h5", "in/a.h5"]
+        assert [name for name, _ in found.cards] == ["in/my.card.toml"]
+    with submitted_files(tmp_path / "notes.txt") as found:
+        assert [name for name, _ in found.results] == ["notes.txt"]
+
+
+def bomb(path: Path) -> Path:
+    return zipped(path, {"a.h5": bytes(50_000_000)})
+
+
+def long_name(path: Path) -> Path:
+    """An archive with a member's name of 100 MB. A reader of names would hold all of it in
+    memory."""
+    info = tarfile.TarInfo("././@LongLink")
+    info.type, info.size = tarfile.GNUTYPE_LONGNAME, 100_000_000
+    path.write_bytes(gzip.compress(info.tobuf(tarfile.GNU_FORMAT) + bytes(100_000_000), 1))
+    return path
+
+
+def many(path: Path) -> Path:
+    return zipped(path, {f"{number}.h5": b"" for number in range(1001)})
+
+
+BAD: list[tuple[str, Make, str]] = [
+    ("a.zip", lambda path: zipped(path, {"/etc/x.h5": b"x"}), "names inside the archive"),
+    ("b.zip", lambda path: zipped(path, {"a/../../x.h5": b"x"}), "names inside the archive"),
+    ("c.zip", lambda path: zipped(path, {"c:\\x.h5": b"x"}), "names inside the archive"),
+    ("d.zip", lambda path: zipped(path, {"x.h5": b"/etc/passwd"}, 0o120777), "a link or device"),
+    ("e.zip", lambda path: zipped(path, {"x.h5": b"x"}, method=zipfile.ZIP_LZMA), "stored or defl"),
+    ("f.zip", bomb, "times its size"),
+    ("g.zip", many, "at most 1000 files"),
+    ("h.zip", lambda path: zipped(path, {"notes.txt": b"x"}), "found none"),
+    ("i.zip", lambda path: (path.write_bytes(b"PK no zip") and path) or path, "an intact archive"),
+    (
+        "j.tar",
+        lambda path: taped(path, "x.h5", kind=tarfile.SYMTYPE, target="/etc/passwd"),
+        "a link or device",
+    ),
+    (
+        "k.tar",
+        lambda path: taped(path, "x.h5", kind=tarfile.LNKTYPE, target="../x"),
+        "a link or device",
+    ),
+    ("l.tar", lambda path: taped(path, "x.h5", kind=tarfile.CHRTYPE), "a link or device"),
+    ("m.tar", lambda path: taped(path, "../x.h5", b"x"), "names inside the archive"),
+    ("n.tar.gz", lambda path: taped(path, "x.h5", bytes(50_000_000)), "times its size"),
+    ("o.tar.gz", long_name, "to be read at once"),
+]
+
+
+@pytest.mark.parametrize(("name", "make", "words"), BAD, ids=[name for name, *_ in BAD])
+def test_dishonest_archives_are_refused(tmp_path: Path, name: str, make: Make, words: str) -> None:
+    path = make(tmp_path / name)
+    with pytest.raises(InputError, match=words), submitted_files(path):
+        pytest.fail("it was opened")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_two_members_of_one_name(tmp_path: Path) -> None:
+    path = tmp_path / "a.tar"
+    with tarfile.open(path, "w") as file:
+        for _ in range(2):
+            file.addfile(tarfile.TarInfo("a.h5"))
+    with pytest.raises(InputError, match="different names"), submitted_files(path):
+        pytest.fail("it was opened")
+
+
+def test_links_in_folders(tmp_path: Path) -> None:
+    (tmp_path / "a.h5").symlink_to("/etc/passwd")
+    with pytest.raises(InputError, match="no links"), submitted_files(tmp_path):
+        pytest.fail("it was opened")
+    with pytest.raises(InputError, match="a link"), submitted_files(tmp_path / "a.h5"):
+        pytest.fail("it was opened")
+
+
+RECORDS = Path(__file__).resolve().parents[3] / "leaderboard" / "records"
+
+
+def found(records: list[Record]) -> list[tuple[str, list[tuple[float, str]]]]:
+    cases = cases_of(over_seeds(records))
+    return [
+        (one.quantity, [(value, cases[place][0]["case"]) for value, place in one.points])
+        for one in curves_of(cases)
+    ]
+
+
+def varied(name: str, axes: dict[str, Any], **changes: Any) -> Record:
+    head: dict[str, Any] = {"case": name, "scene_hash": name, "suite": "trial", "axes": axes}
+    return record("a", 0.5, **{**head, **changes})
+
+
+def test_varied_values_make_a_curve_for_each_value_of_the_others() -> None:
+    records = [
+        varied(f"{ppp}-{n}", {"particles.per_pixel": ppp, "frames": n})
+        for ppp in (0.1, 0.05, 0.2)
+        for n in (1, 3)
+    ]
+    curves = found(records)
+    assert [curve for curve in curves if curve[0] == "particles per pixel"] == [
+        ("particles per pixel", [(ppp, f"{ppp}-{n}") for ppp in (0.05, 0.1, 0.2)]) for n in (1, 3)
+    ]
+    assert [name for name, _ in curves] == ["particles per pixel"] * 2 + ["frames"] * 3
+
+
+@pytest.mark.parametrize("key", ["suite", "scene", "renderer", "split"])
+def test_cases_of_other_suites_scenes_and_renderers_are_apart(key: str) -> None:
+    other = {"split": "hidden"}.get(key, "other")
+    records = [varied("a", {"x": 1.0}), varied("b", {"x": 2.0}, **{key: other})]
+    assert found(records) == []
+
+
+@pytest.mark.parametrize("value", ["text", True, None, [1.0], {"kind": "grid"}])
+def test_what_is_no_number_makes_no_curve(value: Any) -> None:
+    assert found([varied("a", {"x": value}), varied("b", {"x": 2.0})]) == []
+
+
+def test_recorded_cases_and_cases_without_values_make_no_curve() -> None:
+    records = [varied("a", {}), varied("b", {})]
+    assert found(records) == []
+    head: dict[str, Any] = {"recorded": True, "task": "particles"}
+    assert found([varied(name, {"x": n}, **head) for n, name in enumerate("ab")]) == []
+
+
+def test_bundled_scenes_are_compared_as_a_whole() -> None:
+    records = latest(read_records(RECORDS))
+    curves = dict(found([one for one in records if one["task"] == "reconstruction"]))
+    assert curves["cameras"] == [(4, "reconstruction-cameras"), (9, "reconstruction-standard")]
+    assert curves["calibration error, px"][0] == (0.0, "reconstruction-standard")
+    assert {"reconstruction-easy", "reconstruction-hard"}.isdisjoint(
+        name for points in curves.values() for _, name in points
+    )

@@ -1,1 +1,0 @@
-"""Pages that show rigs, data sets and results in space."""

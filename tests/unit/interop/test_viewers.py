@@ -1,0 +1,178 @@
+"""Files for other viewers: COCO, napari and ParaView."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import inspect
+import io
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+import sabench
+from sabench.dataset.reader import Dataset
+from sabench.interop import vtkhdf
+from sabench.interop.coco import run_lengths
+from sabench.interop.export import NAME, write_state
+from sabench.interop.napari_reader import get_reader, read_layers
+from sabench.utils.errors import InputError
+from tests.conftest import ROOT
+from tests.helpers.bubble_scenes import small
+from tests.unit.simulation.test_streaming import make_scene
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    scene = small(render={"relative_error": 0.2})
+    return sabench.generate(scene, tmp_path_factory.mktemp("bubbles") / "set", seed=2)
+
+
+@pytest.fixture(scope="module")
+def coco(data: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return sabench.export(data, tmp_path_factory.mktemp("coco") / "out", to="coco")
+
+
+def spread(lengths: list[int], shape: tuple[int, int]) -> Any:
+    """Decode run lengths by COCO's definition."""
+    flat = np.concatenate([np.full(n, place % 2) for place, n in enumerate(lengths)])
+    return flat.reshape(shape, order="F") > 0
+
+
+@given(st.integers(0, 2**12 - 1))
+def test_run_lengths_are_read_back(bits: int) -> None:
+    mask = np.array([bits >> place & 1 for place in range(12)], dtype=np.bool_).reshape(3, 4)
+    lengths = run_lengths(mask)
+    np.testing.assert_array_equal(spread(lengths, (3, 4)), mask)
+    assert all(lengths[1:])
+
+
+def test_every_visible_bubble_has_its_mask_and_box(data: Dataset, coco: Path) -> None:
+    values = json.loads((coco / "annotations.json").read_text())
+    assert len(values["images"]) == 5
+    bubbles = data.bubbles(0)
+    found = 0
+    for image, camera in zip(values["images"], data.setup.cameras, strict=True):
+        sight = data.sight(0, camera)
+        own = [one for one in values["annotations"] if one["image_id"] == image["id"]]
+        for one in own:
+            row = bubbles.id.tolist().index(one["bubble"])
+            mask = spread(one["segmentation"]["counts"], sight.number.shape)
+            np.testing.assert_array_equal(mask, sight.number == row)
+            left, top, width, height = one["bbox"]
+            inside = mask[top : top + height, left : left + width]
+            assert inside.sum() == mask.sum() == one["area"] > 0
+            assert inside[0].any()
+            assert inside[-1].any()
+            assert inside[:, 0].any()
+            assert inside[:, -1].any()
+        found += len(own)
+        assert len(own) == len(set(sight.number[sight.number >= 0].tolist()))
+    assert found > 50
+    assert len({one["id"] for one in values["annotations"]}) == found
+
+
+def test_images_show_what_the_camera_recorded(data: Dataset, coco: Path) -> None:
+    values = json.loads((coco / "annotations.json").read_text())
+    file = coco / values["images"][2]["file_name"]
+    image = np.asarray(cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
+    raw = data.raw_image(2, 0).astype(np.float64)
+    assert image.shape == raw.shape
+    assert image.dtype == np.uint8
+    assert np.corrcoef(image.ravel(), raw.ravel())[0, 1] > 0.999
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of pycocotools with numpy 2
+def test_pycocotools_reads_it(data: Dataset, coco: Path) -> None:
+    tools = pytest.importorskip("pycocotools.coco", reason="pycocotools is not installed")
+    evaluation = pytest.importorskip("pycocotools.cocoeval")
+    with contextlib.redirect_stdout(io.StringIO()):
+        true = tools.COCO(str(coco / "annotations.json"))
+        own = true.loadAnns(true.getAnnIds(imgIds=[1]))
+        for one in own:
+            row = data.bubbles(0).id.tolist().index(one["bubble"])
+            expected = data.sight(0, data.setup.cameras[0]).number == row
+            np.testing.assert_array_equal(true.annToMask(one) > 0, expected)
+        found = [
+            {"image_id": one["image_id"], "category_id": 1, "score": 0.9, "bbox": one["bbox"]}
+            for one in true.loadAnns(true.getAnnIds())
+        ]
+        judged = evaluation.COCOeval(true, true.loadRes(found), "bbox")
+        judged.evaluate()
+        judged.accumulate()
+        judged.summarize()
+    assert judged.stats[0] == pytest.approx(1.0)
+
+
+def test_particles_alone_are_refused(data: Dataset, tmp_path: Path) -> None:
+    plain = sabench.generate(make_scene(), tmp_path / "plain", backend="splat")
+    with pytest.raises(InputError, match="expected a data set with bubbles for coco"):
+        sabench.export(plain, tmp_path / "out", to="coco")
+    assert not (tmp_path / "out").exists()
+
+
+def test_layers_are_images_and_true_particles(quick: Dataset) -> None:
+    assert get_reader(str(quick.root)) is read_layers
+    layers = read_layers(str(quick.root))
+    images, _, kind = layers[0]
+    assert (kind, len(layers)) == ("image", 2 * len(quick.setup.cameras))
+    assert images.shape == (1, 240, 320)
+    np.testing.assert_array_equal(images[0], quick.raw_image(0, 0))
+    np.testing.assert_array_equal(images[0, 10:12, 5], quick.raw_image(0, 0)[10:12, 5])
+    np.testing.assert_array_equal(np.asarray(images)[0], quick.raw_image(0, 0))
+    places, _, kind = layers[1]
+    assert kind == "points"
+    inside = places[((places[:, 1:] > 3) & (places[:, 1:] < [236, 316])).all(axis=1)]
+    row, column = np.rint(inside[:, 1:]).astype(int).T
+    assert len(inside) > 200
+    assert np.median(images[0][row, column]) > 3 * np.median(images[0])
+
+
+def test_the_manifest_names_the_reader() -> None:
+    text = (ROOT / "sabench" / "napari.yaml").read_text(encoding="utf-8")
+    assert f"python_name: {get_reader.__module__}:{get_reader.__name__}" in text
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["entry-points"]["napari.manifest"] == {"sabench": "sabench:napari.yaml"}
+
+
+def test_other_folders_are_left_to_other_readers(tmp_path: Path) -> None:
+    assert get_reader(str(tmp_path)) is None
+    assert get_reader([str(tmp_path)]) is None
+    (tmp_path / "manifest.json").write_text('{"name": "an extension of a browser"}')
+    assert get_reader(str(tmp_path)) is None
+
+
+def _value(tree: ast.Module, name: str) -> ast.expr:
+    """Find what a module assigns to a name, at whatever depth."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name:
+            found = node.value
+    return found
+
+
+def test_a_state_is_python_and_knows_where_its_files_are(tmp_path: Path) -> None:
+    """Quotes in the folder's name do no harm."""
+    home = Path('/some where\'s "data"')
+    write_state(tmp_path, home)
+    tree = ast.parse((tmp_path / NAME).read_text(encoding="utf-8"))
+    folder = _value(tree, "FOLDER")
+    assert isinstance(folder, ast.Call)
+    assert ast.literal_eval(folder.args[0]) == str(home)
+
+
+def test_a_state_draws_every_kind_that_is_written(tmp_path: Path) -> None:
+    """A kind without a drawing would stop the state."""
+    write_state(tmp_path, tmp_path)
+    tree = ast.parse((tmp_path / NAME).read_text(encoding="utf-8"))
+    drawn = _value(tree, "DRAW")
+    assert isinstance(drawn, ast.Dict)
+    written = set(re.findall(r'"(\w+)_\{frame:04d\}\.vtkhdf"', inspect.getsource(vtkhdf)))
+    assert len(written) >= 7
+    assert {ast.literal_eval(key) for key in drawn.keys if key} == written | {"rig"}

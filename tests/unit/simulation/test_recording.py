@@ -1,0 +1,270 @@
+"""Recording: the schedule of views, and the parts on disk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sabench.api.arrays import Array
+from sabench.api.truth import Materials, View
+from sabench.scenes import load_scene
+from sabench.simulation.recording.parts import Entry, Job, Kept, Parts, Taken, read_job
+from sabench.simulation.recording.schedule import TRIES, Schedule, Task
+from sabench.utils.arrays import F64
+from sabench.utils.errors import InputError
+
+
+@dataclass(frozen=True)
+class State(Kept):
+    ARRAYS = (Array("state", (0,)),)
+
+    state: F64
+
+
+def numbers(count: int) -> Entry:
+    return Materials(np.arange(count)), ""
+
+
+def taken() -> Taken:
+    rng = np.random.default_rng(1)
+    return Taken(
+        [(View(rng.random((5, 2)), np.ones(5), np.ones(5), np.ones(5, dtype=np.bool_)), "a")],
+        rng.integers(0, 4095, (6, 8), dtype=np.uint16),
+        rng.random((6, 8), dtype=np.float32),
+    )
+
+
+def test_what_is_put_is_there_and_nothing_beside_it(tmp_path: Path) -> None:
+    parts, view = Parts(tmp_path), taken()
+    assert not list(tmp_path.glob("views/*.npz"))
+    assert not parts.has_frame(3)
+    parts.put_frame(3, [numbers(4), (State(np.zeros(0)), "")])
+    parts.put_view(3, "a", view)
+    assert parts.has_frame(3)
+    assert parts.has_view(3, "a")
+    assert list(tmp_path.glob("views/*.npz"))
+    assert list(parts.frame(3).truth) == ["frames/0003/material"]
+    np.testing.assert_array_equal(parts.frame(3).truth["frames/0003/material"], np.arange(4))
+    (seen, _), stored = view.truth[0], parts.view(3, "a")
+    assert isinstance(seen, View)
+    np.testing.assert_array_equal(stored.truth["frames/0003/cameras/a/pixel"], seen.pixel)
+    assert sorted(stored.files) == ["images/frame_0003/a.exr", "images/frame_0003/a.tif"]
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == [
+        "0003-a.npz",
+        "0003.npz",
+        "a.exr",
+        "a.tif",
+    ]
+
+
+def test_a_part_with_one_byte_wrong_is_not_there_or_whole(tmp_path: Path) -> None:
+    parts, path = Parts(tmp_path), tmp_path / "frames" / "0003.npz"
+    parts.put_frame(3, [numbers(4)])
+    whole = path.read_bytes()
+    refused = 0
+    for position in range(len(whole)):  # compression, encryption, length, names, checksum, ...
+        damaged = bytearray(whole)
+        damaged[position] ^= 0x49
+        path.write_bytes(damaged)
+        refused += not parts.has_frame(3)
+    assert refused > len(whole) / 2
+
+
+@pytest.mark.parametrize("file", ["images/frame_0003/a.exr", "images/frame_0003/a.tif"])
+def test_a_view_with_one_bit_wrong_in_a_picture_is_not_there(tmp_path: Path, file: str) -> None:
+    parts, rng, path = Parts(tmp_path), np.random.default_rng(2), tmp_path / file
+    parts.put_view(3, "a", taken())
+    whole = path.read_bytes()
+    for position in rng.integers(0, len(whole), 8):
+        damaged = bytearray(whole)
+        damaged[position] ^= 4
+        path.write_bytes(damaged)
+        assert not parts.has_view(3, "a")
+
+
+@pytest.mark.parametrize(
+    "file", ["views/0003-a.npz", "images/frame_0003/a.exr", "images/frame_0003/a.tif"]
+)
+def test_a_view_with_a_torn_or_missing_file_is_made_again(tmp_path: Path, file: str) -> None:
+    parts, path = Parts(tmp_path), tmp_path / file
+    parts.put_view(3, "a", taken())
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert not parts.has_view(3, "a")
+    path.unlink()
+    assert not parts.has_view(3, "a")
+    parts.put_view(3, "a", taken())
+    assert parts.has_view(3, "a")
+
+
+def test_a_number_of_the_truth_that_has_changed_is_not_taken_for_whole(tmp_path: Path) -> None:
+    parts, path = Parts(tmp_path), tmp_path / "frames" / "0003.npz"
+    parts.put_frame(3, [numbers(400)])
+    damaged = bytearray(path.read_bytes())
+    damaged[damaged.index(np.arange(200, 203).tobytes())] ^= 4
+    path.write_bytes(damaged)
+    assert not parts.has_frame(3)
+
+
+def test_a_part_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"0007\.npz: expected an intact part"):
+        Parts(tmp_path).frame(7)
+
+
+def test_a_job_is_read_as_it_was_written_and_only_by_the_same_code(tmp_path: Path) -> None:
+    job = Job(load_scene("quick"), 7, "splat", "quick")
+    job.write(tmp_path)
+    again = read_job(tmp_path)
+    assert (again.scene.hash, again.seed, again.renderer, again.label, again.key) == (
+        job.scene.hash,
+        7,
+        "splat",
+        "quick",
+        job.key,
+    )
+    assert (
+        len(
+            {
+                job.key,
+                Job(job.scene, 8, "splat", "quick").key,
+                Job(job.scene, 7, "mitsuba", "quick").key,
+            }
+        )
+        == 3
+    )
+    (tmp_path / "job.json").write_text(
+        (tmp_path / "job.json").read_text().replace(job.key, "0" * 64)
+    )
+    with pytest.raises(InputError, match="same versions of sabench"):
+        read_job(tmp_path)
+    with pytest.raises(InputError, match="use a folder that all workers see"):
+        read_job(tmp_path / "elsewhere")
+
+
+def test_nothing_is_written_where_the_data_set_is_complete(tmp_path: Path) -> None:
+    parts = Parts(tmp_path / "gone")
+    with pytest.raises(InputError, match="but it is gone"):
+        parts.put_frame(0, [])
+    with pytest.raises(InputError, match="but it is gone"):
+        parts.put_view(0, "a", taken())
+    assert not list(tmp_path.iterdir())
+
+
+def check_allowed(task: Task, finished: set[Task], *, chained: bool) -> None:
+    """Check that a task's predecessors are finished. A camera comes after its frame's truth. In a
+    chain, a frame's truth comes after that of the frame before."""
+    if task.camera is not None:
+        assert Task(task.frame) in finished
+    elif chained and task.frame:
+        assert Task(task.frame - 1) in finished
+
+
+def work(
+    schedule: Schedule,
+    workers: int,
+    *,
+    chained: bool,
+    seed: int,
+    dying: float = 0.0,
+    before: tuple[Task, ...] = (),
+) -> tuple[list[Task], int]:
+    rng, most = np.random.default_rng(seed), 0
+    running: dict[int, Task] = {}
+    last: dict[int, int] = {}
+    ended = list(before)
+    while not schedule.finished:
+        for worker in range(workers):
+            if worker not in running and (task := schedule.take(last.get(worker))) is not None:
+                check_allowed(task, set(ended), chained=chained)
+                running[worker], last[worker] = task, task.frame
+        most = max(most, len({task.frame for task in running.values()}))
+        assert running, "all wait for each other"
+        worker = int(rng.choice(list(running)))
+        task = running.pop(worker)
+        if rng.random() < dying:
+            schedule.fail(task, "died")
+            continue
+        schedule.complete(task)
+        ended.append(task)
+    assert not running
+    return ended, most
+
+
+@pytest.mark.parametrize("chained", [False, True])
+@pytest.mark.parametrize(
+    ("frames", "cameras", "workers"),
+    [(1, 1, 1), (7, 3, 1), (7, 3, 2), (40, 4, 5), (5, 9, 30), (9, 0, 3)],
+)
+def test_everything_is_done_once_in_an_order_that_it_allows(
+    frames: int, cameras: int, workers: int, chained: bool
+) -> None:
+    for seed in range(5):
+        schedule = Schedule(frames, cameras, chained=chained, ahead=workers + 1)
+        ended, most = work(schedule, workers, chained=chained, seed=seed)
+        assert len(ended) == len(set(ended)) == schedule.tasks == frames * (1 + cameras)
+        assert most <= workers + 1
+        assert schedule.failures == []
+
+
+def test_a_task_that_fails_now_and_then_is_done_in_the_end() -> None:
+    schedule = Schedule(60, 3, chained=True, ahead=4)
+    ended, _ = work(schedule, 3, chained=True, seed=1, dying=0.05)
+    assert len(set(ended)) == len(ended) == schedule.tasks
+    assert schedule.failures == []
+
+
+def test_one_worker_stays_with_a_frame() -> None:
+    ended, _ = work(Schedule(4, 3, chained=False, ahead=1), 1, chained=False, seed=0)
+    assert ended == [Task(frame, camera) for frame in range(4) for camera in (None, 0, 1, 2)]
+
+
+def test_two_workers_take_a_frame_each_and_share_the_last() -> None:
+    schedule = Schedule(3, 2, chained=False, ahead=3)
+    assert [schedule.take(None), schedule.take(None)] == [Task(0), Task(1)]
+    schedule.complete(Task(0))
+    schedule.complete(Task(1))
+    assert [schedule.take(1), schedule.take(0)] == [Task(1, 0), Task(0, 0)]
+    schedule.complete(Task(1, 0))
+    assert schedule.take(1) == Task(1, 1)
+    schedule.complete(Task(1, 1))
+    assert schedule.take(1) == Task(2)
+    schedule.complete(Task(2))
+    assert schedule.take(1) == Task(2, 0)
+    schedule.complete(Task(0, 0))
+    assert schedule.take(0) == Task(0, 1)
+    schedule.complete(Task(0, 1))
+    assert schedule.take(0) == Task(2, 1)
+
+
+def fail(schedule: Schedule, task: Task) -> None:
+    for _ in range(TRIES):
+        while schedule.take(None) != task:
+            pass
+        schedule.fail(task, "broken")
+
+
+def test_a_camera_that_always_fails_is_a_failure_and_the_rest_is_done() -> None:
+    schedule = Schedule(2, 2, chained=True, ahead=1)
+    assert schedule.take(None) == Task(0)
+    schedule.complete(Task(0))
+    assert schedule.take(0) == Task(0, 0)
+    for _ in range(TRIES):
+        schedule.fail(Task(0, 0), "broken")
+        if not schedule.failures:
+            assert schedule.take(0) == Task(0, 0)
+    assert schedule.failures == [(Task(0, 0), "broken")]
+    ended, _ = work(schedule, 1, chained=True, seed=0, before=(Task(0),))
+    assert ended == [Task(0), Task(0, 1), Task(1), Task(1, 0), Task(1, 1)]
+
+
+@pytest.mark.parametrize(
+    ("chained", "rest"), [(False, [Task(1), Task(1, 0), Task(2), Task(2, 0)]), (True, [])]
+)
+def test_a_truth_that_always_fails_stops_what_stands_on_it(chained: bool, rest: list[Task]) -> None:
+    schedule = Schedule(3, 1, chained=chained, ahead=1)
+    fail(schedule, Task(0))
+    ended, _ = work(schedule, 1, chained=chained and bool(rest), seed=0)
+    assert ended == rest
+    assert schedule.failures == [(Task(0), "broken")]
