@@ -223,7 +223,8 @@ def _cylindrical(
         lateral[:, ~valid], behind[~valid] = 0.0, 1.0
     radius = np.sqrt(lateral[0] ** 2 + lateral[1] ** 2 + lateral[2] ** 2)
     lateral *= 1.0 / np.where(radius > 0.0, radius, 1.0)
-    depths = [max(before, 1e-300), *(layer.thickness_mm for layer in wall.layers), behind]
+    depths: list[F64 | float] = [max(before, 1e-300)]
+    depths += [*(layer.thickness_mm for layer in wall.layers), behind]
     return lateral, radius, depths, valid
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,9 @@ def turn_camera(camera: Camera, axes: F64) -> Camera:
     x, y, z = np.asarray(camera.rotation) @ axes.T
     wall = camera.wall
     keys = ("point_mm", "normal") if isinstance(wall, Wall) else ("axis_point_mm", "axis")
-    turned = {key: triple(axes @ np.asarray(getattr(wall, key))) for key in keys if wall}
+    turned: dict[str, Any] = {}
+    if wall is not None:
+        turned = {key: triple(axes @ np.asarray(getattr(wall, key))) for key in keys}
     return replace(
         camera,
         center_mm=triple(axes @ np.asarray(camera.center_mm)),

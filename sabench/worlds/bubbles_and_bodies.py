@@ -38,7 +38,8 @@ class Phases:
     def __init__(self, scene: Scene, seed: int) -> None:
         self.scene, self.seed = scene, seed
         world = scene.world
-        self._bubbles: BubbleGenerator | None = world.bubbles and generator_of(world.bubbles)
+        given = world.bubbles
+        self._bubbles: BubbleGenerator | None = generator_of(given) if given else None
         self._solids: list[SolidGenerator] = [generator_of(given) for given in world.solids]
         self._bodies = [
             _check_closed(generator.body(seed), f"{scene.title}: solids.{n}", scene)

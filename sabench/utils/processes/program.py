@@ -25,7 +25,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.processes.confinement import View, start_input, start_words
 from sabench.utils.validation import printable
 
-_KEPT = ("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "TZ")
+_KEPT: tuple[str, ...] = ("PATH", "LD_LIBRARY_PATH", "LANG", "LC_ALL", "TZ")
 _KEPT += ("OMP_NUM_THREADS", "CUDA_VISIBLE_DEVICES")
 _TOKEN = "SABENCH_PROGRAM"  # variable that marks every process below a program, wherever it hides
 _TAIL = 1 << 14  # bytes of output that are kept

@@ -57,8 +57,9 @@ def surface_of(
     axes = [start + step_mm * np.arange(count) for start, count in zip(low, counts, strict=True)]
     y, z = (axis.ravel() for axis in np.meshgrid(axes[1], axes[2], indexing="ij"))
     values = np.empty(counts, dtype=np.float32)
-    for plane, x in zip(values, axes[0], strict=True):
-        plane[:] = function(np.column_stack([np.full(len(y), x), y, z])).reshape(plane.shape)
+    for n, x in enumerate(axes[0]):
+        plane = function(np.column_stack([np.full(len(y), x), y, z]))
+        values[n] = plane.reshape(values.shape[1:])
     _check_inside(values, low, step_mm)
     values[np.abs(values) < _OFF * step_mm] = _OFF * step_mm
     vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent")
