@@ -69,8 +69,8 @@ BUGS = (
     Bug(
         "thickness of the glass forgotten in fast projection",
         "sabench/geometry/projection_kernels.py",
-        "if ratios[0] > 1.0 else None,\n        before + wall.thickness_mm",
-        "if ratios[0] > 1.0 else None,\n        before",
+        "first, before + wall.thickness_mm",
+        "first, before",
         case="particles",
     ),
     Bug(
@@ -260,7 +260,7 @@ BUGS = (
     ),
     Bug(
         "Snell's law upside down at a cylinder",
-        "sabench/geometry/cylinder_wall.py",
+        "sabench/geometry/cylinder_kernels.py",
         "if _cross(faces[m], indices[m] / indices[m + 1], at",
         "if _cross(faces[m], indices[m + 1] / indices[m], at",
         tests="tests/unit/geometry/test_cylinder_wall.py",
@@ -338,8 +338,8 @@ BUGS = (
     Bug(
         "two cameras share their sensor's pattern",
         "sabench/simulation/camera_view.py",
-        'stream(frame.seed, "sensor pattern", camera)',
-        'stream(frame.seed, "sensor pattern", camera // 2)',
+        'stream(seed, "sensor pattern", camera)',
+        'stream(seed, "sensor pattern", camera // 2)',
         tests="tests/unit/simulation/test_grey_values.py",
     ),
     Bug(

@@ -225,8 +225,8 @@ def _measure(
     level = np.maximum(whole + wide[0] + shift * wide[1], -_LOWEST * deviation)
     # few photons: the third moment grows as the variance
     skewed = np.minimum(skewness * float(np.median(deviation)) / deviation, _MOST_SKEW)
-    level, deviation, skewed = (one.astype(np.float32) for one in (level, deviation, skewed))
-    return DarkNoise(level, deviation, skewed, step)
+    single = (values.astype(np.float32) for values in (level, deviation, skewed))
+    return DarkNoise(*single, step)
 
 
 def _by_tile(

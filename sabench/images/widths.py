@@ -148,8 +148,10 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     light, count = np.where(known, image, 0.0), known.astype(np.float64)
     # less the mean of the known pixels around: where more particles are in the middle than at the
     # borders, products of pixels far apart, which leave out borders, would be larger than others
-    local = {"normalize": False, "borderType": cv2.BORDER_CONSTANT}
-    sums, counts = (cv2.boxFilter(one, -1, (_LOCAL, _LOCAL), **local) for one in (light, count))
+    sums, counts = (
+        cv2.boxFilter(of, -1, (_LOCAL, _LOCAL), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        for of in (light, count)
+    )
     over = np.asarray(light - count * sums / np.maximum(counts, 1.0))
     apart = [_product(over, count, *step) for d in _FAR for step in ((0, d), (d, 0))]
     far = sum(apart) / len(apart)

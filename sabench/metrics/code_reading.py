@@ -107,7 +107,7 @@ def read_right(cells: F64, dark: Bool) -> Bool:
     shown = np.isfinite(cells)
     if shown.sum() < 2:
         return np.zeros(len(cells), dtype=np.bool_)
-    return shown & ((cells < otsu(cells[shown])) == dark)
+    return np.asarray(shown & ((cells < otsu(cells[shown])) == dark))
 
 
 def otsu(values: F64) -> float:

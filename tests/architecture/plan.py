@@ -16,9 +16,8 @@ FLOORS = (
     {"api", "scenes"},
     {"algorithms", "metrics", "dataset", "worlds"},
     {"tasks", "simulation"},
-    {"evaluation"},
+    {"evaluation", "interop"},
     {"apps"},
-    {"interop"},
     {"cli"},
 )
 

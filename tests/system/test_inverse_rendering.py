@@ -27,15 +27,8 @@ from sabench.utils.arrays import F64
 from sabench.utils.backend import choose, drjit
 from tests.conftest import ROOT
 from tests.helpers.image_model import SIGMA, TYPICAL, profile
+from tests.helpers.particle_box import CAMERAS, COLUMNS, HIGH, LOW, ROWS, unit_points
 from tests.system.test_bayesian_ipr import make_shot
-from tests.unit.algorithms.particles.test_matching import (
-    CAMERAS,
-    COLUMNS,
-    HIGH,
-    LOW,
-    ROWS,
-    unit_points,
-)
 
 PIXEL_MM = 0.05
 

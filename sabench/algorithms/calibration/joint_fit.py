@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -294,7 +294,9 @@ def _cameras(state: State, seen: BoardImages, free: FreeParameters) -> State:
         refine(*select_cameras(state, seen, np.array([number])), free, moving="cameras").state
         for number in range(len(state.rotations))
     ]
-    parts = {name: np.concatenate([getattr(fit, name) for fit in fits]) for name in _OF_CAMERAS}
+    parts: dict[str, Any] = {
+        name: np.concatenate([getattr(fit, name) for fit in fits]) for name in _OF_CAMERAS
+    }
     return replace(state, **parts)
 
 
@@ -309,8 +311,12 @@ def _boards(state: State, seen: BoardImages, free: FreeParameters) -> State:
             weights=np.ascontiguousarray(seen.weights[:, own]),
             anchors=(),
         )
-        board = {"board_rotations": rotations[own].copy(), "board_positions": positions[own].copy()}
-        fit = refine(replace(state, **board), view, free, moving="boards").state
+        board = replace(
+            state,
+            board_rotations=rotations[own].copy(),
+            board_positions=positions[own].copy(),
+        )
+        fit = refine(board, view, free, moving="boards").state
         rotations[own], positions[own] = fit.board_rotations, fit.board_positions
     return replace(state, board_rotations=rotations, board_positions=positions)
 

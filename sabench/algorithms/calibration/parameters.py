@@ -277,7 +277,7 @@ class Frame:
             tilt = np.deg2rad(camera.tilt_deg)
             lenses.append([camera.focal_px, *camera.principal_point_px, *distortion, *tilt])
         layers = self.wall.layers if self.wall else ()
-        known = np.isfinite(points_mm).all(axis=2)
+        known = np.asarray(np.isfinite(points_mm).all(axis=2))
         poses = [
             fit_rigid_motion(board[rows], self.motion(points)[rows])
             for points, rows in zip(points_mm, known, strict=True)

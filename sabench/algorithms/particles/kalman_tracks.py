@@ -314,10 +314,15 @@ def with_motion(
     seen = frame.seen[:, None]
     place = np.where(seen, frame.position, state[:, 0])
     error = np.where(seen[:, None], np.asarray(found.covariance_mm2), _diagonal(covariance, 0))
-    velocity = {"velocity_mm_s": state[:, 1], "acceleration_mm_s2": state[:, 2]}
-    names = "velocity_covariance", "acceleration_covariance"
-    errors = {name: _diagonal(covariance, order) for order, name in enumerate(names, 1)}
-    return replace(found, position_mm=place, covariance_mm2=error, **velocity, **errors)
+    return replace(
+        found,
+        position_mm=place,
+        covariance_mm2=error,
+        velocity_mm_s=state[:, 1],
+        acceleration_mm_s2=state[:, 2],
+        velocity_covariance=_diagonal(covariance, 1),
+        acceleration_covariance=_diagonal(covariance, 2),
+    )
 
 
 def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:

@@ -225,7 +225,7 @@ def find_peak_sets(
 
 def select_rows(found: PeakSets, rows: I64 | Bool) -> PeakSets:
     """Copy some of the candidates."""
-    return PeakSets(*(values[rows] for values in found))
+    return PeakSets._make(values[rows] for values in found)
 
 
 def join_sets(parts: Sequence[PeakSets]) -> PeakSets:

@@ -59,8 +59,13 @@ _APART = 1.1  # widths: distance of the two of a split from their middle
 def no_particles(cameras: int) -> FoundParticles:
     """Return no particles, with all that a search tells of them."""
     none, light = np.zeros(0), np.zeros((0, cameras))
-    known = {"light": light, "covariance_mm2": np.zeros((0, 3, 3)), "probability": none}
-    return FoundParticles(np.zeros((0, 3)), none, **known)
+    return FoundParticles(
+        np.zeros((0, 3)),
+        none,
+        light=light,
+        covariance_mm2=np.zeros((0, 3, 3)),
+        probability=none,
+    )
 
 
 def joined(one: FoundParticles, other: FoundParticles) -> FoundParticles:
@@ -198,8 +203,13 @@ class ParticleSearch:
         position = points_in_mm(self.maps, self.position)
         errors = claimed_covariances(self.model(), self.widest, self.particles(), self.noise)
         probability = 1.0 / (1.0 + np.exp(-np.clip(self.odds, -_CERTAIN, _CERTAIN)))
-        known = {"light": light, "covariance_mm2": errors, "probability": probability}
-        return FoundParticles(position, brightness.mean(axis=1), **known)
+        return FoundParticles(
+            position,
+            brightness.mean(axis=1),
+            light=light,
+            covariance_mm2=errors,
+            probability=probability,
+        )
 
     def put(self, position: F64, light: F64, tag: I64) -> None:
         """Put in particles, whatever the images show."""

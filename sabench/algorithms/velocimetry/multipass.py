@@ -68,8 +68,9 @@ def _blur(plane: F32, down: float, across: float) -> F32:
         reach = math.ceil(_REACH * sigma)
         weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(sigma, 1e-9)) ** 2)
         kernels.append(np.asarray(weights / weights.sum(), dtype=np.float32))
+    along, down_weights = kernels
     border = cv2.BORDER_REFLECT_101
-    return np.asarray(cv2.sepFilter2D(plane, cv2.CV_32F, *kernels, borderType=border))
+    return np.asarray(cv2.sepFilter2D(plane, cv2.CV_32F, along, down_weights, borderType=border))
 
 
 # in vectors: the Gaussian of matPIV's 3 x 3 x 3 kernel; what it weighs beyond that is under 1 %

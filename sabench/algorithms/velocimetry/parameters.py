@@ -57,9 +57,19 @@ class CorrelationParameters(Parameters):
         z, y, x = (
             min(own, max(1, 2 * (there // 2))) for own, there in zip(first, shape, strict=True)
         )
-        least = self.least_ratio, self.least_height
-        settings = self.median, self.smoothing, self.width, self.taper
-        return Plan((z, y, x), last, self.overlap, self.passes, search, *least, *settings)
+        return Plan(
+            (z, y, x),
+            last,
+            self.overlap,
+            self.passes,
+            search,
+            self.least_ratio,
+            self.least_height,
+            self.median,
+            self.smoothing,
+            self.width,
+            self.taper,
+        )
 
 
 class VolumeCorrelationParameters(CorrelationParameters):

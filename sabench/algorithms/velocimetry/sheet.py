@@ -103,7 +103,7 @@ def _thinnest(grid: Grid) -> F64:
     """Return the unit vector across a grid of one plane, or along its shortest edge."""
     single = np.asarray(grid.shape[::-1]) == 1
     if single.sum() == 1:
-        return single.astype(np.float64)
+        return np.asarray(single, dtype=np.float64)
     edges = np.asarray(grid.voxel_mm) * grid.shape[::-1]
     shortest, second = np.sort(edges)[:2]
     if second - shortest < 1e-6 * shortest:

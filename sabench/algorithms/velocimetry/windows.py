@@ -384,6 +384,6 @@ def by_spectra(first: F32, second: F32, windows: Windows) -> CorrelationPeaks:
         for job in progress_bar(jobs, "correlate by spectra"):
             job.result()
     textured = height > 0.0
-    shift = (shift * textured[:, None]).reshape(*windows.counts, 3)
-    heights, ratios = (one.reshape(windows.counts) for one in (height, ratio * textured))
-    return CorrelationPeaks(shift, heights, ratios)
+    shifts = (shift * textured[:, None]).reshape(*windows.counts, 3)
+    heights, ratios = (values.reshape(windows.counts) for values in (height, ratio * textured))
+    return CorrelationPeaks(shifts, heights, ratios)

@@ -257,6 +257,7 @@ def test_latest_decides_by_date_whichever_file_comes_last(tmp_path: Path) -> Non
         assert [one["q"] for one in latest(every)] == [0.6]
 
 
+@pytest.mark.slow
 def test_sixteen_writers_at_once_lose_and_tear_nothing(tmp_path: Path) -> None:
     file = tmp_path / "a.jsonl"
     words = [sys.executable, "-c", FORKS, str(file), str(WRITERS), str(LINES)]
