@@ -165,7 +165,10 @@ def reconstruct(solver: str, observations: Sequence[Observation], interval_s: fl
 def exact_displacements(
     scene: Scene, points_mm: F64, start_s: float, end_s: float, seed: int = 0
 ) -> F64:
-    """Compute exact displacements (n, 3), mm, of what is at points in the middle of an interval."""
+    """Compute exact displacements (n, 3), mm, over an interval.
+
+    They are those of what is at the points in the middle of the interval.
+    """
     flow, tolerance = require_flow(scene, seed), TOLERANCE * max(scene.volume.size_mm)
     middle = (start_s + end_s) / 2.0
     after = advect(flow, points_mm, middle, end_s, tolerance)

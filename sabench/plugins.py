@@ -1,4 +1,6 @@
-"""Discovery of plug-ins: generators and solvers, one file each, outside the package.
+"""Discovery of generators and solvers: plug-ins of one file each.
+
+They lie outside the package.
 
 Importing this module mounts `sabench.plugins.generators` and `sabench.plugins.solvers`. They are
 searched for in this order: the folders next to the package (a checkout) or inside it

@@ -1,4 +1,7 @@
-"""Suites: scenes with changes, recordings, seeds and solvers, their cases and parts of them."""
+"""Suites of scenes, recordings, seeds and solvers, their cases and parts of them.
+
+The scenes of a suite may have changes.
+"""
 
 from __future__ import annotations
 

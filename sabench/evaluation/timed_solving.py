@@ -1,4 +1,4 @@
-"""Solvers timed next to a reference kernel, which measures the current speed of this machine.
+"""Solvers timed next to a kernel that measures this machine's current speed.
 
 Times of solvers are compared as multiples of its time.
 """

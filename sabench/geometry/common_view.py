@@ -1,4 +1,4 @@
-"""Visibility of points in cameras: common box and grid, and frusta through the wall."""
+"""Visibility of points in cameras: common box, grid, frusta through the wall."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Voxel grids, the intensity field of a perfect reconstruction, and vector calculus on lattices."""
+"""Voxel grids, a perfect reconstruction's field, vector calculus on lattices.
+
+The field is that of the intensity.
+"""
 
 from __future__ import annotations
 

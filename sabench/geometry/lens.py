@@ -1,4 +1,4 @@
-"""Lens distortion by Brown and Conrady's model, and sensors tilted after Scheimpflug.
+"""Lens distortion after Brown and Conrady, sensors tilted after Scheimpflug.
 
 A tilted sensor is turned about the point where the optical axis meets it: about the lens's X axis
 by the first angle, then about its own Y axis by the second. Light is distorted by the lens first

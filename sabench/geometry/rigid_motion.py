@@ -1,4 +1,4 @@
-"""Rotations, rigid motions, the box of a volume and poses of bodies in the world frame."""
+"""Rotations, rigid motions, a volume's box and bodies' poses in the world frame."""
 
 from __future__ import annotations
 

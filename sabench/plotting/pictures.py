@@ -266,7 +266,7 @@ def with_cell_means(positions: F64, errors: F64, rows: int, columns: int) -> tup
 
 
 def _blank_sheets(cameras: int, rows: int, columns: int) -> tuple[U8, int, float]:
-    """Make black images for a mosaic; also gives the images in its rows and their scale."""
+    """Make black images for a mosaic; also give the images per row and the scale."""
     across = _across(cameras, rows, columns)
     scale = min(1.0, (_MONTAGE_PX - _GAP_PX * (across - 1)) / across / columns)
     shape = (cameras, math.ceil(rows * scale), math.ceil(columns * scale))

@@ -1,4 +1,4 @@
-"""Construction of a scene's rig: walls, aimed and focused cameras, voxel grid, occluders.
+"""Construction of a rig: walls, aimed and focused cameras, grid, occluders.
 
 Checks raise an InputError of one sentence that begins with the scene's key.
 """

@@ -1,4 +1,7 @@
-"""Tables of a scene for its light: laser, pulses, lamps, static light, and particles' materials."""
+"""Tables for a scene's light and materials: laser, pulses, lamps, static light.
+
+The materials are those of particles.
+"""
 
 from __future__ import annotations
 

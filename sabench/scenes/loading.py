@@ -1,4 +1,7 @@
-"""Scene files: found by name, loaded with their generators' parameters, and their JSON schema."""
+"""Scene files, found by name, and their JSON schema.
+
+They are loaded with the parameters of their generators.
+"""
 
 from __future__ import annotations
 

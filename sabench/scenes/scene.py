@@ -71,7 +71,7 @@ def idle_keys(
     cameras: Cameras,
     light: Illumination | None,
 ) -> Iterator[tuple[str, str]]:
-    """Find keys without effect, or that contradict others: pairs of a key and a sentence."""
+    """Find keys without effect or in conflict: pairs of a key and a sentence."""
     alone = isinstance(world, ParticleWorld)
     for number, wall in enumerate(walls):
         if isinstance(wall, WallSpec) and wall.mirrors and not alone:

@@ -84,7 +84,10 @@ class Sensor(Table):
         return any((self.prnu, self.dsnu_e, self.hot_pixels, self.dead_pixels))
 
     def of_camera(self, number: int) -> Sensor:
-        """Give the sensor of one camera, by its number in the rig. It has no keys by camera."""
+        """Give the sensor of one camera, by its number in the rig.
+
+        It has no keys by camera.
+        """
         exposure, gain, black = (
             None if values is None else values[number]
             for values in (self.camera_exposure, self.camera_gain, self.camera_black_dn)

@@ -1,4 +1,4 @@
-"""Worlds of a scene: tracer particles, bubbles and bodies, or a calibration target.
+"""Worlds of a scene: particles, bubbles and bodies, or a calibration target.
 
 Each answers `tracers`, `bubbles` and `solids`, which are None or empty where it has none.
 """

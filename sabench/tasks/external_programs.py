@@ -151,7 +151,7 @@ def open_foreign(path: Path, data: Dataset, name: str) -> Result:
 def copy_isolated(
     result: Result, data: Dataset, out: Path, head: Head, name: str, *, overwrite: bool
 ) -> None:
-    """Write a foreign result anew under all checks, by `write_anew` in a child process."""
+    """Write a foreign result anew, checked, by `write_anew` in a child process."""
     doing = f"result of {name}"
     try:
         call_isolated(

@@ -66,7 +66,7 @@ class Sandbox:
 
     @contextlib.contextmanager
     def naming(self, root: Path, out: Path) -> Iterator[None]:
-        """Name the data set and the result in errors, in place of the files in the sandbox."""
+        """Name the data set and the result in errors, not the files in the sandbox."""
         try:
             yield
         except InputError as error:

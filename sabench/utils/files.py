@@ -1,4 +1,7 @@
-"""Atomic writing of files and folders, safe reading of JSON and of paths, and zip archives."""
+"""Atomic writing of files, safe reading of JSON and of paths, and zip archives.
+
+Folders are written atomically, too.
+"""
 
 from __future__ import annotations
 
@@ -155,7 +158,10 @@ def series_hash(path: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a file of this name. False for a name that no disk can hold."""
+    """Return whether there is a file of this name.
+
+    It is False for a name that no disk can hold.
+    """
     try:
         return path.is_file()
     except OSError:
@@ -177,14 +183,20 @@ def sha256(path: Path) -> str:
 
 
 def canonical_json(value: Any) -> str:
-    """Format as JSON with sorted keys and shortest numbers. Equal values give equal text."""
+    """Format as JSON with sorted keys and shortest numbers.
+
+    Equal values give equal text.
+    """
     text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     # JSON can hold half a surrogate pair, UTF-8 can not
     return text.encode("utf-8", "replace").decode("utf-8")
 
 
 def digest(value: Any) -> str:
-    """Compute the SHA-256 of a value's canonical JSON. Equal values have equal digests."""
+    """Compute the SHA-256 of a value's canonical JSON.
+
+    Equal values have equal digests.
+    """
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 

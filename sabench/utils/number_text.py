@@ -1,4 +1,7 @@
-"""Numbers as text, for tables on the terminal and on pages, and round ones for scales."""
+"""Numbers as text for tables, and round numbers for scales.
+
+The tables are on the terminal and on pages.
+"""
 
 from __future__ import annotations
 

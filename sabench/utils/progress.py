@@ -49,7 +49,10 @@ def progress_bar(items: Iterable[T], doing: str) -> Iterator[T]:
 
 @contextlib.contextmanager
 def bar(doing: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar for work that finishes in any order. Call the yielded function once per item."""
+    """Show a bar for work that finishes in any order.
+
+    Call the yielded function once per item.
+    """
     with _progress(refresh=True) as progress:
         task = progress.add_task(doing, total=total)
         yield lambda: progress.advance(task)
@@ -63,7 +66,7 @@ def _progress(*, refresh: bool) -> Progress:
 
 @functools.cache
 def announce_compiling() -> None:
-    """Have this process print a notice, once, if compiling kernels takes over a second."""
+    """Have this process print one notice if compiling kernels takes over a second."""
     from numba.core import event
 
     class CompileListener(event.Listener):  # type: ignore[misc]

@@ -1,4 +1,4 @@
-"""Validation of users' input against pydantic models, with every fault named by its key.
+"""Validation of users' input by pydantic models, every fault named by its key.
 
 At the end are the types of numbers, vectors and tables in scenes and in parameters of plug-ins.
 """

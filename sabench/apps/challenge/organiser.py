@@ -1,4 +1,6 @@
-"""The organiser's part of a challenge: private data sets, archives, and pages for participants.
+"""The organiser's part of a challenge: private data sets, archives and pages.
+
+The pages are for participants.
 
 The bundle for the server Codabench has the format of the server's documentation, version 2: "Yaml
 Structure", "Competition Bundle Structure" and "Submission Docker Container Layout".

@@ -1,4 +1,4 @@
-"""Folder of a calibration: its configuration calibration.toml, and points or images of a target.
+"""Folder of a calibration: calibration.toml, and points or images of a target.
 
 docs/using/calibrating.md describes it.
 """

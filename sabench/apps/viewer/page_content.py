@@ -1,4 +1,4 @@
-"""Content of a page as values of JSON, and its arrays: joined, compressed, written as text."""
+"""Content of a page as JSON, and its arrays, joined and compressed into text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Points to show of each frame: true and found, classified as scores do, and thinned."""
+"""True and found points to show of each frame, classified as scores do.
+
+Where there are too many, they are thinned.
+"""
 
 from __future__ import annotations
 

@@ -133,7 +133,10 @@ def _moved(
     now: Figures,
     tolerances: Tolerances,
 ) -> Iterator[Finding]:
-    """List the figures beyond tolerance; one that is missing now is worse, a new one is news."""
+    """List the figures beyond tolerance, the missing and the new ones.
+
+    A figure that is missing now is worse, a new one is news.
+    """
     for figure in sorted({**before, **now}):
         old, new = before.get(figure), now.get(figure)
         if old is None or new is None:

@@ -1,4 +1,6 @@
-"""Page of the leaderboard: one row for each case, solver and machine, in one HTML file.
+"""HTML page of the leaderboard: a row for each case, solver and machine.
+
+It is one file.
 
 Users sort, filter, plot and compare the rows in their browser.
 """

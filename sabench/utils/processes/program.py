@@ -216,7 +216,7 @@ def _end(process: subprocess.Popen[bytes], token: str) -> None:
 
 
 def _held_mb(process: subprocess.Popen[bytes]) -> float:
-    """Return the resident memory of a program's processes together, in MB. 1 MB is 10^6 bytes."""
+    """Return the resident memory of all processes of a program, in MB (10^6 bytes)."""
     held = 0
     for member in _family(process):
         with contextlib.suppress(psutil.Error):
@@ -250,7 +250,10 @@ def _find_marked(variable: str, token: str) -> list[psutil.Process]:
 
 
 def _size_mb(folder: Path) -> float:
-    """Return the disk space of all files below a folder, in MB. Links are not followed."""
+    """Return the disk space of all files below a folder, in MB.
+
+    Links are not followed.
+    """
     blocks = 0
     for path, _, files in os.walk(folder):
         for name in files:
@@ -295,7 +298,10 @@ def overdue(time_s: float) -> str:
 
 @contextlib.contextmanager
 def kill_if_left(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Kill a process and all below it if the block ends first. Its pipes are closed, too."""
+    """Kill a process and all below it if the block ends first.
+
+    Its pipes are closed, too.
+    """
     try:
         yield
     finally:

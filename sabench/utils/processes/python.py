@@ -89,7 +89,7 @@ def ignored_interrupts() -> Iterator[None]:
 
 
 def missing(module: str, package: str) -> str | None:
-    """Say how to install a package of the extra `competitors`. Returns None if it is there."""
+    """Say how to install a package of the extra `competitors`; None if it is there."""
     if importlib.util.find_spec(module):
         return None
     return f"the package {package} is not installed: pip install sabench[competitors]"

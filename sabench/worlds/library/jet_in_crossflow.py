@@ -54,7 +54,7 @@ class Crossflow(BaseModel):
         return float(along), float(rise * self.diameter_mm)
 
     def upper_mm(self, x: F64) -> F64:
-        """Compute the spray's upper edge above the nozzle. At distances x > 0 along the gas."""
+        """Compute the spray's upper edge above the nozzle, at x > 0 along the gas."""
         return self._edge(x, *_UPPER)
 
     def width_mm(self, x: F64) -> F64:

@@ -1,4 +1,4 @@
-"""Points in closed bodies, and overlap of ellipsoids with each other and with a body.
+"""Points in closed bodies, and overlap of ellipsoids with others and bodies.
 
 Two ellipsoids are tested exactly, by the contact function of Perram and Wertheim (J. Comput. Phys.
 58, 409, 1985).

@@ -1,4 +1,4 @@
-"""Distributions of sizes, shapes and directions of bubbles, and a lattice of diameters.
+"""Distributions of bubbles' sizes, shapes and directions; lattice of diameters.
 
 The light that a sphere scatters in one direction changes with the last hundredth of a percent of
 its diameter. Particles' diameters are rounded to the lattice, far finer than can be measured, so
