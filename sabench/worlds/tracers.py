@@ -1,4 +1,4 @@
-"""Tracers from frame to frame, and the laser pulses that illuminate them."""
+"""Tracers from frame to frame, their materials, and the laser pulses that light them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,36 @@ from sabench.api.truth import Particles
 from sabench.geometry.rigid_motion import Domain
 from sabench.scenes import Scene
 from sabench.scenes.build import domain_of
-from sabench.scenes.illumination import Illumination
-from sabench.utils.arrays import F64, Bool, in_box, triple
+from sabench.scenes.illumination import Illumination, Tracer
+from sabench.utils.arrays import F64, I64, Bool, in_box, triple
 from sabench.utils.errors import InputError
 from sabench.utils.rng import stream
 from sabench.worlds.advection import check_inertia, move_particles, velocity_of
 from sabench.worlds.bubbles_and_bodies import Phases
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
+
+_GOLDEN, _FIRST, _SECOND = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
+
+
+def material_numbers(tracer: Tracer, seed: int, ids: I64) -> I64:
+    """Draw the materials (n,) of particles.
+
+    They are 0 for the tracer's own, then those of its mixture. A particle keeps its material,
+    whatever other particles there are: the draw is a hash of its number (SplitMix64, after Steele,
+    Lea and Flood 2014).
+    """
+    if not tracer.mixture:
+        return np.zeros(len(ids), dtype=np.int64)
+    key = stream(seed, "materials").integers(1 << 63, dtype=np.uint64)
+    with np.errstate(over="ignore"):
+        mixed = (ids.astype(np.uint64) + key) * np.uint64(_GOLDEN)
+        mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(_FIRST)
+        mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(_SECOND)
+    drawn = ((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53
+    bounds = np.cumsum([one.share for one in tracer.mixture])
+    number = np.searchsorted(bounds, drawn, side="right") + 1
+    return np.asarray(np.where(number > len(bounds), 0, number), dtype=np.int64)
+
 
 TOLERANCE = 1e-9  # of the volume's largest edge, per step of a particle's path
 _SIZES = (0.01, 4000.0)  # size parameters, pi d n / lambda

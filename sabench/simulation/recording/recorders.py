@@ -29,8 +29,7 @@ from sabench.utils import memory
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.worlds import calibration_targets
-from sabench.worlds.materials import material_numbers
-from sabench.worlds.tracers import lattice
+from sabench.worlds.tracers import lattice, material_numbers
 
 
 @dataclass(frozen=True)

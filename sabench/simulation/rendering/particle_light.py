@@ -16,7 +16,7 @@ from sabench.scenes import Scene
 from sabench.simulation.rendering.laser_sheet import fluence
 from sabench.simulation.rendering.scattering import Scattering
 from sabench.utils.arrays import F64, I64
-from sabench.worlds.materials import material_numbers
+from sabench.worlds.tracers import material_numbers
 
 
 class Scatterers:

@@ -19,8 +19,7 @@ from sabench.simulation.pipeline import generate
 from sabench.utils.errors import InputError
 from sabench.worlds.advection import advect
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
-from sabench.worlds.materials import material_numbers
-from sabench.worlds.tracers import Motion, flow_of, pulse
+from sabench.worlds.tracers import Motion, flow_of, material_numbers, pulse
 
 ABC = {"generator": "abc_flow", "wavelength_mm": 12.0}
 WIND = {"generator": "linear_flow", "velocity_mm_s": [40.0, -20.0, 10.0]}

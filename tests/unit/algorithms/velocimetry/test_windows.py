@@ -11,12 +11,13 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from sabench.algorithms.velocimetry.deformation import deform_pair, spline_coefficients
-from sabench.algorithms.velocimetry.multipass import widen, widths
-from sabench.algorithms.velocimetry.outliers import (
+from sabench.algorithms.velocimetry.multipass import (
     fill_invalid,
     medians,
     near_the_median,
     thesis_local,
+    widen,
+    widths,
     within_deviations,
 )
 from sabench.algorithms.velocimetry.windows import Windows, block_sums, by_shifts, by_spectra

@@ -12,7 +12,7 @@ from sabench.scenes import Scene, build_rig
 from sabench.simulation.rendering.particle_light import Scatterers, intensity, scatterers_of
 from sabench.utils.arrays import F64
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
-from sabench.worlds.materials import material_numbers
+from sabench.worlds.tracers import material_numbers
 from tests.helpers.particle_scenes import cloud, make_scene
 
 
