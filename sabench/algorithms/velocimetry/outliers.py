@@ -16,7 +16,10 @@ _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and S
 
 
 def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
-    """Mark vectors (z, y, x, 3) whose components are so near the mean of all valid ones."""
+    """Mark vectors (z, y, x, 3) near the mean of all valid ones.
+
+    Each component is at most so many standard deviations from its mean.
+    """
     if not valid.any():
         return valid
     known = shift[valid]
@@ -46,7 +49,10 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
 
 
 def fill_invalid(shift: F64, valid: Bool) -> F64:
-    """Replace invalid vectors by means of valid neighbours, from the edges in; 0 if none is."""
+    """Replace invalid vectors by means of valid neighbours, from the edges in.
+
+    Vectors are 0 if none is valid.
+    """
     out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
     if not known.any():
         return out
@@ -69,7 +75,10 @@ def _around(values: F64) -> F64:
 
 
 def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
-    """Smooth vectors by a Gaussian (z, y, x) in vectors, extrapolated linearly at edges."""
+    """Smooth vectors by a Gaussian (z, y, x), extrapolated linearly at edges.
+
+    Its widths are in vectors.
+    """
     radii = [math.ceil(_REACH * own) for own in sigma]
     counts = shift.shape[:3]
     margins = [min(radius, count - 1) for radius, count in zip(radii, counts, strict=True)]
@@ -81,7 +90,10 @@ def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
 
 
 def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
-    """Mark vectors near their 3 x 3 x 3 median, in its deviations; thesis, section 2.3.3."""
+    """Mark vectors near their 3 x 3 x 3 median, in its deviations.
+
+    See the thesis, section 2.3.3.
+    """
     ok = valid.copy()
     for axis in range(3):
         own = shift[..., axis]
