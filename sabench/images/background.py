@@ -59,7 +59,7 @@ class ClearImages(NamedTuple):
 
 
 def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
-    """Subtract the background of images (camera, row, column), and cover bright spots."""
+    """Subtract the background of images (camera, row, column); cover bright spots."""
     cleared, covered = images.copy(), flaws.covered.copy()
     for camera, image in enumerate(cleared):
         known = ~flaws.unknown[camera]
@@ -79,7 +79,10 @@ def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
 
 
 def estimate_background(image: F32, known: Bool) -> F32 | None:
-    """Estimate the background (row, column) of an image less black; None if none shows."""
+    """Estimate the background (row, column) of an image less black.
+
+    It is None if none shows.
+    """
     rows, columns = (max(size // _TILE, 1) for size in image.shape)
     tiles = _ends(image.shape[0], rows), _ends(image.shape[1], columns)
     modes = np.full((rows * columns, 4), np.nan)
@@ -141,7 +144,7 @@ def find_patches(image: F32, known: Bool) -> F32:
 
 @numba.njit(cache=True)
 def _levels(image: Any, known: Any) -> Any:
-    """Return the low percentiles of squares side by side, NaN if few pixels are known."""
+    """Return low percentiles of squares side by side, NaN if few pixels are known."""
     rows, columns = image.shape[0] // _PATCH, image.shape[1] // _PATCH
     levels, values = np.full(rows * columns, np.nan), np.zeros(_PATCH * _PATCH)
     for square in range(rows * columns):
@@ -153,7 +156,10 @@ def _levels(image: Any, known: Any) -> Any:
 
 @numba.njit(cache=True)
 def _add_patches(image: Any, known: Any, lit: Any, below: float, total: Any, count: Any) -> None:
-    """Add up, and count, the dimmest values of even squares, first those of every second row."""
+    """Add up, and count, the dimmest values of even squares.
+
+    Squares of every second row and column are tried first, then all near the even ones of these.
+    """
     near = np.zeros(lit.shape, dtype=np.bool_)
     values = np.zeros(_PATCH * _PATCH)
     for i, j in np.argwhere(lit):
@@ -235,7 +241,10 @@ def _mode(values: Any) -> tuple[float, float, float]:
 
 
 def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
-    """Mark glints (row, column): wider than a particle, or many times as bright if known."""
+    """Mark glints (row, column): wider or many times as bright as a particle.
+
+    Brightness counts only if the light of a particle is known.
+    """
     shown = np.where(known, image, np.float32(0.0))
     bright = max(float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0, 1e-6)
     square = np.ones((_SPOT, _SPOT), np.uint8)

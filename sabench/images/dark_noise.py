@@ -80,7 +80,9 @@ class DarkNoise:
     step: float
 
     def threshold(self, false_alarms: float = FALSE_ALARMS) -> F32:
-        """Compute grey values (row, column) that noise reaches with a probability, 0 to 0.5.
+        """Compute grey values (row, column) that noise reaches with a probability.
+
+        The probability is from 0 to 0.5.
 
         The distribution is a gamma distribution with the noise's skewness (Pearson's type III),
         which is normal without any, rounded to grey values. Local maxima of noise are fewer than

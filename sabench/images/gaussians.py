@@ -21,7 +21,10 @@ def gaussian_shares(edges: F64, sigma: float | F64) -> F64:
 
 
 def gaussian_profiles(center: F64, sigma: float | F64, first: I64, pixels: int) -> tuple[F64, F64]:
-    """Compute shares (n, pixels) of Gaussians from `first` (n,) on, and their slopes by centre."""
+    """Compute Gaussians' shares (n, pixels) from `first` (n,) on, and slopes.
+
+    The slopes are derivatives by the centre.
+    """
     edges = first[:, None] + np.arange(pixels + 1) - 0.5 - center[:, None]
     height = np.exp(-0.5 * (edges / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
     return gaussian_shares(edges, sigma), height[:, :-1] - height[:, 1:]

@@ -71,7 +71,7 @@ def camera_name(path: Path) -> str:
 
 
 def last_number_order(path: Path) -> tuple[str, int, str]:
-    """Give a key that sorts files by their names without the last number, then by this number."""
+    """Give a key that sorts files by name without the last number, then by it."""
     number = _LAST_NUMBER.search(path.stem)
     return _LAST_NUMBER.sub("", path.stem), int(number.group()) if number else -1, path.name
 

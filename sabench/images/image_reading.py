@@ -98,12 +98,12 @@ def read_page(path: Path, page: int, shape: tuple[int, int], raw: RawLayout | No
 
 
 def read_pages(paths: Sequence[Path], first: int, count: int) -> Iterator[tuple[Path, U16]]:
-    """Read up to so many images of each file, from number `first` on, whatever their size."""
+    """Read up to so many images of each file, from number `first` on, of any size."""
     return _in_child(_store_stills, paths, first, count)
 
 
 def read_photographs(paths: Sequence[Path], shape: tuple[int, int]) -> list[U16]:
-    """Read the grey values (rows, columns) of images of that shape; colours become grey.
+    """Read grey values (rows, columns) of images of that shape; colours become grey.
 
     Other files, shapes and too large images are an InputError.
     """
@@ -184,7 +184,10 @@ def _store_photographs(_: Path, paths: Sequence[Path], folder: Path) -> None:
 
 
 def _is_negative(path: Path, image: Any) -> bool:
-    """Say whether 0 is white in a TIFF of 16 bits; OpenCV inverts only those of 8 bits."""
+    """Say whether 0 is white in a TIFF of 16 bits.
+
+    OpenCV inverts only those of 8 bits.
+    """
     import tifffile
 
     if path.suffix.lower() not in (".tif", ".tiff") or image.dtype != np.uint16:

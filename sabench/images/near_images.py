@@ -42,7 +42,10 @@ def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
 
 
 def _grid(pixels: F64, reach: float) -> tuple[I64, int, int]:
-    """Assign images (n, 2) to cells at least as wide as the reach, -1 for none; count these."""
+    """Assign images (n, 2) to cells at least as wide as the reach; count cells.
+
+    The cell of an image is -1 if it has none.
+    """
     there = np.isfinite(pixels).all(axis=1)
     if not there.any():
         return np.full(len(pixels), -1), 1, 1

@@ -92,7 +92,10 @@ def maxima(light: Any, least: Any) -> Any:
 
 
 def _vertex(before: F32, here: F32, behind: F32) -> F64:
-    """Compute offsets (n,), at most 0.5, of parabolas' vertices from the middle values."""
+    """Compute offsets (n,), at most 0.5, of parabolas' vertices from the middle.
+
+    The middle is that of the three values.
+    """
     curvature = 2.0 * (before - 2.0 * here + behind).astype(np.float64)
     return np.clip((before - behind) / np.where(curvature < -1e-6, curvature, -np.inf), -0.5, 0.5)
 
@@ -109,7 +112,10 @@ def sort_peaks(pixels: F64, shape: tuple[int, ...]) -> Peaks:
 
 @numba.njit(cache=True)
 def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
-    """Fill in the numbers of peaks within a radius of a pixel, while there is room; count them."""
+    """Fill in numbers of peaks within a radius of a pixel; count them.
+
+    Peaks for which there is no room are left out.
+    """
     count = 0
     left = max(int((pixel[0] - radius) // _CELL_PX), 0)
     right = min(int((pixel[0] + radius) // _CELL_PX), peaks.columns - 1)

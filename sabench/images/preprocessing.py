@@ -1,4 +1,4 @@
-"""Preprocessing of images for reconstruction: background and differences of cameras.
+"""Preprocessing of images: background and differences of cameras.
 
 The steps of the thesis's section 2.3.2, in any order.
 """
@@ -53,7 +53,7 @@ class Gaussian(_Step):
 
 
 class MatchHistograms(_Step):
-    """Matching of all cameras' grey values, by rank, to those of the highest contrast."""
+    """Matching of cameras' grey values, by rank, to those of highest contrast."""
 
     step: Literal["match_histograms"] = Field(description="`match_histograms`")
 
@@ -71,7 +71,10 @@ class MatchHistograms(_Step):
 
 
 class Stretch(_Step):
-    """Cut off each camera's darkest and brightest pixels and stretch the rest to the range."""
+    """Cut-off of each camera's darkest and brightest pixels; stretch of the rest.
+
+    The rest fills the range.
+    """
 
     step: Literal["stretch"] = Field(description="`stretch`")
     percent: float = Field(
@@ -79,7 +82,7 @@ class Stretch(_Step):
     )
 
     def apply(self, images: F32) -> F32:
-        """Scale images (camera, row, column) to 0 to 1; one without contrast becomes black."""
+        """Scale images (camera, row, column) to 0 to 1; no contrast becomes black."""
         out = np.zeros_like(images)
         for image, stretched in zip(images, out, strict=True):
             low, high = np.percentile(image, [self.percent, 100.0 - self.percent])
@@ -89,7 +92,10 @@ class Stretch(_Step):
 
 
 class TemporalMinimum(_Step):
-    """Subtract the least value of each pixel over all frames, static light, as first step."""
+    """Subtraction of each pixel's least value over all frames, as first step.
+
+    It removes static light.
+    """
 
     step: Literal["temporal_minimum"] = Field(description="`temporal_minimum`")
 

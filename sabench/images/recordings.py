@@ -63,7 +63,9 @@ def _images_in(folder: Path) -> list[Path]:
 
 
 def read_recordings(folder: Path, most: int, white_dn: float | None = None) -> Iterator[Recording]:
-    """Read the first images of every camera of a folder, camera by camera; faults as `read_frames`.
+    """Read the first images of every camera of a folder, camera by camera.
+
+    Faults are as in `read_frames`.
 
     Parameters
     ----------
@@ -90,7 +92,9 @@ def guess_white(frames: Sequence[U16]) -> float:
 
 
 def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
-    """Read up to so many grey images (row, column) of one size; a file may hold several.
+    """Read up to so many grey images (row, column) of one size.
+
+    A file may hold several.
 
     Other files, colours and different sizes are InputErrors.
     """

@@ -71,7 +71,10 @@ class CameraStatistics:
 
 
 def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
-    """Measure images (row, column) of one camera, one after the other, saturated at `white_dn`."""
+    """Measure one camera's images (row, column), saturated at `white_dn`.
+
+    Images are read one after the other.
+    """
     stack = np.stack(frames)
     scale = SCALED_WHITE / white_dn
     low = [(frame - above_background(frame)[0]).astype(np.uint16) for frame in frames]
@@ -98,7 +101,10 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
 
 
 def measure_noise(stack: U16) -> tuple[float, float, float]:
-    """Measure `fixed`, `fixed_near` and `temporal` noise (`CameraStatistics`) of a stack."""
+    """Measure `fixed`, `fixed_near` and `temporal` noise of a stack.
+
+    See `CameraStatistics`.
+    """
     import cv2
 
     quarter = len(stack) // 4

@@ -21,7 +21,10 @@ _CHANNEL_Y = b"Y\0" + struct.pack("<iB3xii", 2, 0, 1, 1) + b"\0"
 
 
 def write_tiff(path: Path, image: U16) -> None:
-    """Encode grey values (rows, columns) as an uncompressed 16-bit TIFF, reproducibly."""
+    """Write grey values (rows, columns) as a reproducible 16-bit TIFF.
+
+    The TIFF is not compressed.
+    """
     import tifffile
 
     # written in one piece: a full disk is then the system's own error, with its reason
@@ -31,7 +34,9 @@ def write_tiff(path: Path, image: U16) -> None:
 
 
 def read_tiff(path: Path, shape: tuple[int, int]) -> U16:
-    """Read the grey values of a 16-bit TIFF of that shape; other files are an InputError.
+    """Read the grey values of a 16-bit TIFF of that shape.
+
+    Other files are an InputError.
 
     Nothing is decoded unless the tags are those of the format: one uncompressed page in strips.
     """

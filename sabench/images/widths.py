@@ -125,7 +125,10 @@ def noise_below_black(values: F64 | F32) -> float:
 
 
 def _without_brightest(image: F64, known: Bool) -> Bool:
-    """Leave out squares with over a tenth of the squared light, unless few peaks are left."""
+    """Leave out squares with over a tenth of the squared light.
+
+    They are kept if few peaks would be left.
+    """
     import cv2  # takes long to load
 
     squares = np.where(known, image, 0.0) ** 2
@@ -136,7 +139,7 @@ def _without_brightest(image: F64, known: Bool) -> Bool:
 
 
 def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, F64, float, bool]:
-    """Measure widths (columns, rows), tilt, `flat`, light, and whether any particles show.
+    """Measure widths (columns, rows), tilt, `flat`, light, and if particles show.
 
     Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12:
     of tilted images (1 - tilt2) times that. Those one and two pixels apart give s. That at distance
@@ -189,7 +192,10 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
 
 
 def _light_of_peaks(light: F64, noise: float) -> float:
-    """Measure the light around the middle one of an image's peaks; infinite if they are few."""
+    """Measure the light around the middle one of an image's peaks.
+
+    It is infinite if they are few.
+    """
     import cv2  # takes long to load
 
     peaks = _peaks(light, noise)

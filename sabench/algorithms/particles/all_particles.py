@@ -182,14 +182,14 @@ def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, si
 
 
 def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure (n,) by how many standard deviations squares left exceed those of noise."""
+    """Measure (n,), in standard deviations, the squares left over those of noise."""
     return _measure(
         model_moves.measure_misfit, model, sigma, particles, np.zeros(len(particles.position))
     )
 
 
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
-    """Measure (n,) how much cost a split along the best of some steps (k, 3) promises to save."""
+    """Measure (n,) the cost that a split along the best of steps (k, 3) may save."""
     gains = np.zeros(len(particles.position))
     return _measure(model_moves.measure_split_gains, model, sigma, particles, gains, steps)
 
@@ -276,7 +276,10 @@ def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: Any) -> None:
-    """Add up what particles take of pixels of the one camera, with margins, by `tell_taken`."""
+    """Add up, by `tell_taken`, what particles take of the one camera's pixels.
+
+    The pixels include margins.
+    """
     own, by_x, by_y = np.zeros((3, room.window, room.window), dtype=np.float32)
     weights, corner = model.weight[0], room.corner[0]
     for n in range(len(particles.position)):

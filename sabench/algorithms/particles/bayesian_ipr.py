@@ -213,7 +213,7 @@ def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> Partic
 
 
 def split_and_find(search: ParticleSearch) -> int:
-    """Split particles, add what is left, remove what gains too little; count what was added."""
+    """Split particles, add what is left, remove what gains little; count the added."""
     before = len(search.position)
     search.split()
     search.refine(search.fits)

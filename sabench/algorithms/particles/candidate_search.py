@@ -54,7 +54,10 @@ _NODES, _INSIDE = 17, 0.98  # of the lattice along each axis, and its edge over 
 
 
 def wide_enough(images: F32, sigma: F64) -> tuple[F32, F64]:
-    """Blur images (camera, row, column) of too narrow particles; return them and the widths."""
+    """Blur images (camera, row, column) of too narrow particles.
+
+    Return them and the widths.
+    """
     import cv2  # takes long to load
 
     missing = np.sqrt(np.maximum(_NARROWEST**2 - sigma**2, 0.0))
@@ -171,7 +174,7 @@ def _bound(logs: Any, most: Any, bounds: Any) -> None:
 def _sweep(
     maps: Any, logs: Any, bounds: Any, floor: Any, spread: Any, most: Any, dark: int, means: Any
 ) -> None:
-    """Fill in the lattice's mean logarithms (z, y, x), `_DARK` if the bounds or means are low."""
+    """Fill in mean logarithms (z, y, x), `_DARK` if the bounds or means are low."""
     slices, rows, columns = means.shape
     cameras, last_row, last_column = len(logs), logs.shape[1] - 1.0, logs.shape[2] - 1.0
     least = floor - spread
@@ -214,7 +217,7 @@ def _sweep(
 
 @numba.njit(cache=True)
 def _mean_log(logs: Any, pixels: Any, x: int, floor: Any, spread: Any, most: Any, lows: Any) -> Any:
-    """Average the cameras' logarithms at one point, with room for the darkest in `lows`."""
+    """Average the cameras' logarithms at a point; `lows` has room for the darkest."""
     total, count, cameras, last = 0.0, 0, len(logs), len(lows) - 1
     lows[:] = np.inf
     for c in range(cameras):
@@ -307,7 +310,10 @@ def turn_to_world(found: FoundParticles, axes: F64) -> FoundParticles:
 
 
 def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
-    """Compute shares (camera, row, column) of the box that pixels show, by points in blocks."""
+    """Compute shares (camera, row, column) of the box that pixels show.
+
+    They are counted by points in blocks.
+    """
     import cv2  # takes long to load
 
     out = np.zeros((len(maps.coefficients), *shape))
@@ -321,7 +327,10 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
 
 
 def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
-    """Mark pixels whose part of the box, if any, at least `fewest` cameras see nearly all of."""
+    """Mark pixels whose part of the box at least `fewest` cameras see nearly all of.
+
+    Pixels that show no part of the box are marked, too.
+    """
     blocks = list(_blocks(maps, shape, _FOR_VIEWS))
     lonely = np.sum([block.shown for block in blocks], axis=0) < fewest
     out = np.zeros((len(blocks), *shape), dtype=np.bool_)

@@ -58,7 +58,7 @@ def claimed_covariances(
 def _spots(
     model: ImageModel, particles: ModelParticles, camera: int, variance: F64
 ) -> ParticleSpots:
-    """Make round images of the same area, which fix each particle as well as the true ones."""
+    """Make round images of equal area, which fix particles as well as the true ones."""
     pixel, slope = project_with_slopes(model.maps, camera, particles.position)
     terms = np.concatenate([np.ones((len(pixel), 1)), particles.position], axis=1)
     across, down, tilt, flatness = model.shapes[camera] @ terms.T

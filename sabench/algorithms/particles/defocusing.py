@@ -69,7 +69,7 @@ class Apertures:
         return float(_sides(self.corners_mm).mean())
 
     def superimpose(self, camera: Camera, pixels: F64) -> F64:
-        """Project a camera's pixels (n, 2) to the common image plane, origin along the normal."""
+        """Project pixels (n, 2) to the common image plane, origin along the normal."""
         ahead = camera.directions(pixels)[0] @ self.axes.T
         return np.asarray(ahead[:, :2] / ahead[:, 2:] * self.focal_px)
 

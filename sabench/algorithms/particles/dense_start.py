@@ -172,7 +172,7 @@ def _table(real: I64, number: Sequence[I64], values: Sequence[F64]) -> F64:
 def _number_tracks(
     frames: Sequence[Finds], flow: Sequence[tuple[F64, F64]], tracks: kalman_tracks.KalmanTracks
 ) -> list[I64]:
-    """Follow particles through the frames from the flow's velocities; return tracks (n,)."""
+    """Follow particles through the frames by the flow; return tracks (n,)."""
     motion, numbers = (tracks.acceleration, tracks.jerk), []
     born, last = 0, frames[0].time
     for frame, (velocity, spread) in zip(frames, flow, strict=True):

@@ -337,7 +337,10 @@ def paint_all(model: Any, room: Any, particles: Any, sign: float) -> None:
 
 @numba.njit(cache=True)
 def look(model: Any, room: Any, position: Any, light: Any) -> None:
-    """Sum up what the images less all others say of a particle of this light at a position."""
+    """Sum up what the images say of a particle of this light at a position.
+
+    The images are those less all other particles.
+    """
     place_windows(model, room, position)
     match_here(model, room, light)
 
@@ -363,7 +366,7 @@ def match_here(model: Any, room: Any, light: Any) -> None:
 
 @numba.njit(cache=True)
 def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
-    """Fill in all cameras' sums of weights, of a particle that is subtracted, for light 1.
+    """Fill in all cameras' sums of weights for light 1 of a subtracted particle.
 
     Squares of its image, products with what is left, squares of the image's derivatives (three),
     their products with what is left (two), and what its light (camera,) saves in saturated pixels

@@ -116,7 +116,10 @@ def light_cost(signal: Any, weight: Any, typical: Any, precision: Any, logs: Any
 def find_light(
     signal: Any, weight: Any, typical: Any, precision: Any, logs: Any, slope: Any, bend: Any
 ) -> float:
-    """Improve logarithms (camera,) by Newton's method, return their cost; bends are scratch."""
+    """Improve logarithms (camera,) by Newton's method; return their cost.
+
+    `bend` is scratch.
+    """
     cameras = len(logs)
     for _ in range(_LIGHT_STEPS):
         for c in range(cameras):
@@ -166,7 +169,10 @@ def log_determinant(factor: Any) -> float:
 
 @numba.njit(cache=True)
 def fill_inverse_diagonal(factor: Any, diagonal: Any, column: Any) -> None:
-    """Fill in the diagonal (n,) of a factorised matrix's inverse; the column is scratch."""
+    """Fill in the diagonal (n,) of a factorised matrix's inverse.
+
+    `column` is scratch.
+    """
     count = len(factor)
     for k in range(count):
         diagonal[k] = 0.0
@@ -243,7 +249,10 @@ def _normal_equations(model: Any, room: Any, position: Any, light: Any) -> float
 
 @numba.njit(cache=True)
 def solve_three(matrix: Any, right: Any, step: Any) -> float:
-    """Solve three equations by cofactors; returns the determinant, 0 if lost in rounding."""
+    """Solve three equations by cofactors; return the determinant.
+
+    It is 0 if it is lost in rounding.
+    """
     a = matrix[1, 1] * matrix[2, 2] - matrix[1, 2] * matrix[2, 1]
     b = matrix[1, 2] * matrix[2, 0] - matrix[1, 0] * matrix[2, 2]
     c = matrix[1, 0] * matrix[2, 1] - matrix[1, 1] * matrix[2, 0]
@@ -285,7 +294,10 @@ def _fits_already(model: Any, room: Any, light: Any) -> bool:
 
 @numba.njit(cache=True)
 def fit_particle(model: Any, room: Any, particles: Any, n: int) -> float:
-    """Fit a particle to the images less all others, if the cost falls; returns its change."""
+    """Fit a particle to the images less all others; return the change of cost.
+
+    The particle changes only if the cost falls.
+    """
     position, light = particles.position[n], particles.light[n]
     steepest = _normal_equations(model, room, position, light)
     solved = solve_three(room.matrix, room.right, room.trial) > 0.0

@@ -101,7 +101,9 @@ class KalmanTracks:
     def pair(
         self, rows: I64, position: F64, variance: F64, few: int, most: float
     ) -> tuple[I64, I64]:
-        """Pair tracks (rows) with positions, one to one, by misses of a square sum below `most`.
+        """Pair tracks (rows) with positions, one to one, by misses.
+
+        The square sum of a pair's misses is below `most`.
 
         Each track has the `few` nearest positions as candidates.
         """
@@ -139,7 +141,7 @@ class KalmanTracks:
         self.missed[rows] = 0
 
     def neighbours_velocity(self, position: F64) -> tuple[F64, F64]:
-        """Estimate velocities (n, 3) and their variances from the tracks near, if there are any."""
+        """Estimate velocities (n, 3) and their variances from tracks near, if any."""
         known = (self.seen >= 2) & (self.missed == 0)
         return velocity_near(position, self.state[known, 0], self.state[known, 1])
 
@@ -153,7 +155,9 @@ class KalmanTracks:
         spread: F64,
         seen: int,
     ) -> None:
-        """Begin tracks at positions (n, 3), mm, with velocities, mm/s, and variances of both.
+        """Begin tracks at positions (n, 3), mm, with velocities, mm/s, and variances.
+
+        Both positions and velocities have variances.
 
         `seen` is how many positions they have.
         """
@@ -300,7 +304,7 @@ def no_frame(time: float, cameras: int) -> TrackedFrame:
 def with_motion(
     frames: Sequence[TrackedFrame], frame: TrackedFrame, motion: tuple[float, float] | None
 ) -> FoundParticles:
-    """Add velocities and accelerations, and positions where none was seen, to a frame."""
+    """Add velocities, accelerations and positions where none was seen to a frame."""
     found = replace(frame.found, trajectory=frame.number)
     if motion is None or not len(frame.number):
         return found
@@ -326,7 +330,7 @@ def with_motion(
 
 
 def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:
-    """Collect positions of trajectories, and variances (n, frame, 3), NaN where not seen."""
+    """Collect positions, and variances (n, frame, 3), NaN where not seen."""
     position, variance = (np.full((len(number), len(frames), 3), np.nan) for _ in range(2))
     for slot, one in enumerate(frames):
         _, i, j = np.intersect1d(number, one.number[one.seen], return_indices=True)

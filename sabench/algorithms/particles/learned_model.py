@@ -120,7 +120,10 @@ def learn_widths(search: ParticleSearch) -> None:
 
 
 def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
-    """Take tilts, which slow the fits down, out of the equations of nearly upright images."""
+    """Take tilts out of the equations of nearly upright images.
+
+    Tilts slow the fits down.
+    """
     tilts = np.linalg.solve(matrices[:, 8:12, 8:12], right[:, 8:12, None])[:, :, 0]
     farthest = np.abs(tilts).sum(axis=1) / search.sigma.prod(axis=1)
     upright = (search.shapes[:, 2, 0] == 0.0) & (
@@ -134,7 +137,10 @@ def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
 
 
 def align_cameras(search: ParticleSearch) -> None:
-    """Shift each camera's pixels to its particles; a common shift of all cannot be seen."""
+    """Shift each camera's pixels to its particles.
+
+    A common shift of all cameras cannot be seen.
+    """
     if len(search.position) < _FEW:
         return
     for _ in range(_ALIGNMENTS):
@@ -243,7 +249,10 @@ def _add_overlap(
 
 @numba.njit(cache=True, nogil=True)
 def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> None:
-    """Add up (camera, 5) the equations xx, xy, yy, x, y of a shift of each camera's images."""
+    """Add up (camera, 5) the equations of a shift of each camera's images.
+
+    Their terms are xx, xy, yy, x and y.
+    """
     for n in range(len(particles.position)):
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
@@ -303,7 +312,10 @@ def add_shape_misses(
 
 @numba.njit(cache=True)
 def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
-    """Fill in (shape, row, column) an image's derivatives by its shape, as of a plain image."""
+    """Fill in (shape, row, column) an image's derivatives by its shape.
+
+    They are those of a plain image.
+    """
     own, width = room.profiles[c], room.width[c]
     higher, first = np.zeros((2, 4, room.window)), room.corner[c] - MARGIN_PX
     for k in range(2):

@@ -42,7 +42,7 @@ _ENOUGH = 8  # links by which these errors are measured
 
 @dataclass(frozen=True)
 class _Points:
-    """Detections: positions (n, 3), logarithms of radii, times and numbers of frames (n,)."""
+    """Detections: positions (n, 3), log radii, times and numbers of frames (n,)."""
 
     position: F64
     size: F64
@@ -52,7 +52,10 @@ class _Points:
 
 @dataclass(frozen=True)
 class _Trajectories(_Points):
-    """Trajectories that may continue: last detections, numbers, velocities (n, 3), NaN if new."""
+    """Trajectories that may continue: last detections, numbers, velocities (n, 3).
+
+    Velocities of new ones are NaN.
+    """
 
     number: I64
     velocity: F64
@@ -68,7 +71,10 @@ class _Trajectories(_Points):
 
 @dataclass(frozen=True)
 class _Scale:
-    """Distance between neighbours, and standard errors of predictions and logarithms of radii."""
+    """Distance between neighbours, and standard errors.
+
+    The errors are those of predictions and of logarithms of radii.
+    """
 
     spacing: float
     position: F64
@@ -117,7 +123,9 @@ def link(
 
 
 def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I64, I64]:
-    """Choose pairs of rows and columns, one to one, of the least total cost; no pair costs `GATE`.
+    """Choose pairs of rows and columns, one to one, of the least total cost.
+
+    A row without a column costs `GATE`.
 
     Parameters
     ----------
@@ -138,7 +146,10 @@ def assign(row: I64, column: I64, cost: F64, shape: tuple[int, int]) -> tuple[I6
 
 
 def _spacing(center_mm: Sequence[F64]) -> float:
-    """Compute the median distance of nearest neighbours, or more than the whole extent."""
+    """Compute the median distance of nearest neighbours.
+
+    Without neighbours, it is more than the whole extent.
+    """
     several = [positions for positions in center_mm if len(positions) > 1]
     near = [cKDTree(positions).query(positions, 2)[0][:, 1] for positions in several]
     spacing = float(np.median(np.concatenate(near))) if near else 0.0
@@ -241,7 +252,10 @@ def _position_errors(
 
 
 def _near(starts: F64, targets: F64, radii: F64) -> tuple[I64, I64]:
-    """Find pairs of rows within the first ones' radii, at most the `_MOST` nearest of each."""
+    """Find pairs of rows within the first ones' radii.
+
+    Each has at most the `_MOST` nearest.
+    """
     if not len(starts) or not len(targets):
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     count = min(_MOST, len(targets))

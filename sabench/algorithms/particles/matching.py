@@ -63,7 +63,10 @@ class PeakParameters(Parameters):
 def detect_in_cameras(
     case: Observation, floor: float, false_alarms: float = FALSE_ALARMS
 ) -> tuple[Peaks, ...]:
-    """Detect peaks of particle images in each camera; thresholds as in `PeakParameters`."""
+    """Detect peaks of particle images in each camera.
+
+    Thresholds are as in `PeakParameters`.
+    """
     good, black, peaks = case.repaired, case.black_dn, []
     for grey, unknown in zip(good.images, good.flaws.unknown, strict=True):
         least = black + floor * bright_dn(grey, black, unknown)
@@ -79,7 +82,7 @@ def heights(peaks: Peaks, image: F32) -> F32:
 
 
 def heights_of(hit: I64, peaks: tuple[Peaks, ...], images: F32) -> F64:
-    """Return the brightest pixels (n, camera) of candidates' images, 0 where there is none.
+    """Return the brightest pixels (n, camera) of candidates' images, 0 for none.
 
     Parameters
     ----------
@@ -242,7 +245,10 @@ def _empty(count: int, cameras: int) -> PeakSets:
 def count_by_chance(
     maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float, pixels: int
 ) -> float:
-    """Estimate how many chance sets contain a peak of the first camera, if others are uniform."""
+    """Estimate how many chance sets contain a peak of the first camera.
+
+    Peaks of the others are assumed to be uniform.
+    """
     steps = follow_lines(maps, range(1, 2), reach_px)[1]
     density = np.array([len(own.pixels) / pixels for own in peaks[1:]])
     near = _SEARCHED * reach_px
@@ -251,7 +257,7 @@ def count_by_chance(
 
 
 def select_best(found: PeakSets, peaks: tuple[Peaks, ...]) -> I64:
-    """Select rows so that each peak is used once: complete sets and best fits come first."""
+    """Select rows so that each peak is used once, complete sets and best fits first."""
     order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
     # the last one is that of a camera that shows none
     free = [np.ones(len(one.pixels) + 1, dtype=bool) for one in peaks]
@@ -323,7 +329,10 @@ def _follow(
 
 @numba.njit(cache=True)
 def _has(values: Any, count: int, value: int) -> bool:
-    """Say whether a value is among the first ones; faster to compile than array expressions."""
+    """Say whether a value is among the first ones.
+
+    This is faster to compile than array expressions.
+    """
     found = False
     for n in range(count):
         found |= values[n] == value

@@ -56,7 +56,7 @@ _DOUBTFUL = 2  # of them, after which a split that does not pay is given up
 
 
 def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
-    """List, as `near_images`, particles a few widths (camera, 2) apart in some camera."""
+    """List, as `near_images`, particles a few widths (camera, 2) apart in a camera."""
     pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
     return near_images(np.stack(pixels), _NEAR * sigma.max(axis=1))
 
@@ -183,7 +183,7 @@ def _saved(weight: Any, left: Any, own: float) -> float:
 def count_meetings(
     maps: VolumePolynomials, sigma: F64, positions: F64, chosen: Bool, starts: I64, near: I64
 ) -> I64:
-    """Count (n,) the cameras in which images of chosen ones (n,) are near, as neighbours."""
+    """Count (n,) the cameras in which images of chosen neighbours (n,) are near."""
     pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
     counts = np.zeros(len(positions), dtype=np.int64)
     _count_meetings(np.stack(pixels), _NEAR * sigma.max(axis=1), chosen, starts, near, counts)
@@ -214,7 +214,7 @@ def _largest_share(room: Any, light: Any) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
-    """Fill in (n,) by how many standard deviations squares left exceed those of noise."""
+    """Fill in (n,), in standard deviations, the squares left over those of noise."""
     for n in range(len(misfit)):
         squares, count = 0.0, 0
         place_windows(model, room, particles.position[n])
@@ -240,7 +240,10 @@ def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> N
 
 @numba.njit(cache=True, nogil=True)
 def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains: Any) -> None:
-    """Fill in (n,) what the best split along steps (k, 3) promises to save, with free light."""
+    """Fill in (n,) what the best split along steps (k, 3) promises to save.
+
+    The light is free.
+    """
     cameras, size = len(model.typical), room.window
     bent, pull, square = np.zeros((2, size)), np.zeros((cameras, 3)), np.zeros((cameras, 3, 3))
     image = np.zeros((size, size), dtype=np.float32)
@@ -360,7 +363,10 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
 
 @numba.njit(cache=True)
 def _are_apart(model: Any, room: Any, places: Any) -> bool:
-    """Say whether some camera sees two positions apart; if not, one wide image is likelier."""
+    """Say whether some camera sees two positions apart.
+
+    If none does, one wide image is likelier.
+    """
     here, slopes = np.zeros((2, 2)), np.zeros((2, 3))
     for c in range(len(model.typical)):
         for k in range(2):
@@ -373,7 +379,10 @@ def _are_apart(model: Any, room: Any, places: Any) -> bool:
 
 @numba.njit(cache=True)
 def _try_split(model: Any, room: Any, particles: Any, n: int, new: int, step: Any) -> float:
-    """Replace a particle by two of half its light, and fit both; returns the cost's change."""
+    """Replace a particle by two of half its light, and fit both.
+
+    Return the change of the cost.
+    """
     take_out(model, room, particles.position[n], particles.light[n])
     look(model, room, particles.position[n], particles.light[n])
     cost = -cost_of(model, room, particles.light[n])

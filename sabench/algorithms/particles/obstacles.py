@@ -58,7 +58,7 @@ _Cameras = tuple[int, ...]
 
 
 def find_dark_views(search: ParticleSearch, clear: ClearImages, shares: F64) -> Bool:
-    """Mark large dark areas (camera, row, column) of a search's cameras, by `volume_shares`."""
+    """Mark a search's large dark areas (camera, row, column), by `volume_shares`."""
     dark = find_dark_areas(clear.images, clear.flaws, shares, search.number)
     large = dark.sum(axis=(1, 2)) > _LEAST * (shares > 0.0).sum(axis=(1, 2))
     dark[~(large & search.shown)] = False
@@ -96,7 +96,10 @@ def hide_unseen(
 
 
 def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
-    """Compute the share (camera,) of the light expected in dark areas that is seen; 1 if none."""
+    """Compute the share (camera,) of light expected in dark areas that is seen.
+
+    It is 1 if there are no dark areas.
+    """
     # images of the particles with the mean light of all other cameras
     logs = np.log(search.light / search.typical)
     others = (logs.sum(axis=1, keepdims=True) - logs) / (logs.shape[1] - 1)
@@ -115,7 +118,9 @@ def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
 
 
 def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bool:
-    """Mark areas (camera, row, column) without light in which several particles are expected.
+    """Mark areas (camera, row, column) without light where particles are expected.
+
+    Several particles are expected in each area.
 
     Each image holds `number` particles, distributed over the pixels as the shares of the volume
     that these show. Pixels that show little of it count only as part of a larger area.
@@ -186,7 +191,10 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
 
 
 def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
-    """List sets of cameras to try, supersets of those that hide particles, most first."""
+    """List sets of cameras to try, supersets of those that hide particles.
+
+    Those that hide most come first.
+    """
     promise: dict[_Cameras, int] = {}
     for smaller, many in before.items():
         for camera in set(range(number)).difference(smaller):
@@ -249,7 +257,10 @@ def without_wrong_cameras(
 
 
 def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
-    """Warn of cameras whose images are longer streaks than the model's, given enough particles."""
+    """Warn of cameras whose images are longer streaks than the model's.
+
+    Cameras with too few particles are left out.
+    """
     if search.number < _MANY:
         return
     for camera, tilt in zip(np.flatnonzero(search.shown).tolist(), search.tilt, strict=True):

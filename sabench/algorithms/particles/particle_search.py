@@ -156,7 +156,7 @@ class ParticleSearch:
         self.known &= ~areas[self.shown]
 
     def set_width(self, sigma: F64) -> None:
-        """Set Gaussians of widths (camera, 2), the same everywhere, with the measured tilt."""
+        """Set Gaussians of widths (camera, 2) everywhere, with the measured tilt."""
         tilt = np.clip(self.tilt, -MOST_TILT, MOST_TILT)
         shapes = np.zeros((len(sigma), SHAPES, 4))
         shapes[:, :2, 0], shapes[:, 2, 0] = sigma, tilt * sigma.prod(axis=1)
@@ -168,7 +168,7 @@ class ParticleSearch:
         self.subtract_all()
 
     def flatten(self) -> None:
-        """Give images that were measured as flat that shape, once most particles are found."""
+        """Give images measured as flat that shape, once most particles are found."""
         shapes = self.shapes.copy()
         for camera in np.flatnonzero(self.flat[:, 2]):
             sigma, shape = self.flat[camera, :2], shapes[camera]
@@ -266,7 +266,10 @@ class ParticleSearch:
         return np.asarray(np.exp(np.log(self.light / self.typical).mean(axis=1)))
 
     def overlap(self) -> float:
-        """Estimate how many images, 4 pi times their squared width in area, share a pixel."""
+        """Estimate how many images share a pixel.
+
+        The area of an image is 4 pi times its squared width.
+        """
         area = 4.0 * math.pi * float(np.median(self.sigma.prod(axis=1)))
         return float(self.number * area / self.images[0].size)
 
@@ -298,7 +301,10 @@ class ParticleSearch:
             setattr(self, name, getattr(self, name)[good])
 
     def rest(self, seeing: I64) -> ParticleSearch:
-        """Copy the search for some cameras, without particles: what they leave are its images."""
+        """Copy the search for some cameras, without particles.
+
+        What the particles leave are the copy's images.
+        """
         part = copy.copy(self)
         part.shown = np.zeros_like(self.shown)
         part.shown[np.flatnonzero(self.shown)[seeing]] = True
@@ -320,7 +326,7 @@ class ParticleSearch:
             setattr(self, name, np.concatenate([rows, new]))
 
     def refine(self, rounds: int) -> None:
-        """Fit all particles in several rounds, until one hardly lowers the cost or time is over."""
+        """Fit all particles in rounds, until one hardly lowers the cost or time is over."""
         model, particles = self.model(), self.particles()
         rows, changes = np.arange(len(self.position)), [0.0]
         turns = self._turns(rows, portions=1)
@@ -408,7 +414,10 @@ class ParticleSearch:
         self.refine(1)
 
     def split(self) -> None:
-        """Replace particles by two if that is more probable; what is left tells which to try."""
+        """Replace particles by two if that is more probable.
+
+        What is left in the images tells which ones to try.
+        """
         count, model = len(self.position), self.model()
         width = float(self.sigma.max())
         steps = _APART * width / self.maps.half_mm * candidate_search.split_directions(self.maps)

@@ -136,7 +136,10 @@ class _Tracker:
             self._begin(case, time, coming)
 
     def _begin(self, case: Observation, time: float, coming: int) -> None:
-        """Search a frame without predictions; hold it if links to the last are mostly wrong."""
+        """Search a frame without predictions; hold it if most links are wrong.
+
+        The links are those to the last frame.
+        """
         last = self.search
         self.search = bayesian_ipr.search_frame(case, self.maps, self.settings.first)
         frame = self._join(last, time)
@@ -301,7 +304,7 @@ class _Tracker:
             frame.add(replace(found, position_mm=position), numbers)
 
     def _end_tracks(self, tracks: KalmanTracks) -> None:
-        """End tracks that left or were missed too often, and drop particles that were seen once."""
+        """End tracks that left or were missed too often; drop particles seen once."""
         missed = tracks.missed > 0
         aside = np.abs(tracks.state[:, 0] - self.maps.middle_mm)
         inside = (aside + _NEAR * np.sqrt(tracks.variance) <= self.maps.half_mm).all(axis=1)

@@ -1,4 +1,4 @@
-"""Synthetic aperture refocusing: images of all cameras joined on planes and other surfaces."""
+"""Synthetic aperture refocusing: images joined on planes and other surfaces."""
 
 import lazy_loader
 

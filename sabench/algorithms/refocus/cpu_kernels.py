@@ -32,7 +32,10 @@ _LOG2_REST = tuple(_REST.astype(np.float32))
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
-    """Find the voxel at which a position, moving by `step` per voxel, enters another pixel."""
+    """Find the voxel at which a position enters another pixel.
+
+    The position moves by `step` per voxel.
+    """
     room = 1.0 - fraction if step > 0.0 else fraction
     if room >= abs(step) * (count - first):
         return count
@@ -117,7 +120,10 @@ def _interpolate(
 def _fold_tile(
     image: Any, spline: Any, affine: Any, outside: Any, fold: Any, total: Any, size: Any
 ) -> None:
-    """Fold one camera's samples into a tile, whose rows lie TILE_COLUMNS apart in `total`."""
+    """Fold one camera's samples into a tile.
+
+    Its rows lie TILE_COLUMNS apart in `total`.
+    """
     rows, columns = size
     flat, fours = image.ravel(), 0
     if len(spline) == 1 and abs(affine[2]) <= _SHEAR:
@@ -141,7 +147,10 @@ def _fold_four(
     total: Any,
     columns: int,
 ) -> None:
-    """Fold samples into four rows of a tile, which share rows of pixels and positions."""
+    """Fold samples into four rows of a tile.
+
+    They share rows of pixels and positions.
+    """
     column_step, row_step = affine[1] - 1.0, affine[4]
     first = 0
     while first < columns:

@@ -100,7 +100,7 @@ def _directions(stack: F32, z: I64, y: I64, x: I64) -> F64:
 
 
 def _refine_across(height: F32, z: I64, y: I64, x: I64, normal: F64) -> tuple[F64, Bool]:
-    """Find how far (n,) the maximum along the normal is, and whether it is in the voxel."""
+    """Find how far (n,) the maximum along the normal is, and if it is in the voxel."""
     before, after = (
         map_coordinates(height, [z, y + sign * normal[:, 1], x + sign * normal[:, 0]], order=1)
         for sign in (-1.0, 1.0)

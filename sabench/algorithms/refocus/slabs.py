@@ -165,7 +165,10 @@ def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> floa
 
 
 def rectifying_maps(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> tuple[F64, int]:
-    """Fit pixels over rectified images as polynomials (camera, 2, terms), and their degree."""
+    """Fit pixels over rectified images as polynomials (camera, 2, terms).
+
+    Their degree is the second value.
+    """
     height, width = slab.shape
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     functions = []
@@ -198,7 +201,10 @@ def tile_sizes(grid: Grid) -> I64:
 
 
 def _displacement(camera: CameraModel, grid: Grid, depths: F64, z_mm: float) -> polynomials.Smooth:
-    """Make the function of shifts (n, 2 planes) along the line of sight to `z_mm`, in voxels."""
+    """Make the function of shifts (n, 2 planes) along the line of sight, in voxels.
+
+    The shifts are those to the plane `z_mm`.
+    """
 
     def shifts(unit: F64) -> F64:
         parts = []
@@ -236,7 +242,10 @@ def _boxes(
 
 
 def _border(camera: CameraModel, grid: Grid, z_mm: float) -> F64:
-    """Project the border of an image to a plane, in voxels (n, 2); infinite without a path."""
+    """Project the border of an image to a plane, in voxels (n, 2).
+
+    Values are infinite without a path.
+    """
     along = np.linspace(-0.5, 0.5, 33)
     sides = [
         np.column_stack(pair)

@@ -1,4 +1,4 @@
-"""Refocusing on surfaces of any shape, and a check for cameras that see planes edge-on.
+"""Refocusing on surfaces of any shape, and a check for edge-on views of planes.
 
 Every point of the surface is projected into every camera, through the wall, and the images' values
 there are joined.

@@ -214,7 +214,7 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
 
 
 def _find_reached(maps: F64) -> tuple[F64, tuple[int, int]]:
-    """Find first column and row, and padded shape, that maps (tile, plane, 1, 6) reach."""
+    """Find first column, row and padded shape that maps (tile, plane, 1, 6) reach."""
     size = np.array([TILE_COLUMNS, TILE_ROWS])
     starts = maps[..., [0, 3]]
     ends = starts + maps[..., [1, 4]] * size[0] + maps[..., [2, 5]] * size[1]
@@ -224,7 +224,10 @@ def _find_reached(maps: F64) -> tuple[F64, tuple[int, int]]:
 
 
 def shift_maps(grid: Grid, shifts: F64) -> F64:
-    """Make affine maps (tile, plane, camera, 6) of shifts (plane, camera, 2) of whole planes."""
+    """Make affine maps (tile, plane, camera, 6) of shifts (plane, camera, 2).
+
+    Each shift is one of a whole plane.
+    """
     top, left = tile_origins(grid)
     maps = np.zeros((len(top), *shifts.shape[:2], 6))
     maps[..., 0], maps[..., 1] = left[:, None, None] + shifts[..., 0], 1.0
@@ -252,7 +255,7 @@ class _View:
 def _parts(
     images: F32, cameras: Sequence[CameraModel], grid: Grid, outside: float, volume: F32
 ) -> Iterator[tuple[_View, F32, F32]]:
-    """Yield every slab with its rectified images (camera, height, width) and its planes."""
+    """Yield every slab's view, rectified images (camera, height, width) and planes."""
     for view in progress_bar(_views(tuple(cameras), grid), f"refocus, {len(cameras)} cameras"):
         rectified = np.empty((len(images), *view.slab.shape), dtype=np.float32)
         for number in range(len(images)):  # one at a time: its coefficients stay in the cache

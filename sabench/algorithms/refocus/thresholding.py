@@ -41,7 +41,7 @@ class ExtractionParameters(Parameters):
 
 
 def extract_particles(volume: F32, case: Observation, parameters: ExtractionParameters) -> F32:
-    """Extract particles in place; if the parameters do not give k, `auto_k` chooses it."""
+    """Extract particles in place; `auto_k` chooses k if the parameters do not."""
     k = auto_k(volume, occupancy(case), parameters.keep) if parameters.k == "auto" else parameters.k
     return extract(volume, k, parameters.keep)
 
@@ -93,7 +93,10 @@ def occupancy(case: Observation) -> float:
 
 @numba.njit(cache=True)
 def _products(image: Any, mean: float) -> Any:
-    """Sum squares of an image less its mean, and products with pixels right and below."""
+    """Sum squares of an image less its mean, and products with neighbours.
+
+    The neighbours are the pixels right and below.
+    """
     square = across = down = 0.0
     for row in range(image.shape[0]):
         line, below = image[row], image[min(row + 1, image.shape[0] - 1)]

@@ -1,4 +1,4 @@
-"""Tomographic reconstruction: first guesses and algebraic (ART) updates of a volume."""
+"""Tomographic reconstruction: first guesses and algebraic (ART) updates."""
 
 import lazy_loader
 

@@ -202,7 +202,10 @@ def project(
 def back_project(
     geometry: Any, cameras: Any, parts: Any, start: Any, x: Any, images: Any, out: Any
 ) -> None:
-    """Add images (n, rows * columns), interpolated bilinearly, to voxels; see `project`."""
+    """Add images (n, rows * columns), interpolated bilinearly, to voxels.
+
+    See `project`.
+    """
     for part in numba.prange(len(parts) - 1):
         work = scratch(geometry)
         for number in range(len(cameras)):

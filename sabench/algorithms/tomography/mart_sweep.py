@@ -171,7 +171,10 @@ def _put_back(voxel: Any, light: Any, values: Any) -> None:
 
 @numba.njit(cache=True, parallel=True)
 def _sweep(buckets: Any, image: Any, saturated: Any, relaxation: Any, missed: Any) -> None:
-    """Update by all pixels of one camera, and sum squared residuals (strip,) into `missed`."""
+    """Update by all pixels of one camera; sum squared residuals into `missed`.
+
+    `missed` has the shape (strip,).
+    """
     for parity in range(2):
         for pair in numba.prange((len(missed) - parity + 1) // 2):
             missed[2 * pair + parity] = _sweep_strip(
@@ -258,7 +261,10 @@ def _multiply(
 
 @numba.njit(cache=True, fastmath=True)
 def _share(distance: Any, spread: Any) -> Any:
-    """Compute the part of a voxel's light a pixel gets along one axis, see `Footprint`."""
+    """Compute the part of a voxel's light a pixel gets along one axis.
+
+    See `Footprint`.
+    """
     one, none = np.float32(1.0), np.float32(0.0)
     own = max(one - abs(distance), none)
     given = max(one - abs(distance - one), none) + max(one - abs(distance + one), none)

@@ -162,7 +162,7 @@ def _multiply_camera(
 
 @numba.njit(cache=True)
 def _take_root(left: int, x: Any, product: Any, seen: Any, values: Any) -> int:
-    """Take the root of the product for the voxels that any camera sees, and count them."""
+    """Take the root of the product for voxels that any camera sees; count them."""
     kept = 0
     for i in range(left):
         if seen[i] > 0:

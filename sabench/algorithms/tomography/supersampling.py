@@ -1,4 +1,4 @@
-"""Finer grid on which lines of sight are followed, from and to the requested grid.
+"""Finer grid for following lines of sight, from and to the requested grid.
 
 The footprint of a voxel is that of a point. Along an axis where one step moves the projection by
 more than about a pixel, voxels are split. In the result, each fine voxel is a blob of light whose
@@ -85,7 +85,10 @@ def split(grid: Grid, count: Splits) -> Grid:
 
 
 def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: float) -> F32:
-    """Return the volume (z, y, x) on `grid` of Gaussian blobs of `sigma_mm`, or points if 0."""
+    """Return the volume (z, y, x) on `grid` of Gaussian blobs of `sigma_mm`.
+
+    The blobs are points if it is 0.
+    """
     x, y, z = (_profile(k, sigma_mm / step) for k, step in zip(count, grid.voxel_mm, strict=True))
     volume = np.zeros(grid.shape, dtype=np.float32)
     _gather(support.start, support.x, values, support.shape[1], support.shape[2], x, y, z, volume)
@@ -93,7 +96,9 @@ def gather(support: Support, values: F32, grid: Grid, count: Splits, sigma_mm: f
 
 
 def _profile(count: int, sigma: float) -> F32:
-    """Compute shares (count, 2 radius + 1) of a blob's light in the voxels around its own.
+    """Compute shares (count, 2 radius + 1) of a blob in the voxels around its own.
+
+    They are shares of its light.
 
     The rows are its positions among the fine voxels there; `sigma` is in voxels of the grid.
     """
@@ -118,7 +123,7 @@ def _gather(
     along_z: Any,
     volume: Any,
 ) -> None:
-    """Sum fine rows within the radius, and spread every fine voxel of the sum along x."""
+    """Sum fine rows within the radius, and spread the sum's fine voxels along x."""
     planes, rows, _ = volume.shape
     (count_y, width_y), (count_z, width_z) = along_y.shape, along_z.shape
     for task in numba.prange(planes * rows):

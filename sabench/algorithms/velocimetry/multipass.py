@@ -188,7 +188,7 @@ def _inner(one: F32, other: F32) -> float:
 
 
 def widen(volume: F32, given: Widths, least: float) -> F32:
-    """Blur the volume (z, y, x) by Gaussians along axes on which particles are too narrow."""
+    """Blur the volume (z, y, x) by Gaussians along axes of too narrow particles."""
     sigma = [math.sqrt(max(0.0, least**2 - own**2)) for own in given]
     if not any(sigma):
         return volume
@@ -244,7 +244,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class Field:
-    """Displacements (z, y, x, 3) at windows in voxels (x, y, z), and which were measured."""
+    """Displacements (z, y, x, 3) at windows, in voxels (x, y, z), and validity.
+
+    Valid ones were measured.
+    """
 
     windows: Windows
     shift: F64
@@ -284,7 +287,10 @@ def evaluate(first: F32, second: F32, plan: Plan) -> Field:
 
 
 def evaluate_once(first: F32, second: F32, size: Size, overlap: float, ratio: float) -> Field:
-    """Evaluate one pass of spectra on fixed windows as the thesis does (section 2.3.3)."""
+    """Evaluate one pass of spectra on fixed windows.
+
+    The thesis does so in section 2.3.3.
+    """
     windows = Windows.over(first.shape, size, overlap)
     peaks = by_spectra(first, second, windows)
     assert peaks.ratio is not None
@@ -305,7 +311,10 @@ def _validate(windows: Windows, peaks: CorrelationPeaks, valid: Bool, plan: Plan
 
 
 def _at(values: F64, there: Windows, here: Windows) -> F64:
-    """Interpolate a field from some windows' middles to others', or extrapolate it linearly."""
+    """Interpolate a field from some windows' middles to others'.
+
+    Beyond the middles, it is extrapolated linearly.
+    """
     for axis in range(3):
         place = here.origin[axis] + here.step[axis] * np.arange(here.counts[axis])
         position = (place - there.origin[axis]) / there.step[axis]

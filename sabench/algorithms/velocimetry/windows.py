@@ -65,7 +65,10 @@ def block_sums(
 
 @numba.njit(cache=True, fastmath=True)
 def _add_rows(one: Any, other: Any, search: int, rows: Any) -> None:
-    """Add products of rows, the second `search` voxels further right, and its squares."""
+    """Add products of rows and the second's squares.
+
+    The second row lies `search` voxels further right.
+    """
     count = len(one)
     for n in range(2 * search + 1):
         dx = n - search
@@ -123,7 +126,10 @@ def _add(weight: Any, values: Any, total: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _normalise(sums: Any, floor: float, curve: Any) -> None:
-    """Compute the correlation over shifts, the mean of opposite ones at opposite ends."""
+    """Compute the correlation over shifts.
+
+    It is the mean of opposite ones at opposite ends.
+    """
     count = len(curve)
     rest = sums[2, count // 2], sums[3, count // 2]
     for n in range(count):
@@ -135,7 +141,10 @@ def _normalise(sums: Any, floor: float, curve: Any) -> None:
 
 @numba.njit(cache=True, fastmath=True)
 def _highest(curve: Any, search: Any, shift: Any) -> Any:
-    """Fill in the position (x, y, z) of the best of small shifts, refined; return its height."""
+    """Fill in the refined position (x, y, z) of the best small shift.
+
+    Return its height.
+    """
     top = 0
     for n in range(len(curve)):
         if curve[n] > curve[top]:
@@ -171,7 +180,7 @@ def _vertex(before: float, here: float, after: float) -> float:
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def cut_windows(volume: Any, corners: Any, out: Any, energy: Any) -> None:
-    """Fill in windows (n, z, y, x) at corners (n, 3) less their means, and sums of squares."""
+    """Fill in windows (n, z, y, x) at corners (n, 3) less means, and square sums."""
     _, deep, high, wide = out.shape
     for n in range(len(corners)):
         z, y, x = corners[n]
