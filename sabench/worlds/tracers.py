@@ -1,4 +1,4 @@
-"""Tracers from frame to frame, their materials, and the laser pulses that light them."""
+"""Tracers from frame to frame, their materials and their laser pulses."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ Fold = Callable[[Any, Sequence[Any]], Any]
 
 
 def sum_planes(rectified: F32, slab: Slab, grid: Grid, outside: float, out: F32) -> None:
-    """Sum images as `cpu_kernels.sum_planes`, with exact maps in place of affine ones."""
+    """Sum images as `cpu_kernels.sum_planes`, by exact maps."""
     _sweep(rectified, slab, grid, outside, lambda dr, samples: sum(samples), out)
 
 
@@ -88,7 +88,7 @@ def _unit(index: Any, count: int) -> Any:
 def _sample(
     dr: Any, types: Any, image: Any, shape: tuple[int, int], position: Sequence[Any], outside: float
 ) -> Any:
-    """Sample an image bilinearly at positions (column, row); `outside` beyond its centres."""
+    """Sample an image bilinearly at (column, row); `outside` beyond its centres."""
     rows, columns = shape
     column, row = position
     inside = (column >= 0.0) & (row >= 0.0) & (column <= columns - 1.0) & (row <= rows - 1.0)

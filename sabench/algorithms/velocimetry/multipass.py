@@ -33,7 +33,7 @@ _FLOOR = 0.1  # voxels: a fluctuation that any measurement has; Westerweel and S
 
 
 def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
-    """Mark vectors (z, y, x, 3) whose components are so near the mean of all valid ones."""
+    """Mark vectors (z, y, x, 3) near the mean of all valid ones."""
     if not valid.any():
         return valid
     known = shift[valid]
@@ -63,7 +63,7 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
 
 
 def fill_invalid(shift: F64, valid: Bool) -> F64:
-    """Replace invalid vectors by means of valid neighbours, from the edges in; 0 if none is."""
+    """Replace invalid vectors by means of valid neighbours, or 0 if none is."""
     out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
     if not known.any():
         return out
@@ -86,7 +86,7 @@ def _around(values: F64) -> F64:
 
 
 def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
-    """Smooth vectors by a Gaussian (z, y, x) in vectors, extrapolated linearly at edges."""
+    """Smooth vectors by a Gaussian (z, y, x), extrapolated linearly at edges."""
     radii = [math.ceil(_FILLING_ROUNDS * own) for own in sigma]
     counts = shift.shape[:3]
     margins = [min(radius, count - 1) for radius, count in zip(radii, counts, strict=True)]
@@ -98,7 +98,7 @@ def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
 
 
 def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
-    """Mark vectors near their 3 x 3 x 3 median, in its deviations; thesis, section 2.3.3."""
+    """Mark vectors near their 3 x 3 x 3 median (thesis, section 2.3.3)."""
     ok = valid.copy()
     for axis in range(3):
         own = shift[..., axis]
