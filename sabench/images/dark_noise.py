@@ -227,8 +227,8 @@ def _measure(
     level = np.maximum(whole + wide[0] + shift * wide[1], -_LOWEST * deviation)
     # few photons: the third moment grows as the variance
     skewed = np.minimum(skewness * float(np.median(deviation)) / deviation, _MOST_SKEW)
-    single = (values.astype(np.float32) for values in (level, deviation, skewed))
-    return DarkNoise(*single, step)
+    to = np.float32
+    return DarkNoise(level.astype(to), deviation.astype(to), skewed.astype(to), step)
 
 
 def _by_tile(

@@ -289,7 +289,5 @@ def test_tables_of_scores_are_those_of_the_tasks() -> None:
 
 
 def test_every_task_has_a_table_of_scores() -> None:
-    marked = re.findall(
-        r"<!-- scores: (\w+) -->", "".join(page.read_text(encoding="utf-8") for page in PAGES)
-    )
+    marked = re.findall(r"<!-- scores: (\w+) -->", "".join(read(page) for page in PAGES))
     assert sorted(marked) == sorted(tasks.NAMES)

@@ -148,7 +148,8 @@ def test_distances_to_cones_are_those_of_all_their_balls() -> None:
     chosen = [part[some] for part in cones]
     every = capsules(points, *chosen)
     assert_allclose(every, alone[some].min(axis=0), atol=1e-12)
-    blended = capsules(points, *chosen, blend_mm=0.2)
+    heads, tails, thick, thin = chosen
+    blended = capsules(points, heads, tails, thick, thin, blend_mm=0.2)
     assert_allclose(blended, smooth_minimum(alone[some], 0.2), atol=1e-4)
     assert (blended < every).all()
     assert (capsules(points, *(part[:0] for part in cones)) == np.inf).all()
