@@ -16,6 +16,7 @@ from tests.docs.pages import PAGES, ROOT, blocks, prose, read
 from tests.docs.runner import Page
 
 _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(page))]
+_SLOW = {"README.md", "CONTRIBUTING.md", "docs/developing/participate.md"}
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("page", _RUN)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=pytest.mark.slow) if page in _SLOW else page for page in _RUN],
+)
 def test_code_blocks_run(
     page: str, folder: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
