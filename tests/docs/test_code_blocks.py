@@ -16,7 +16,12 @@ from tests.docs.pages import PAGES, ROOT, blocks, prose, read
 from tests.docs.runner import Page
 
 _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(page))]
-_SLOW = {"README.md", "CONTRIBUTING.md", "docs/developing/participate.md"}
+_SLOW = {
+    "README.md",
+    "docs/using/calibrating.md",
+    "CONTRIBUTING.md",
+    "docs/developing/participate.md",
+}
 
 
 @pytest.fixture(scope="module")

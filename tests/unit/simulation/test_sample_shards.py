@@ -165,6 +165,7 @@ def begin(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             make(folder / "set")
 
 
+@pytest.mark.slow
 def test_a_shard_that_fails_is_named_and_the_others_are_kept(
     whole: SampleSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
