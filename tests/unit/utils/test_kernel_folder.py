@@ -46,7 +46,8 @@ def write_package(folder: Path) -> Path:
     (own / "utils").mkdir(parents=True)
     for name in UTILS:
         shutil.copy(source / "utils" / name, own / "utils")
-    shutil.copy(source / "__init__.py", own)
+    for name in ("__init__.py", "__init__.pyi"):
+        shutil.copy(source / name, own)
     (own / "caller.py").write_text(CALLER)
     (own / "callee.py").write_text(CALLEE.format(number=1))
     (own / "other.py").write_text("NUMBER = 1\n")
