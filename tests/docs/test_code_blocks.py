@@ -19,6 +19,7 @@ _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(p
 _SLOW = {
     "README.md",
     "docs/using/calibrating.md",
+    "docs/using/planning.md",
     "CONTRIBUTING.md",
     "docs/developing/participate.md",
 }

@@ -151,6 +151,7 @@ def test_axes_may_stand_in_any_order_and_units_be_given(tmp_path: Path) -> None:
     assert_allclose(field.velocity(there, 0.0), 500.0 * cellular(points() / 1e3), atol=0.3)
 
 
+@pytest.mark.slow
 def test_a_box_repeats_and_time_goes_on(tmp_path: Path) -> None:
     count, times = 24, np.linspace(0.0, 1.0, 5)
     axis = np.arange(count) * SIDE / count
