@@ -18,10 +18,15 @@ from tests.docs.runner import Page
 _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(page))]
 _SLOW = {
     "README.md",
-    "docs/using/calibrating.md",
-    "docs/using/planning.md",
     "CONTRIBUTING.md",
     "docs/developing/participate.md",
+    "docs/formats/foreign.md",
+    "docs/using/calibrating.md",
+    "docs/using/detection.md",
+    "docs/using/own-recordings.md",
+    "docs/using/planning.md",
+    "docs/using/streaming.md",
+    "docs/using/viewing.md",
 }
 
 

@@ -484,6 +484,7 @@ def test_setups_have_their_baseline_and_planes() -> None:
     assert rings.plane_mm(0.4) == pytest.approx(0.125, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_larger_baseline_measures_depth_better(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rings, "_VOLUMES", ("msa",))
     few, many = (
@@ -492,6 +493,7 @@ def test_a_larger_baseline_measures_depth_better(monkeypatch: pytest.MonkeyPatch
     assert many[2] < 0.8 * few[2]
 
 
+@pytest.mark.slow
 def test_skew_costs_nothing_in_short_pulses_and_much_in_fast_continuous_light() -> None:
     lights = chapter_3.lights()
     fast, pulsed = lights[3], lights[4]
@@ -564,6 +566,7 @@ def test_the_slice_has_the_voxels_and_the_angles_of_the_paper() -> None:
         assert ((pixels > 0) & (pixels < [999, 8])).all()
 
 
+@pytest.mark.slow
 def test_iterations_remove_ghosts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chapter_3, "_SLICES", 3)
     curve = [chapter_3._Point(5, 85.0, 200.0, 0.0), chapter_3._Point(25, 85.0, 5.0, 0.0)]

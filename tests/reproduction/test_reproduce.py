@@ -58,6 +58,7 @@ KEYS = {"name", "thesis", "measured", "verdict", "ci95", "seeds", "note"}
 QUICK = ["--seeds", "2", "--pixels", "60"]
 
 
+@pytest.mark.slow
 def test_rows_as_json_and_in_a_file(command: Command, tmp_path: Path) -> None:
     done = succeed(command("reproduce", "table-2-3", *QUICK, "--json", "-o", "rows.json"))
     rows = json.loads(done.stdout)
@@ -70,6 +71,7 @@ def test_rows_as_json_and_in_a_file(command: Command, tmp_path: Path) -> None:
     assert "particles, seed 2" in done.stderr
 
 
+@pytest.mark.slow
 def test_rows_as_a_table(command: Command) -> None:
     done = succeed(command("reproduce", "table-2-3", *QUICK))
     assert "particles per pixel of all cameras" in done.stdout
@@ -214,6 +216,9 @@ SHORTER: dict[str, dict[str, Any]] = {  # of what takes long, fewer kinds and ca
 }
 
 
+_QUICK = {"fig-4-9", "table-5-1"}  # of the daily tier
+
+
 @pytest.fixture(autouse=True)
 def one_jet_and_a_fast_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chapter_5, "HEIGHTS", (21,))
@@ -221,7 +226,14 @@ def one_jet_and_a_fast_solver(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chapter_5, "FRAMES", 3)
 
 
-@pytest.mark.parametrize("table", [name for name in MEASUREMENTS if name != "table-2-1-best"])
+@pytest.mark.parametrize(
+    "table",
+    [
+        pytest.param(name, marks=() if name in _QUICK else pytest.mark.slow)
+        for name in MEASUREMENTS
+        if name != "table-2-1-best"
+    ],
+)
 def test_every_table_yields_rows(table: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in SHORTER.get(table, {}).items():
         monkeypatch.setattr(f"reproduction.{MEASUREMENTS[table].module}.{name}", value)

@@ -350,6 +350,7 @@ def test_two_implementations_of_a_camera_agree(wall: bool, tilt: tuple[float, fl
         )
 
 
+@pytest.mark.slow
 def test_a_fingerprint_is_the_same_twice_and_another_for_another_seed(tmp_path: Path) -> None:
     made = [
         fingerprint(generate(slanted(), tmp_path / str(n), seed=seed, backend="splat"))
@@ -362,6 +363,7 @@ def test_a_fingerprint_is_the_same_twice_and_another_for_another_seed(tmp_path: 
     assert max(value for key, value in made[0].items() if key.endswith("retraced_px")) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_probe_finds_some_particles_and_some_ghosts(tmp_path: Path) -> None:
     data = generate(slanted(), tmp_path / "data", seed=1, backend="splat")
     figures = score_known_wrong(data, tmp_path / "probe.h5")

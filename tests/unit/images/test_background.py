@@ -43,6 +43,7 @@ def glint(row: int, column: int, sigma: float) -> F64:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("per_pixel", [0.0, 0.0003, 0.005, 0.02, 0.05])
 def test_a_background_is_found_to_the_noise(per_pixel: float) -> None:
     ramp = np.linspace(20.0, 60.0, COLUMNS, dtype=np.float32)[None, :] * np.ones((ROWS, 1))

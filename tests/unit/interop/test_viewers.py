@@ -54,6 +54,7 @@ def test_run_lengths_are_read_back(bits: int) -> None:
     assert all(lengths[1:])
 
 
+@pytest.mark.slow
 def test_every_visible_bubble_has_its_mask_and_box(data: Dataset, coco: Path) -> None:
     values = json.loads((coco / "annotations.json").read_text())
     assert len(values["images"]) == 5

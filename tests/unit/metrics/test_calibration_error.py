@@ -36,6 +36,7 @@ def moved(cameras: tuple[Camera, ...], *shifts_px: tuple[float, float]) -> tuple
 NOISE = {"noise_px": 0.1, "missing": 0.1}
 
 
+@pytest.mark.slow
 def test_the_true_calibration_has_no_error_but_that_of_detection() -> None:
     case, cameras, points, exact = case_of(calibration_scene(detection=NOISE))
     scores = calibration_scores(

@@ -246,6 +246,7 @@ def coarse(**changes: Any) -> Scene:
     return parse_scene({k: v for k, v in values.items() if v is not None}, "coarse")
 
 
+@pytest.mark.slow
 def test_no_tracer_that_starts_outside_ends_in_the_body() -> None:
     """Over 4 mm of mean flow, a tenth of the mean distance through the reef would show."""
     scene = coarse()

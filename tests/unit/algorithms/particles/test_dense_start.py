@@ -54,6 +54,7 @@ def distances(position: F64, truth: F64) -> F64:
     return np.asarray(cKDTree(truth).query(position)[0])
 
 
+@pytest.mark.slow
 def test_confirmed_particles_are_real(frames: list[dense_start.Finds], truth: list[F64]) -> None:
     """Of what is found in a frame, half is real; of what several frames show, nearly all is."""
     for slot, known in enumerate(dense_start.confirm_tracks(frames, DISTANCE)):

@@ -102,6 +102,7 @@ def matched(maps: Maps, peaks: tuple[Peaks, ...], radius: float) -> Any:
     return positions[:count], errors[:count]
 
 
+@pytest.mark.slow
 def test_matches_fit_their_images_best(maps: Maps) -> None:
     """The errors of a match have no part along the slopes of its position: least squares."""
     points = unit_points(12)

@@ -95,6 +95,7 @@ def test_isotropic_particles_scatter_what_falls_on_them() -> None:
     assert images.intensity[0] * 4.0 * np.pi == pytest.approx(fallen, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("f_number", [4.0, 16.0])
 def test_mie_intensity_is_the_mean_over_the_lens(f_number: float) -> None:
     """The table's value at the lens's centre is the mean over the lens. Every point of the lens

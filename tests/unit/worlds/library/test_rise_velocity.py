@@ -70,6 +70,7 @@ def test_the_law_depends_on_the_morton_number_alone() -> None:
     assert own**2 / d == pytest.approx(its**2 / (scale * d), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_bubbles_below_the_penetration_depth_rise_as_fast_as_the_slowest_large_one() -> None:
     for largest, slowest in ((4.88, 4.88), (8.64, WATER.slowest_mm)):
         d = transition_diameter_mm(largest, WATER)

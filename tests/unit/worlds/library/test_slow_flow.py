@@ -46,6 +46,7 @@ def test_drag_is_that_of_hasimoto_and_converges() -> None:
     assert_allclose(fine[1:], 0.0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_fluid_rests_at_the_surface_and_hardly_passes_it() -> None:
     made, normal = flow(), directions()
     there = made.velocity(_RADIUS_MM * normal)
