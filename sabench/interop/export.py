@@ -60,7 +60,9 @@ def export(
 ) -> Path:
     """Write a data set or a result of it into a folder for another program.
 
-    What the format cannot carry is said by warnings of the class `ForeignFormatWarning`.
+    A `ForeignFormatWarning` says what the format cannot store. Raises InputError for a missing data
+    set or result, one without particles, an unknown format, cameras that the format cannot
+    describe, or an existing folder.
 
     Parameters
     ----------
@@ -69,9 +71,6 @@ def export(
         netcdf, mat, csv: one table of particles, true or found. openptv, myptv, openlpt,
         lpt-challenge: cameras and images; with a result, cameras and particles. coco: images, and
         boxes and masks of true bubbles.
-
-    Raises InputError for a missing data set or result, one without particles, an unknown format,
-    cameras that the format cannot describe, or an existing folder.
     """
     if to not in get_args(Format):
         raise InputError(f"to: expected one of {', '.join(get_args(Format))}, got {to!r}")

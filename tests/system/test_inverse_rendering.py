@@ -219,6 +219,7 @@ def cost_of(search: Any, model: Any) -> float:
     return 0.5 * float(np.sum(model.weight * np.square(search.left, dtype=np.float64)) + prior)
 
 
+@pytest.mark.slow
 def test_a_descent_from_a_start_that_is_off_is_as_good_as_bayesian_ipr(searched: Any) -> None:
     search, model, true = searched
     share, rms = rms_px(search, true)
