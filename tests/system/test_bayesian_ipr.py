@@ -290,6 +290,7 @@ def test_particles_are_found_where_a_camera_is_blind(in_a_row: int, seed: int) -
     assert counts.detections - counts.matched < 0.005 * counts.truths
 
 
+@pytest.mark.slow
 def test_dark_areas_of_few_particles_hide_nothing() -> None:
     values = read("realistic-particles")
     values["particles"]["per_pixel"] = 0.005

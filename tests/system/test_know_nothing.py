@@ -22,7 +22,7 @@ from sabench.utils.errors import InputError
 
 SHOWN = [(name, tasks.of(name).shown) for name in tasks.NAMES]
 CASES = [
-    pytest.param(*case, marks=() if case[0] == "reconstruction" else pytest.mark.slow)
+    pytest.param(*case, marks=() if case[0] == "see_through" else pytest.mark.slow)
     for case in (*SHOWN, ("calibration", "particles"))
 ]
 # the rounding of a calibration that is moved along the wall, which no image shows
