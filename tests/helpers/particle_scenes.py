@@ -71,7 +71,7 @@ VARIANTS: dict[str, dict[str, dict[str, Any] | None]] = {
 
 def spots(pixels: F64, photons: F64, sigma: F64) -> ParticleImages:
     count = len(pixels)
-    zero, seen = np.zeros((count, 3)), np.isfinite(pixels).all(axis=1)
+    zero, seen = np.zeros((count, 3)), np.asarray(np.isfinite(pixels).all(axis=1))
     spread = sigma[:, None] ** 2 * [1.0, 1.0, 0.0]
     return ParticleImages(pixels, photons, sigma, seen, np.zeros(count), zero, spread)
 
