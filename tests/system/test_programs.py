@@ -166,7 +166,7 @@ backend = "splat"
 solvers = [
   { name = "./bin/mine.py", task = "reconstruction", parameters = { k = 2 }, time_limit_s = 60.0 },
   # `track`: the key of earlier suites
-  { name = "./bin/slow.py", track = "reconstruction", label = "slow one", \
+  { name = "./bin/slow.py", task = "reconstruction", label = "slow one", \
 time_limit_s = 0.5, memory_limit_mb = 500.0 },
   { name = "asa" },
 ]
@@ -194,7 +194,7 @@ def test_programs_in_a_suite(command: Command, tmp_path: Path) -> None:
     assert asa["q"] > 0.4
     assert (mine["whole_process"], asa["whole_process"]) == (True, False)
     assert str(tmp_path) not in json.dumps([mine["solver"], slow["solver"], slow["error"]])
-    suite.write_text(SUITE.replace('track = "reconstruction", l', "l"))
+    suite.write_text(SUITE.replace('task = "reconstruction", l', "l"))
     check_sentence(command("run", suite), "slow.py: task: expected one of reconstruction")
     suite.write_text(SUITE.replace("slow.py", "none.py"))
     check_sentence(command("run", suite), "none.py: expected an executable file")
