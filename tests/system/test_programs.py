@@ -337,7 +337,8 @@ def test_changed_data_scores_nothing(quick: Dataset, quick_result: Path, tmp_pat
 def test_the_case_comes_from_a_record(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     known = {
         "format": "sabench-record",
-        "version": 1,
+        "version": 2,
+        "task": "reconstruction",
         "suite": "tank",
         "case": "dense",
         "scene": "quick",
