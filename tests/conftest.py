@@ -35,7 +35,7 @@ Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]
 LIMIT_S = 2.0  # CPU time of a test that is not marked `slow`, on a machine as fast as below
 _REFERENCE_S = 0.015  # of the reference kernel on that machine
-_MARGIN = 3.0  # CPU times of one test scatter by so much next to other programs
+_MARGIN = 3.0  # provisional: times were taken next to other work; tighten on a quiet machine
 _seconds = pytest.StashKey[float]()
 
 
@@ -47,7 +47,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Fail a test that takes more than `LIMIT_S` and is not marked `slow`.
+    """Fail a test that takes over `_MARGIN` times `LIMIT_S` and is not marked `slow`.
 
     CPU time of the test and its children counts: neighbours do not change it. It is a multiple of
     the reference kernel's time, so that a slow machine has as much of it. Fixtures do not count.
