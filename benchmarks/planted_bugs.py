@@ -97,7 +97,7 @@ BUGS = (
     Bug(
         "no median test of vectors",
         "sabench/algorithms/velocimetry/multipass.py",
-        "    valid = outliers.near_the_median(peaks.shift, valid, plan.median)\n",
+        "    valid = near_the_median(peaks.shift, valid, plan.median)\n",
         "",
         case="vortex",
     ),
