@@ -31,7 +31,7 @@ from sabench.geometry.camera import Camera  # noqa: E402
 from sabench.geometry.lens import Distortion  # noqa: E402
 from sabench.geometry.refraction import Wall  # noqa: E402
 from sabench.scenes.calibration import Calibration as Nominal  # noqa: E402
-from sabench.scenes.nominal_cameras import draw_nominal_wall  # noqa: E402
+from sabench.scenes.focusing import draw_nominal_wall  # noqa: E402
 from sabench.utils.arrays import F64  # noqa: E402
 from sabench.utils.files import canonical_json  # noqa: E402
 from sabench.utils.progress import progress_bar  # noqa: E402

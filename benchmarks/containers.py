@@ -28,7 +28,7 @@ import numpy as np
 import zarr
 from zarr.codecs import BloscCodec
 
-from sabench.simulation.streaming import Sample, stream
+from sabench.simulation.shard_job import Sample, stream
 from sabench.utils.arrays import F64, U16
 
 _SHARD, _READS = 100, 300

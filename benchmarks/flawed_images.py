@@ -35,7 +35,7 @@ from scipy.spatial import cKDTree
 from sabench.api import ImageSequence, Observation
 from sabench.api.make import make_algorithm
 from sabench.metrics.quality_factor import quality
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import Scene, parse_scene
 from sabench.scenes.loading import find
 from sabench.simulation.in_memory import Shot, simulate

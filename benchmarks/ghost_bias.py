@@ -30,8 +30,7 @@ from sabench.api.make import make_algorithm
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import SceneCase
 from sabench.metrics.averages import finite_or_none, mean_of_each
-from sabench.metrics.reconstruction_error import score_frame
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import score_frame, true_field
 from sabench.metrics.velocity_error import evaluation_lattice, sample_velocity, velocity_scores
 from sabench.scenes import Scene
 from sabench.simulation.in_memory import Shot, simulate_sequence

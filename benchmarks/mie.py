@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from sabench.simulation.rendering.scattering import Scattering, intensities
+from sabench.simulation.rendering.particle_light import Scattering, intensities
 from sabench.utils.arrays import F64
 from sabench.worlds.library.sizes import lattice_diameters_mm, size_numbers
 

@@ -68,7 +68,7 @@ BUGS = (
     ),
     Bug(
         "thickness of the glass forgotten in fast projection",
-        "sabench/geometry/projection_kernels.py",
+        "sabench/geometry/camera.py",
         "first, before + wall.thickness_mm",
         "first, before",
         case="particles",
@@ -110,7 +110,7 @@ BUGS = (
     ),
     Bug(
         "degrees taken for radians",
-        "sabench/scenes/nominal_cameras.py",
+        "sabench/scenes/focusing.py",
         "rotation_matrices(np.deg2rad(spec.turn_deg) * rng",
         "rotation_matrices(spec.turn_deg * rng",
         case="boards",
@@ -260,7 +260,7 @@ BUGS = (
     ),
     Bug(
         "Snell's law upside down at a cylinder",
-        "sabench/geometry/cylinder_kernels.py",
+        "sabench/geometry/cylinder_wall.py",
         "if _cross(faces[m], indices[m] / indices[m + 1], at",
         "if _cross(faces[m], indices[m + 1] / indices[m], at",
         tests="tests/unit/geometry/test_cylinder_wall.py",
@@ -365,7 +365,7 @@ BUGS = (
     ),
     Bug(
         "the plane of focus tilted to the other side",
-        "sabench/simulation/rendering/light_paths.py",
+        "sabench/simulation/rendering/particle_images.py",
         "sign * lens / camera.principal_distance_mm",
         "-sign * lens / camera.principal_distance_mm",
         tests="tests/unit/simulation/rendering/test_tilted_sensors.py",

@@ -12,7 +12,7 @@ from sabench.evaluation.reproduction import Row
 from sabench.evaluation.suites import SceneCase
 from sabench.geometry.camera import Camera
 from sabench.metrics.quality_factor import quality
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import Scene, build_rig
 from sabench.utils.arrays import F64
 

@@ -23,7 +23,7 @@ from sabench.metrics.vortex_rings import (
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.tasks.velocity_figures import slice_panel
+from sabench.tasks.velocimetry import slice_panel
 from sabench.utils.arrays import F64, triple
 from sabench.utils.confidence import mean_of
 from sabench.utils.errors import InputError

@@ -13,12 +13,12 @@ from sabench.api import Velocity, VolumePair
 from sabench.evaluation.reproduction import Item, Row
 from sabench.evaluation.suite_loading import override
 from sabench.metrics.averages import root_mean_square
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.metrics.velocity_error import precision_interval
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
-from sabench.tasks.velocity_figures import error_scatter, slice_panel
+from sabench.tasks.velocimetry import error_scatter, slice_panel
 from sabench.utils.arrays import F64
 from sabench.utils.confidence import mean_of
 

@@ -18,7 +18,7 @@ from sabench.geometry.triangulation import triangulate
 from sabench.metrics.calibration_error import fit_alignment
 from sabench.plotting.charts import Curve, Figure, Panel
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
-from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering.sensor import expose

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from sabench.algorithms.bubbles.feature_potential import (
+from sabench.algorithms.bubbles.features import (
     STACK,
     WINDOW,
     attenuate,

@@ -22,7 +22,7 @@ from sabench.geometry.projective_camera import Projective
 from sabench.geometry.triangulation import triangulate
 from sabench.plotting.charts import Curve, Figure, Panel, Picture
 from sabench.scenes import Scene, load_scene, parse_scene
-from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.focusing import nominal_cameras
 from sabench.utils.arrays import F32, F64
 from sabench.utils.progress import progress_bar
 

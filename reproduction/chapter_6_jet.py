@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.algorithms.bubbles.backlit_images import transmission
-from sabench.algorithms.bubbles.feature_potential import darkness
+from sabench.algorithms.bubbles.features import darkness
 from sabench.algorithms.particles.linking import link
 from sabench.algorithms.refocus import find_edges, refocus_sum
 from sabench.api import Observation

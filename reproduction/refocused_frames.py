@@ -29,7 +29,7 @@ from sabench.evaluation.reproduction import Row
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
 from sabench.metrics.particle_detection import Counts, count_thesis, detect
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import Scene
 from sabench.simulation.in_memory import Shot
 from sabench.utils.arrays import F32, F64

@@ -39,7 +39,7 @@ from .scenes import Scene as Scene, load_scene as load_scene
 from .simulation.in_memory import simulate as simulate
 from .simulation.pipeline import generate as generate
 from .simulation.sample_shards import generate_samples as generate_samples
-from .simulation.streaming import stream as stream, stream_key as stream_key
+from .simulation.shard_job import stream as stream, stream_key as stream_key
 from .tasks.quality import quality as quality
 from .tasks.solve_and_score import score as score, solve as solve
 from .utils.version import __version__ as __version__

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 import sabench
 from sabench.api import Reconstruction
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.plotting.pictures import montage
 
 _WINDOW = slice(40, 130), slice(80, 230)  # rows and columns of voxels: a part of the volume

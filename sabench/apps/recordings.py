@@ -13,7 +13,7 @@ from sabench.algorithms.particles import TriangulationSettings, fit_cameras, tri
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.schema import MANIFEST
 from sabench.images import statistics
-from sabench.images.recordings import read_recordings
+from sabench.images.statistics import read_recordings
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar

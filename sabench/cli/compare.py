@@ -253,7 +253,7 @@ def challenge(
 
     If interrupted, run the same command again to resume.
     """
-    from sabench.apps.challenge.organiser import BUNDLE, PARTICIPANT, make_challenge
+    from sabench.apps.challenge.board import BUNDLE, PARTICIPANT, make_challenge
     from sabench.utils.progress import announce_compiling
 
     announce_compiling()
@@ -294,7 +294,7 @@ def participate(
 
     If interrupted, run the same command again to resume.
     """
-    from sabench.apps.challenge.participant import participate as solve_all
+    from sabench.apps.challenge.board import participate as solve_all
     from sabench.utils.processes.program import limits_of
     from sabench.utils.progress import announce_compiling
 

@@ -78,7 +78,7 @@ def plan(
 
 
 def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Scene:
-    from sabench.apps.planning.design import Wanted, design_scene
+    from sabench.apps.planning.plan import Wanted, design_scene
     from sabench.scenes import load_scene
     from sabench.utils.files import complete_or_nothing, refuse_existing
 

@@ -214,7 +214,7 @@ def quality(
 
 
 def _show(judged: Quality) -> None:
-    from sabench.tasks.quality_figures import FIGURES
+    from sabench.tasks.quality import FIGURES
 
     known = {key: one for key, one in FIGURES.items() if judged.figures[key] is not None}
     rows = [

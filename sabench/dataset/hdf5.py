@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from sabench.utils import memory
+from sabench.utils import machine_limits
 from sabench.utils.errors import InputError
 
 # filters that a data set may have, in this order, and the bit of each
@@ -235,7 +235,11 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
     where = f"{file.filename}: {name}"
     node = find_array(file, name, shape, kind)
     is_open = None in shape
-    size, stored, there = int(node.nbytes), int(node.id.get_storage_size()), memory.available_mb()
+    size, stored, there = (
+        int(node.nbytes),
+        int(node.id.get_storage_size()),
+        machine_limits.available_mb(),
+    )
     if there is not None and 2.0 * size / 1e6 > there:
         raise InputError(
             f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need "

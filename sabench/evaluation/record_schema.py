@@ -27,7 +27,7 @@ from sabench import tasks
 from sabench.api.solvers import TaskName
 from sabench.dataset.results import MOST_ITERATIONS
 from sabench.evaluation.solver_card import SolverCard
-from sabench.tasks.quality_figures import FIGURES
+from sabench.tasks.quality import FIGURES
 from sabench.tasks.task import LARGEST, Score
 from sabench.utils.errors import one_line
 from sabench.utils.files import LONGEST_PART

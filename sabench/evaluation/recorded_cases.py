@@ -13,8 +13,7 @@ from sabench.dataset.results import open_result
 from sabench.dataset.schema import MANIFEST
 from sabench.dataset.verification import verify
 from sabench.evaluation.suites import RecordedCase, RecordingSpec
-from sabench.tasks.quality import quality, residual_picture
-from sabench.tasks.quality_figures import FIGURES_OF
+from sabench.tasks.quality import FIGURES_OF, quality, residual_picture
 from sabench.tasks.solve_and_score import costs_of
 from sabench.utils.errors import InputError
 from sabench.utils.files import is_file, is_folder

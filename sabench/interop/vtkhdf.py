@@ -21,7 +21,7 @@ from sabench.geometry.common_view import border_pixels, light_paths
 from sabench.geometry.grid import Grid, divergence, gradient, vorticity
 from sabench.metrics.bubble_detection import AnyBubbles, match
 from sabench.metrics.particle_detection import challenge_pairs
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import BubbleWorld
 from sabench.tasks.velocimetry import truth_at
 from sabench.utils.arrays import F64, I64

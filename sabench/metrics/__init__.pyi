@@ -26,8 +26,11 @@ from .particle_detection import (
 )
 from .plunging_jet import analyse as analyse
 from .quality_factor import quality as quality
-from .reconstruction_error import score_frame as score_frame
-from .synthesised_field import brightness as brightness, true_field as true_field
+from .reconstruction_error import (
+    brightness as brightness,
+    score_frame as score_frame,
+    true_field as true_field,
+)
 from .trajectories import (
     link_scores as link_scores,
     trajectory_scores as trajectory_scores,

@@ -1,7 +1,7 @@
 """Errors of a reconstructed volume: quality factor, particles, intensities.
 
-The intensity of a blob is a sum over all voxels that lead up to its peak, and does not depend on
-its shape.
+The volume is compared with the synthesised field E_s. The intensity of a blob is a sum over all
+voxels that lead up to its peak, and does not depend on its shape.
 """
 
 from __future__ import annotations
@@ -14,12 +14,48 @@ from scipy.spatial import cKDTree
 
 from sabench.api import Reconstruction
 from sabench.api.truth import Particles, View
-from sabench.geometry.grid import Grid
+from sabench.geometry.grid import Grid, check_volume, synthesise
 from sabench.metrics import particle_detection as detection
 from sabench.metrics.quality_factor import quality
-from sabench.metrics.synthesised_field import brightness, true_field
-from sabench.utils import memory
+from sabench.utils import machine_limits
 from sabench.utils.arrays import F32, F64, I64, U8, Bool
+
+
+def true_field(grid: Grid, particles: Particles, views: Sequence[View]) -> F32:
+    """Synthesise the field E_s (z, y, x) of a frame's particles.
+
+    Every particle, visible or not, is a Gaussian sphere in mm. Its peak is its `brightness`, its
+    standard deviation the median size of the particle images, converted from pixels to mm with the
+    grid's spacing along x.
+
+    Parameters
+    ----------
+    views : what each camera receives of the same particles.
+
+    Raises
+    ------
+    InputError
+        The field does not fit into memory.
+    """
+    check_volume(grid)
+    if not len(particles):
+        return np.zeros(grid.shape, dtype=np.float32)
+    sigma_px = float(np.nanmedian(np.concatenate([view.sigma_px for view in views])))
+    return synthesise(grid, particles.position_mm, brightness(views), sigma_px * grid.voxel_mm[0])
+
+
+def brightness(views: Sequence[View]) -> F64:
+    """Average each particle's relative photon count over cameras that see its light.
+
+    The count of a camera is relative to the mean of all particles illuminated in it. Returns
+    (particle,); 0 for a particle that is illuminated in no camera.
+    """
+    photons = np.stack([view.photons for view in views])
+    illuminated = photons > 0.0
+    typical = photons.sum(axis=1) / np.maximum(illuminated.sum(axis=1), 1)
+    relative = photons / np.maximum(typical, 1e-300)[:, None]
+    return np.asarray(relative.sum(axis=0) / np.maximum(illuminated.sum(axis=0), 1))
+
 
 FACE = 4.0  # voxels from the volume's faces, which cut blobs
 APART = 3.0  # voxels along some axis between particles whose blobs are told apart
@@ -168,7 +204,7 @@ def score_frame(
         for key, value in zip(_DETECTION, (*figures, challenge.recall, challenge.rms), strict=True):
             counts[prefix + key] = value
     light = intensity_error(estimate.volume, peaks, truth, brightness(views), scored)
-    memory.trim()
+    machine_limits.trim()
     q = quality(estimate.volume[grid.scored], true_field(grid, particles, views)[grid.scored])
     return {"q": q, "peak_f1": challenge.f1, "intensity_error": light, **counts}
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sabench.geometry import array_layouts as arrays
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.common_view import any_in_view
 from sabench.geometry.cylinder_wall import CylinderWall
@@ -21,6 +20,7 @@ from sabench.geometry.lens import UPRIGHT, Distortion
 from sabench.geometry.occluders import Disc
 from sabench.geometry.refraction import Wall
 from sabench.geometry.rigid_motion import Domain
+from sabench.scenes import cameras as arrays
 from sabench.scenes.cameras import Cameras, CrossLayout, LineLayout, ListLayout, Place, RingLayout
 from sabench.scenes.exposures import skew_faults
 from sabench.scenes.focusing import focus, tilt_sensor

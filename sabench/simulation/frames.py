@@ -14,7 +14,7 @@ from sabench.geometry.camera import Camera
 from sabench.geometry.rigid_motion import Pose
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld
 from sabench.scenes.exposures import recorded_part
-from sabench.simulation.rendering.laser_sheet import enter_fluid
+from sabench.simulation.rendering.lamps import enter_fluid
 from sabench.simulation.rendering.mesh_intersection import BodySearch
 from sabench.simulation.rendering.particle_light import Scatterers, scatterers_of
 from sabench.simulation.rendering.pixel_truth import depth_of, meets

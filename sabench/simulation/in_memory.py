@@ -12,7 +12,7 @@ from sabench.api.truth import Particles, View
 from sabench.dataset.reader import build_observation
 from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import Scene, build_rig
-from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.camera_view import record_image, render
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.utils.arrays import U16

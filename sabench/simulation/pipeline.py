@@ -15,7 +15,7 @@ from sabench.api import Shown
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.writer import dataset_writer
 from sabench.scenes import BubbleWorld, Rig, Scene, TargetWorld, build_rig, load_scene
-from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.recording.parts import Job, Parts
 from sabench.simulation.recording.recorders import Recorder, record_task, recorder_of
 from sabench.simulation.recording.schedule import (
@@ -27,7 +27,7 @@ from sabench.simulation.recording.schedule import (
     WorkerPool,
     run_schedule,
 )
-from sabench.utils import memory
+from sabench.utils import machine_limits
 from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
 from sabench.utils.files import refuse_existing
@@ -46,7 +46,7 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies:
     """
     pixels = scene.cameras.rows * scene.cameras.columns
     pictures = copies * scene.frames * len(rig.cameras)
-    available, need = memory.available_mb(), pixels * _WORKING_BYTES / 1e6
+    available, need = machine_limits.available_mb(), pixels * _WORKING_BYTES / 1e6
     if available is not None and need > available:
         size = f"{scene.cameras.rows} x {scene.cameras.columns}"
         raise InputError(
@@ -198,7 +198,7 @@ def put_together(
                 writer.store(part.truth)
                 for name, entry in part.files.items():
                     writer.take(parts.root / name, name, entry)
-            memory.trim()
+            machine_limits.trim()
         recorder.finish(writer, parts)
 
 

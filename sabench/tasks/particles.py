@@ -36,7 +36,7 @@ from sabench.tasks.task import (
     check_number,
     share_near,
 )
-from sabench.utils import memory
+from sabench.utils import machine_limits
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
@@ -161,7 +161,7 @@ class ParticlesTask(Task):
                 writer.add(numbers.assign(one), frame)
             numbers.begin_sequence()
             seconds += [max(clock.seconds - reader.seconds, 0.0) / len(frames)] * len(frames)
-            memory.trim()
+            machine_limits.trim()
         return seconds
 
     def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:

@@ -17,8 +17,7 @@ from sabench.geometry.grid import Grid
 from sabench.metrics.averages import mean_of_each
 from sabench.metrics.particle_detection import MATCHING_DISTANCES
 from sabench.metrics.quality_factor import quality
-from sabench.metrics.reconstruction_error import peak_f1_over_distance, score_frame
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import peak_f1_over_distance, score_frame, true_field
 from sabench.plotting import pictures
 from sabench.tasks.solver_call import (
     SolverClock,
@@ -40,7 +39,7 @@ from sabench.tasks.task import (
     check_number,
     correlation,
 )
-from sabench.utils import memory
+from sabench.utils import machine_limits
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
@@ -125,7 +124,7 @@ class ReconstructionTask(FrameByFrame):
             for frame, one in zip(frames, found, strict=True):
                 writer.add(one, frame)
             seconds += [clock.seconds / len(frames)] * len(frames)
-            memory.trim()
+            machine_limits.trim()
         return seconds
 
     def _run_iterations(
@@ -255,7 +254,7 @@ def check_memory(case: Observation, source: str) -> None:
 
     These are `_VOLUMES` volumes and the images as float32.
     """
-    there, images = memory.available_mb(), case.images.size * 4 / 1e6
+    there, images = machine_limits.available_mb(), case.images.size * 4 / 1e6
     (planes, rows, columns), voxel = case.grid.shape, _VOLUMES * 4 / 1e6
     need = images + planes * rows * columns * voxel
     if there is None or need <= there:

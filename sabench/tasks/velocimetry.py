@@ -1,4 +1,4 @@
-"""Task `velocimetry`: velocity fields from two frames.
+"""Task `velocimetry`: velocity fields from two frames, and their figures.
 
 Some solvers take the images, others volumes that are reconstructed from them. Fields are scored at
 nodes of the grid or, where a thin laser sheet lights the particles, in its plane.
@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from sabench.api import (
     AnySolver,
@@ -26,11 +27,12 @@ from sabench.api import (
 from sabench.api.make import make_reconstruction_solver
 from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
-from sabench.geometry.grid import Grid
+from sabench.geometry.grid import Grid, gradient, vorticity
 from sabench.metrics import velocity_error
 from sabench.metrics.averages import finite_or_none
+from sabench.plotting.charts import Cloud, Curve, Figure, Panel, Slice
 from sabench.plotting.drawing import draw
-from sabench.simulation.rendering.laser_sheet import enter_fluid
+from sabench.simulation.rendering.lamps import enter_fluid
 from sabench.tasks import reconstruction
 from sabench.tasks.solver_call import SolverClock, call_solver
 from sabench.tasks.task import (
@@ -45,14 +47,122 @@ from sabench.tasks.task import (
     Task,
     check_estimate,
 )
-from sabench.tasks.velocity_figures import field_figure
-from sabench.utils import memory
+from sabench.utils import machine_limits
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 from sabench.worlds.advection import advect
 from sabench.worlds.library.overlaps import contains
 from sabench.worlds.tracers import TOLERANCE, flow_of
+
+_SCATTERED = 4000  # of a scatter plot at most
+
+
+def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) -> Figure:
+    """Draw the middle plane of a field, its errors, and a profile.
+
+    Parameters
+    ----------
+    exact_mm_s : (z, y, x, 3) the true velocities at its nodes.
+    unit_mm_s : (3,) velocities of one voxel between the two volumes, in which errors are given.
+    """
+    errors = (field.velocity_mm_s - exact_mm_s) / unit_mm_s
+    # find the axis with the most vorticity in the middle plane across it
+    spin = _vorticity(field)
+    normal = int(np.argmax([np.square(_middle(spin, axis)[..., axis]).mean() for axis in range(3)]))
+    off = Slice("voxels", *_axes(field, normal), np.linalg.norm(_middle(errors, normal), axis=-1))
+    panels = (
+        slice_panel(field, normal),
+        Panel("length of the error there", *_labels(normal), (off,)),
+        error_scatter("errors", errors[field.valid]),
+        profile_panel(field, exact_mm_s, normal),
+    )
+    return Figure("velocity", solver, panels, across=2)
+
+
+def _vorticity(field: Velocity) -> F64:
+    return np.asarray(np.nan_to_num(vorticity(gradient(field.velocity_mm_s, field.step_mm))))
+
+
+def _middle(values: npt.NDArray[Any], normal: int) -> npt.NDArray[Any]:
+    """Cut the middle plane across an axis out of values (z, y, x, ...).
+
+    Its rows run along the later of the other two axes.
+    """
+    axis = 2 - normal
+    return np.asarray(np.take(values, values.shape[axis] // 2, axis=axis))
+
+
+def _section_axes(normal: int) -> tuple[int, int]:
+    """Return the axes of columns and rows of a plane."""
+    first, second = (axis for axis in range(3) if axis != normal)
+    return first, second
+
+
+def _axes(field: Velocity, normal: int) -> tuple[F64, F64]:
+    """Compute the coordinates of a plane's columns and rows."""
+    columns, rows = (
+        field.low_mm[axis] + field.step_mm[axis] * np.arange(field.valid.shape[2 - axis])
+        for axis in _section_axes(normal)
+    )
+    return np.asarray(columns, dtype=np.float64), np.asarray(rows, dtype=np.float64)
+
+
+def _labels(normal: int) -> tuple[str, str]:
+    columns, rows = (f"{'xyz'[axis]}, mm" for axis in _section_axes(normal))
+    return columns, rows
+
+
+def slice_panel(field: Velocity, normal: int) -> Panel:
+    """Draw vectors and vorticity in the middle plane across an axis (0 to 2).
+
+    The vorticity is the one about that axis; invalid vectors are left out.
+    """
+    arrows = np.where(
+        _middle(field.valid, normal)[..., None],
+        _middle(field.velocity_mm_s, normal)[..., list(_section_axes(normal))],
+        np.nan,
+    )
+    position_mm = field.low_mm[normal] + field.step_mm[normal] * (
+        field.valid.shape[2 - normal] // 2
+    )
+    spin = Slice(
+        f"vorticity about {'xyz'[normal]}, 1/s",
+        *_axes(field, normal),
+        _middle(_vorticity(field), normal)[..., normal],
+        True,
+        arrows,
+    )
+    return Panel(f"measured, {'xyz'[normal]} = {position_mm:.4g} mm", *_labels(normal), (spin,))
+
+
+def error_scatter(title: str, errors: F64) -> Panel:
+    """Draw errors (n, 3) in voxels of v and w over those of u; thesis, figure 2-9."""
+    some = np.random.default_rng(0).permutation(len(errors))[:_SCATTERED]
+    u, v, w = errors[some].T
+    return Panel(
+        title, "error of u, voxels", "error of v or w, voxels", (Cloud("v", u, v), Cloud("w", u, w))
+    )
+
+
+def profile_panel(field: Velocity, exact_mm_s: F64, normal: int) -> Panel:
+    """Draw the measured and exact components along a line through a plane's middle.
+
+    The line runs along the columns' axis.
+    """
+    columns, _ = _axes(field, normal)
+    curves = [
+        Curve(
+            f"{name}{note}",
+            list(columns),
+            list(_middle(values, normal)[len(_middle(values, normal)) // 2, :, number]),
+        )
+        for number, name in enumerate("uvw")
+        for note, values in (("", field.velocity_mm_s), (" exact", exact_mm_s))
+    ]
+    along = "xyz"[_section_axes(normal)[0]]
+    return Panel(f"along {along} through the middle", f"{along}, mm", "mm/s", tuple(curves))
+
 
 _POINTS = 5  # of the quadrature across a sheet
 _THIN = 0.5  # of the grid's extent across it: light that is thinner is a sheet
@@ -205,7 +315,7 @@ class VelocimetryTask(Task):
             seconds.append(took)
             check_estimate(field, name, data, pair[0])
             writer.add(field, pair[0])
-            memory.trim()
+            machine_limits.trim()
         if volumes:
             writer.set_reconstruction(float(np.mean(volumes.seconds)))
         return seconds

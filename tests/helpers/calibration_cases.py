@@ -11,7 +11,7 @@ from sabench.algorithms.calibration.parameters import State
 from sabench.api import CalibrationCase
 from sabench.geometry.camera import Camera
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
-from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.focusing import nominal_cameras
 from sabench.utils.arrays import F64
 from sabench.worlds.calibration_targets import exact_pixels, found_pixels, place, prior
 

@@ -14,7 +14,7 @@ from sabench.dataset.results import open_result, result_writer
 from sabench.geometry.grid import vorticity
 from sabench.interop import vtkhdf
 from sabench.interop.vtkhdf import write_rig
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.plugins import load
 from sabench.scenes import Scene
 from sabench.worlds.tracers import flow_of

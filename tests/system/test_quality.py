@@ -14,8 +14,7 @@ from sabench.dataset.import_recording import ImportOptions, import_recording
 from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import result_writer
 from sabench.tasks.image_evidence import scramble_shift, with_scrambled_camera, without_camera
-from sabench.tasks.quality import Quality, quality
-from sabench.tasks.quality_figures import FIGURES
+from sabench.tasks.quality import FIGURES, Quality, quality
 from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.commands import succeed

@@ -19,7 +19,7 @@ from sabench.dataset.reader import open_dataset
 from sabench.dataset.verification import verify
 from sabench.evaluation.record_schema import parse
 from sabench.evaluation.suite_loading import load_suite
-from sabench.tasks.quality_figures import FIGURES
+from sabench.tasks.quality import FIGURES
 from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.commands import refuse, succeed

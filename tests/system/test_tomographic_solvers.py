@@ -16,8 +16,7 @@ from sabench.dataset.reader import build_observation
 from sabench.geometry.grid import Grid, synthesise
 from sabench.images.preprocessing import Gaussian, SlidingMinimum
 from sabench.metrics.quality_factor import quality
-from sabench.metrics.reconstruction_error import score_frame
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import score_frame, true_field
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from tests.conftest import pinholes

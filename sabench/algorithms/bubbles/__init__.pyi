@@ -8,19 +8,17 @@ from .ellipse_detection import (
     radii_between as radii_between,
     vote as vote,
 )
-from .feature_peaks import (
+from .features import (
     PLANES as PLANES,
     STEP as STEP,
-    FeaturePeaks as FeaturePeaks,
-    drop_duplicates as drop_duplicates,
-    find_depth as find_depth,
-)
-from .feature_potential import (
     WINDOW as WINDOW,
+    FeaturePeaks as FeaturePeaks,
     attenuate as attenuate,
     compute_potential as compute_potential,
     darkness as darkness,
+    drop_duplicates as drop_duplicates,
     find_blots as find_blots,
+    find_depth as find_depth,
     find_outlines as find_outlines,
     merge_overlaps as merge_overlaps,
     minimum_images as minimum_images,

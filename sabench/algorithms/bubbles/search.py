@@ -7,7 +7,7 @@ best hypotheses are fitted first, and the others are fitted to the darkness that
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -21,14 +21,55 @@ from sabench.algorithms.bubbles.rim_fit import Model, darken, fit
 from sabench.api import Detections
 from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
-from sabench.geometry.turned_cameras import (
-    turn_camera as turn_camera,
-    turn_grid as turn_grid,
-    viewing_axes as viewing_axes,
-)
-from sabench.utils.arrays import F32, F64
+from sabench.geometry.refraction import Wall
+from sabench.utils.arrays import F32, F64, triple
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
+
+
+def viewing_axes(cameras: Sequence[Camera]) -> F64:
+    """Choose the world's axes (3, 3) as x, y and z of the cameras, one a row.
+
+    z is the axis along which they look, x of the other two that along which columns of their images
+    grow, both on the average; x, y and z are right-handed. An array that looks along +Z and is
+    upright keeps the world's axes.
+    """
+    means = np.mean([camera.rotation for camera in cameras], axis=0)
+    z = int(np.argmax(np.abs(means[2])))
+    x = int(np.argmax(np.where(np.arange(3) == z, -1.0, np.abs(means[0]))))
+    axes = np.zeros((3, 3))
+    axes[2, z] = 1.0 if means[2, z] >= 0.0 else -1.0
+    axes[0, x] = 1.0 if means[0, x] >= 0.0 else -1.0
+    axes[1] = np.cross(axes[2], axes[0])
+    return axes
+
+
+def turn_camera(camera: Camera, axes: F64) -> Camera:
+    """Rewrite a camera and its wall for coordinates along axes (3, 3), one a row."""
+    x, y, z = np.asarray(camera.rotation) @ axes.T
+    wall = camera.wall
+    keys = ("point_mm", "normal") if isinstance(wall, Wall) else ("axis_point_mm", "axis")
+    turned: dict[str, Any] = {}
+    if wall is not None:
+        turned = {key: triple(axes @ np.asarray(getattr(wall, key))) for key in keys}
+    return replace(
+        camera,
+        center_mm=triple(axes @ np.asarray(camera.center_mm)),
+        rotation=(triple(x), triple(y), triple(z)),
+        wall=None if wall is None else replace(wall, **turned),
+    )
+
+
+def turn_grid(grid: Grid, axes: F64) -> Grid:
+    """Rewrite a grid for coordinates along axes (3, 3) as of `viewing_axes`."""
+    order = np.abs(axes).argmax(axis=1)
+    ends = np.array([(along[0], along[-1]) for along in grid.axes_mm])[order]
+    low = (ends * axes.sum(axis=1)[:, None]).min(axis=1)
+    x, y, z = (grid.shape[::-1][k] for k in order)
+    voxel = np.asarray(grid.voxel_mm)[order]
+    crop = [grid.crop[k] for k in order]
+    return Grid(triple(low), triple(voxel), (z, y, x), (crop[0], crop[1], crop[2]))
+
 
 _PLANE_MM = 0.25  # between positions along a line of sight, at most
 _AGREE = 0.75  # of the cameras that see a position count: those with the most votes

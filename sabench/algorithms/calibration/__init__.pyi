@@ -3,7 +3,6 @@ from .factorisation import (
     factorise as factorise,
     upgrade_to_euclidean as upgrade_to_euclidean,
 )
-from .input_checks import check_fit as check_fit
 from .joint_fit import (
     adjust as adjust,
     alternate as alternate,
@@ -27,6 +26,7 @@ from .plane_parallax import (
 )
 from .problem import (
     CalibrationProblem as CalibrationProblem,
+    check_fit as check_fit,
     lens_unknowns as lens_unknowns,
     make_anchors as make_anchors,
 )

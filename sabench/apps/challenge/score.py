@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from sabench.apps.challenge.scoring import score_submission
+from sabench.apps.challenge.board import score_submission
 from sabench.utils.errors import InputError
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from sabench import plugins, tasks
-from sabench.tasks.quality_figures import FIGURES
+from sabench.tasks.quality import FIGURES
 from sabench.tasks.task import Score
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing, read_json

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from sabench import tasks
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import key_of
-from sabench.tasks.quality_figures import FIGURES_OF
+from sabench.tasks.quality import FIGURES_OF
 from sabench.tasks.task import COSTS, Score, Task
 from sabench.utils.confidence import Mean, mean_of, quantile
 

@@ -1,4 +1,4 @@
-"""Lamps at their apparent positions in the fluid."""
+"""Laser sheet and lamps: photons per square millimetre of a pulse, and apparent positions."""
 
 from __future__ import annotations
 
@@ -7,9 +7,124 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.geometry.refraction import AnyWall, Wall
-from sabench.scenes.illumination import Lighting
-from sabench.utils.arrays import F64
+from sabench.geometry.refraction import AnyWall, Layer, Wall, trace_into_fluid, transmittance
+from sabench.geometry.rigid_motion import cross
+from sabench.scenes.illumination import EntrySpec, Illumination, Lighting
+from sabench.utils.arrays import F64, triple
+from sabench.utils.errors import InputError
+
+PLANCK_J_S = 6.62607015e-34
+LIGHT_M_S = 299792458.0
+_FAR_MM = 1e5
+
+
+def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
+    """Compute photons per mm2 of one pulse at positions (n, 3) in a sheet.
+
+    Across the sheet and along its height, a top-hat spreads the energy evenly and is zero outside;
+    a gaussian is exp(-8 s^2 / w^2) with the e^-2 width w, and the same energy. An even height is
+    that of a top-hat that goes on.
+    """
+    normal, along = _unit(light.sheet_normal), _unit(light.direction)
+    offset = positions_mm - center_mm
+    across = offset @ normal - (light.shift_mm or 0.0)
+    height = offset @ cross(normal, along)
+    photons = light.pulse_energy_mj / (PLANCK_J_S * LIGHT_M_S / (light.wavelength_nm * 1e-9) * 1e3)
+    return np.asarray(
+        photons
+        * _profile(light.profile, across, light.thickness_mm)
+        * _profile(light.height_profile, height, light.height_mm)
+    )
+
+
+def _profile(kind: str | None, offset_mm: F64, width_mm: float) -> F64 | float:
+    """Compute a profile's density (n,), 1/mm."""
+    if kind is None:  # even
+        return 1.0 / width_mm
+    if kind == "top-hat":
+        return np.where(np.abs(offset_mm) <= width_mm / 2.0, 1.0 / width_mm, 0.0)
+    return np.asarray(np.exp(-8.0 * (offset_mm / width_mm) ** 2) * np.sqrt(8.0 / np.pi) / width_mm)
+
+
+def enter_fluid(light: Illumination, center_mm: F64, fluid_index: float) -> Illumination:
+    """Refract a sheet at its window; without a window, it is in the fluid already.
+
+    All its light has one direction before and behind the window. Its cut with the window keeps its
+    place and length, which gives the sheet's plane, thickness and height in the fluid.
+
+    Raises InputError for a sheet that does not reach the window from the outside, or a volume's
+    centre outside it.
+    """
+    if light.entry is None:
+        return light
+    wall = _window(light.entry, fluid_index)
+    inward, along, normal = (
+        np.asarray(wall.normal),
+        _unit(light.direction),
+        _unit(light.sheet_normal),
+    )
+    start = center_mm + normal * (light.shift_mm or 0.0) - _FAR_MM * along
+    rays = trace_into_fluid(wall, start, along[None])
+    if not rays.valid[0] or (center_mm - rays.origins_mm[0]) @ inward <= 0.0:
+        raise InputError(
+            "illumination.entry: expected a window between the laser and the volume, which its "
+            f"light reaches from outside, got {light.entry.point_mm} with the normal "
+            f"{light.entry.normal}"
+        )
+    inside = rays.directions[0]
+    line, plane = _cut(inward, normal, along), inward
+    level = cross(plane, line)  # in the window, across the sheet's cut
+    turned = cross(inside, line)
+    turned *= np.sign(turned @ normal) / np.linalg.norm(turned)
+    passed = float(transmittance(wall, start, along[None])[0])
+    update = {
+        "direction": triple(inside),
+        "sheet_normal": triple(turned),
+        "thickness_mm": light.thickness_mm * abs(float((turned @ level) / (normal @ level))),
+        "height_mm": light.height_mm
+        * abs(float((cross(turned, inside) @ line) / (cross(normal, along) @ line))),
+        "shift_mm": float((rays.origins_mm[0] - center_mm) @ turned),
+        "pulse_energy_mj": light.pulse_energy_mj * passed,
+        "polarisation": _turn(light.polarisation, inward, along, inside),
+        "entry": None,
+    }
+    return light.model_copy(update=update)
+
+
+def _window(entry: EntrySpec, fluid_index: float) -> Wall:
+    layers = tuple(Layer(layer.name, layer.index, layer.thickness_mm) for layer in entry.layers)
+    normal = triple(_unit(entry.normal))
+    return Wall(entry.point_mm, normal, entry.air_index, layers, fluid_index)
+
+
+def _cut(inward: F64, normal: F64, along: F64) -> F64:
+    """Return the unit vector along the line in which a sheet cuts the window."""
+    line = cross(inward, normal)
+    length = float(np.linalg.norm(line))
+    if length < 1e-9:  # the sheet's plane is the window's: light never enters
+        line, length = cross(normal, along), 1.0
+    return np.asarray(line / length)
+
+
+def _turn(
+    field: tuple[float, float, float] | None, inward: F64, along: F64, inside: F64
+) -> tuple[float, float, float] | None:
+    """Turn the electric field with the light.
+
+    Its share in the plane of incidence is kept.
+    """
+    if field is None:
+        return None
+    axis = cross(along, inward)
+    if np.linalg.norm(axis) < 1e-12:
+        return field
+    axis /= np.linalg.norm(axis)
+    part = float(np.asarray(field) @ cross(axis, along))
+    return triple(float(np.asarray(field) @ axis) * axis + part * cross(axis, inside))
+
+
+def _unit(vector: tuple[float, float, float]) -> F64:
+    return np.asarray(np.asarray(vector) / np.linalg.norm(vector))
 
 
 @dataclass(frozen=True)

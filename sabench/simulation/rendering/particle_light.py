@@ -1,11 +1,16 @@
-"""Light that particles send towards a camera.
+"""Light that particles send towards a camera: the laser's, times what each particle scatters.
 
-The laser's, on its way through the cloud, times what each particle scatters by itself.
+Source of the Mie series: Bohren and Huffman (1983), chapter 4 and appendix A. The scattering of one
+size is tabulated over angles where a particle of that size occurs. Sizes lie on a lattice
+(`worlds.library.size_lattice`), so that a particle's brightness is that of its own diameter,
+whatever else is in the frame.
 """
 
 from __future__ import annotations
 
 import functools
+import math
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +18,305 @@ from sabench.api.truth import Particles
 from sabench.geometry.camera import Camera
 from sabench.geometry.refraction import trace_to_points
 from sabench.scenes import Scene
-from sabench.simulation.rendering.laser_sheet import fluence
-from sabench.simulation.rendering.scattering import Scattering
-from sabench.utils.arrays import F64, I64
+from sabench.simulation.rendering.lamps import fluence
+from sabench.utils.arrays import C128, F32, F64, I64
+from sabench.utils.compiled import numba
+from sabench.worlds.library.sizes import PER_OCTAVE, lattice_diameters_mm, size_numbers
 from sabench.worlds.tracers import material_numbers
+
+_ROWS, _ANGLES = 512, 2048  # sizes and angles of one product of matrices
+
+
+def intensities(index: complex, size_parameters: F64, angles_rad: F64) -> tuple[F64, F64]:
+    """Compute |S1|^2 and |S2|^2 of spheres: (size, angle) each.
+
+    S1 belongs to light polarised across the plane of scattering, S2 to light polarised in it. Both
+    are even functions of the angle, which may be negative.
+
+    Parameters
+    ----------
+    index : n - i k of the spheres, divided by that of the fluid.
+    size_parameters : (size,) pi d n / lambda.
+
+    Source: Bohren and Huffman (1983), eq. 4.74. The sums are taken as products of matrices: S1 + S2
+    has the terms (a_n + b_n) (pi_n + tau_n), and S1 - S2 those with differences.
+    """
+    across, along = np.empty((2, len(size_parameters), len(angles_rad)))
+    for top in range(0, len(size_parameters), _ROWS):
+        rows = slice(top, top + _ROWS)
+        a, b = scaled_coefficients(index, size_parameters[rows])
+        for left in range(0, len(angles_rad), _ANGLES):
+            columns = slice(left, left + _ANGLES)
+            pi, tau = _angular_functions(np.cos(angles_rad[columns]), a.shape[1])
+            total, difference = _product(a + b, pi + tau), _product(a - b, pi - tau)
+            across[rows, columns] = np.abs(total + difference) ** 2 / 4.0
+            along[rows, columns] = np.abs(total - difference) ** 2 / 4.0
+    return across, along
+
+
+def extinction_efficiency(index: complex, size_parameters: F64) -> F64:
+    """Compute extinction cross-sections (size,) over geometric ones.
+
+    Source: Bohren and Huffman (1983), eq. 4.62.
+    """
+    a, b = scaled_coefficients(index, size_parameters)
+    n = np.arange(1, a.shape[1] + 1)
+    return np.asarray(2.0 / size_parameters**2 * ((a + b).real @ (n * (n + 1.0))))
+
+
+def scaled_coefficients(index: complex, size_parameters: F64) -> tuple[C128, C128]:
+    """Compute a_n and b_n times (2 n + 1) / (n (n + 1)): (size, order).
+
+    Orders start at 1; beyond its own number of them, a size has zeros.
+
+    Source: Bohren and Huffman (1983), eq. 4.88 and 4.89, and appendix A for the recurrences and the
+    number of orders.
+    """
+    x = np.asarray(size_parameters, dtype=np.float64)
+    m = complex(index.real, abs(index.imag))  # their sign of absorption
+    needed = np.floor(x + 4.05 * np.cbrt(x) + 2.0).astype(np.int64)
+    count = int(needed.max(initial=1))
+    derivative = _logarithmic_derivative(np.asarray(m * x, dtype=np.complex128), count)
+    a, b = np.zeros((2, len(x), count), dtype=np.complex128)
+    psi_before, psi, chi_before, chi = np.cos(x), np.sin(x), -np.sin(x), np.cos(x)
+    for n in range(1, count + 1):
+        own = needed >= n  # the functions of the others would overflow
+        factor = np.where(own, (2 * n - 1) / x, 0.0)
+        psi_before, psi = psi, factor * psi - psi_before
+        chi_before, chi = chi, factor * chi - chi_before
+        xi_before, xi = psi_before - 1j * chi_before, psi - 1j * chi
+        scale = (2.0 * n + 1.0) / (n * (n + 1.0))
+        for out, ratio in ((a, derivative[n] / m), (b, derivative[n] * m)):
+            bracket = ratio + n / x
+            fraction = (bracket * psi - psi_before) / (bracket * xi - xi_before)
+            out[:, n - 1] = np.where(own, scale * fraction, 0.0)
+    return a, b
+
+
+def _logarithmic_derivative(z: C128, count: int) -> C128:
+    """Compute psi_n' / psi_n of z (size,), orders 0 to `count`: (order, size).
+
+    The recurrence downwards forgets its start above |z|, and keeps its error below.
+    """
+    out = np.zeros((count + 1, len(z)), dtype=np.complex128)
+    current = np.zeros(len(z), dtype=np.complex128)
+    largest = max(float(count), float(np.abs(z).max(initial=0.0)))
+    start = int(largest + 10.0 * np.cbrt(largest)) + 16
+    for n in range(start, 0, -1):
+        current = n / z - 1.0 / (current + n / z)
+        if n <= count + 1:
+            out[n - 1] = current
+    return out
+
+
+def _angular_functions(cosines: F64, count: int) -> tuple[F64, F64]:
+    """Compute pi_n and tau_n (order, angle) for the orders 1 to `count`.
+
+    Source: Bohren and Huffman (1983), eq. 4.47.
+    """
+    pi, tau = np.zeros((2, count, len(cosines)))
+    before, pi[0] = np.zeros_like(cosines), 1.0
+    for n in range(1, count + 1):
+        tau[n - 1] = n * cosines * pi[n - 1] - (n + 1) * before
+        if n < count:
+            pi[n] = ((2 * n + 1) * cosines * pi[n - 1] - (n + 1) * before) / n
+            before = pi[n - 1]
+    return pi, tau
+
+
+def _product(series: C128, functions: F64) -> C128:
+    """Multiply a complex matrix by a real one."""
+    parts = np.concatenate([series.real, series.imag]) @ functions
+    return np.asarray(parts[: len(series)] + 1j * parts[len(series) :])
+
+
+_PER_LOBE = 12  # angles for the narrowest lobe, of a width of wavelength / diameter
+_MARGIN = 3  # angles beyond the range
+_NODES = 64  # most points across an aperture
+_NONE = -100  # stands for no octave, below all that occur
+
+
+class Scattering:
+    """Differential cross-sections of spheres of one material in a fluid.
+
+    Parameters
+    ----------
+    particle_index : complex index n - i k against vacuum.
+    wavelength_nm : in vacuum.
+    angles_rad : range of scattering angles that are expected, apertures included; tables grow where
+        others occur, as for particles outside the volume.
+    """
+
+    def __init__(
+        self,
+        particle_index: complex,
+        fluid_index: float,
+        wavelength_nm: float,
+        angles_rad: tuple[float, float],
+    ) -> None:
+        self._index = particle_index / fluid_index
+        self._wavelength_mm = wavelength_nm * 1e-6 / fluid_index
+        self._angles_rad = angles_rad
+        self._octaves: dict[int, _Octave] = {}
+
+    def cross_section(
+        self, diameters_mm: F64, angles_rad: F64, half_angles_rad: F64, in_plane: F64
+    ) -> F64:
+        """Compute dC/dOmega (n,), mm2/sr, averaged over a round aperture.
+
+        Parameters
+        ----------
+        diameters_mm : (n,) on the lattice of sizes.
+        angles_rad : (n,) between the laser's direction and that to the aperture's middle; where
+            light does not arrive, NaN, the cross-section is 0.
+        half_angles_rad : (n,) of the aperture, seen from the particle in the fluid.
+        in_plane : (n,) share of the laser's power that is polarised in the plane of scattering; .5
+            for light that is not polarised.
+
+        The aperture is averaged along the plane of scattering, across which the intensity is even:
+        a disc's chords are the weights. Source: Bohren and Huffman (1983), section 4.4.
+        """
+        numbers, out = size_numbers(diameters_mm), np.zeros(len(diameters_mm))
+        arrives = np.isfinite(angles_rad) & np.isfinite(half_angles_rad)
+        octaves = np.where(arrives, numbers // PER_OCTAVE, _NONE)
+        for octave in np.flatnonzero(np.bincount(octaves - _NONE)[1:]) + 1 + _NONE:
+            chosen = np.flatnonzero(octaves == octave)
+            angles, half = angles_rad[chosen], half_angles_rad[chosen]
+            reach = float((angles - half).min()), float((angles + half).max())
+            table = self._octave(int(octave), numbers[chosen], reach)
+            out[chosen] = table.average(numbers[chosen], angles, half, in_plane[chosen])
+        return out * (self._wavelength_mm / (2.0 * np.pi)) ** 2
+
+    @property
+    def size_mb(self) -> float:
+        """Memory of the tables, 10^6 bytes."""
+        return sum(table.rows.nbytes for table in self._octaves.values()) / 1e6
+
+    def extinction_mm2(self, diameters_mm: F64) -> F64:
+        """Compute extinction cross-sections (n,) of spheres."""
+        sizes, which = np.unique(diameters_mm, return_inverse=True)
+        efficiency = extinction_efficiency(self._index, np.pi * sizes / self._wavelength_mm)
+        return np.asarray((efficiency * np.pi / 4.0 * sizes**2)[which])
+
+    def _octave(self, octave: int, numbers: I64, reach_rad: tuple[float, float]) -> _Octave:
+        if octave not in self._octaves:
+            largest = float(lattice_diameters_mm(np.array((octave + 1) * PER_OCTAVE)))
+            step = min(self._wavelength_mm / largest, 1.0) / _PER_LOBE
+            wavenumber = np.pi / self._wavelength_mm
+            self._octaves[octave] = _Octave(octave, step, self._index, wavenumber, self._angles_rad)
+        table = self._octaves[octave]
+        table.widen(reach_rad)
+        table.add(numbers)
+        return table
+
+
+class _Octave:
+    """Intensities of the sizes of one octave that occur.
+
+    They are tabulated at multiples of an angle's step.
+
+    Attributes
+    ----------
+    rows : (size, angle, 2) |S1|^2 and |S2|^2.
+    """
+
+    def __init__(
+        self,
+        octave: int,
+        step_rad: float,
+        index: complex,
+        wavenumber: float,  # which times a diameter is its size parameter
+        reach_rad: tuple[float, float],
+    ) -> None:
+        self._octave, self._step_rad, self._index = octave, step_rad, index
+        self._wavenumber = wavenumber
+        self._first, self._last = self._multiples(reach_rad)
+        self._numbers: I64 = np.zeros(0, dtype=np.int64)  # of the rows
+        self._places: I64 = np.full(PER_OCTAVE, -1)  # row of each size; -1: none yet
+        self.rows = self._intensities(self._numbers, self._first, self._last)
+
+    def widen(self, reach_rad: tuple[float, float]) -> None:
+        """Extend the table to more angles; what it holds stays as it is."""
+        first, last = self._multiples(reach_rad)
+        if first < self._first:
+            more = self._intensities(self._numbers, first, self._first - 1)
+            self.rows, self._first = np.concatenate([more, self.rows], axis=1), first
+        if last > self._last:
+            more = self._intensities(self._numbers, self._last + 1, last)
+            self.rows, self._last = np.concatenate([self.rows, more], axis=1), last
+
+    def add(self, numbers: I64) -> None:
+        """Tabulate new sizes."""
+        own = np.unique(numbers[self._places[numbers - self._octave * PER_OCTAVE] < 0])
+        if len(own):
+            more = self._intensities(own, self._first, self._last)
+            self._places[own - self._octave * PER_OCTAVE] = len(self.rows) + np.arange(len(own))
+            self.rows = np.concatenate([self.rows, more])
+            self._numbers = np.concatenate([self._numbers, own])
+
+    def _multiples(self, reach_rad: tuple[float, float]) -> tuple[int, int]:
+        low, high = reach_rad
+        return (
+            math.floor(low / self._step_rad) - _MARGIN,
+            math.ceil(high / self._step_rad) + _MARGIN,
+        )
+
+    def _intensities(self, numbers: I64, first: int, last: int) -> F32:
+        angles = self._step_rad * np.arange(first, last + 1, dtype=np.float64)
+        sizes = self._wavenumber * lattice_diameters_mm(numbers)
+        if not len(sizes):
+            return np.zeros((0, len(angles), 2), dtype=np.float32)
+        return np.stack(intensities(self._index, sizes, angles), axis=-1).astype(np.float32)
+
+    def average(self, numbers: I64, angles_rad: F64, half_rad: F64, in_plane: F64) -> F64:
+        """Average |S|^2 (n,) over apertures."""
+        places = self._places[numbers - self._octave * PER_OCTAVE]
+        out = np.empty(len(numbers))
+        at, half = angles_rad / self._step_rad - self._first, half_rad / self._step_rad
+        _average(self.rows, places, at, half, in_plane, *_nodes(), out)
+        return out
+
+
+@functools.cache
+def _nodes() -> tuple[F64, F64]:
+    """Compute points across an aperture, and weights: (count, point) each.
+
+    Gauss and Chebyshev's second rule: its weight is a disc's chord.
+    """
+    points, weights = np.zeros((2, _NODES + 1, _NODES))
+    for count in range(1, _NODES + 1):
+        turns = np.arange(1, count + 1) * np.pi / (count + 1)
+        points[count, :count] = np.cos(turns)
+        weights[count, :count] = np.sin(turns) ** 2 / (np.sin(turns) ** 2).sum()
+    return points, weights
+
+
+@numba.njit(cache=True, parallel=True)
+def _average(
+    rows: Any, places: Any, at: Any, half: Any, in_plane: Any, points: Any, weights: Any, out: Any
+) -> None:
+    """Average cubic interpolations over apertures; `at` and `half` are in steps."""
+    largest, last = points.shape[0] - 1, rows.shape[1] - 3
+    for i in numba.prange(len(places)):
+        count = min(int(0.3 * half[i]) + 5, largest)  # the lobes' phase needs half as many
+        row, both = places[i], (1.0 - in_plane[i], in_plane[i])
+        total = 0.0
+        for k in range(count):
+            position = at[i] + half[i] * points[count, k]
+            cell = min(max(math.floor(position), 1), last)
+            t = position - cell
+            before, after = t + 1.0, t - 2.0
+            w0, w1 = -t * (t - 1.0) * after / 6.0, before * (t - 1.0) * after / 2.0
+            w2, w3 = -before * t * after / 2.0, before * t * (t - 1.0) / 6.0
+            for p in range(2):
+                value = (
+                    w0 * rows[row, cell - 1, p]
+                    + w1 * rows[row, cell, p]
+                    + w2 * rows[row, cell + 1, p]
+                    + w3 * rows[row, cell + 2, p]
+                )
+                total += both[p] * weights[count, k] * value
+        out[i] = max(total, 0.0)
 
 
 class Scatterers:

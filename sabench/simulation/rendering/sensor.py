@@ -1,18 +1,294 @@
-"""Sensor: photons to electrons to grey values."""
+"""Sensor: photons to electrons to grey values, with exact Poisson and normal noise.
+
+A pixel's random numbers come from Philox blocks of its own, whose counters are its column and row,
+an attempt, and a purpose. The first attempt's words are handed in; few numbers need others. Uniform
+numbers have 53 bits.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from sabench.scenes.sensor import Sensor
-from sabench.simulation.rendering.noise import READ, SHOT, fill_normals, fill_poisson
 from sabench.utils.arrays import F64, U16
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
-from sabench.utils.philox import draw_key, fill_blocks
+from sabench.utils.rng import block, draw_key, fill_blocks
+
+SHOT, READ, _REST = np.uint64(0), np.uint64(1), np.uint64(2)  # purposes of blocks
+_ONE, _SHIFT, _UNUSED = np.uint64(1), np.uint64(21), np.uint64(11)
+_LAYER, _SIGN = np.uint64(0xFF), np.uint64(0x100)  # of the bits that uniform numbers leave
+_LAYERS, _EDGE = 256, 3.6541528853610088  # of the ziggurat, and where its tail begins
+_LARGE = 10  # the least mean of which numbers are nearly normal
+_PER_UNIT, _MOST = 8, 64  # tabulated means, and numbers of each
+_CELLS = 64  # of a uniform number, that shorten a search
+_SERIES = 16  # Stirling's errors of smaller numbers are tabulated
+
+
+def _ziggurat() -> tuple[F64, F64]:
+    """Compute the edges (257,) of layers of equal area, and exp(-x^2 / 2) there."""
+    height, tail = math.exp(-0.5 * _EDGE**2), math.erfc(_EDGE / math.sqrt(2.0))
+    area = _EDGE * height + math.sqrt(math.pi / 2.0) * tail
+    edges = np.zeros(_LAYERS + 1)
+    edges[0], edges[1] = area / height, _EDGE  # the lowest layer holds the tail
+    for i in range(2, _LAYERS):
+        height += area / edges[i - 1]
+        edges[i] = math.sqrt(-2.0 * math.log(height))
+    return edges, np.exp(-0.5 * edges**2)
+
+
+def _distributions() -> F64:
+    """Tabulate cumulative Poisson distributions (mean, number).
+
+    The last column ends searches.
+    """
+    means = np.arange(_LARGE * _PER_UNIT)[:, None] / _PER_UNIT
+    chances = np.ones((len(means), _MOST))
+    chances[:, 1:] = means / np.arange(1, _MOST)
+    table = np.cumsum(np.exp(-means) * np.cumprod(chances, axis=1), axis=1)
+    table[:, -1] = np.inf
+    return table
+
+
+def _stirling_errors() -> F64:
+    """Tabulate log k! - log(sqrt(2 pi k) (k / e)^k); 0 for k = 0, which has none."""
+    errors = np.zeros(_SERIES)
+    for k in range(1, _SERIES):
+        errors[k] = math.lgamma(k + 1) - 0.5 * math.log(2.0 * math.pi * k) - k * math.log(k) + k
+    return errors
+
+
+_EDGES, _HEIGHTS = _ziggurat()
+_DISTRIBUTIONS = _distributions()
+_STARTS = np.stack(
+    [np.searchsorted(row, np.arange(_CELLS) / _CELLS, side="right") for row in _DISTRIBUTIONS]
+).astype(np.uint8)
+_ERRORS = _stirling_errors()
+
+
+@numba.njit(cache=True, inline="always")
+def _uniform(high: Any, low: Any) -> Any:
+    """Make a number in [0, 1) of the upper 53 bits of two words."""
+    return np.int64((high << _SHIFT) | (low >> _UNUSED)) * 2.0**-53
+
+
+@numba.njit(cache=True)
+def fill_normals(key: Any, row: Any, blocks: Any, numbers: Any) -> None:
+    """Fill in standard normal numbers (column,) of a row for read noise.
+
+    `blocks` (4, column) are the row's first blocks. Most numbers come from a loop without branches,
+    for vector registers; it leaves the others as NaN.
+    """
+    for column in range(len(numbers)):
+        x, below = _try_normal(np.uint64(blocks[0, column]), np.uint64(blocks[1, column]))
+        numbers[column] = x if below else np.nan
+    for column in range(len(numbers)):
+        if np.isnan(numbers[column]):
+            words = _words(blocks, column)
+            numbers[column] = _normal(key, np.uint64(column), row, READ, words)
+
+
+@numba.njit(cache=True)
+def fill_poisson(key: Any, row: Any, blocks: Any, means: Any, numbers: Any) -> None:
+    """Fill in Poisson numbers (column,) of a row for its means (column,).
+
+    Means are at most 1e15. Works as `fill_normals` does.
+    """
+    for column in range(len(means)):
+        numbers[column] = _try_poisson(blocks, column, means[column])
+    for column in range(len(means)):
+        if np.isnan(numbers[column]):
+            words = _words(blocks, column)
+            numbers[column] = _poisson(key, np.uint64(column), row, words, means[column])
+
+
+@numba.njit(cache=True, inline="always")
+def _try_poisson(blocks: Any, column: int, mean: float) -> Any:
+    """Draw 0 or a nearly normal number; NaN where that takes a closer look."""
+    w0, w1 = np.uint64(blocks[0, column]), np.uint64(blocks[1, column])
+    x, below = _try_normal(w0, w1)
+    k = np.floor(mean + math.sqrt(mean) * x)
+    v = _uniform(np.uint64(blocks[2, column]), np.uint64(blocks[3, column]))
+    quick = below and _is_near(k, mean, v)
+    large = k if quick else np.nan
+    small = 0.0 if mean * _PER_UNIT < 1.0 and _uniform(w0, w1) < 1.0 - mean else np.nan
+    return large if mean >= _LARGE else small
+
+
+@numba.njit(cache=True)
+def _words(blocks: Any, column: int) -> Any:
+    return (
+        np.uint64(blocks[0, column]),
+        np.uint64(blocks[1, column]),
+        np.uint64(blocks[2, column]),
+        np.uint64(blocks[3, column]),
+    )
+
+
+@numba.njit(cache=True, inline="always")
+def _try_normal(high: Any, low: Any) -> Any:
+    """Draw a place in a layer of the ziggurat, and whether it is below the density.
+
+    Source: Marsaglia and Tsang, J. Stat. Software 5, 8 (2000).
+    """
+    layer = np.uintp(low & _LAYER)
+    x = _uniform(high, low) * _EDGES[layer]
+    return x if low & _SIGN else -x, x < _EDGES[layer + _ONE]
+
+
+@numba.njit(cache=True)
+def _normal(key: Any, column: Any, row: Any, purpose: Any, words: Any) -> Any:
+    """Draw a standard normal number; it takes the first two words."""
+    x, below = _try_normal(words[0], words[1])
+    if below:
+        return x
+    layer = np.intp(words[1] & _LAYER)
+    return math.copysign(_normal_at_edge(key, column, row, purpose, layer, abs(x)), x)
+
+
+@numba.njit(cache=True)
+def _normal_at_edge(key: Any, column: Any, row: Any, purpose: Any, layer: Any, x: float) -> Any:
+    """Draw on where a layer is not wholly below the density.
+
+    Source of the tail: G. Marsaglia, Technometrics 6, 101-102 (1964).
+    """
+    attempt = np.uint64(0)
+    while True:
+        attempt += _ONE
+        words = block(key, column, row, attempt, purpose)
+        u = _uniform(words[2], words[3])
+        if layer == 0:
+            beyond = -math.log1p(-_uniform(words[0], words[1])) / _EDGE
+            if -2.0 * math.log1p(-u) > beyond * beyond:
+                return _EDGE + beyond
+            continue
+        low, high = _HEIGHTS[layer], _HEIGHTS[layer + 1]
+        if low + u * (high - low) < math.exp(-0.5 * x * x):
+            return x
+        layer = np.intp(words[1] & _LAYER)
+        x = _uniform(words[0], words[1]) * _EDGES[layer]
+        if x < _EDGES[layer + 1]:
+            return x
+
+
+@numba.njit(cache=True)
+def _poisson(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
+    """Draw a Poisson number."""
+    if mean * _PER_UNIT < 1.0:
+        return _invert(_uniform(words[0], words[1]), mean)
+    if mean < _LARGE:
+        return _look_up(words, mean)
+    return _near_normal(key, column, row, words, mean)
+
+
+@numba.njit(cache=True)
+def _look_up(words: Any, mean: float) -> Any:
+    """Draw from a tabulated distribution, and add a number of the rest of the mean."""
+    cell = np.uintp(np.intp(mean * _PER_UNIT))
+    u = _uniform(words[0], words[1])
+    k = np.uintp(_STARTS[cell, np.uintp(np.intp(u * _CELLS))])
+    while u >= _DISTRIBUTIONS[cell, k]:
+        k += _ONE
+    return float(k) + _invert(_uniform(words[2], words[3]), mean - cell / _PER_UNIT)
+
+
+@numba.njit(cache=True)
+def _invert(u: float, mean: float) -> Any:
+    """Find a small mean's number whose cumulative probability exceeds u."""
+    if u < 1.0 - mean:  # which is less than exp(-mean)
+        return 0.0
+    k, chance = 0, math.exp(-mean)
+    while u >= chance and k < _MOST:
+        u -= chance
+        k += 1
+        chance *= mean / k
+    return float(k)
+
+
+# Ahrens and Dieter, ACM Trans. Math. Software 8, 163-179 (1982), algorithm PD, with its constants:
+# a normal number, rounded down, is accepted with the ratio of Poisson's probability to its own,
+# which is above 1 from a little below the mean on. In its place comes a number of where Poisson's
+# probability is larger, drawn by rejection from a double exponential.
+
+
+@numba.njit(cache=True)
+def _near_normal(key: Any, column: Any, row: Any, words: Any, mean: float) -> Any:
+    root = math.sqrt(mean)
+    k = np.floor(mean + root * _normal(key, column, row, SHOT, words))
+    u = _uniform(words[2], words[3])
+    if _is_near(k, mean, u) or k >= np.floor(mean - 1.1484):
+        return k
+    if k >= 0.0 and (1.0 - u) * _normal_share(k, mean, root) <= _chance(k, mean):
+        return k
+    return _from_rest(key, column, row, mean, root)
+
+
+@numba.njit(cache=True, inline="always")
+def _is_near(k: float, mean: float, u: float) -> Any:
+    short = mean - k
+    return short * short * short <= 6.0 * mean * mean * u
+
+
+@numba.njit(cache=True)
+def _from_rest(key: Any, column: Any, row: Any, mean: float, root: float) -> Any:
+    attempt = np.uint64(0)
+    while True:
+        words = block(key, column, row, attempt, _REST)
+        attempt += _ONE
+        away, u = -math.log1p(-_uniform(words[0], words[1])), _uniform(words[2], words[3])
+        side = 2.0 * u - 1.0
+        t = 1.8 + math.copysign(away, side)
+        k = np.floor(mean + root * t)
+        lacking = (_chance(k, mean) - _normal_share(k, mean, root)) if t > -0.6744 else 0.0
+        if 0.1069 * abs(side) < lacking * mean * math.exp(away):
+            return k
+
+
+@numba.njit(cache=True)
+def _normal_share(k: float, mean: float, root: float) -> Any:
+    """Compute the share of a normal distribution from k to k + 1."""
+    x, step = (k - mean) / (root * math.sqrt(2.0)), 1.0 / (root * math.sqrt(2.0))
+    if x > 0.0:
+        return 0.5 * (math.erfc(x) - math.erfc(x + step))
+    return 0.5 * (math.erfc(-x - step) - math.erfc(-x))
+
+
+@numba.njit(cache=True)
+def _chance(k: float, mean: float) -> Any:
+    """Compute the probability of a Poisson number, without cancellation.
+
+    Source: C. Loader, "Fast and accurate computation of binomial probabilities" (2000).
+    """
+    if k == 0.0:
+        return math.exp(-mean)
+    return math.exp(-_stirling_error(k) - _deviance(k, mean)) / math.sqrt(2.0 * math.pi * k)
+
+
+@numba.njit(cache=True)
+def _stirling_error(k: float) -> Any:
+    if k < _SERIES:
+        return _ERRORS[np.intp(k)]
+    square = 1.0 / (k * k)
+    return (1.0 / 12.0 - square * (1.0 / 360.0 - square * (1.0 / 1260.0 - square / 1680.0))) / k
+
+
+@numba.njit(cache=True)
+def _deviance(k: float, mean: float) -> Any:
+    """Compute k log(k / mean) + mean - k."""
+    ratio = (k - mean) / (k + mean)
+    if abs(ratio) > 0.1:
+        return k * math.log(k / mean) + mean - k
+    total, term, n = (k - mean) * ratio, 2.0 * k * ratio, 1.0
+    while True:
+        term, n = term * ratio * ratio, n + 2.0
+        before, total = total, total + term / n
+        if total == before:
+            return total
+
 
 _HOT = 0.5  # of the full well: mean signal of hot pixels
 _ROWS = 16  # of a part of an image

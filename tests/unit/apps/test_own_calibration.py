@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sabench.apps.own_calibration.points import read_loose_points, read_sightings, read_target
+from sabench.apps.own_calibration.folder import read_loose_points, read_sightings, read_target
 from sabench.utils.errors import InputError
 
 NAMES = ("a", "b")

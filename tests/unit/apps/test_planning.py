@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from benchmarks import planner
-from sabench.apps.planning.design import Wanted, design_scene
 from sabench.apps.planning.expected_scores import (
     FEATURES,
     MODEL,
@@ -26,7 +25,7 @@ from sabench.apps.planning.expected_scores import (
     load_model,
 )
 from sabench.apps.planning.page import draw_rig, render
-from sabench.apps.planning.plan import Plan, Recorder, plan
+from sabench.apps.planning.plan import Plan, Recorder, Wanted, design_scene, plan
 from sabench.evaluation.suite_loading import override
 from sabench.plotting.outlines import Outline, draw_outlines
 from sabench.scenes import Scene, find, load_scene, parse_scene

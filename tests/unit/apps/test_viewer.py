@@ -18,7 +18,7 @@ import pytest
 import sabench
 from sabench.api import Detections, FoundParticles, Velocity
 from sabench.api.truth import Bubbles
-from sabench.apps.viewer import pictures, points
+from sabench.apps.viewer import page_content, points
 from sabench.apps.viewer.contents import Contents, of_dataset, of_scene
 from sabench.apps.viewer.page_content import Packer, content_of
 from sabench.apps.viewer.points import (
@@ -157,7 +157,7 @@ def test_projections_are_those_of_the_cameras(moving: Dataset, html: str) -> Non
         assert np.abs(terms @ np.array(own["coefficients"]) - exact).max() < 5e-3
 
 
-def value_at(stack: pictures.Stack, points_mm: F64) -> F64:
+def value_at(stack: page_content.Stack, points_mm: F64) -> F64:
     place, shape = stack.place, np.array(stack.pictures.shape)
     off = points_mm - place.corner_mm
     shares = [off @ one / (one @ one) for one in (place.down_mm, place.across_mm)]
@@ -174,9 +174,9 @@ def test_refocused_planes_are_bright_at_the_particles(
     moving: Dataset, monkeypatch: pytest.MonkeyPatch, by_slabs: bool
 ) -> None:
     if not by_slabs:
-        monkeypatch.setattr(pictures, "find_edge_on", lambda *_: "edge-on")
-        monkeypatch.setattr(pictures, "_PLANES", 8)
-    stack = pictures.refocused_stack(moving, 0)
+        monkeypatch.setattr(page_content, "find_edge_on", lambda *_: "edge-on")
+        monkeypatch.setattr(page_content, "_PLANES", 8)
+    stack = page_content.refocused_stack(moving, 0)
     true = moving.particles(0).position_mm
     elsewhere = true * [1.0, 1.0, -1.0] + [0.0, 0.0, 2.0 * moving.scene.volume.center_mm[2]]
     assert value_at(stack, true).mean() > 1.4 * value_at(stack, elsewhere).mean()
@@ -187,11 +187,11 @@ def test_refocused_planes_are_bright_at_the_particles(
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_planes_of_any_axis_fill_the_volume_and_face_the_cameras(axis: int, sign: int) -> None:
     low, high = np.array([-1.0, -2.0, -3.0]), np.array([3.0, 4.0, 5.0])
-    place = pictures._place_planes(low, high, axis, sign)
+    place = page_content._place_planes(low, high, axis, sign)
     ahead = np.cross(place.across_mm, place.down_mm)
     assert ahead @ place.step_mm > 0.0
     assert np.sign(place.step_mm[axis]) == sign
-    count = pictures._PLANES
+    count = page_content._PLANES
     ends = [place.corner_mm - place.step_mm / 2.0, place.corner_mm + (count - 0.5) * place.step_mm]
     ends[1] = ends[1] + place.across_mm + place.down_mm
     assert np.min(ends, axis=0) == pytest.approx(low)
@@ -202,18 +202,18 @@ def test_the_planes_of_a_reconstruction_show_its_voxels(moving: Dataset) -> None
     grid = moving.setup.grid
     volume = np.zeros(grid.shape, dtype=np.float32)
     volume[25, 30, 200] = 1.0
-    stack = pictures.volume_stack(volume, grid)
+    stack = page_content.volume_stack(volume, grid)
     place = np.array([[axis[n] for axis, n in zip(grid.axes_mm, (200, 30, 25), strict=True)]])
     assert value_at(stack, place)[0] == 255
     assert (stack.pictures > 0).sum() == 1
 
 
 def test_pictures_are_compressed_until_they_fit(moving: Dataset) -> None:
-    made, complete = pictures.camera_pictures(moving, [0, 1], 10_000_000)
+    made, complete = page_content.camera_pictures(moving, [0, 1], 10_000_000)
     assert complete
     assert [len(one) for one in made.values()] == [4, 4]
     size = sum(map(len, made[0]))
-    few, complete = pictures.camera_pictures(moving, [0, 1], size + 10)
+    few, complete = page_content.camera_pictures(moving, [0, 1], size + 10)
     assert not complete
     assert list(few) == [0]
     assert sum(map(len, few[0])) == size
@@ -247,7 +247,7 @@ def test_a_target_without_images_shows_its_points(tmp_path: Path) -> None:
     data = sabench.generate(calibration_scene(), tmp_path / "b", seed=1, backend="splat")
     contents = of_dataset(data)
     assert contents.sort == "Target"
-    assert not pictures.has_images(data)
+    assert not page_content.has_images(data)
     points = data.placed().points_mm
     assert contents.frames[1].particles.position_mm == pytest.approx(points[1])
 

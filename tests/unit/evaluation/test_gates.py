@@ -15,7 +15,7 @@ import pytest
 from benchmarks.gate import ROOT
 from benchmarks.planted_bugs import BUGS, Bug
 from sabench import tasks
-from sabench.evaluation.gates import measurement
+from sabench.evaluation.gates import comparison
 from sabench.evaluation.gates.baseline import (
     DATA,
     FORMAT,
@@ -28,11 +28,10 @@ from sabench.evaluation.gates.baseline import (
     read_baseline,
     write_baseline,
 )
-from sabench.evaluation.gates.comparison import Report, write_junit
+from sabench.evaluation.gates.comparison import Report, names_of, score_known_wrong, write_junit
 from sabench.evaluation.gates.dataset_statistics import fingerprint
 from sabench.evaluation.gates.findings import Finding, compare, loss
 from sabench.evaluation.gates.independent_projection import retrace
-from sabench.evaluation.gates.measurement import names_of, score_known_wrong
 from sabench.evaluation.suite_loading import load_suite
 from sabench.evaluation.suites import SolverEntry
 from sabench.scenes import Scene, build_rig, load_scene, parse_scene
@@ -263,23 +262,23 @@ def test_the_bundled_suite_has_every_track_and_both_renderers() -> None:
 
 def test_compilation_is_no_figure_of_a_gate(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first run after an installation compiles kernels, and the second does not."""
-    monkeypatch.setattr(measurement, "solve_timed", lambda *_, **__: 0.01)
+    monkeypatch.setattr(comparison, "solve_timed", lambda *_, **__: 0.01)
     scores = {"q": 0.5, "seconds": 1.0, "compile_s": 20.0}
-    monkeypatch.setattr(measurement, "score", lambda *_: scores)
-    monkeypatch.setattr(measurement, "open_result", lambda *_: SimpleNamespace(cpu_share=None))
+    monkeypatch.setattr(comparison, "score", lambda *_: scores)
+    monkeypatch.setattr(comparison, "open_result", lambda *_: SimpleNamespace(cpu_share=None))
     unused = cast(Any, None)
-    entry_ = measurement._solve(unused, unused, SolverEntry(name="msa"), Path("unused.h5"))
+    entry_ = comparison._solve(unused, unused, SolverEntry(name="msa"), Path("unused.h5"))
     assert entry_.figures == {"q": 0.5, "seconds": 1.0}
 
 
 def test_seconds_of_a_gate_are_cpu_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
     """A solver that had a quarter of a core took a quarter of its time."""
-    monkeypatch.setattr(measurement, "solve_timed", lambda *_, **__: 0.01)
+    monkeypatch.setattr(comparison, "solve_timed", lambda *_, **__: 0.01)
     scores = {"q": 0.5, "seconds": 2.0, "reconstruction_s": 1.0}
-    monkeypatch.setattr(measurement, "score", lambda *_: scores)
-    monkeypatch.setattr(measurement, "open_result", lambda *_: SimpleNamespace(cpu_share=0.25))
+    monkeypatch.setattr(comparison, "score", lambda *_: scores)
+    monkeypatch.setattr(comparison, "open_result", lambda *_: SimpleNamespace(cpu_share=0.25))
     unused = cast(Any, None)
-    entry_ = measurement._solve(unused, unused, SolverEntry(name="msa"), Path("unused.h5"))
+    entry_ = comparison._solve(unused, unused, SolverEntry(name="msa"), Path("unused.h5"))
     assert entry_.figures == {"q": 0.5, "seconds": 0.5, "reconstruction_s": 0.25}
 
 

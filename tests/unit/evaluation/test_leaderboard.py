@@ -16,9 +16,8 @@ import pytest
 from sabench.evaluation.leaderboard.archives import submitted_files
 from sabench.evaluation.leaderboard.board import over_seeds
 from sabench.evaluation.leaderboard.cells import mean_rank, ranks, ranks_of_distinct
-from sabench.evaluation.leaderboard.curves import curves_of
 from sabench.evaluation.leaderboard.page_content import cases_of
-from sabench.evaluation.leaderboard.standings import Board, boards_of
+from sabench.evaluation.leaderboard.standings import Board, boards_of, curves_of
 from sabench.evaluation.record_schema import Record
 from sabench.evaluation.records import latest, read_records
 from sabench.utils.errors import InputError

@@ -13,10 +13,10 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sabench.geometry import array_layouts
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Wall, trace_to_points
+from sabench.scenes import cameras
 from sabench.scenes.focusing import apparent_distance_mm
 from sabench.utils.arrays import F64, Bool, triple
 from tests.helpers.cameras import make_camera
@@ -237,7 +237,7 @@ def test_focus_is_the_thin_lens_conjugate() -> None:
 
 @pytest.mark.parametrize("count", [1, 3, 8])
 def test_ring_keeps_radius_and_chord(count: int) -> None:
-    offsets = array_layouts.ring(count, 12.0, start_rad=0.3)
+    offsets = cameras.ring(count, 12.0, start_rad=0.3)
     assert offsets.shape == (count, 2)
     assert_allclose(np.hypot(*offsets.T), 12.0)
     assert_allclose(offsets[0], [12.0 * math.cos(0.3), 12.0 * math.sin(0.3)])
@@ -248,7 +248,7 @@ def test_ring_keeps_radius_and_chord(count: int) -> None:
 
 
 def test_cross_has_a_centre_and_four_equal_arms() -> None:
-    offsets = array_layouts.cross(2, 3.0)
+    offsets = cameras.cross(2, 3.0)
     arms = [(3.0 * k, 0.0) for k in range(-2, 3)] + [(0.0, 3.0 * k) for k in range(-2, 3)]
     assert len(offsets) == 9
     assert {(float(x), float(y)) for x, y in offsets} == {*arms}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sabench.geometry.dispersion import refractive_index, water_in_vacuum
+from sabench.scenes.materials import refractive_index, water_in_vacuum
 
 PUBLISHED = [
     # SCHOTT, data sheet of N-BK7

@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 import sabench
 from sabench.geometry.camera import Camera
 from sabench.geometry.occluders import Disc
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import Scene, build_rig, parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.simulation.rendering import particles_splatted

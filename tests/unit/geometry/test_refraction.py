@@ -12,13 +12,17 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-import sabench.geometry.path_slope
+import sabench.geometry.refraction
 from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.lens import Distortion
-from sabench.geometry.path_slope import _halley, _lateral, _lateral_distance, _start, solve_slope
 from sabench.geometry.refraction import (
     Layer,
     Wall,
+    _halley,
+    _lateral,
+    _lateral_distance,
+    _start,
+    solve_slope,
     trace_into_fluid,
     trace_to_points,
     transmittance,
@@ -135,13 +139,13 @@ def test_fermat_no_neighbouring_path_is_shorter(wall: Wall) -> None:
 def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.MonkeyPatch) -> None:
     """The stopping rule asks for no more digits than a double has. Newton's iteration doubles its
     digits; with a stricter rule it would run to its limit."""
-    calls, lateral = [], sabench.geometry.path_slope._lateral
+    calls, lateral = [], sabench.geometry.refraction._lateral
 
     def counted(*arguments: Any) -> Any:
         calls.append(arguments)
         return lateral(*arguments)
 
-    monkeypatch.setattr(sabench.geometry.path_slope, "_lateral", counted)
+    monkeypatch.setattr(sabench.geometry.refraction, "_lateral", counted)
     thicknesses = [layer.thickness_mm for layer in wall.layers]
     solve_slope(wall.indices, [400.0, *thicknesses, 60.0], np.linspace(0.0, 2000.0, 4001))
     assert len(calls) <= 20

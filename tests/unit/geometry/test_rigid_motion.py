@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from sabench.algorithms.bubbles.search import turn_camera, turn_grid, viewing_axes
 from sabench.geometry.grid import Grid
 from sabench.geometry.rigid_motion import (
     RigidMotion,
@@ -16,7 +17,6 @@ from sabench.geometry.rigid_motion import (
     fit_rigid_motion,
     rotation_matrices,
 )
-from sabench.geometry.turned_cameras import turn_camera, turn_grid, viewing_axes
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from sabench.images.recordings import guess_white, list_cameras, read_recordings
+from sabench.images.statistics import guess_white, list_cameras, read_recordings
 from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
 

@@ -20,8 +20,7 @@ from hypothesis import given, strategies as st
 import sabench
 from sabench.dataset.reader import Dataset
 from sabench.interop import vtkhdf
-from sabench.interop.coco import run_lengths
-from sabench.interop.export import NAME, write_state
+from sabench.interop.export import NAME, run_lengths, write_state
 from sabench.interop.napari_reader import get_reader, read_layers
 from sabench.utils.errors import InputError
 from tests.conftest import ROOT

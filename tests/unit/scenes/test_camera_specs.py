@@ -16,7 +16,7 @@ import sabench
 from sabench.dataset.cameras import read_cameras
 from sabench.geometry.lens import Distortion
 from sabench.scenes import Scene, build_rig, find, parse_scene
-from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.focusing import nominal_cameras
 from sabench.utils.errors import InputError
 
 OWN = {

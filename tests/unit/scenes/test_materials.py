@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from sabench.geometry.dispersion import refractive_index
 from sabench.scenes import Scene, build_rig, find, parse_scene
-from sabench.scenes.materials import fill_indices
+from sabench.scenes.materials import fill_indices, refractive_index
 from sabench.scenes.wall import CylinderSpec, WallSpec
 from sabench.utils.errors import InputError
 from sabench.utils.validation import validate

@@ -17,7 +17,7 @@ from sabench.dataset.schema import content_hash, seal
 from sabench.dataset.verification import verify
 from sabench.geometry.camera import Camera
 from sabench.scenes import Scene, build_rig, parse_scene
-from sabench.scenes.nominal_cameras import nominal_cameras
+from sabench.scenes.focusing import nominal_cameras
 from sabench.simulation.in_memory import simulate
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError

@@ -14,9 +14,9 @@ from sabench.dataset.reader import open_dataset
 from sabench.scenes import Scene, parse_scene
 from sabench.scenes.illumination import Background
 from sabench.scenes.loading import find
+from sabench.simulation.camera_view import flicker, static_light
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.pipeline import generate
-from sabench.simulation.rendering.background import flicker, static_light
 from sabench.simulation.rendering.sensor import full_well_photons
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError

@@ -21,7 +21,7 @@ from sabench.dataset.shards import plan_shards, split_of
 from sabench.simulation import shard_job
 from sabench.simulation.recording import parts as recording_parts
 from sabench.simulation.recording.schedule import Task, UnfinishedError
-from sabench.simulation.streaming import stream
+from sabench.simulation.shard_job import stream
 from sabench.utils.errors import InputError
 from tests.conftest import Command
 from tests.helpers.commands import refuse, succeed

@@ -19,7 +19,7 @@ from sabench.scenes import Scene, find, parse_scene
 from sabench.scenes.variation import Draw, Vary, draw_values
 from sabench.simulation.in_memory import simulate
 from sabench.simulation.recording import parts
-from sabench.simulation.streaming import Sample, stream, stream_key
+from sabench.simulation.shard_job import Sample, stream, stream_key
 from sabench.utils.arrays import U16
 from sabench.utils.errors import InputError
 

@@ -8,8 +8,7 @@ import pytest
 
 from sabench.api import Reconstruction
 from sabench.api.truth import Particles, View
-from sabench.metrics.reconstruction_error import SCORES, score_frame
-from sabench.metrics.synthesised_field import brightness, true_field
+from sabench.metrics.reconstruction_error import SCORES, brightness, score_frame, true_field
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F64
 from tests.helpers.particle_scenes import make_scene

@@ -9,12 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from sabench.algorithms.bubbles.backlit_images import Profile, sharp
 from sabench.algorithms.bubbles.ellipse_detection import peaks, radii_between, vote
-from sabench.algorithms.bubbles.feature_potential import (
-    STACK,
-    attenuate,
-    compute_potential,
-    minimum_images,
-)
+from sabench.algorithms.bubbles.features import STACK, attenuate, compute_potential, minimum_images
 from tests.unit.simulation.rendering.test_bubbles_traced import profile_by_hand
 
 

@@ -9,14 +9,14 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
 from sabench.algorithms.bubbles.ellipse_detection import find_edges, find_ellipses
-from sabench.algorithms.bubbles.feature_peaks import (
+from sabench.algorithms.bubbles.features import (
     PLANES,
     STEP,
     FeaturePeaks,
     drop_duplicates,
+    find_blots,
     find_depth,
 )
-from sabench.algorithms.bubbles.feature_potential import find_blots
 from sabench.utils.arrays import F32, F64, Bool
 
 FINE = 5

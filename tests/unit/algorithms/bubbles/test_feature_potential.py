@@ -11,11 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.bubbles.backlit_images import transmission
-from sabench.algorithms.bubbles.feature_potential import (
-    WINDOW,
-    compute_potential,
-    darkness,
-)
+from sabench.algorithms.bubbles.features import WINDOW, compute_potential, darkness
 from sabench.algorithms.bubbles.search import _sample
 from sabench.api import Observation
 from sabench.simulation.in_memory import simulate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sabench.algorithms.bubbles.feature_potential import find_outlines
+from sabench.algorithms.bubbles.features import find_outlines
 from sabench.algorithms.bubbles.rim_fit import start_of
 from sabench.algorithms.bubbles.search import Hypotheses, Limits, search_bubbles
 from sabench.utils.arrays import F32

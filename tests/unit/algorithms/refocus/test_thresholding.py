@@ -26,7 +26,7 @@ from sabench.geometry.grid import synthesise
 from sabench.images.gaussians import effective_width
 from sabench.images.levels import bright_dn, normalise
 from sabench.metrics.quality_factor import quality
-from sabench.metrics.synthesised_field import true_field
+from sabench.metrics.reconstruction_error import true_field
 from sabench.scenes import parse_scene
 from sabench.simulation.in_memory import Shot, simulate
 from sabench.utils.arrays import F32, F64

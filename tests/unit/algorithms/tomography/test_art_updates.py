@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sabench.algorithms.tomography import art_updates
-from sabench.algorithms.tomography.mart_sweep import STRIP
+from sabench.algorithms.tomography.art_updates import STRIP
 from sabench.algorithms.tomography.projection_operator import (
     BILINEAR,
     Footprint,

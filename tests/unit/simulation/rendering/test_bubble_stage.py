@@ -46,7 +46,7 @@ def device_of(radius: float) -> Any:
     backend.mitsuba()
     import mitsuba as mi
 
-    from sabench.simulation.rendering.tank_walls import layers_of, panel_of
+    from sabench.simulation.rendering.bubble_integrator import layers_of, panel_of
 
     front = Stack(np.array([-25.0, -31.0]), np.array([1.333, 1.5, 1.0]))
     edges = np.array([[40.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
@@ -65,7 +65,7 @@ def test_the_diffuser_is_seen_from_before_it_only(z: float, seen: float) -> None
     device = device_of(1.0)
     import mitsuba as mi
 
-    from sabench.simulation.rendering.tank_walls import leave
+    from sabench.simulation.rendering.bubble_integrator import leave
 
     radiance, _, _ = leave(device, mi.Ray3f(mi.Point3f(1.0, 2.0, z), mi.Vector3f(0.0, 0.0, 1.0)))
     assert np.array(radiance) == seen
@@ -77,7 +77,7 @@ def test_walls_reflect_what_is_nearer_than_fifty_radii(radius: float, reflects: 
     device = device_of(radius)
     import mitsuba as mi
 
-    from sabench.simulation.rendering.tank_walls import leave
+    from sabench.simulation.rendering.bubble_integrator import leave
 
     radiance, share, here = leave(device, mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, -1.0)))
     passed = 4.0 * 1.333 * 1.5 / (1.333 + 1.5) ** 2 * 4.0 * 1.5 / (1.0 + 1.5) ** 2

@@ -484,7 +484,7 @@ def test_surfaces_are_met_to_single_precision_from_far_away() -> None:
 @pytest.mark.slow
 def test_rays_given_up_between_walls_find_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Total reflection from wall to wall ends in darkness: the same image with these rays."""
-    from sabench.simulation.rendering import tank_walls
+    from sabench.simulation.rendering import bubble_integrator
 
     grid = [[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)]
     what = bubbles(grid, [[1.5] * 3] * len(grid))
@@ -495,7 +495,7 @@ def test_rays_given_up_between_walls_find_nothing(monkeypatch: pytest.MonkeyPatc
         asked.append(passed)
         return passed < 0.0
 
-    monkeypatch.setattr(tank_walls, "_is_lost", never)
+    monkeypatch.setattr(bubble_integrator, "_is_lost", never)
     slow = shot(camera(), what)
     assert asked
     np.testing.assert_allclose(slow.photons, fast.photons, rtol=1e-5, atol=1e-6 * FULL)
@@ -503,12 +503,12 @@ def test_rays_given_up_between_walls_find_nothing(monkeypatch: pytest.MonkeyPatc
 
 def test_light_from_behind_is_followed_without_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     """Light that the front wall reflects totally may still come from the diffuser."""
-    from sabench.simulation.rendering import tank_walls
+    from sabench.simulation.rendering import bubble_integrator
 
     grid = [[x, y, 60.0] for x in (-4.0, 0.0, 4.0) for y in (-3.0, 0.0, 3.0)]
     what, light = bubbles(grid, [[1.5] * 3] * len(grid)), diffuser(half=400.0)
     open_tank = Tank(replace(WALL, depth_mm=None))
     fast = shot(camera(), what, light, tank=open_tank)
-    monkeypatch.setattr(tank_walls, "_is_lost", lambda *given: given[3] < 0.0)
+    monkeypatch.setattr(bubble_integrator, "_is_lost", lambda *given: given[3] < 0.0)
     slow = shot(camera(), what, light, tank=open_tank)
     np.testing.assert_allclose(slow.photons, fast.photons, rtol=1e-5, atol=1e-6 * FULL)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sabench.scenes.illumination import Illumination
-from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, enter_fluid, fluence
+from sabench.simulation.rendering.lamps import LIGHT_M_S, PLANCK_J_S, enter_fluid, fluence
 from sabench.utils.errors import InputError
 
 CENTER = np.array([3.0, -2.0, 30.0])

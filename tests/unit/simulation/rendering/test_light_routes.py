@@ -15,10 +15,9 @@ from sabench.geometry.refraction import Layer, Wall
 from sabench.scenes import Scene, build_rig, find, parse_scene
 from sabench.simulation import camera_view
 from sabench.simulation.frames import Frames
-from sabench.simulation.rendering import light_paths
-from sabench.simulation.rendering.light_paths import SMOOTH, Box, find_paths
+from sabench.simulation.rendering import particle_images
 from sabench.simulation.rendering.light_routes import Route, reflections
-from sabench.simulation.rendering.particle_images import image_particles
+from sabench.simulation.rendering.particle_images import SMOOTH, Box, find_paths, image_particles
 from sabench.utils.arrays import F64, triple
 from tests.helpers.particle_scenes import cloud, make_scene
 
@@ -188,7 +187,7 @@ def test_polynomials_are_as_good_as_exact_paths(name: str) -> None:
     box = volume_of(scene)
     points = points_in(box, 3000)
     for camera in build_rig(scene, name).cameras[:3]:
-        assert light_paths._interpolate(camera, box) is not None
+        assert particle_images._interpolate(camera, box) is not None
         found, exact = find_paths(camera, points, box), find_paths(camera, points)
         np.testing.assert_allclose(found.pixel, exact.pixel, rtol=0, atol=1e-9)
         assert found.valid.all()
@@ -208,9 +207,9 @@ def test_a_thin_volume_needs_fewer_terms() -> None:
     """Terms of high powers of its depth are left out."""
     camera, (low, high) = camera_of("quick")
     middle = (low[2] + high[2]) / 2.0
-    thick = light_paths._interpolate(camera, (low, high))
+    thick = particle_images._interpolate(camera, (low, high))
     thin = (*low[:2], middle - 0.1), (*high[:2], middle + 0.1)
-    flat = light_paths._interpolate(camera, thin)
+    flat = particle_images._interpolate(camera, thin)
     assert thick is not None
     assert flat is not None
     assert len(flat.terms) < 0.7 * len(thick.terms)
@@ -223,7 +222,7 @@ def test_a_tiny_volume_needs_one_term() -> None:
     camera, (low, high) = camera_of("quick")
     middle = (np.asarray(low) + np.asarray(high)) / 2.0
     tiny = triple(middle - 1e-7), triple(middle + 1e-7)
-    smooth = light_paths._interpolate(camera, tiny)
+    smooth = particle_images._interpolate(camera, tiny)
     assert smooth is not None
     assert smooth.terms.tolist() == [[0, 0, 0]]
     found, exact = (find_paths(camera, np.tile(middle, (300, 1)), box) for box in (tiny, None))
@@ -245,7 +244,7 @@ def test_a_box_that_reaches_through_the_wall_has_no_polynomials() -> None:
     """Half of the points are in the wall or the air: no path leads there."""
     camera, (low, high) = camera_of("quick")
     box = (low[0], low[1], low[2] - 1000.0), high
-    assert light_paths._interpolate(camera, box) is None
+    assert particle_images._interpolate(camera, box) is None
     points = points_in(box, 300)
     found, exact = find_paths(camera, points, box), find_paths(camera, points)
     assert 0 < exact.valid.sum() < 300
@@ -258,7 +257,7 @@ def test_a_volume_too_large_for_any_degree_has_exact_paths() -> None:
     camera, (low, _) = camera_of("quick")
     near = replace(camera, wall=None, center_mm=(0.0, 0.0, low[2] - 30.0))
     box = (-50.0, -50.0, low[2]), (50.0, 50.0, low[2] + 100.0)
-    assert light_paths._interpolate(near, box) is None
+    assert particle_images._interpolate(near, box) is None
     points = points_in(box, 100)
     found, exact = find_paths(near, points, box), find_paths(near, points)
     np.testing.assert_array_equal(found.solid_angle, exact.solid_angle)

@@ -18,7 +18,7 @@ from sabench.scenes import build_rig
 from sabench.simulation import camera_view
 from sabench.simulation.frames import Frames
 from sabench.simulation.rendering import particles_splatted
-from sabench.simulation.rendering.laser_sheet import LIGHT_M_S, PLANCK_J_S, fluence
+from sabench.simulation.rendering.lamps import LIGHT_M_S, PLANCK_J_S, fluence
 from sabench.simulation.rendering.particle_images import diffract, diffraction_px, image_particles
 from sabench.simulation.rendering.particle_light import _angle_range, scatterers_of
 from sabench.simulation.rendering.particles_splatted import render_with_rings

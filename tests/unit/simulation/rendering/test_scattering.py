@@ -6,7 +6,7 @@ import miepython
 import numpy as np
 import pytest
 
-from sabench.simulation.rendering.scattering import (
+from sabench.simulation.rendering.particle_light import (
     Scattering,
     extinction_efficiency,
     intensities,

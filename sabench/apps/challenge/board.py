@@ -1,0 +1,475 @@
+"""A challenge: private data sets, archives and pages; results of a participant; their scores.
+
+The bundle for the server Codabench has the format of the server's documentation, version 2: "Yaml
+Structure", "Competition Bundle Structure" and "Submission Docker Container Layout".
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import json
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from string import Template
+from typing import Any, Literal, cast
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from sabench import tasks
+from sabench.api.solvers import TaskName
+from sabench.dataset.copies import copy_observation, pack
+from sabench.dataset.reader import Dataset, open_dataset
+from sabench.dataset.results import open_result
+from sabench.evaluation.leaderboard.archives import (
+    Submitted,
+    check_name,
+    pack_results,
+    submitted_files,
+)
+from sabench.evaluation.leaderboard.page_content import gate_text
+from sabench.evaluation.leaderboard.submissions import match_data_sets, score_safely
+from sabench.evaluation.runner import dataset_of
+from sabench.evaluation.solver_card import CARD, SolverCard, check_solvers, read_cards
+from sabench.evaluation.suite_loading import load_suite, read_secret
+from sabench.evaluation.suites import Case
+from sabench.tasks.external_programs import is_program, solver_name
+from sabench.tasks.solve_and_score import check_result_task, solve
+from sabench.utils.confidence import mean_of
+from sabench.utils.errors import InputError
+from sabench.utils.files import (
+    canonical_json,
+    complete_or_nothing,
+    digest,
+    inside,
+    read_json,
+    refuse_existing,
+    zip_folder,
+)
+from sabench.utils.processes.program import Limits
+from sabench.utils.progress import console
+from sabench.utils.validation import printable, validate
+from sabench.utils.version import __version__
+
+FILE = "challenge.json"
+
+
+class Challenge(BaseModel):
+    """Content of the file, which participants receive, too."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["sabench-challenge"] = "sabench-challenge"
+    version: Literal[1] = 1
+    title: str
+    task: TaskName
+    sabench: str = Field(description="version that made the data sets and scores the results")
+    data_sets: dict[str, str] = Field(description="content hashes by the names of the folders")
+
+
+def write_challenge(challenge: Challenge, folder: Path) -> None:
+    """Write the file into a folder of data sets."""
+    text = canonical_json(challenge.model_dump(mode="json"))
+    (folder / FILE).write_text(text, encoding="utf-8")
+
+
+def read_challenge(folder: Path) -> Challenge:
+    """Read the file of a folder of data sets.
+
+    Raises
+    ------
+    InputError
+        No such file, another format, or a folder that is missing or outside.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        raise InputError(f"{folder}: expected a challenge, with a file {FILE}, found none")
+    challenge = validate(Challenge, read_json(path), str(path))
+    for name in challenge.data_sets:
+        if not inside(folder, name).is_dir():
+            raise InputError(f"{path}: data_sets: expected a folder {printable(name)}, found none")
+    return challenge
+
+
+@contextlib.contextmanager
+def opened_challenge(path: Path) -> Iterator[Path]:
+    """Give the folder of a challenge, unpacked for a while if it is an archive.
+
+    Raises
+    ------
+    InputError
+        Neither a folder nor an intact archive, or one that does not fit onto the disk.
+    """
+    if path.is_dir():
+        yield path
+        return
+    if not path.is_file():
+        raise InputError(f"{path}: expected a challenge's folder or archive, found none")
+    with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
+        _unpack(path, Path(folder))
+        yield Path(folder)
+
+
+def _unpack(path: Path, folder: Path) -> None:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            needed = sum(one.file_size for one in archive.infolist())
+            if needed > shutil.disk_usage(folder).free:
+                raise InputError(f"{path}: expected {needed / 1e6:.0f} MB of free disk in {folder}")
+            archive.extractall(folder)
+    except (zipfile.BadZipFile, ValueError, RuntimeError, EOFError) as error:
+        raise InputError(f"{path}: expected an intact .zip archive, got {error}") from error
+
+
+COSTS = ("seconds", "peak_mb", "reconstruction_s")  # of the participants' machines
+_LEFT_OUT = (*COSTS, "compile_s", "isolated", "whole_process", "estimate_hash")
+ADMITTED = "admitted"
+
+
+def score_submission(reference: Path, submission: Path, out: Path) -> dict[str, float]:
+    """Score a submission and write the files that the server reads.
+
+    `scores.json` holds the mean of each score over the data sets, and the share of them whose
+    result is admitted to the ranking. A score that a data set lacks has no mean.
+    `scores_of_data_sets.json` holds what `sabench score --json` prints for each result, but no
+    costs.
+
+    Parameters
+    ----------
+    reference : folder of the challenge's data sets with their truth.
+    submission : folder or archive of result files.
+    out : folder of the two files.
+
+    Raises
+    ------
+    InputError
+        Another version of sabench, a result that is refused, or not one for each data set.
+    """
+    challenge = read_challenge(reference)
+    if challenge.sabench != __version__:
+        raise InputError(f"expected sabench {challenge.sabench}, got {__version__}")
+    with submitted_files(submission) as files:
+        sets = match_data_sets(files.results, [reference])
+        names = _names(challenge, sets)
+        found = {
+            names[label]: _checked(label, score_safely(label, file, sets[label]), challenge)
+            for label, file in files.results
+        }
+    means = average(challenge, list(found.values()))
+    out.mkdir(parents=True, exist_ok=True)
+    for name, values in (("scores", means), ("scores_of_data_sets", found)):
+        (out / f"{name}.json").write_text(canonical_json(values), encoding="utf-8")
+    return means
+
+
+def average(challenge: Challenge, scores: list[dict[str, Any]]) -> dict[str, float]:
+    """Average the scores of all data sets."""
+    task, means = tasks.of(challenge.task), {}
+    for key in (one.key for one in task.columns if one.key not in COSTS):
+        values = [one[key] for one in scores if one[key] is not None]
+        mean = mean_of(values)
+        if mean is not None and len(values) == len(scores):
+            means[key] = mean.mean
+    return {**means, ADMITTED: sum(task.admits(one) for one in scores) / len(scores)}
+
+
+def _names(challenge: Challenge, sets: dict[str, Dataset]) -> dict[str, str]:
+    """Name the data set of each result; there must be one result for each."""
+    by_hash = {one: name for name, one in challenge.data_sets.items()}
+    names = {label: by_hash[data.content_hash] for label, data in sets.items()}
+    first: dict[str, str] = {}
+    for label, name in names.items():
+        if name in first:
+            raise InputError(
+                f"{name}: expected one result, got {printable(first[name])} and {printable(label)}"
+            )
+        first[name] = label
+    missing = [name for name in challenge.data_sets if name not in first]
+    if missing:
+        raise InputError(
+            f"expected a result for each of {len(challenge.data_sets)} data sets, got none for "
+            f"{', '.join(missing)}"
+        )
+    return names
+
+
+def _checked(label: str, scores: dict[str, Any], challenge: Challenge) -> dict[str, Any]:
+    check_result_task(scores["task"], challenge.task, printable(label))
+    return {key: one for key, one in scores.items() if key not in _LEFT_OUT}
+
+
+_FOLDER = Path(__file__).with_name("pages")
+NAMES = ("overview", "data", "evaluation", "terms")
+CARD_TEMPLATE = "".join(
+    f'# {field.description}\n{name} = ""\n' for name, field in SolverCard.model_fields.items()
+)
+
+
+def page(name: str, challenge: Challenge) -> str:
+    """Fill in a page in Markdown: one of `NAMES`."""
+    task = tasks.of(challenge.task)
+    shown = [one for one in task.columns if one.key not in COSTS]
+    scores = "\n".join(f"| {one.heading} | {one.meaning} |" for one in shown)
+    values = {
+        "title": challenge.title,
+        "task": challenge.task,
+        "count": len(challenge.data_sets),
+        "first": task.columns[0].heading,
+        "gate": gate_text(task),
+        "scores": scores,
+        "version": challenge.sabench,
+    }
+    text = (_FOLDER / f"{name}.md").read_text(encoding="utf-8")
+    return Template(text).substitute(values)
+
+
+_PROGRAM = Path(__file__).with_name("score.py")
+_COMMAND = "command: python3 /app/program/score.py /app/input/ /app/output/\n"
+_DIGITS = 6  # that the server's table shows
+_LIMIT_S = 3600  # for the scores of one submission
+_DOCKERFILE = """# Image for the scoring program: put the wheel of sabench next to this file.
+FROM python:3.12-slim
+COPY sabench-{version}-py3-none-any.whl /tmp/
+RUN pip install --no-cache-dir /tmp/sabench-{version}-py3-none-any.whl
+"""
+
+
+def write_bundle(
+    challenge: Challenge, named: dict[str, Dataset], image: str, public: Path, folder: Path
+) -> None:
+    """Write the content of a bundle into a new folder.
+
+    Parameters
+    ----------
+    named : the data sets with their truth, which go to the reference data alone.
+    image : name of the Docker image in which the server scores.
+    public : archive that participants receive.
+    """
+    reference = folder / "reference_data"
+    reference.mkdir(parents=True)
+    for name, data in named.items():
+        pack(data, reference / name, blind=False)
+    write_challenge(challenge, reference)
+    program, kit = folder / "scoring_program", folder / "starting_kit"
+    program.mkdir()
+    shutil.copyfile(_PROGRAM, program / _PROGRAM.name)
+    (program / "metadata.yaml").write_text(_COMMAND, encoding="utf-8")
+    recipe = _DOCKERFILE.format(version=challenge.sabench)
+    (program / "Dockerfile").write_text(recipe, encoding="utf-8")
+    kit.mkdir()
+    _write_instructions(challenge, kit)
+    (folder / "pages").mkdir()
+    for name in NAMES:
+        (folder / "pages" / f"{name}.md").write_text(page(name, challenge), encoding="utf-8")
+    shutil.copyfile(public, folder / "public_data.zip")
+    # images of the first data set, which participants receive anyway
+    first = next(iter(named.values()))
+    (folder / "logo.png").write_bytes(tasks.of_data(first).images(first))
+    text = "\n".join(competition(challenge, image)) + "\n"
+    (folder / "competition.yaml").write_text(text, encoding="utf-8")
+
+
+def _write_instructions(challenge: Challenge, folder: Path) -> None:
+    (folder / "README.md").write_text(page("data", challenge), encoding="utf-8")
+    (folder / CARD).write_text(CARD_TEMPLATE, encoding="utf-8")
+
+
+def competition(challenge: Challenge, image: str) -> Iterator[str]:
+    """Give the lines of competition.yaml; texts are quoted as JSON, which YAML reads."""
+    start = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M:%S")
+    pages = "\n".join(
+        f"  - {{title: {name.capitalize()}, file: pages/{name}.md}}" for name in NAMES
+    )
+    yield f"""version: 2
+title: {_quoted(challenge.title)}
+description: {_quoted(f"Task {challenge.task} on private data sets")}
+image: logo.png
+terms: pages/terms.md
+docker_image: {_quoted(image)}
+make_programs_available: true
+pages:
+{pages}
+tasks:
+  - index: 0
+    name: {_quoted(challenge.title)}
+    scoring_program: scoring_program
+    reference_data: reference_data
+phases:
+  - index: 0
+    name: Challenge
+    start: {start}
+    execution_time_limit: {_LIMIT_S}
+    public_data: public_data.zip
+    starting_kit: starting_kit
+    accepts_only_result_submissions: true
+    tasks: [0]
+leaderboards:
+  - title: Results
+    key: main
+    submission_rule: Force_Last
+    columns:"""
+    scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
+    for number, one in enumerate(scores):
+        yield _column(number, one.key, one.heading, "asc" if one.better == "smaller" else "desc")
+    yield _column(len(scores), ADMITTED, "admitted", "desc")
+
+
+def _quoted(text: str) -> str:
+    """Quote a text for YAML, which has JSON's escapes but no surrogate pairs."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _column(number: int, key: str, title: str, sorting: str) -> str:
+    values = f"title: {_quoted(title)}, key: {key}, index: {number}, sorting: {sorting}"
+    return f"      - {{{values}, precision: {_DIGITS}}}"
+
+
+PARTICIPANT, BUNDLE = "participant.zip", "codabench.zip"
+
+
+def make_challenge(
+    suite: str | Path,
+    secret: Path,
+    out: Path,
+    *,
+    task: TaskName | None = None,
+    image: str | None = None,
+    jobs: int = 1,
+) -> Challenge:
+    """Make the private data sets of a suite, and the archives for others.
+
+    Data sets that are there and intact are used again, so that an interrupted call is resumed.
+
+    Parameters
+    ----------
+    suite : name or file of a suite. The cases that a solver of the task solves are used.
+    secret : the organiser's file, from which the seeds come.
+    out : folder of `private` data sets, `participant.zip` and `codabench.zip`.
+    task : of all results; None: the only one of the suite's solvers.
+    image : Docker image with sabench for a bundle for Codabench; None: no bundle.
+    jobs : processes that generate a data set.
+
+    Raises
+    ------
+    InputError
+        Anything wrong in suite or secret, or a suite of several tasks where none is chosen.
+    """
+    loaded, cases = load_suite(suite, read_secret(secret))
+    chosen = _choose_task(cases, task, str(suite))
+    wanted = [case for case in cases if chosen in _tasks(case)]
+    # by hash, so that the order tells no case
+    made = sorted(_data_sets(wanted, out / "private", jobs), key=lambda one: one.content_hash)
+    named = {f"data_{number:03d}": data for number, data in enumerate(made)}
+    hashes = {name: data.content_hash for name, data in named.items()}
+    challenge = Challenge(title=loaded.title, task=chosen, sabench=__version__, data_sets=hashes)
+    with tempfile.TemporaryDirectory(prefix="sabench-", dir=out) as scratch:
+        folder = Path(scratch) / "participant"
+        for name, data in named.items():
+            (folder / name).mkdir(parents=True)
+            copy_observation(data, folder / name)
+        write_challenge(challenge, folder)
+        _write_instructions(challenge, folder)
+        _archive(folder, out / PARTICIPANT)
+        if image is not None:
+            bundle = Path(scratch) / "codabench"
+            write_bundle(challenge, named, image, out / PARTICIPANT, bundle)
+            _archive(bundle, out / BUNDLE)
+    return challenge
+
+
+def _choose_task(cases: list[Case], task: TaskName | None, suite: str) -> TaskName:
+    known = sorted({one for case in cases for one in _tasks(case)})
+    if task is None and len(known) > 1:
+        raise InputError(
+            f"{suite}: expected solvers of one task, or --task with one of {', '.join(known)}"
+        )
+    chosen = task or known[0]
+    if chosen not in known:
+        raise InputError(f"--task: expected one of {', '.join(known)}, got {chosen!r}")
+    return cast("TaskName", chosen)
+
+
+def _tasks(case: Case) -> set[str]:
+    return {entry.describe()[1] for entry in case.solvers}
+
+
+def _data_sets(cases: list[Case], work: Path, jobs: int) -> Iterator[Dataset]:
+    for number, case in enumerate(cases, 1):
+        text = f"data set {number} of {len(cases)}: {case.name}, {case.words}"
+        console.print(text, markup=False, highlight=False)
+        yield dataset_of(case, work, False, jobs)
+
+
+def _archive(folder: Path, out: Path) -> None:
+    with complete_or_nothing(out, overwrite=True) as partial:
+        zip_folder(folder, partial)
+
+
+def participate(
+    path: Path,
+    solver: str,
+    out: Path,
+    *,
+    results: Path,
+    cards: Sequence[Path] = (),
+    parameters: dict[str, Any] | None = None,
+    limits: Limits | None = None,
+    overwrite: bool = False,
+) -> int:
+    """Solve all data sets of a challenge, pack the results, and return their number.
+
+    Results that are there are used again, so that an interrupted call is resumed.
+
+    Parameters
+    ----------
+    path : archive or folder of the challenge.
+    solver : its name, or the path of a program.
+    out : archive to create, by the name .zip.
+    results : folder in which the results are kept.
+    cards : of the solver.
+    parameters, limits : as `solve` takes them.
+
+    Raises
+    ------
+    InputError
+        As `solve` and `pack_results`, or a solver of another task.
+    """
+    check_name(out)
+    refuse_existing(out, overwrite=overwrite)
+    shown = solver_name(solver) if is_program(solver) else solver
+    check_solvers(read_cards([], cards), [shown])  # before hours of solving
+    with opened_challenge(path) as folder:
+        challenge = read_challenge(folder)
+        tag = digest([solver, parameters or {}])[:8]
+        made = []
+        for number, name in enumerate(challenge.data_sets, 1):
+            text = f"data set {number} of {len(challenge.data_sets)}: {name}"
+            console.print(text, markup=False, highlight=False)
+            data = open_dataset(folder / name)
+            place = results / f"{name}-{data.content_hash[:8]}-{shown}-{tag}.h5"
+            if not _is_there(place, data):
+                solve(solver, data, place, parameters=parameters, limits=limits)
+            _check_task(place, data, challenge, shown)
+            made.append((f"{name}.h5", place))
+    pack_results(Submitted(made, []), out, cards, overwrite=overwrite)
+    return len(made)
+
+
+def _is_there(place: Path, data: Dataset) -> bool:
+    """Check for an earlier result; one of another data set is refused."""
+    if not place.exists():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        return False
+    open_result(place, data)
+    return True
+
+
+def _check_task(place: Path, data: Dataset, challenge: Challenge, solver: str) -> None:
+    try:
+        check_result_task(open_result(place, data).task, challenge.task, f"solver {solver}")
+    except InputError:
+        place.unlink()
+        raise
