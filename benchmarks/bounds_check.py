@@ -8,8 +8,6 @@ compiled into a cache of their own, which takes minutes. numba ignores errors in
 from -n to -1 counts from the end of an axis and is not found.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -10,8 +10,6 @@ value: seconds, the largest error of the nine images, and the fraction of the ce
 that bubbles cover.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -8,8 +8,6 @@ are medians after a first run. They are compared with the time that a dense prod
 and columns as one step's normal equations takes in the same run.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

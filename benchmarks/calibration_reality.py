@@ -14,8 +14,6 @@ docs.
   expects over the true one.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -5,8 +5,6 @@ writes it. The tanks are those of `benchmarks/calibration_reality.py` without er
 does not have; their nominal walls are off in what is unknown. `tables record.json` prints a table.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

@@ -10,8 +10,6 @@ random places with all files open, and the time to open the data set and read on
 in the system's cache: a disk adds the time to fetch the bytes.
 """
 
-from __future__ import annotations
-
 import io
 import shutil
 import sys

@@ -10,8 +10,6 @@ deviations by the median distance to the median of the image less black. `--tabl
 of a record again.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable

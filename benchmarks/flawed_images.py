@@ -16,8 +16,6 @@ Prints one JSON value: Q of volumes and F1 of particles for each solver, over al
 `f1_open`; the clean images are scored without them, too). `--quick` takes a smaller part.
 """
 
-from __future__ import annotations
-
 import argparse
 import functools
 import json

@@ -5,8 +5,6 @@ child process, and prints the peak resident memory of each and the growth per ad
 Buffers of Mitsuba and Dr.Jit fill over the first dozens of renders and then stay.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

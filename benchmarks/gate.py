@@ -14,8 +14,6 @@ Prints a line for every run and a summary; exit code 1 if a bug was missed, a re
 or a replacement does not fit.
 """
 
-from __future__ import annotations
-
 import argparse
 import functools
 import json

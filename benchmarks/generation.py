@@ -16,8 +16,6 @@
   end.
 """
 
-from __future__ import annotations
-
 import heapq
 import json
 import os

@@ -14,8 +14,6 @@ CPU seconds of the reconstruction of a pair. The record is written after each pa
 holds is not measured again.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -16,8 +16,6 @@ largest differences; with --record, writes it to `records/gpu.json`.
   (`inverse_rendering.py`'s scene, 256 x 256 pixels, 0.05 particles per pixel).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -10,8 +10,6 @@ not here, with `uv pip compile` (uv must be installed: pip evaluates the markers
 the machine on which it runs, whatever --platform says). Nothing is run there.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -9,8 +9,6 @@ Embree, which finds the surfaces that rays of bubbles and targets meet, cannot b
 is 1 if copies have other identities or do not agree.
 """
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import os

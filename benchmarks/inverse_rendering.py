@@ -19,8 +19,6 @@ in space, CPU milliseconds for each particle found, and the cost (minus the loga
 probability, less that of the search).
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json

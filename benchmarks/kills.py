@@ -9,8 +9,6 @@ whole process group. The same command is then started again and must end with th
 the undisturbed run.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

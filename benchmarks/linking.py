@@ -7,8 +7,6 @@ neighbours, recall and precision of links (300 bubbles, 6 frames); and seconds f
 50 frames.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

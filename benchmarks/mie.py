@@ -10,8 +10,6 @@
   mean over the distribution times d^2, which is a cloud's.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -17,8 +17,6 @@ this, the copies and the outcomes: what is known is not run again, survivors wit
 Delete the folder to start afresh; a change of the code does that, too.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import contextlib

@@ -9,8 +9,6 @@ from the start of the navigation to the ranking and to the first rows of all res
 five.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import sys

@@ -23,8 +23,6 @@ ghosts in percent of the true particles, F1, the RMS distance in the images, and
 the file holds of other cases and parts stays.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

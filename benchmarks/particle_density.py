@@ -37,8 +37,6 @@ ellipsoids over the nominal one, and CPU seconds. What the file holds of other c
 stays.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

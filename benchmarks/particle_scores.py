@@ -3,8 +3,6 @@
 Reconstruction solvers take part, too: their particles are the local maxima of their volumes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

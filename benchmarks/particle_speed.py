@@ -17,8 +17,6 @@ Scenes and light are those of `particle_density.py` and `particle_tracking.py`. 
 for each part. What the file holds of other parts stays.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

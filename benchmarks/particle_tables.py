@@ -7,8 +7,6 @@ of the suites' present scenes. Cells are means over the seeds with half of the 9
 interval where there are several.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -19,8 +19,6 @@ solver and frame recall, ghosts and the RMS distance in the images; scores of tr
 frames; CPU seconds per frame. What the file holds of other cases and solvers stays.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tomllib

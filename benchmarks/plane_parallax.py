@@ -5,8 +5,6 @@ Run python benchmarks/plane_parallax.py [SEEDS]. Nine cameras of the scene `cali
 95 % interval, and how many runs warned.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from dataclasses import replace

@@ -13,8 +13,6 @@ What the record holds of other numbers stays. `fit` fits all scenes but numbers 
 before them guided the choice of the model, and count for neither.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

@@ -1,7 +1,5 @@
 """Bugs that the benchmark of the gate plants: changes of one line each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -7,8 +7,6 @@ numpy's square root on the same number of values, taken in the same run, so that
 different machines can be compared.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import sys

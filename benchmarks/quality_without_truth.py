@@ -11,8 +11,6 @@ correlation: 1 or -1 where the figure orders the results as the truth does. --ta
 tables of docs/using/quality.md from the record. What the file holds of other cases stays.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

@@ -13,8 +13,6 @@ these machines.
 Seconds are CPU seconds. Rays are those of all pixels, also where nothing is traced.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -7,8 +7,6 @@ clean one of the same seed, mean over the seeds with half of the 95 % confidence
 t). `--json` writes every score.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tomllib

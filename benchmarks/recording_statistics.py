@@ -8,8 +8,6 @@ the recordings are published ones of two public examples of 8 bit, a cavity with
 program, so that definitions may differ.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

@@ -9,8 +9,6 @@ the cameras alone is computed once before. Shares are of limits measured in the 
 from the first cache for each bilinear sample, and OpenCV's bilinear remap.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -4,8 +4,6 @@
 one of them fails. `--fast` leaves out the tests, the gate and the installation.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tomllib

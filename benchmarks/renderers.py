@@ -7,8 +7,6 @@ mirror images. The error of a solver that ignores the wall is computed with the 
 Prints JSON.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """Rooflines of this machine: the best speeds, of which benchmarks give fractions."""
 
-from __future__ import annotations
-
 import timeit
 from collections.abc import Callable
 from typing import Any

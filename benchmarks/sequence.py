@@ -9,8 +9,6 @@ what a frame costs. A particle-image is one particle in one camera's image of on
 is compared with the time that writing as many bytes takes.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -16,8 +16,6 @@
 - **dask**: shards a second by 1, 2, 4 and 8 processes of a Dask cluster on this machine.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import os

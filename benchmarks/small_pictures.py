@@ -9,8 +9,6 @@ there are, and their size. Where LEADERBOARD lacks the picture of a bundled reco
 written.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

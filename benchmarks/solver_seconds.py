@@ -14,8 +14,6 @@ solvers keep what they computed from the cameras. A busy machine tells nothing: 
 record.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -7,8 +7,6 @@ means over the seeds with half of the 95 % confidence interval (Student's t) whe
 several.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

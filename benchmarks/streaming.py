@@ -18,8 +18,6 @@
 - **Memory**: of this process after 100 and after 2,000 samples of 128 x 128 pixels.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import itertools
 import json

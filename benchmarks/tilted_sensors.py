@@ -5,8 +5,6 @@
 bound, for nine cameras and five boards with 0.1 px of noise.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace

@@ -9,8 +9,6 @@ bandwidth is that of a + b c over large arrays. The quality of the solvers' defa
 measured on a smaller volume of the same array. Prints JSON.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import math

@@ -8,8 +8,6 @@ Then the response: the measured amplitude of sinusoidal shears, over the wavelen
 that of the mean over a window; and how well a particle closes its path about a ring's core.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import timeit

@@ -8,8 +8,6 @@ it is software. More than 200,000 particles are thinned. `cpu_ms` is the CPU tim
 processes of the browser: on a busy machine it tells more than the frames a second.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Flow of Arnold, Beltrami and Childress."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

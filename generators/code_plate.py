@@ -1,7 +1,5 @@
 """Plate with a code of dark cells, flat or bent."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

@@ -1,7 +1,5 @@
 """Slow flow around the bodies of a scene."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

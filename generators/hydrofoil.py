@@ -1,7 +1,5 @@
 """Wing of one NACA section."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field, field_validator
 

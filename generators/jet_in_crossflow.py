@@ -1,7 +1,5 @@
 """Drops of a liquid jet in a cross-flow."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

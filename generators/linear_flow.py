@@ -1,7 +1,5 @@
 """Flows that are linear in space: shear, rotation, strain."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Column and ligaments of a liquid jet in a cross-flow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

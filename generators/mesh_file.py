@@ -1,7 +1,5 @@
 """Body from a mesh file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Bubbles below a plunging jet, drawn from the laws of the thesis."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

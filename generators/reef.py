@@ -1,7 +1,5 @@
 """Reef."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field, field_validator
 

@@ -1,7 +1,5 @@
 """Taylor-Green vortices."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

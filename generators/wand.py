@@ -1,7 +1,5 @@
 """Wand with balls in a row, waved through the volume."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

@@ -1,7 +1,5 @@
 """Tables and figures of the thesis, measured again and compared with its values."""
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import itertools

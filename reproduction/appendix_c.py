@@ -4,8 +4,6 @@ Convergence of the alternation for every noise (figures C-1 to C-15), final erro
 (C-16 to C-19) and errors of the points (C-20 and C-21).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np

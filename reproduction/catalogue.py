@@ -1,7 +1,5 @@
 """Catalogue of the thesis: 7 tables, 118 figures, and what was measured for each."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Number and errors of cameras: figure 2-7, section 2.3.2, calibrations."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Density of particles: tables 2.1 and beyond, figures 2-6 and 3-8."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np

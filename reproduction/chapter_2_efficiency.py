@@ -5,8 +5,6 @@ PIV, defocusing digital PIV (DDPIV) and particle tracking (PTV) from the literat
 simulated. Holography is not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

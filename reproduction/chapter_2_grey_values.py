@@ -5,8 +5,6 @@ elsewhere a nearly normal noise, whose deviation is that of one image over the r
 of cameras; particles in focus are outliers, which a threshold keeps (section 2.2.3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

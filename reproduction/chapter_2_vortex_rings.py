@@ -1,7 +1,5 @@
 """Velocity of simulated vortex rings: table 2.2 and section 2.4."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

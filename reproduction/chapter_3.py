@@ -1,7 +1,5 @@
 """Chapter 3: operations, numbers of cameras, and triggers that are off."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

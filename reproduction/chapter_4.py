@@ -1,7 +1,5 @@
 """Common parts of chapter 4's tables: camera array, noisy boards, errors, runs."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Camera models, Newton's iteration, moved boards: figures 4-6, 4-9, 4-27."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

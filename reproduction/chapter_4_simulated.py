@@ -1,7 +1,5 @@
 """Simulated calibrations: table 4.1 and figures 4-11 to 4-21."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The images are the same in all tests; the nominal spacing of the planes is right
 one, or a quarter of it.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Plunging jets: rendered frames, detected bubbles, tables 5.1 and 5.2."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Concentration, depth and tilt of plunging jets: figures 5-21 to 5-30."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sizes of bubbles in plunging jets: figures 5-15 to 5-17 and 5-23 to 5-25."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

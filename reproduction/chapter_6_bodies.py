@@ -1,7 +1,5 @@
 """Flow behind bodies, and three phases in one picture: chapter 6."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

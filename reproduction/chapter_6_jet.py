@@ -1,7 +1,5 @@
 """Liquid jet in a cross-flow: figures 6-4 to 6-6, and its drops over time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Codes behind bubbles: figure 1-3 and section 2.2.2."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Common parts of all tables: rows with verdicts, arrays simulated in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Literal

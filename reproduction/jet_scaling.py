@@ -5,8 +5,6 @@ value at Y_m on both sides (figure 5-30c), C over R is Gaussian (equation 5.19),
 from C_max and R_.5 (equation 5.22) or from equation 5.18.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Page of the documentation on the reproduction: verdicts, findings and figures."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows written to a file, and a page of them with curves beside the values."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import groupby

@@ -6,8 +6,6 @@ Equation and table numbers are those of J. Belden, "Synthetic Aperture Imaging f
 Resolution of Fluid Flows", MIT.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -11,8 +11,6 @@ variable SABENCH_PLUGINS (separated as in PATH). The name of a plug-in is the st
 that listing plug-ins is fast and one broken plug-in does not affect the others.
 """
 
-from __future__ import annotations
-
 import difflib
 import functools
 import importlib

@@ -1,7 +1,5 @@
 """Additive synthetic aperture refocusing."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

@@ -1,7 +1,5 @@
 """Iterative particle reconstruction as the most probable explanation of images."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from sabench.algorithms.particles import (

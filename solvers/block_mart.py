@@ -1,7 +1,5 @@
 """Multiplicative algebraic reconstruction, camera by camera."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 from sabench.algorithms.tomography import SparseParameters, TomographyProblem, block_mart, iterate

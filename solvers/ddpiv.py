@@ -1,7 +1,5 @@
 """Particles by defocusing digital particle image velocimetry."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from sabench.algorithms.particles import PeakParameters, find_by_defocusing, find_unsuitable

@@ -1,7 +1,5 @@
 """Auto-calibration of pinholes by factorisation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

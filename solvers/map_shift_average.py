@@ -1,7 +1,5 @@
 """Map-shift-average: synthetic aperture refocusing as it was first published."""
 
-from __future__ import annotations
-
 from sabench.algorithms.refocus import (
     ExtractionParameters,
     extract_particles,

@@ -1,7 +1,5 @@
 """Multiplicative algebraic reconstruction, pixel by pixel."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Multiplicative algebraic reconstruction from a multiplicative first guess."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 from sabench.algorithms.tomography import SparseParameters, TomographyProblem, iterate, mart

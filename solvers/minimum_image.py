@@ -1,7 +1,5 @@
 """The thesis's algorithm for bubbles in less dense flows."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

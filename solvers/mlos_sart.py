@@ -1,7 +1,5 @@
 """Simultaneous additive algebraic reconstruction on multiplied lines of sight."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

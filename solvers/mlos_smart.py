@@ -3,8 +3,6 @@
 MART: multiplicative algebraic reconstruction technique.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 from pydantic import Field

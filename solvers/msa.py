@@ -1,7 +1,5 @@
 """Multiplicative synthetic aperture refocusing."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

@@ -1,7 +1,5 @@
 """Motion-tracking-enhanced multiplicative algebraic reconstruction."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """OpenLPT, an independent program for Lagrangian particle tracking."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """OpenPTV, an independent program for particle tracking velocimetry."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A pinhole without refraction for every camera."""
 
-from __future__ import annotations
-
 from sabench.algorithms.calibration import fit_projective, known_points, reason_if_flat
 from sabench.api import Calibration, CalibrationCase, CalibrationSolver
 

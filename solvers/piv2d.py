@@ -1,7 +1,5 @@
 """Planar PIV of a light sheet, by one camera."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from sabench.algorithms.velocimetry import (

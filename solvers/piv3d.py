@@ -3,8 +3,6 @@
 Window correlation in several passes on volumes that are moved towards each other.
 """
 
-from __future__ import annotations
-
 from sabench.algorithms.velocimetry import VolumeCorrelationParameters, evaluate
 from sabench.api import VelocimetryParameters, VelocimetrySolver, Velocity, VolumePair
 

@@ -1,7 +1,5 @@
 """Three-dimensional PIV in one pass, the baseline."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from sabench.algorithms.velocimetry import evaluate_once

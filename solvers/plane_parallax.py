@@ -1,7 +1,5 @@
 """Plane and parallax for cameras on one plane, without known optics."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A quadratic polynomial for every plane of a traversed target."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sabench.algorithms.calibration import fit_planes, known_frames

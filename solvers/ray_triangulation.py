@@ -1,7 +1,5 @@
 """Particles by triangulation."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from sabench.algorithms.particles import (

@@ -1,7 +1,5 @@
 """Refractive auto-calibration: all cameras and all boards simultaneously."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Refractive auto-calibration as in the thesis: cameras and boards in turn."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from sabench.algorithms.calibration import (

@@ -1,7 +1,5 @@
 """The thesis's auto-calibration on random subsets of the cameras."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Refractive resection: every camera on its own from known places."""
 
-from __future__ import annotations
-
 from sabench.algorithms.calibration import (
     CalibrationProblem,
     adjust,

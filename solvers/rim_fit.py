@@ -1,7 +1,5 @@
 """Bubbles by the outlines that all views vote for, and a fit of their appearance."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

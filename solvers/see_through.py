@@ -1,7 +1,5 @@
 """Refocusing through bubbles or bodies by differences between the views."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Bubbles of images that also show a body and tracers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from pydantic import Field

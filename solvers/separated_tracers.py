@@ -1,7 +1,5 @@
 """Tracers of images that also show bubbles and a body."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Particles followed over time by prediction and fits to the images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Simultaneous multiplicative algebraic reconstruction on the full volume."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 from pydantic import Field

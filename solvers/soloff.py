@@ -1,7 +1,5 @@
 """A cubic polynomial for every camera."""
 
-from __future__ import annotations
-
 from sabench.algorithms.calibration import (
     fit_soloff,
     known_points,

@@ -1,7 +1,5 @@
 """Volume self-calibration on particle images."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from sabench.algorithms.calibration import (

@@ -3,8 +3,6 @@
 Mitsuba renders the data set through glass, once for all system tests.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

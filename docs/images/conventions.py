@@ -1,7 +1,5 @@
 """Draw the frames and the pixels of docs/conventions.md: python docs/images/conventions.py."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ The record is that of `benchmarks/particle_density.py`; cases in which each part
 bright in all cameras count.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

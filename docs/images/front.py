@@ -3,8 +3,6 @@
 `sabench reproduce fig-1-3 fig-6-5 --figures docs/images` draws the figures.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

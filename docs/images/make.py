@@ -3,8 +3,6 @@
 Run python docs/images/make.py leaderboard/pictures/FOLDER docs/images/NAME.png.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Run python docs/images/tutorial.py work/data work/msa.h5 [FOLDER]; the page's ow
 docs/images, others in the current folder by default.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Run python docs/site/check.py build/site. Where there is a Chromium, axe-core lo
 too, wide and light, or narrow and dark in turn.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Tables of particle solvers, in Markdown, from the records of benchmarks."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path

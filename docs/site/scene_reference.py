@@ -1,7 +1,5 @@
 """Reference of all keys of a scene, in Markdown, from the schema of scenes."""
 
-from __future__ import annotations
-
 import functools
 import json
 import re

@@ -4,8 +4,6 @@ A class declares its arrays in `ARRAYS`. One writer and one reader (`sabench.dat
 one check (`Arrays.check`) serve all of them by these declarations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self

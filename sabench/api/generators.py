@@ -1,7 +1,5 @@
 """Base classes of generators: each makes the truth of one frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal

@@ -1,7 +1,5 @@
 """Construction of plug-ins by name, with checked parameters."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from sabench import plugins

@@ -1,7 +1,5 @@
 """Base classes of plug-ins and of their parameters."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field

@@ -8,8 +8,6 @@ the first line of its docstring is its summary in `sabench list`, and its `Param
 values that a scene or `-p name=value` may set.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import ClassVar, Literal

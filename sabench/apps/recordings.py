@@ -1,7 +1,5 @@
 """Statistics of a data set's images, and of anybody's recordings beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ The result is a folder: image.exr and image.png in the surface's own coordinates
 the world point of each pixel, and surface.json.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args

@@ -1,7 +1,5 @@
 """The command `sabench`: its subcommands, exit codes and error messages."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os

@@ -1,7 +1,5 @@
 """Command on Belden's thesis: reproduce."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -3,8 +3,6 @@
 They are 200 columns wide where the output is piped.
 """
 
-from __future__ import annotations
-
 import shutil
 import sys
 from collections.abc import Sequence

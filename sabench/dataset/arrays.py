@@ -1,7 +1,5 @@
 """Reader and writer of declared arrays, for truth, shards and results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from typing import Any, TypeVar
 

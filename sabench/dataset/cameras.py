@@ -1,7 +1,5 @@
 """Cameras of a data set, in `cameras.json` and `true_cameras.json`."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence

@@ -4,8 +4,6 @@ Processors round differently, so the bytes of two honest copies differ. Toleranc
 and more what `benchmarks/instruction_sets.py` measures: see docs/developing/decisions.md.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

@@ -4,8 +4,6 @@ HDF5 inflates a deflate stream to its end, whatever its chunk should hold: a fil
 gigabytes. A stream that ends early leaves a part of the chunk undefined.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -1,7 +1,5 @@
 """Import of recordings: images and cameras become a data set without truth."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import re

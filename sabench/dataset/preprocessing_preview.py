@@ -1,7 +1,5 @@
 """Preview of preprocessing: one image after each step, and its peaks."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

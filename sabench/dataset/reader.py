@@ -1,7 +1,5 @@
 """Reader of data sets: observations for solvers, truth for scores."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import tomllib

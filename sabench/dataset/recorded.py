@@ -4,8 +4,6 @@ Images may stay where they were recorded: the data set then names their files, a
 read and converted when it is requested.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import platform

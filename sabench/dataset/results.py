@@ -1,7 +1,5 @@
 """Result files of solvers; docs/formats/result.md is their contract."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

@@ -6,8 +6,6 @@ samples are in one file, their truth in another. A process that is killed leaves
 of a shard is written last and completes it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Reader of one shard, sample by sample."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

@@ -4,8 +4,6 @@ A damaged file may kill the HDF5 library's process, so that files are probed in 
 process first.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections import Counter

@@ -1,7 +1,5 @@
 """Writer of data sets: a temporary folder that becomes the data set."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.metadata
 import platform

@@ -1,7 +1,5 @@
 """Recorded data sets as cases of suites, and their results judged without truth."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass

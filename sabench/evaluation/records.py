@@ -4,8 +4,6 @@ Many processes may append to a file without losing or tearing a line. Readers do
 content.
 """
 
-from __future__ import annotations
-
 import datetime
 import importlib.metadata
 import json

@@ -3,8 +3,6 @@
 The folder lies next to the package in a checkout, and inside it in a wheel.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 import importlib.util

@@ -3,8 +3,6 @@
 It runs every solver on every case and seed.
 """
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from collections.abc import Iterator

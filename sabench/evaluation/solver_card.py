@@ -1,7 +1,5 @@
 """Solver card: what a reader needs to know about a submitted solver."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ one for each recording. The seeds of a private test set come from a file with a 
 the organiser has.
 """
 
-from __future__ import annotations
-
 import copy
 import functools
 import hashlib

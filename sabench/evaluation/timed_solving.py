@@ -3,8 +3,6 @@
 Times of solvers are compared as multiples of its time.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Interface of all camera models."""
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

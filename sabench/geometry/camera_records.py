@@ -1,7 +1,5 @@
 """Cameras of any model as JSON keeps them."""
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Sequence

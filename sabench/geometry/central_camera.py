@@ -5,8 +5,6 @@ other models of distortion than Brown and Conrady's are all maps from ideal imag
 pixels. `fit_central_camera` fits a polynomial to such a map.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Visibility of points in cameras: common box, grid, frusta through the wall."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace

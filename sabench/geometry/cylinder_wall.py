@@ -8,8 +8,6 @@ form stays exact for any radius, and at c = 0 it is a plane.
 At the end are the types of walls of any shape as JSON keeps them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Any

@@ -3,8 +3,6 @@
 The field is that of the intensity.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ through the turning point; sensor coordinates have the same origin and lie along
 columns. Behind the lens all is turned by half a turn, so that both have the signs of the scene.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Opaque discs on the cameras' side of the wall, where light still runs straight."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ A polynomial's degree is raised until its worst error, measured at other points 
 to, is below `TOLERANCE_PX`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

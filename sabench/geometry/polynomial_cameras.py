@@ -3,8 +3,6 @@
 They are models without optics, fitted to points of known positions.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Projective camera: the direct linear transform, fitted to known points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -14,8 +14,6 @@ guards it against rounding all the same. (The thesis solves the same path for tw
 pair, equations 4.14 and 4.15.)
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from typing import Protocol

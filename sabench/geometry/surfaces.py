@@ -5,8 +5,6 @@ u along columns, v along rows. Its front is the side of its own -Z, which faces 
 not rotated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path

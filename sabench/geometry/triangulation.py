@@ -1,7 +1,5 @@
 """Triangulation of points from their images in cameras of any model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

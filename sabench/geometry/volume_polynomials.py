@@ -4,8 +4,6 @@ They are fitted to the exact projection (`camera.project`, the reference), from 
 by less than `TOLERANCE_PX`; tests/unit/test_self_calibration.py measures the difference.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple

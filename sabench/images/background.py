@@ -7,8 +7,6 @@ with sharp edges, in which hardly any pixel is dark, are brighter on top of it: 
 leaves them around dead pixels, and bodies are lit.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import cv2

@@ -12,8 +12,6 @@ thresholds rest: `repair.above_background` (median distance to the median of 3 x
 `interop.image_statistics.background_noise` (median distance of dark pixels to the median).
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Gaussians averaged over pixels or voxels: their shares, derivatives and width."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Recorders name files in many ways: a folder for each camera, a folder for each f
 folder with numbers, one file for each camera with all its frames.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

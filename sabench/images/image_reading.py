@@ -1,7 +1,5 @@
 """Grey values of image files in common formats, one image after the other."""
 
-from __future__ import annotations
-
 import itertools
 import tempfile
 from collections.abc import Iterator, Sequence

@@ -4,8 +4,6 @@
 that makes all cameras count alike. The dark level and noise at each pixel are in `dark_noise`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

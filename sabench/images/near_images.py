@@ -1,7 +1,5 @@
 """Search for particles whose images are near each other."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

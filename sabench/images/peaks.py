@@ -4,8 +4,6 @@ Maxima of volumes are found elsewhere, since they break ties in other ways: `met
 joins plateaus, the lattice of `particles.candidate_search` keeps the first of equal points.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

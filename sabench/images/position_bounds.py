@@ -6,8 +6,6 @@ each bound is that of a fit in which the neighbours are unknown, too. The neighb
 neighbours are taken as known: a bound with fewer unknowns is lower, and so remains a bound.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

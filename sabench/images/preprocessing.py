@@ -3,8 +3,6 @@
 The steps of the thesis's section 2.3.2, in any order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal
 

@@ -4,8 +4,6 @@ Light, noise, and particle images one by one need no calibration, and are comput
 of data sets and of laboratories. Grey values are scaled so that a saturated pixel has 255.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence

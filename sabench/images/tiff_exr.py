@@ -1,7 +1,5 @@
 """Image files: 16-bit TIFF as a camera gives them, EXR for radiance."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Mapping

@@ -11,8 +11,6 @@ products fall with distance in another way than a Gaussian's.
 Gaussian to each peak, and `particles.learned_model` all cameras' images of the particles found.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

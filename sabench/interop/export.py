@@ -7,8 +7,6 @@ Bubbles in the COCO format (https://cocodataset.org/#format-data) are one catego
 uncompressed run lengths down the columns, and boxes [left, top, width, height] in pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args

@@ -1,7 +1,5 @@
 """Image statistics of a frame, from which other programs' settings follow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

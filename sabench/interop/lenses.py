@@ -1,7 +1,5 @@
 """Cameras made of matrices, distortions and printed rotations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -9,8 +9,6 @@ Particles have one file for each frame, whose number ends its name. Three lines 
 Files without the head are read, too.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

@@ -7,8 +7,6 @@ transposed `IntrinsicMatrix`; `RadialDistortion`, `TangentialDistortion`, `Image
 Pixel (1, 1) is the centre of the first pixel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -12,8 +12,6 @@ velocity, acceleration (both per frame), frame; of blobs column, row, size along
 Newer versions keep the same columns in the data set `dataset` of an HDF5 file.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ not matter. Other columns are left out, and said. NetCDF is written in the class
 3), which every reader takes; MATLAB loads its file with `load tracks.mat`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

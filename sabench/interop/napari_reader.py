@@ -4,8 +4,6 @@ napari finds it by `napari.yaml` and the entry point of that name; it needs napa
 which is not imported here. Layers are as napari's readers return them: (data, options, type).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -5,8 +5,6 @@ A point X of the world is at R X + t before the camera, X to the right, Y down, 
 rational k4 k5 k6, the thin prism s1 s2 s3 s4 and the tilt.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Source: the format as the package openlpt 2.2.4 reads it. Its world is ours, in 
 unit, and pixel (0, 0) is the centre of the first pixel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

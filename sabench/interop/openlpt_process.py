@@ -3,8 +3,6 @@
 `openlpt.write_project` makes the folder.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

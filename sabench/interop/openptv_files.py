@@ -13,8 +13,6 @@ the first pixel is 0.5, 0.5), pixels in all, along X and along Y, their sum of g
 row in rt_is (-1: none).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

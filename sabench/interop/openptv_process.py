@@ -6,8 +6,6 @@ The steps are those of its own window, pyptv: particle images, correspondences, 
 tracking out of the files of these.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

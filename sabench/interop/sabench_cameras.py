@@ -1,7 +1,5 @@
 """Cameras in sabench's own cameras.json, of a data set or of a calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 docs/formats/foreign.md lists what each format carries.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Export of data sets and results to VTKHDF, which ParaView and VTK read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Averages of figures, some of which may be missing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np

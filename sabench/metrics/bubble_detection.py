@@ -1,7 +1,5 @@
 """Detected bubbles against true ones: matching, counts, errors, sizes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

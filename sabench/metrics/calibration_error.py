@@ -1,7 +1,5 @@
 """Errors of a calibration: reprojection, target and held-out points, wall."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Reading of a code of dark and bright cells: contrast, separation, cells."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

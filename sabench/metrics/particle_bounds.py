@@ -1,7 +1,5 @@
 """Errors of particle positions against bounds and claimed errors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ Particles are connected components of bright voxels, or local maxima with sub-vo
 among 26 neighbours.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -7,8 +7,6 @@ D_eq at Y_p, as the values of table 5.2 are. C_tot is the part of a cone a tenth
 C_Y is a sum over R without a weight (equation 5.17). The scaling is that of equation 5.18.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 

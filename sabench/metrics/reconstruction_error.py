@@ -4,8 +4,6 @@ The volume is compared with the synthesised field E_s. The intensity of a blob i
 voxels that lead up to its peak, and does not depend on its shape.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

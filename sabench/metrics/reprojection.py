@@ -5,8 +5,6 @@ receive the light that fits the image best. The remaining image shows how much i
 which direction each particle's images are off.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -12,8 +12,6 @@ coverage of a true trajectory by one estimated trajectory is the target effectiv
 al., "Reliable cell tracking by global data association", ISBI 2011.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Errors of velocity fields of any lattice, sampled at common nodes."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

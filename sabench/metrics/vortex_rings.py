@@ -1,7 +1,5 @@
 """Vortex rings in measured fields: positions of their cores, and circulation."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass

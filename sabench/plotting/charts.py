@@ -1,7 +1,5 @@
 """Charts as values: figures of panels of curves, histograms, slices."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Drawing of charts by Matplotlib, as PNG images."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Line drawings to scale, as SVG elements for a page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape

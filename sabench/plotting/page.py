@@ -1,7 +1,5 @@
 """HTML pages of one file: templates with scripts, styles and data inside them."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Small PNG images for the page: camera images and slices of volumes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import TypeVar

@@ -3,8 +3,6 @@
 Checks raise an InputError of one sentence that begins with the scene's key.
 """
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Sequence

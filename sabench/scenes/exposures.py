@@ -1,7 +1,5 @@
 """Exposures of cameras that are not triggered at the same time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from sabench.scenes.illumination import Timing

@@ -3,8 +3,6 @@
 Nominal cameras are the true ones perturbed by the scene's calibration error.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

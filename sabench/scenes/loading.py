@@ -3,8 +3,6 @@
 They are loaded with the parameters of their generators.
 """
 
-from __future__ import annotations
-
 import difflib
 import tomllib
 from pathlib import Path

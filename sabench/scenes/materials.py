@@ -4,8 +4,6 @@ Indices are relative to air at 15 degrees Celsius. Cameras and lasers stand in a
 in a scene; glass catalogues state indices relative to air, too.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Callable

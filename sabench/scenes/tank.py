@@ -1,7 +1,5 @@
 """Walls of a scene's tank, and which of them a camera looks through."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import overload

@@ -1,7 +1,5 @@
 """View of one camera: photons of a frame, background light, truth, and grey values."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Simulation of frames in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Generation of a data set: render a scene and store it with its truth."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import glob

@@ -6,8 +6,6 @@ writers noted of theirs. README.md is a data card, croissant.json metadata in th
 samples. None of them holds truth.
 """
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 from collections.abc import Iterator, Sequence

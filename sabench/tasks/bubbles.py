@@ -3,8 +3,6 @@
 The bubbles of all frames are linked afterwards. Figures follow 5-18 to 5-20 of the thesis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

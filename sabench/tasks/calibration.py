@@ -3,8 +3,6 @@
 The cameras are scored by the pixels to which they project points.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Iterator, Sequence

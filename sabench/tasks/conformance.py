@@ -8,8 +8,6 @@ call it.
 kernels that `generate`, `solve` and `score` call, e.g. when a container image is built.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

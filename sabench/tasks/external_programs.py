@@ -8,8 +8,6 @@ DATASET is a folder with copies of the files that a solver may see, RESULT the f
 must write.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import dataclass

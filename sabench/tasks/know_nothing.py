@@ -5,8 +5,6 @@ an estimate can choose: where it lies, how much it contains, what it leaves out,
 numbers are. Some of them break their class's rules, as a file of another program may.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 They may link them, too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

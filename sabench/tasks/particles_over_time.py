@@ -1,7 +1,5 @@
 """Trajectories of particles in image sequences, and their scores."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,8 +5,6 @@ solver runs again without one camera, which the others must predict, and with on
 where all that is found is chance.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager

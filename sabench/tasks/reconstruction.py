@@ -1,7 +1,5 @@
 """Task `reconstruction`: solvers turn one observation into one volume."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from typing import Any

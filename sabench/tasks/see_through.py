@@ -3,8 +3,6 @@
 A code behind bubbles is to be read in the planes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import cKDTree
 

@@ -3,8 +3,6 @@
 The time and memory of the solver are measured; the scores compare its result with the truth.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import shutil

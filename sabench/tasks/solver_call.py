@@ -1,7 +1,5 @@
 """Calls of solvers, on cases or image sequences, with checks of their answers."""
 
-from __future__ import annotations
-
 import sys
 import time
 import traceback

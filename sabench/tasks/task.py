@@ -4,8 +4,6 @@ A task is one object. Every difference between kinds of contests is an attribute
 suites, records, the leaderboard, the gates and the command use nothing else.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Some solvers take the images, others volumes that are reconstructed from them. F
 nodes of the grid or, where a thin laser sheet lights the particles, in its plane.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Where the system can confine a process, a solver sees nothing else: no truth, no
 secret, no file of the user's home.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -5,8 +5,6 @@ that the system offers, also one that aborts the process during a render. So thi
 library and checks its version first. No other module of sabench names a variant or a library path.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import ctypes.util

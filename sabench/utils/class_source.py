@@ -3,8 +3,6 @@
 It does not import the file.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import importlib.util

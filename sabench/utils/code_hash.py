@@ -1,7 +1,5 @@
 """Hash of the source code, which changes with every line of it."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 from pathlib import Path

@@ -3,8 +3,6 @@
 All modules with kernels import numba from here, so that the folder is set before the first kernel.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from typing import Any

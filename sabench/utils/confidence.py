@@ -1,7 +1,5 @@
 """Means over seeds, with their confidence intervals."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

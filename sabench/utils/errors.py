@@ -1,7 +1,5 @@
 """Exceptions for faulty input."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Self
 

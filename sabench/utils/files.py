@@ -3,8 +3,6 @@
 Folders are written atomically, too.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

@@ -4,8 +4,6 @@ numba compiles a kernel again when its own file has changed, but not when anothe
 whose kernels or constants it uses. Other sources therefore have another folder.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Memory and threads: the process's peak, the available rest, and work on all cores."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import functools

@@ -3,8 +3,6 @@
 The tables are on the terminal and on pages.
 """
 
-from __future__ import annotations
-
 import math
 
 

@@ -3,8 +3,6 @@
 Standard output is left to results.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import threading

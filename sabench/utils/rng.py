@@ -5,8 +5,6 @@ whatever is drawn elsewhere and on whatever thread. Source: Salmon, Moraes, Dror
 random numbers: as easy as 1, 2, 3", Proc. SC11 (2011), section 3.3.
 """
 
-from __future__ import annotations
-
 import zlib
 from typing import Any
 

@@ -4,8 +4,6 @@ UTF-8 with or without a mark, UTF-16 with one, and Latin-1 are read; so are line
 systems, columns apart by commas, semicolons, tabs or spaces, and decimal commas between semicolons.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import re

@@ -3,8 +3,6 @@
 At the end are the types of numbers, vectors and tables in scenes and in parameters of plug-ins.
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import math

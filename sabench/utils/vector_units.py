@@ -7,8 +7,6 @@ and debug it. There are four parts: the operations, products of matrices, profil
 windows of images.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Sequence

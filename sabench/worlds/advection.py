@@ -1,7 +1,5 @@
 """Advection of particles by velocity fields, exactly or with inertia and weight."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

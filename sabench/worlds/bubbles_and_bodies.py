@@ -3,8 +3,6 @@
 Refused are bubbles that a wall cuts, two objects in one place, and bodies that are not closed.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from sabench import plugins

@@ -1,7 +1,5 @@
 """Calibration targets: poses, detected points and prior knowledge."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sabench.api import TargetGenerator

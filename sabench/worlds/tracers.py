@@ -1,7 +1,5 @@
 """Tracers from frame to frame, their materials and their laser pulses."""
 
-from __future__ import annotations
-
 import functools
 import tomllib
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 Run `python -m tests.architecture [CHECKOUT]`.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Seven floors, and a reader of the imports that cross them."""
 
-from __future__ import annotations
-
 import ast
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The first lines of docstrings: short sentences that open with a verb or a noun."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 

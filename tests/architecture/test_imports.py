@@ -1,7 +1,5 @@
 """Imports go down the floors, in no circle; plug-ins use public packages; light ones stay light."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

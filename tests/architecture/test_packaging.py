@@ -1,7 +1,5 @@
 """The wheel, its metadata, and the names that the package offers."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import subprocess

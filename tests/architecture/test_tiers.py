@@ -1,7 +1,5 @@
 """The daily tier of the tests: each file has a test in it, so that no kind of law leaves it."""
 
-from __future__ import annotations
-
 import ast
 
 from tests.conftest import ROOT

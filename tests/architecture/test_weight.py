@@ -1,7 +1,5 @@
 """The house stays as light as it was made: a feature that adds lines removes others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

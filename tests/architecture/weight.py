@@ -4,8 +4,6 @@ The walk from a function is an approximation: it enters every function and class
 of `utils`, that the body of a function before it names. A class counts, but not its methods.
 """
 
-from __future__ import annotations
-
 import ast
 from collections import Counter
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """List the code blocks of the documents that no test runs: python -m tests.docs."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from tests.docs.pages import PAGES, blocks

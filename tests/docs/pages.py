@@ -1,7 +1,5 @@
 """Pages of the documentation: their headings, links and code blocks."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import re

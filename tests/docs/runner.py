@@ -3,8 +3,6 @@
 In their order, in one folder and in this process.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

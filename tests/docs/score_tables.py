@@ -2,8 +2,6 @@
 page holds its table between `<!-- scores: TASK -->` and `<!-- end scores -->`. The costs, which all
 tasks share, are described in the page of the task reconstruction."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterable

@@ -3,8 +3,6 @@ why it is not run, `<!-- not run: REASON -->`, or under which name it is saved f
 it, `<!-- file: NAME -->`. A block in the language `output` is what the block before it prints;
 `...` in it stands for any text. `python -m tests.docs` lists the blocks that are not run."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

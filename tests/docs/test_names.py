@@ -1,7 +1,5 @@
 """Modules, files, suites, commands and options that the documents name exist."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 """Every notebook of the examples runs, and is stored without outputs. Their cells are executed in
 this process, in an empty folder: no kernel starts."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

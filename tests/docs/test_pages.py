@@ -1,7 +1,5 @@
 """Pages of the documentation: links, references, tables, the site and the changelog."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

@@ -1,8 +1,6 @@
 """A headless Chromium, driven by WebDriver. It has as much of WebDriver as tests and benchmarks of
 the page need."""
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import json

@@ -1,7 +1,5 @@
 """A small scene with bubbles that several tests change."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from sabench.scenes import Scene, parse_scene

@@ -1,8 +1,6 @@
 """Image sequences of moving bubbles whose ids are known. For the tests of linking and its
 benchmark."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

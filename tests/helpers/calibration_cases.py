@@ -1,7 +1,5 @@
 """Arrays and boards that the tests of calibrations share."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

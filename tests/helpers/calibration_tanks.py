@@ -1,7 +1,5 @@
 """Small tanks for tests of calibrations: three cameras, six boards, errors as asked for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A camera in air whose values tests change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -4,8 +4,6 @@ next to it, `MARK` a path that must not come to be, `PORT` a listening server's,
 observation side that the solver was given, `TOKEN` a word in the environment of the process that
 started it."""
 
-from __future__ import annotations
-
 import re
 
 TRICKS = {

@@ -1,7 +1,5 @@
 """Ends of commands: success, or one sentence and the exit code 2."""
 
-from __future__ import annotations
-
 import subprocess
 
 

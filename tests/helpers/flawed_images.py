@@ -1,7 +1,5 @@
 """Hot pixels, glints and reflections that are added to finished images."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sabench.api import Observation

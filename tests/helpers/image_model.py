@@ -1,7 +1,5 @@
 """Images of known particles by an independent model, for tests of fits to them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

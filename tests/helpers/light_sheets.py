@@ -1,7 +1,5 @@
 """Image pairs of particles in a light sheet of any place, without the simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Seeded random changes to bytes, trees of values, HDF5 files and archives."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import io

@@ -1,8 +1,6 @@
 """OpenPTV's library run on a project folder as its own users do: python outside_optv.py FOLDER. It
 reads the project's files only, by the library's own readers, and writes res/rt_is and ptv_is."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

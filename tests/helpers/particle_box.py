@@ -1,7 +1,5 @@
 """Four cameras behind glass that see a box, and points in it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sabench.geometry.camera import Camera, aim

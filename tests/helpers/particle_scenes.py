@@ -1,7 +1,5 @@
 """Particles before small cameras, moments of their images, and both renderers' pictures."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Small recordings: images of a generated data set in files as recorders write them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small data set of samples that vary, of two frames and with cameras that are off."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

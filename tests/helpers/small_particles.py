@@ -1,7 +1,5 @@
 """Small scenes with particles, and rigs that are rotated as a whole."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from typing import Any

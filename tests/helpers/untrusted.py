@@ -1,7 +1,5 @@
 """Damaged input from outside for the functions behind the commands that read it."""
 
-from __future__ import annotations
-
 import json
 import random
 import shutil

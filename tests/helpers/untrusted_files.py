@@ -1,7 +1,5 @@
 """Damaged files of other programs, and of experimenters, for the functions that read them."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import csv

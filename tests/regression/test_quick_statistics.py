@@ -1,8 +1,6 @@
 """Regression of the quick scene's figures. Change a figure here only on purpose, and report the
 change in the CHANGELOG."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

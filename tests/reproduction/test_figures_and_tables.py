@@ -1,7 +1,5 @@
 """Figures and tables of the thesis, recomputed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

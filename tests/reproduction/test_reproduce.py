@@ -1,7 +1,5 @@
 """The command reproduce: catalogue, results, passages and page."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """The most probable particles of small scenes, and of scenes with hidden views."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Cameras that see nothing: every --json prints strict JSON, or one sentence."""
 
-from __future__ import annotations
-
 import inspect
 import json
 from pathlib import Path

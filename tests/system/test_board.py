@@ -1,7 +1,5 @@
 """The leaderboard as a file: its content, its order, and no markup from records."""
 
-from __future__ import annotations
-
 import json
 import re
 from html.parser import HTMLParser

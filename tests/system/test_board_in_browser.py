@@ -1,8 +1,6 @@
 """The leaderboard in a browser. It sorts, filters, plots and compares, runs no text of a record as
 code, and fits a phone."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

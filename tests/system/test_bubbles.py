@@ -1,7 +1,5 @@
 """Bubbles from scene to score: phases, detections, and trajectories."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The command sabench calibrate: folders with points or images, tanks, and unknown walls."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Calibration solvers: duties, accuracy, and the chain from a scene to the page."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

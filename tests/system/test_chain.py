@@ -1,7 +1,5 @@
 """The whole chain from a scene to a score, its two ends, and its invariants."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

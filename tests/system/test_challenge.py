@@ -1,7 +1,5 @@
 """A challenge from the secret to the scores, on this machine and as a server scores it."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Solvers that cheat gain nothing where the system can confine them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket

@@ -1,7 +1,5 @@
 """Compiled kernels: their time is a figure of its own, they are stored, and bounds are checked."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

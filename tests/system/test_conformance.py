@@ -1,7 +1,5 @@
 """The laws of solvers. Every bundled solver obeys them, and solvers that break one are caught."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

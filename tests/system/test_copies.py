@@ -1,7 +1,5 @@
 """Copies of data sets: of other processors, and of the observation side alone."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

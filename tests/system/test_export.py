@@ -1,7 +1,5 @@
 """Exported files, read back by VTK itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Bad input and faults. One clear sentence, exit code 2, no partial files, and no bad input
 accepted."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """Data sets exported, solved by other programs outside, imported and scored here."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import warnings

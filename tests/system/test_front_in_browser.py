@@ -1,7 +1,5 @@
 """The ranking in a browser: order, cards, files, figures on top of each other, accessibility."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

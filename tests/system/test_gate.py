@@ -1,8 +1,6 @@
 """A gate as users run it, from the command line and as a fixture of pytest. It prints nothing where
 nothing has changed, and the figure where one has."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

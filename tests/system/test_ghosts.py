@@ -9,8 +9,6 @@ A ghost is linear in both places, and so its displacement is this expression of 
 u(z) it moves along x by the mean of both displacements, whatever its own depth.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

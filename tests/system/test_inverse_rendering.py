@@ -1,7 +1,5 @@
 """The example `inverse_rendering`: exact cameras, images and slopes, and the descent."""
 
-from __future__ import annotations
-
 import importlib
 from dataclasses import replace
 from typing import Any

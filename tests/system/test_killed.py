@@ -1,7 +1,5 @@
 """Commands that are killed: nothing that they started goes on working."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess

@@ -3,8 +3,6 @@ it leaves out, and how large its numbers are. Expected behaviour: whatever it ch
 knowing the observations it ranks no better than the worst possible estimate, or is refused with one
 sentence; its figure is drawn."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scores without the packages of the extra `full`: no renderer, no figures."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Templates of repositories, and plug-ins that CONTRIBUTING.md shows."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -2,8 +2,6 @@
 set loses its truth: its images become files as recorders write them. All that solvers find must be
 as on the original."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

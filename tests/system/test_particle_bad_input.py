@@ -1,7 +1,5 @@
 """Particle solvers on wrong or empty input, and within a budget of time."""
 
-from __future__ import annotations
-
 import itertools
 import time
 import warnings

@@ -1,7 +1,5 @@
 """Particles followed through sequences: duties of solvers, scores, and dense starts."""
 
-from __future__ import annotations
-
 import functools
 import tomllib
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The commands preprocess and compare-statistics."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Programs in other languages, submissions, and their cards."""
 
-from __future__ import annotations
-
 import datetime
 import functools
 import json

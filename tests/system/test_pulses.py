@@ -1,7 +1,5 @@
 """Particles in groups of two and of four pulses, solved within groups and scored by their times."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass

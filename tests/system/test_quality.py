@@ -1,7 +1,5 @@
 """Figures without truth on data whose truth is known."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

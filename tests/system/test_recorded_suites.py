@@ -1,8 +1,6 @@
 """Suites of recorded data sets: run, resumed, gated and shown without truth. The recording is of a
 generated data set whose truth stays behind. It is never changed or deleted."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Recording by many: the same bytes, whoever does the work and dies over it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

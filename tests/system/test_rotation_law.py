@@ -1,7 +1,5 @@
 """A rig that is rotated as a whole gives the same results, or a sentence why it cannot."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Runs of suites. Nothing is computed twice, every record says how to reproduce it, and hidden data
 sets stay hidden."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,8 +1,6 @@
 """A code behind bubbles, from scene to score. Single views show less of it than a refocused
 plane."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Round tanks and tanks of two faces, from the scene to the scores."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tomographic solvers on small volumes, and on images with flaws."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Damaged files: refused with one sentence, within limits of time and memory."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,8 +1,6 @@
 """Velocimetry from a flow to vectors. Double frames, a reconstruction, a field, its scores and its
 row on the page."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

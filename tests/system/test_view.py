@@ -1,7 +1,5 @@
 """The command view and sabench.view."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

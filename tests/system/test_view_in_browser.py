@@ -2,8 +2,6 @@
 the keyboard, fits a phone, runs no name as code, and says what is missing where there is no WebGL
 or no script."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterator
 from dataclasses import replace

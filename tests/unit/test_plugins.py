@@ -1,7 +1,5 @@
 """Discovery of plug-ins, and their descriptions."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Particles on a regular lattice."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

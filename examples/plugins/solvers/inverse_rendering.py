@@ -1,7 +1,5 @@
 """Particles by inverse rendering with automatic derivatives."""
 
-from __future__ import annotations
-
 from pydantic import Field
 from sabench.plugins.solvers._inverse_rendering.descent import (
     InverseRenderingSettings,

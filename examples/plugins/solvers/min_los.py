@@ -1,7 +1,5 @@
 """Minimum line of sight."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydantic import Field
 

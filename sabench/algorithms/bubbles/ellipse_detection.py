@@ -12,8 +12,6 @@ radial symmetry (IEEE PAMI 25, 2003): a faint bubble with a complete outline has
 strong edge.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

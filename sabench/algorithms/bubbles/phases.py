@@ -7,8 +7,6 @@ bright spots, so that peaks in front of them are tracers, too. Limit: tracers in
 are lost unless they are brighter than the diffuser.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

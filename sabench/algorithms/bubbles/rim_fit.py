@@ -9,8 +9,6 @@ camera is almost linear over so small an object: column and row of the centre, a
 the shape matrix as xx, xy, yy.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

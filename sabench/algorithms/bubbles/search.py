@@ -4,8 +4,6 @@ Outlines of one view are followed along their lines of sight, and searched for i
 best hypotheses are fitted first, and the others are fitted to the darkness that is left.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple

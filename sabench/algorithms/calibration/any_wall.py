@@ -4,8 +4,6 @@ The cameras themselves project, and derivatives are central differences: slower 
 `normal_equations`, for any wall. Results are as there.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

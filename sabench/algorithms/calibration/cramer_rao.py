@@ -1,7 +1,5 @@
 """Cramer-Rao bound of a calibration's observations."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ Source: B. Wieneke, Volume self-calibration for 3D particle image velocimetry, E
 549-556, 2008.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

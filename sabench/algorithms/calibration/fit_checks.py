@@ -4,8 +4,6 @@ Noise of detection differs from point to point; errors of a model change slowly 
 that those of neighbours are correlated.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

@@ -7,8 +7,6 @@ positions fix the world and the depth, and nominal values hold the wall.
 cameras are adjusted to fixed boards, then boards to fixed cameras, in turn.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -10,8 +10,6 @@ its angle divided by |L|. G follows from the invariant p = n sin(angle) of the p
 d_i p / sqrt(n_i^2 - p^2) = |L|; the derivatives of p are those of an implicit function.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Normal equations, residuals and covariances of a bundle of projections."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

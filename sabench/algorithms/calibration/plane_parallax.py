@@ -12,8 +12,6 @@ Source: V. Vaish, B. Wilburn, N. Joshi and M. Levoy, Using plane + parallax for 
 camera arrays, CVPR 2004; thesis, section 2.2.3 and equations 2.1 to 2.3.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

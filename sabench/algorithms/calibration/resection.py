@@ -4,8 +4,6 @@ Classical calibrations take the nominal positions as known; `place_boards` fits 
 No axis of the world is preferred: a board starts upright in the cameras' images.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

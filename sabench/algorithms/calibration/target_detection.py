@@ -1,7 +1,5 @@
 """Detection of a calibration target's points in an image, by OpenCV's detectors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -4,8 +4,6 @@ Each unknown is freed in addition to those chosen before. It stays free if the h
 better by more than twice the standard error of that difference over the boards.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -9,8 +9,6 @@ take most light, so that rows of one portion are fitted before those of the next
 The leverage of a fit is how much of each pixel it takes for itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any

@@ -8,8 +8,6 @@ in what is left, and pairs that look like one are split. Widths, light, noise an
 cameras come from the images.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import NamedTuple

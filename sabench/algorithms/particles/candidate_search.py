@@ -10,8 +10,6 @@ searched. Its axes are the world's, but images decide which of them is x, y and 
 direction: a rig that is rotated together with its grid, axes onto axes, gives the same particles.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Errors of positions that a search claims: bounds with the noise of residuals."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -12,8 +12,6 @@ shift, D. Comaniciu and P. Meer, IEEE Trans. Pattern Anal. Mach. Intell. 24, 603
 of the flow. A weighted fit takes out the velocity gradient.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

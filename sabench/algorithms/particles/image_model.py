@@ -8,8 +8,6 @@ outside lie in, rows of a window are a whole number of lanes, and what must not 
 by zero.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

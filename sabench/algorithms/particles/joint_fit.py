@@ -11,8 +11,6 @@ lobes of scattering). A ghost, whose images are those of different particles, se
 covariance is learned from particles that stand alone.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

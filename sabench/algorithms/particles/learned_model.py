@@ -3,8 +3,6 @@
 Light and shapes come from particles that stand alone in the images.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -8,8 +8,6 @@ approximate the refracted lines of sight, and there are no pairs of candidate li
 known matches are triangulated by `geometry.triangulation`.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -14,8 +14,6 @@ Both are moves of P. J. Green, Reversible jump Markov chain Monte Carlo computat
 model determination, Biometrika 82, 711-732, 1995, taken where they raise the probability.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -12,8 +12,6 @@ A camera whose calibration is wrong by many pixels shows little where the partic
 are: the search leaves much of its image.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Sequence

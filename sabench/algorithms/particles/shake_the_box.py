@@ -7,8 +7,6 @@ left to be found. Particles that appear in a single frame, inside the box, are g
 misses frames between others, its positions there are interpolated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 

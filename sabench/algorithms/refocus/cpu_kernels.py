@@ -6,8 +6,6 @@ map onto a rectified image is affine and close to a shift, so that long stretche
 voxels fall between the same two rows of pixels, one pixel further per voxel.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ On other planes they are displaced against each other and the edge is blurred. S
 thesis, chapter 6 (figure 6-6), which shows edges without their depths.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Other planes need shifts and scales only.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -5,8 +5,6 @@ a pinhole in air the map from one to the other is a scale and a shift, the same 
 refraction changes it a little. Inside a tile of voxels an affine map is accurate enough.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -4,8 +4,6 @@ Every point of the surface is projected into every camera, through the wall, and
 there are joined.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 

@@ -4,8 +4,6 @@ Kernels on the CPU read along rows; on a GPU each sample is a gather by Dr.Jit, 
 and rectified images, so that the volumes are the same.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

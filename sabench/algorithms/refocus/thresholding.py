@@ -1,7 +1,5 @@
 """Thresholding of refocused planes, and extraction of particles from them."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal
 

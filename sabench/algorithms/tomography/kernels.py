@@ -6,8 +6,6 @@ is moved. `locate` alone decides which pixels and which weights a voxel has, and
 without fast-math: forward projection, adjoint and all else see the same W to the last bit.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

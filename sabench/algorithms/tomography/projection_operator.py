@@ -3,8 +3,6 @@
 The footprint is the spread of one voxel's light over the pixels around its projection.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

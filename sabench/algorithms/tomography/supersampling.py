@@ -5,8 +5,6 @@ more than about a pixel, voxels are split. In the result, each fine voxel is a b
 projection is the footprint, and the volume holds the light of all blobs in each voxel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Deformation of volumes by a displacement field on the CPU, by cubic B-splines."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

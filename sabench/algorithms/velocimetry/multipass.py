@@ -4,8 +4,6 @@ Narrow particles are first blurred, so that splines can resolve them between vox
 are found and replaced between passes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

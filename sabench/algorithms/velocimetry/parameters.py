@@ -1,7 +1,5 @@
 """Parameters that solvers by window correlation share."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from sabench.algorithms.velocimetry.multipass import Plan

@@ -4,8 +4,6 @@ The bundle for the server Codabench has the format of the server's documentation
 Structure", "Competition Bundle Structure" and "Submission Docker Container Layout".
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import json

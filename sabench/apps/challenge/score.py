@@ -3,8 +3,6 @@
 INPUT holds the reference data in `ref` and the submission in `res`; the scores go to OUTPUT.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

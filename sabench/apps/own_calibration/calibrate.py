@@ -4,8 +4,6 @@ The input is a folder with images or points of a target, without any truth;
 docs/using/calibrating.md describes it. The output is cameras and a report.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import asdict, replace

@@ -3,8 +3,6 @@
 docs/using/calibrating.md describes it.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

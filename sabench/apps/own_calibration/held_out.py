@@ -3,8 +3,6 @@
 Nothing here needs a truth. A solver is called again for each fold of frames.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

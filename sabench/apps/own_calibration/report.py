@@ -3,8 +3,6 @@
 It includes the unknowns of a wall, and how well the data determine them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

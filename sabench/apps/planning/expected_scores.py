@@ -8,8 +8,6 @@ Source: Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), 
 5.4.1.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence

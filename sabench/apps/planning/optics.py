@@ -4,8 +4,6 @@ The view has resolution, depth, overlap and blur; the images have size, photons,
 saturation.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

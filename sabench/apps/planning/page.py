@@ -4,8 +4,6 @@ Each drawing is a projection along one edge of the volume. Walls and the light s
 the plane through the volume's middle meets them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

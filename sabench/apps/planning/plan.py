@@ -4,8 +4,6 @@ The calibration has the errors of nominal cameras in the images; the recording h
 buffer and times of pulses.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ Everything is in the fluid, behind the wall, so that the thesis's equations of p
 plain air hold for cameras of any direction behind any wall.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

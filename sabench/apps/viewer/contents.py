@@ -1,7 +1,5 @@
 """Contents of a page: surroundings, frames and names."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal

@@ -1,7 +1,5 @@
 """Content of a page: JSON, arrays and pictures, joined and compressed into text."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Rig as the page draws it: cameras and their frusta, walls, light and volume."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ A page is one HTML file of data, script and library. Drawings along two edges of
 script.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass

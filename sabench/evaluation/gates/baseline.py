@@ -1,7 +1,5 @@
 """Baselines: earlier figures of a suite, with the tolerance of each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal

@@ -5,8 +5,6 @@ in a known way are scored too: a bug in a metric that flatters every solver show
 Reports can be written as JUnit XML, which GitHub, GitLab and Jenkins show.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

@@ -4,8 +4,6 @@ A bug that the generator and the solvers share may leave scores unchanged; it sh
 figures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Findings: figures that moved by more than their tolerance since a baseline."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 

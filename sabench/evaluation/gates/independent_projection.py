@@ -10,8 +10,6 @@ Snell's law for vectors; Newton's steps with differences find the direction towa
 The test test_comparison.py::test_two_implementations_of_a_camera_agree compares both.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Any

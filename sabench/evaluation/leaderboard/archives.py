@@ -3,8 +3,6 @@
 None of it is trusted. `pack_results` makes such an archive for `sabench submit`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import io

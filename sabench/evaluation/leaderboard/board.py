@@ -5,8 +5,6 @@ It is one file.
 Users sort, filter, plot and compare the rows in their browser.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterator, Sequence
 from functools import cache

@@ -1,7 +1,5 @@
 """Cells of the standings: ranks of entries by their scores on the same data sets."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Hashable, Sequence

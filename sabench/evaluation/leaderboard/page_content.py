@@ -3,8 +3,6 @@
 Results of recorded data sets have separate tables, without scores and without ranks.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

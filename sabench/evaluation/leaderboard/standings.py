@@ -4,8 +4,6 @@ A curve is a score over one property of the scenes: density, cameras, noise. The
 as values of JSON, and as plain tables for browsers without scripts.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence

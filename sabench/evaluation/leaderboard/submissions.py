@@ -4,8 +4,6 @@ Submissions are data only: sabench executes nothing of them. A record discloses 
 seed of a private test set, and names the earlier record whose estimates a submission repeats.
 """
 
-from __future__ import annotations
-
 import contextlib
 import datetime
 import tempfile

@@ -1,7 +1,5 @@
 """Samples as a data set of Hugging Face: `pip install 'sabench[datasets]'`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

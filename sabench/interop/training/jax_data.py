@@ -1,7 +1,5 @@
 """Batches as arrays of JAX: `pip install 'sabench[jax]'`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import Any
 

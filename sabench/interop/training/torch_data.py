@@ -1,7 +1,5 @@
 """Samples as data sets of PyTorch: `pip install 'sabench[torch]'`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

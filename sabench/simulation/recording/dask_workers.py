@@ -1,7 +1,5 @@
 """Workers of a Dask cluster, which must see the folder of the data set."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Each file is complete or absent, so that a process that writes them may be kille
 what is there need not be made again.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import tomllib

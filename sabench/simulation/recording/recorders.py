@@ -1,7 +1,5 @@
 """Recorders of the parts of a data set: truth and images of every frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

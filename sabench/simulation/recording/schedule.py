@@ -5,8 +5,6 @@ long as that frame has cameras left, because it holds that frame in memory. Work
 process, several on this machine, or those of a Dask cluster.
 """
 
-from __future__ import annotations
-
 import os
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence

@@ -4,8 +4,6 @@ Run as `python -m sabench.simulation.recording.worker FOLDER THREADS`. It reads 
 [frame, camera], and answers each with [kind, reason].
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import os

@@ -9,8 +9,6 @@ probability. Radiance is carried as L / n^2, which no interface changes but by w
 Walls of the tank are plane: rays cross them by Snell's and Fresnel's laws without a search.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -3,8 +3,6 @@
 Pixels get passes of rays until the scatter of their means is as small as the requested accuracy.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Import this module only after sabench.utils.backend.mitsuba(): its types are tho
 that is set then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Laser sheet and lamps: photons per square millimetre of a pulse, and apparent positions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

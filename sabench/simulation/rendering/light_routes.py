@@ -5,8 +5,6 @@ a straight route of refractions alone. What a face reflects is Fresnel's share f
 light.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Intersections of lines with bodies, by Mitsuba's search for triangles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -8,8 +8,6 @@ All but the pixel changes slowly over a volume. For many particles it is interpo
 exact paths of a lattice of Chebyshev's points in a box, and only the pixel is exact.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

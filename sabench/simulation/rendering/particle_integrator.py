@@ -5,8 +5,6 @@ that is set then. (@dr.syntax sees module globals only, so the functions cannot 
 one that sets the variant.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -9,8 +9,6 @@ series in r whose terms are products of a column's and a row's factor, so that a
 few outer products.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -9,8 +9,6 @@ grid of rays, so the pictures have no Monte Carlo noise: for Gaussians the midpo
 exact.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met 
 nothing here comes from the renderer, whose depths and masks would be those of straight rays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ an attempt, and a purpose. The first attempt's words are handed in; few numbers 
 numbers have 53 bits.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 Import this module only after sabench.utils.backend.mitsuba(), as `camera_rays`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Mitsuba renderer of calibration targets under lamps."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ Files of others are read in a child with limits of memory and CPU time, because 
 them may crash, loop for ever or fill the memory.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

@@ -14,8 +14,6 @@ confined: not an argument, since a program can read the command line. Without a 
 once, with exit code 0 if the system allows confinement.
 """
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import json

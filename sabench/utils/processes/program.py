@@ -3,8 +3,6 @@
 The whole process tree of a program is killed at the end.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import secrets

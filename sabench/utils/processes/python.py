@@ -3,8 +3,6 @@
 A crash of a child and its output stay there.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import json

@@ -3,8 +3,6 @@
 A limited child process reads the file, which the libraries may not survive.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import tempfile

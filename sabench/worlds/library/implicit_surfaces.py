@@ -1,7 +1,5 @@
 """Bodies as implicit functions, negative inside: rounded cones and unions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -7,8 +7,6 @@ Sources: Wu, Kirkendall, Fuller and Nejad, J. Propul. Power 13, 64 (1997): the c
 fluxes of liquid and gas.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

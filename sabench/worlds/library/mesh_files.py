@@ -1,7 +1,5 @@
 """Triangle meshes from STL, PLY, OBJ and GLB files."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

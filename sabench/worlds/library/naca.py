@@ -4,8 +4,6 @@ Jacobs, Ward and Pinkerton, NACA report 460 (1933), with the last coefficient ch
 edge closes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -4,8 +4,6 @@ Two ellipsoids are tested exactly, by the contact function of Perram and Werthei
 58, 409, 1985).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

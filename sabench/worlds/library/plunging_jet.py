@@ -7,8 +7,6 @@ integral of C over R), 5.18 (C_Y), 5.19 (C over R), 5.22 (which ties R_.5 to bot
 figure 5-30c (its slopes), table 5.2 (penetration depth, diameter, total).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -4,8 +4,6 @@ A grid whose cells are as wide as the largest bubble holds the bubbles that are 
 one is tried against those of 27 cells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

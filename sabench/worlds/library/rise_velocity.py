@@ -7,8 +7,6 @@ like waves: equation 7-3 of Clift, Grace and Weber, "Bubbles, Drops, and Particl
 rises at the lower of both velocities.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ periodic box (without convection: Hasimoto, J. Fluid Mech. 5 (1959) 317-328). Th
 of the flow is interpolated by cubic splines, whose curl is free of divergence everywhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Straight vortices with a rate of rotation that depends on distance only."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sabench.geometry.rigid_motion import frame_along, skew

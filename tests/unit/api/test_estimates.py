@@ -1,7 +1,5 @@
 """Tests of what estimates of particles may claim."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """Checks of a solver's input before it starts. One sentence for every input that no algorithm can
 use."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable

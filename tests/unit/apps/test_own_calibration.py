@@ -1,7 +1,5 @@
 """points.csv as strangers write it, and a target's own points."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

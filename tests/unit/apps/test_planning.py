@@ -1,7 +1,5 @@
 """Plans of experiments: figures, designs of rigs, expected scores, and their page."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

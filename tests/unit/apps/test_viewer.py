@@ -1,7 +1,5 @@
 """Pages of a data set: what they hold, and how far clouds of points are thinned."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

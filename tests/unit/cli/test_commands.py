@@ -1,7 +1,5 @@
 """The command line: lists, help, completion and messages."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty

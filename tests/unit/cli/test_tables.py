@@ -1,7 +1,5 @@
 """Tables that fit the terminal."""
 
-from __future__ import annotations
-
 import pytest
 
 from sabench.cli import tables

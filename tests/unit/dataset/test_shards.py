@@ -1,7 +1,5 @@
 """Shards: sets of samples, their checks, cards and imports."""
 
-from __future__ import annotations
-
 import csv
 import json
 import pickle

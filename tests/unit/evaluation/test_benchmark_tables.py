@@ -1,7 +1,5 @@
 """Tables of benchmarks."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Gates: comparison of figures with a baseline, and the planted bugs that they shall find."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

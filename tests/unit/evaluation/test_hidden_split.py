@@ -1,7 +1,5 @@
 """Frozen suites, hidden splits, and parts of a suite."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The leaderboard: standings of submissions, safe archives, and curves."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import tarfile

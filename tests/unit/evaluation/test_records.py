@@ -1,7 +1,5 @@
 """Records: many writers lose and tear nothing, and reading trusts nothing."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

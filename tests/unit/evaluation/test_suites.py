@@ -1,8 +1,6 @@
 """Suites of scenes and their changes, and statistics over seeds. Errors in a suite are reported
 before any work starts."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

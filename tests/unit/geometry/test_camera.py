@@ -1,8 +1,6 @@
 """The pinhole camera with distortion against OpenCV and closed forms. Also arrays of cameras, and
 the meaning of focusing through a wall."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

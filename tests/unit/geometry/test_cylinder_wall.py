@@ -1,8 +1,6 @@
 """Light paths through cylinders, against rays that another program follows. And their limits: a
 flat wall, and rays in a plane through the axis."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Refractive indices of named materials against published values."""
 
-from __future__ import annotations
-
 import pytest
 
 from sabench.scenes.materials import refractive_index, water_in_vacuum

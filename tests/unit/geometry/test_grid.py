@@ -1,8 +1,6 @@
 """Voxel grids, ideal fields, and maps of planes against exact projection. An ideal field is that of
 a perfect reconstruction."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 """Sensors that are tilted against their lenses. Against a plane in space, OpenCV's tilted model,
 and laws of the thin lens."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

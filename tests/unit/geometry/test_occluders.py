@@ -1,8 +1,6 @@
 """Discs in front of the wall. Their shadow in truth and in both renderers, and the solvers that may
 see them."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from pathlib import Path

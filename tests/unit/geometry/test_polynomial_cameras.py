@@ -1,7 +1,5 @@
 """Camera models other than the refractive pinhole. Fits, inverses, and reconstruction with them."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

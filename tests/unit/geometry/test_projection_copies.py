@@ -1,8 +1,6 @@
 """Copies of the projection against the reference. See
 docs/developing/copies-of-the-projection.md."""
 
-from __future__ import annotations
-
 import runpy
 from dataclasses import replace
 from typing import Any

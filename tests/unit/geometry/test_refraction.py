@@ -1,8 +1,6 @@
 """The light path through a wall, against paths that are built by hand. Snell, Fermat, Fresnel and
 the symmetries of space."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Rigid motions, and rigs that are turned."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 

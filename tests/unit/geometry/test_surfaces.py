@@ -1,7 +1,5 @@
 """Surfaces for refocusing: limits, laws of geometry, and files of heights."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Records of cameras, and polynomials that stand for cameras."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Background of images, and bright things that are no particles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal

@@ -1,7 +1,5 @@
 """Dark level, noise and false alarm rate, of images whose noise is drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter

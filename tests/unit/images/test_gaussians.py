@@ -1,7 +1,5 @@
 """Profiles of Gaussians and bounds of positions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

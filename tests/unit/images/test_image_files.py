@@ -1,7 +1,5 @@
 """Image files: cameras, frames and grey values."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

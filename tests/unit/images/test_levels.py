@@ -1,7 +1,5 @@
 """Grey values of images: levels and near duplicates."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Steps before reconstruction. Each against another program or its own definition, and as part of a
 solver's input."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Folders of images as strangers leave them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Repair of images: what is found, what is left alone, and the scale that follows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Statistics of a camera's images, and fits, against the numbers that made them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import erf

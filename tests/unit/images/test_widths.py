@@ -1,7 +1,5 @@
 """Widths and light of particle images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

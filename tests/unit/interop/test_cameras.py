@@ -1,7 +1,5 @@
 """Cameras of other programs, and their files."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys

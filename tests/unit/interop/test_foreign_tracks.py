@@ -1,7 +1,5 @@
 """Particles and tracks read from and written to the files of other programs."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import warnings

@@ -1,7 +1,5 @@
 """Files for other viewers: COCO, napari and ParaView."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import inspect

@@ -1,7 +1,5 @@
 """Detection and sizes of bubbles."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

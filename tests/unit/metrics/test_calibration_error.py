@@ -1,7 +1,5 @@
 """Scores of calibrations, from estimates with known errors."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Scores of a code's reading."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Cramer-Rao bounds of particles, and the accuracy of claimed errors."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Peaks of volumes and curves of particles."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Public names of the metrics. Each can be imported, and listing them imports no heavy library."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

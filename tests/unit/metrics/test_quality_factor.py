@@ -1,8 +1,6 @@
 """Quality factor and detection. Laws that hold for any input, cases that can be counted on paper,
 and slow counts of the same rules."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,8 +1,6 @@
 """Scores beside Q that do not depend on the shape of blobs. An exact reconstruction keeps them,
 whatever its blobs look like; ghosts, lost particles and wrong intensities lower them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

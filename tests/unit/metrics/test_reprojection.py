@@ -1,7 +1,5 @@
 """Particles against images that are drawn here."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

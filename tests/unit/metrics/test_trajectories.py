@@ -1,7 +1,5 @@
 """Errors, identity and smoothness of trajectories."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

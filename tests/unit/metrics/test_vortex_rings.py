@@ -1,7 +1,5 @@
 """Circulation and cores of vortices whose circulation is known. And pictures of fields."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Charts. Every curve and histogram is drawn at its position, and equal charts are equal
 pictures."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import numpy.typing as npt

@@ -1,7 +1,5 @@
 """Lenses and sensors of single cameras of a scene."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A scene says what it means, or one sentence says what it does not."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re

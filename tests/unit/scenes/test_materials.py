@@ -1,7 +1,5 @@
 """Materials of a scene: their names become indices at the wavelength of its light."""
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Nominal cameras of solvers, which are off by a given length. Images and truth come from the true
 cameras."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

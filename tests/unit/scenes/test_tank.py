@@ -1,7 +1,5 @@
 """Walls of a scene: which one a camera looks through, and what cannot be."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections.abc import Callable

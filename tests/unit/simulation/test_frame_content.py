@@ -1,7 +1,5 @@
 """Content of a frame: particles, views, and the skew between cameras."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any

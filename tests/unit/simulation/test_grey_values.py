@@ -1,7 +1,5 @@
 """Background, levels by camera and patterns on their way to the images that solvers receive."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

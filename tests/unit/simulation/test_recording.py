@@ -1,7 +1,5 @@
 """Recording: the schedule of views, and the parts on disk."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Samples in shards: the same bytes whoever makes them, and splits apart."""
 
-from __future__ import annotations
-
 import itertools
 import resource
 import signal

@@ -1,7 +1,5 @@
 """Frames made as they are read."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import subprocess

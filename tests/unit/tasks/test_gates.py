@@ -1,7 +1,5 @@
 """Ranks of figures, and the gates that decide which figures have one."""
 
-from __future__ import annotations
-
 import pytest
 
 from sabench import tasks

@@ -1,7 +1,5 @@
 """Light sheets of data sets, and the flow averaged over them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

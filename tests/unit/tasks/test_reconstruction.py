@@ -1,8 +1,6 @@
 """Scores of one frame in memory. Best and worst possible scores, both rules of detection, and the
 weights of particles that cameras miss."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

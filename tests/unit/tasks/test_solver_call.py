@@ -1,7 +1,5 @@
 """Calls of solvers that hand control back after each iteration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

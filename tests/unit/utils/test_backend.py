@@ -1,7 +1,5 @@
 """The library that Dr.Jit runs on is chosen, never left to chance."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import os

@@ -1,7 +1,5 @@
 """Facts about classes read from source."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

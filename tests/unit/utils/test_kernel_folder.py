@@ -1,7 +1,5 @@
 """Kernels are compiled again when one that they call has changed in another file."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Counter-based random numbers, and points in boxes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Kernels that compute in the lanes of vector units."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

@@ -1,7 +1,5 @@
 """Motion of particles with flows, and of inertial ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

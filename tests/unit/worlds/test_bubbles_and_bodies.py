@@ -1,7 +1,5 @@
 """Bubbles as they are made: sizes, places, laws of a jet, none in another."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

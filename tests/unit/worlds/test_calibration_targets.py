@@ -1,8 +1,6 @@
 """Calibration targets. Their positions, their detected points with and without images, and the
 prior knowledge of them."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

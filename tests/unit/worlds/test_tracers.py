@@ -1,8 +1,6 @@
 """Particles from frame to frame. Moved exactly, replaced where they leave, and seen when the laser
 flashes."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Turbulence: the lengths that samples of its velocities show are those that were asked for."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

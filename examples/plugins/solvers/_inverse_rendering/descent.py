@@ -9,8 +9,6 @@ Source: D. C. Liu and J. Nocedal, On the limited memory BFGS method for large sc
 Math. Programming 45, 503-528, 1989.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -8,8 +8,6 @@ Sums over particles run in a fixed order (a table holds the windows that cover e
 the same positions have the same cost, bit for bit: sums by atomic additions have not.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

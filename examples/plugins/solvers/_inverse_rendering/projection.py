@@ -8,8 +8,6 @@ Derivatives do not run through the iteration: one further step from the solution
 slope are constants, has the derivatives of the implicit function.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

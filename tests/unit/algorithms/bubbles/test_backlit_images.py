@@ -1,7 +1,5 @@
 """Profiles of bubbles, votes for outlines, and weights of the thesis's potential."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,8 +1,6 @@
 """Detection of ellipses among others, in noise and in part. Also peaks of the potential, their
 groups, and the definition of one bubble."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

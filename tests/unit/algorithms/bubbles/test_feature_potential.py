@@ -1,7 +1,5 @@
 """Darkness, feature potentials and transmission against their definitions."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from typing import Any

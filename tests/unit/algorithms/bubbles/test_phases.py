@@ -1,7 +1,5 @@
 """Separation of three phases in drawn images."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from sabench.algorithms.bubbles import image_diameter_px, separate_phases

@@ -1,7 +1,5 @@
 """Spheroids fitted to shadows, and the transmission through their ellipses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Outlines and bubbles in images that hold few of them, or none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

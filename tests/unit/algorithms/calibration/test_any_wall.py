@@ -1,7 +1,5 @@
 """Bundle adjustment behind walls that are not one plane wall."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

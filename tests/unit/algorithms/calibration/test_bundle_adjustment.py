@@ -1,8 +1,6 @@
 """Bundle adjustment. Derivatives, exactness, the Cramer-Rao bound, outliers, anchors, and what a
 wall leaves undetermined."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

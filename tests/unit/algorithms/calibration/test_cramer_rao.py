@@ -1,7 +1,5 @@
 """Unmeasured lens numbers and tilts: their estimates and their part of the Cramer-Rao bound."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

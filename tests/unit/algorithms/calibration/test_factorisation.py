@@ -1,7 +1,5 @@
 """Cameras from images alone: factorisation, and plane and parallax."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """End states of calibrations: those that cannot be are named, and left by other starts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Bad input to a calibration: one sentence that names the camera or the frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

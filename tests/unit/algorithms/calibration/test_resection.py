@@ -1,7 +1,5 @@
 """Poses of boards and cameras from known points."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

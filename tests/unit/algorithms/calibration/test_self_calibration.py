@@ -1,7 +1,5 @@
 """Volume self-calibration and its disparities."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Unknowns chosen by held-out boards, and the part of residuals that is no noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import get_args
 

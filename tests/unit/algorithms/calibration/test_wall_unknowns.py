@@ -1,7 +1,5 @@
 """Wall, bend and tilt as unknowns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

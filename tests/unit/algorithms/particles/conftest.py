@@ -1,7 +1,5 @@
 """Maps of the box that the tests of particles share."""
 
-from __future__ import annotations
-
 import pytest
 
 from sabench.geometry.volume_polynomials import VolumePolynomials, fit_volume_polynomials

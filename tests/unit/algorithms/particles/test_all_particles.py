@@ -1,8 +1,6 @@
 """Passes over all particles give the same on any number of cores. Groups that are fitted side by
 side share no pixel."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 import pytest

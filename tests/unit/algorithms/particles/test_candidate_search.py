@@ -1,7 +1,5 @@
 """Candidates for particles, and shares of the volume."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Triangles of defocusing digital PIV, against the cameras' own projection."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

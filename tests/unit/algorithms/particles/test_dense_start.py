@@ -1,7 +1,5 @@
 """Starts of tracks among as many ghosts as particles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree

@@ -1,7 +1,5 @@
 """Images of particles that are no plain Gaussians, and claimed errors of positions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

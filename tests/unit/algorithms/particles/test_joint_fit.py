@@ -1,8 +1,6 @@
 """Fits of particles to images: costs against their definition, results against truth. The most
 probable light against a general optimiser."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Predictions of tracks, first guesses of accelerations, and most probable motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,8 +1,6 @@
 """Trajectories of bubbles whose ids are known. Crossing paths, streams, missing bubbles and ghosts,
 and the limits of the method."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

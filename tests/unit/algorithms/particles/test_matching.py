@@ -1,8 +1,6 @@
 """Positions from particle images, and maps of a box, against cameras' own projection. Triangulation
 within a time budget, and of more peaks than can be told apart."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from typing import Any

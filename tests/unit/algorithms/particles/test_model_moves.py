@@ -1,8 +1,6 @@
 """Ghosts are removed and pairs split, single particles are neither. Widths and shifts of cameras
 are learned."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

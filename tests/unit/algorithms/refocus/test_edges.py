@@ -1,7 +1,5 @@
 """Edges in refocused stacks of known depth."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -1,7 +1,5 @@
 """Refocusing on surfaces against the plane sweep, and against rays met with a cylinder."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Refocusing against a second implementation, and between both back ends. The second implementation
 uses exact projection, and scipy's splines and interpolation."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import replace

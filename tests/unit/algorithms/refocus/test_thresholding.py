@@ -1,8 +1,6 @@
 """Thresholds. Q of many k in one pass against one extraction each, and the k from the images
 against the best one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,8 +1,6 @@
 """Corrections of tomography, each against its formula with a dense W. Also their common properties:
 saturation, residuals and the stop rule."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numba

@@ -1,7 +1,5 @@
 """Displacements between exposures, and the guesses that follow from them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

@@ -1,8 +1,6 @@
 """The operator W against dense matrices from exact projections. Pinhole and refractive cameras,
 some of which see only part of the grid."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

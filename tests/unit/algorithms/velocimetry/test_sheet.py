@@ -1,7 +1,5 @@
 """Planar PIV: known motions in sheets of any place, behind glass, and what it refuses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,8 +1,6 @@
 """Window correlation. Its kernels against other programs, its vectors against known
 displacements."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Samples through the package datasets of Hugging Face."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Batches as arrays of JAX, in a step that is compiled once."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Samples through PyTorch's own loaders, with workers and without."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Stages of the bubble renderer: walls of the tank, passes, and agreement on realistic scenes."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from types import SimpleNamespace

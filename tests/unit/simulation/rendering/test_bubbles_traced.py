@@ -1,8 +1,6 @@
 """Bubbles, drops and bodies before a diffuser. Against ray optics by hand, against Mitsuba's own
 path tracer, and the documented errors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace

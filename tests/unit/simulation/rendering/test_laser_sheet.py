@@ -1,7 +1,5 @@
 """The laser sheet against its energy, and its window against Snell's law."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

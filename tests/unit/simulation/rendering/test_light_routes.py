@@ -1,7 +1,5 @@
 """Ways of light: to particles through walls, and the routes that carry it."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from dataclasses import replace

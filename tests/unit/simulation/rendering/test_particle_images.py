@@ -1,7 +1,5 @@
 """Images of particles: their profiles, sizes and rings."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Light from particles to cameras: polarisation, extinction, mixtures."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

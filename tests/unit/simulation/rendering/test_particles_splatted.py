@@ -1,7 +1,5 @@
 """Analytic renderer: windows, ellipses, borders, and order."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Renderer of particles by rays, next to the formulas."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """True view of bubbles per pixel, against equations solved in the test."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 

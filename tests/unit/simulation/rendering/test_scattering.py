@@ -1,7 +1,5 @@
 """Scattering by small spheres: the theory of Mie, and shares of a pulse."""
 
-from __future__ import annotations
-
 import miepython
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Sensors: noise, fixed pattern, and grey values of photons."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """Pictures of calibration targets, against lines of sight and lamps followed by hand."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Images of particles and targets on sensors that are tilted against their lenses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

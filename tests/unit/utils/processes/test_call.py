@@ -1,7 +1,5 @@
 """Isolated calls, and reading in limited time."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """External programs and Python in child processes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Files of other programs. Read in every format, in any unit, and refused with a sentence."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Surfaces of solid bodies. Closed, of the right size, and not spoilt by the lattice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,8 +1,6 @@
 """A liquid jet in a cross-flow. The measured laws, motion along them, and drops that touch neither
 each other nor the column."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Terminal velocity of bubbles, against other laws and measurements."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq

@@ -1,7 +1,5 @@
 """Flow around bodies: drag, rest at the surface, divergence, and the wake's side."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
