@@ -86,6 +86,14 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
         item.stash[_seconds] = sum(os.times()[:4]) - start
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark all cases but the first of a test `slow_but_first` as slow."""
+    for item in items:
+        if item.get_closest_marker("slow_but_first") and any(item.callspec.indices.values()):  # type: ignore[attr-defined]
+            item.add_marker("slow")
+
+
 def pytest_configure() -> None:
     """Look for garbage less often.
 

@@ -32,6 +32,7 @@ def faults(first: str) -> list[str]:
     return found
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("folder", ["sabench", "solvers", "generators", "reproduction"])
 def test_first_lines_are_short_and_have_a_head(folder: str) -> None:
     offenders = [

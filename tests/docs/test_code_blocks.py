@@ -15,6 +15,14 @@ from tests.docs.runner import Page
 
 _RUN = [page for page in PAGES if any(one.language != "text" for one in blocks(page))]
 _SLOW = {
+    "docs/formats/dataset.md",
+    "docs/formats/samples.md",
+    "docs/start/experimenter.md",
+    "docs/start/tutorial.md",
+    "docs/tasks/calibration.md",
+    "docs/tasks/particles.md",
+    "docs/using/challenges.md",
+    "docs/using/export.md",
     "README.md",
     "CONTRIBUTING.md",
     "docs/developing/participate.md",

@@ -89,6 +89,7 @@ def test_what_scrolls_takes_the_focus_and_headings_have_a_level() -> None:
 _FILLED = [page for page in PAGES if "<!-- table: " in read(page)]
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("page", _FILLED)
 def test_every_table_of_a_page_has_rows_of_the_same_length(page: str) -> None:
     for words in site("tables")["MARKER"].findall(read(page)):

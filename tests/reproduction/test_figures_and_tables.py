@@ -505,6 +505,7 @@ def test_skew_costs_nothing_in_short_pulses_and_much_in_fast_continuous_light() 
     assert same.lost == 0.0
 
 
+@pytest.mark.slow
 def test_a_shorter_step_between_pulses_loses_images() -> None:
     light = chapter_3.lights()[-1]
     scene = chapter_3.scene_of(light, 125e-6, 1)

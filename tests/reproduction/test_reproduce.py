@@ -77,6 +77,7 @@ def test_rows_as_a_table(command: Command) -> None:
     assert "125,000" in done.stdout
 
 
+@pytest.mark.slow
 def test_curves_become_pictures(command: Command, tmp_path: Path) -> None:
     done = succeed(command("reproduce", "fig-4-27", "--figures", "pictures", "--json"))
     assert len(json.loads(done.stdout)) == 17
@@ -86,6 +87,7 @@ def test_curves_become_pictures(command: Command, tmp_path: Path) -> None:
     assert (picture.reshape(-1, 3) != 255).any(axis=1).mean() > 0.01
 
 
+@pytest.mark.slow
 def test_a_page_shows_all_values_beside_the_curves(command: Command, tmp_path: Path) -> None:
     succeed(command("reproduce", "fig-4-27", "fig-4-9", "--figures", "pictures", "-o", "rows.json"))
     page = (tmp_path / "pictures" / "index.html").read_text()
@@ -162,6 +164,7 @@ def test_an_unknown_table_is_refused(command: Command) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_best_tomographic_solver_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chapter_2_density, "SOLVERS", ("mlos_sart", "mlos_smart"))
     row = next(reproduce(["table-2-1-best"], 2, 60))
@@ -352,6 +355,7 @@ def test_numbers_of_cameras_are_those_of_the_cases() -> None:
     )
 
 
+@pytest.mark.slow
 def test_quality_falls_with_density_and_depends_on_the_threshold() -> None:
     scene = load_scene("array-9")
     few, many = (

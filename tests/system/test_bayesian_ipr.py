@@ -233,6 +233,7 @@ def test_a_thin_recording_with_a_background_has_no_ghosts(per_pixel: float, seed
     assert counts.precision > 0.99
 
 
+@pytest.mark.slow
 def test_wide_images_that_look_flat_by_chance_are_gaussians() -> None:
     """Of some fifty particles, products of pixels tell little: here two of four cameras are off."""
     shot = make_small(12, per_pixel=0.02)

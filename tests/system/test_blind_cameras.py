@@ -79,6 +79,7 @@ def run_suite(command: Command, folder: Path) -> list[dict[str, Any]]:
     return list(read_strictly(done.stdout))
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize("name", NAMES)
 def test_score_prints_json(command: Command, boards: Dataset, tmp_path: Path, name: str) -> None:

@@ -139,6 +139,7 @@ def graded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # The table
 
 
+@pytest.mark.slow
 def test_a_click_sorts_numbers_as_numbers_and_nulls_last(browser: Browser, page: Path) -> None:
     browser.open(page, "#q=tank")
     assert browser.ask(SOLVERS) == ["add", "ten", HOSTILE, "broken"]
@@ -196,6 +197,7 @@ def test_details_and_the_command_are_there_to_be_copied(browser: Browser, page: 
 # Filters and links
 
 
+@pytest.mark.slow
 def test_filters_are_kept_in_the_fragment_of_a_link(browser: Browser, graded: Path) -> None:
     browser.open(graded, LOG)
     browser.press("//input[@type='search']", "standard a")
@@ -218,6 +220,7 @@ def test_filters_are_kept_in_the_fragment_of_a_link(browser: Browser, graded: Pa
 # Nothing of a record runs
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     "fragment",
     [
@@ -468,6 +471,7 @@ def judged(solver: str, explained: float | None, **changes: Any) -> Record:
     return record(solver, **head, quality=quality, case="tank", **changes)
 
 
+@pytest.mark.slow
 def test_recorded_cases_have_a_table_of_their_own(browser: Browser, tmp_path: Path) -> None:
     records = [
         judged("a", 0.5, seconds=2.0),

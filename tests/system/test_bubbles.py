@@ -353,6 +353,7 @@ def test_from_images_to_scores(moving: Dataset, tmp_path: Path) -> None:
     assert {key: other[key] for key in TRACKS} == {key: got[key] for key in TRACKS}
 
 
+@pytest.mark.slow
 def test_tracks_of_other_programs_count(moving: Dataset, tmp_path: Path) -> None:
     true = [moving.bubbles(frame) for frame in range(3)]
     found = [Detections(one.center_mm, one.semi_axes_mm, one.turn) for one in true]
@@ -402,6 +403,7 @@ def test_no_track_goes_from_one_group_of_pulses_to_the_next(moving: Dataset) -> 
     assert not every[1] & every[2]
 
 
+@pytest.mark.slow
 def test_one_frame_has_no_scores_of_tracks(tmp_path: Path) -> None:
     data = generate(small(render={"relative_error": 0.2}), tmp_path / "one", seed=1)
     for end in ("truth", "empty"):

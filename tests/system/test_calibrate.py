@@ -99,6 +99,7 @@ def test_a_round_tank_is_calibrated(command: Command, tmp_path: Path) -> None:
     assert report["noise_px"] == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.slow
 def test_points_become_cameras(command: Command, tmp_path: Path) -> None:
     scene = calibration_scene(detection={"noise_px": 0.2, "missing": 0.05, "outliers": 0.02})
     case, cameras, points, exact = case_of(scene)

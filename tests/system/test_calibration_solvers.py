@@ -57,6 +57,7 @@ MOST = {
 }
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_solver_calibrates_accurately(name: str) -> None:
     """Test accuracy; repetition is tested by test_conformance."""

@@ -100,6 +100,7 @@ def test_truth_is_perfect_and_empty_is_the_floor(quick: Dataset) -> None:
     ] == [0.0, 0.0, 0.0, 0.0, 0.0, None]
 
 
+@pytest.mark.slow
 def test_both_solvers_find_particles(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     multiplicative = sabench.score(quick, quick_result)
     assert multiplicative["q"] > 0.6
@@ -129,6 +130,7 @@ def test_a_solver_without_the_wall_is_lost(quick: Dataset, tmp_path: Path) -> No
     assert sabench.score(quick, tmp_path / "blind.h5")["recall"] < 0.05
 
 
+@pytest.mark.slow
 def test_auto_renderer_falls_back_without_mitsuba(own_process: Command, tmp_path: Path) -> None:
     broken = {"DRJIT_LIBLLVM_PATH": "/nowhere/libLLVM.so", "SABENCH_BACKEND": "llvm"}
     done = succeed(own_process("generate", "quick", "-o", tmp_path / "fallback", env=broken))

@@ -66,6 +66,7 @@ def unzipped(archive: Path, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_participants_receive_no_truth(organised: Path, tmp_path: Path) -> None:
     folder = unzipped(organised / "out" / "participant.zip", tmp_path / "p")
     kinds = {path.suffix for path in folder.rglob("*") if path.is_file()}
@@ -85,6 +86,7 @@ def private(organised: Path) -> list[Path]:
     return sorted((organised / "out" / "private" / "datasets").iterdir())
 
 
+@pytest.mark.slow
 def test_the_organiser_scores_what_the_participant_sent(
     organised: Path, submission: Path, command: Command, tmp_path: Path
 ) -> None:
@@ -146,6 +148,7 @@ def test_the_bundle_is_as_the_server_documents_it(organised: Path, tmp_path: Pat
     assert not [one for one in public if one.suffix in (".h5", ".exr")]
 
 
+@pytest.mark.slow
 def test_each_data_set_needs_one_result(organised: Path, submission: Path, tmp_path: Path) -> None:
     reference = unzipped(organised / "out" / "codabench.zip", tmp_path / "b") / "reference_data"
     sent = unzipped(submission, tmp_path / "sent")

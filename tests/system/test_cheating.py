@@ -90,6 +90,7 @@ def attempt(place: Path, port: int, kind: str) -> list[str]:
     return cheats.gained(str(failure.value))
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("kind", ["reconstruction", "particles", "program"])
 def test_a_cheat_gains_nothing(place: Path, port: int, kind: str) -> None:
     assert attempt(place, port, kind) == []
@@ -149,6 +150,7 @@ set = { "particles.count" = 40, "volume.size_mm" = [7.0, 5.0, 2.0] }
 """
 
 
+@pytest.mark.slow
 def test_the_secret_of_a_private_test_set_is_hidden_where_it_would_be_seen(place: Path) -> None:
     """A plug-in would see it as it is imported and as it solves, a program in its folder."""
     folder = place / "mine" / "solvers"

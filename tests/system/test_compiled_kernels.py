@@ -39,6 +39,7 @@ class Compiler(Solver):
 '''
 
 
+@pytest.mark.slow
 def test_compilation_is_no_work(
     quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -78,6 +79,7 @@ class Waiting(Solver):
 '''
 
 
+@pytest.mark.slow
 def test_waits_are_no_work(quick: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SABENCH_PLUGINS", str(tmp_path))
     (tmp_path / "solvers").mkdir()
@@ -89,6 +91,7 @@ def test_waits_are_no_work(quick: Dataset, tmp_path: Path, monkeypatch: pytest.M
     assert 0.4 < made.seconds * made.cpu_share < 1.5
 
 
+@pytest.mark.slow
 def test_kernels_of_a_solver_are_stored() -> None:
     """The solver runs in a child process, which may write there."""
     (warmed,) = warm_up(["asa"])

@@ -27,9 +27,7 @@ from tests.helpers.commands import refuse
 
 SOLVERS = plugins.names("solvers")
 SLOW = {"rim_fit"}  # a minute; tests/system/test_bubbles.py has it find bubbles
-DAILY = {
-    *("asa", "ray_triangulation", "pinhole_linear", "piv3d_plain", "minimum_image", "see_through"),
-}
+DAILY = {"asa", "pinhole_linear"}  # the laws are the same for all
 
 
 @pytest.fixture(scope="session")
@@ -72,6 +70,7 @@ def shot() -> Shot:
     return simulate(scene, seed=5)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     "name", [one for one in SOLVERS if issubclass(plugins.load("solvers", one), Solver)]
 )
@@ -114,6 +113,7 @@ def verdicts(
     return {one.law: one.verdict for one in check_solver(name)}
 
 
+@pytest.mark.slow
 def test_every_law_can_be_broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = verdicts("faulty", FAULTY, tmp_path, monkeypatch)
     assert list(found) == [law.__name__.replace("_", " ") for law in LAWS]
@@ -129,6 +129,7 @@ def test_arrays_of_other_shape_break_laws(tmp_path: Path, monkeypatch: pytest.Mo
     assert found["return declared arrays"] == found["beat nothing"] == "broken"
 
 
+@pytest.mark.slow
 def test_the_command_ends_with_1_for_a_broken_law(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +146,7 @@ def test_the_command_ends_with_1_for_a_broken_law(
     )
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", tasks.NAMES)
 def test_the_best_and_the_worst_possible_scores(name: str, examples: Path) -> None:
     """The truth has the best score. An estimate with a known error is worse, and an empty one is

@@ -66,6 +66,7 @@ def _generate_there(out: Path, cache: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_copies_of_two_processors_have_one_identity(here: Dataset, there: Path) -> None:
     other = open_dataset(there / "b")
     assert other.content_hash != here.content_hash
@@ -95,6 +96,7 @@ def test_results_of_other_copies_and_records_meet(
     assert another.of == 2
 
 
+@pytest.mark.slow
 def test_two_results_of_copies_are_one_too_many(here: Dataset, there: Path, tmp_path: Path) -> None:
     sent = tmp_path / "sent"
     sent.mkdir()
@@ -175,6 +177,7 @@ def test_an_identity_follows_from_what_defines_the_data(here: Dataset, tmp_path:
     assert verify(copy) == []
 
 
+@pytest.mark.slow
 def test_the_observation_side_does_not_disclose_the_identity(here: Dataset, tmp_path: Path) -> None:
     """Seeds are often small, and the identity would tell whether a guess is right."""
     blind = pack(here, tmp_path / "blind", blind=True)
@@ -212,6 +215,7 @@ def test_a_solver_on_the_observation_side_scores_the_same(solver: str, tmp_path:
     }
 
 
+@pytest.mark.slow
 def test_nothing_of_the_truth_is_packed(quick: Dataset, command: Command, tmp_path: Path) -> None:
     succeed(command("pack", quick.root, "--blind", "-o", "blind.zip"))
     with zipfile.ZipFile(tmp_path / "blind.zip") as archive:

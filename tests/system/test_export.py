@@ -51,6 +51,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return generate(scene, tmp_path_factory.mktemp("moving") / "data", seed=1, backend="splat")
 
 
+@pytest.mark.slow
 def test_truth_is_what_vtk_reads(moving: Dataset, tmp_path: Path, command: Command) -> None:
     succeed(command("export", moving.root, "-o", tmp_path / "vtk", "--to", "vtk"))
     names = [

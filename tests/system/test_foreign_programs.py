@@ -49,6 +49,7 @@ def export_quietly(tank: Dataset, out: Path, result: Path | None, to: Format) ->
         return export(tank, out, result, to=to)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("form", TRACKS)
 def test_a_result_comes_back(form: TrackFormat, tank: Dataset, truth: Path, tmp_path: Path) -> None:
     folder = export_quietly(tank, tmp_path / "out", truth, form)
@@ -101,6 +102,7 @@ def test_what_a_program_gets_has_no_truth(form: Format, tank: Dataset, tmp_path:
     assert not [name for name in names if name.startswith(banned)]
 
 
+@pytest.mark.slow
 def test_export_and_import(tank: Dataset, truth: Path, tmp_path: Path, command: Command) -> None:
     done = succeed(command("export", tank.root, truth, "--to", "openptv", "-o", tmp_path / "out"))
     assert "note: openptv: its camera files do not carry f-numbers" in done.stderr
@@ -150,6 +152,7 @@ def test_missing_frames_and_other_axes_are_said(tank: Dataset, tmp_path: Path) -
         import_result(tank, tmp_path / "found.csv", tmp_path / "two.h5", "csv")
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("program", ["openptv", "openlpt", "myptv", "lpt-challenge"])
 def test_a_project_of_another_program_is_imported(
     tank: Dataset, tmp_path: Path, command: Command, program: Format

@@ -107,6 +107,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # The ranking
 
 
+@pytest.mark.slow
 def test_the_page_opens_with_the_ranking(browser: Browser, page: Path) -> None:
     browser.open(page)
     assert browser.ask(PLACES) == [["1", "good"], ["1", "close"], ["3", EVIL], [DASH, "fair"]]
@@ -132,6 +133,7 @@ def test_curves_are_drawn_with_bands(browser: Browser, page: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_accuracy_against_time_has_a_line_through_iterations(browser: Browser, page: Path) -> None:
     browser.open(page, "#view=time&case=standard-standard-splat")
     browser.wait(DRAWN)
@@ -153,6 +155,7 @@ def saved(browser: Browser, name: str) -> str:
     return str(browser.ask("window.saved[0][1]"))
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("view", ["", "#view=table"])
 def test_what_is_shown_is_saved(browser: Browser, page: Path, view: str) -> None:
     browser.open(page, view)
@@ -206,6 +209,7 @@ def test_a_slider_uncovers_one_of_two_figures_and_both_zoom(browser: Browser, pa
 # Narrow screens, no script, accessibility
 
 
+@pytest.mark.slow
 def test_a_narrow_screen_shows_cards_with_scores_first(browser: Browser, page: Path) -> None:
     browser.open(page, "", 390)
     assert browser.ask("document.documentElement.scrollWidth") <= 390

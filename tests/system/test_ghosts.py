@@ -161,6 +161,7 @@ def test_without_repeats_it_is_block_mart(shots: list[Shot]) -> None:
         np.testing.assert_array_equal(made.volume, alone.solve(frame).volume)
 
 
+@pytest.mark.slow
 def test_frames_are_grouped_in_order(shots: list[Shot]) -> None:
     frames = [shot.observation for shot in shots]
     order = [frames[0], frames[1], frames[2], frames[0], frames[1]]

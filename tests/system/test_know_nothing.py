@@ -36,6 +36,7 @@ def rank_after(own: tuple[bool, float], other: tuple[bool, float]) -> bool:
     return own[0] > other[0] or (own[0] == other[0] and own[1] >= other[1] - ROUNDING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "sees"), CASES)
 def test_who_knows_nothing_ranks_no_better_than_nothing(
     name: str, sees: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -72,6 +73,7 @@ def test_peaks_and_intensities_from_nothing_are_bad(folder: Path, tmp_path: Path
             assert error > 0.8, trial
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("name", "shown"),
     [("see_through", "reconstruction"), ("bubbles", "reconstruction"), ("particles", "bubbles")],
@@ -88,6 +90,7 @@ def test_a_result_of_a_task_that_the_data_set_cannot_serve_is_named(
         score(data, out)
 
 
+@pytest.mark.slow
 def test_cameras_that_are_none_are_refused(folder: Path, tmp_path: Path) -> None:
     task = tasks.of("calibration")
     data = example(task, task.shown, folder)

@@ -96,6 +96,7 @@ def test_commands(original: Dataset, pngs: Path, tmp_path: Path, command: Comman
     refuse(command("import", pngs, "--cameras", original.root, "-o", "tank"), "tank")
 
 
+@pytest.mark.slow
 def test_export_needs_no_truth(original: Dataset, pngs: Path, tmp_path: Path) -> None:
     tank = import_like(original, pngs, tmp_path / "tank")
     for solver in ("ray_triangulation", "msa", "piv3d"):
@@ -132,6 +133,7 @@ def models(cameras: tuple[CameraModel, ...], points: Any) -> list[CameraModel]:
     ]
 
 
+@pytest.mark.slow
 def test_cameras_of_any_model(original: Dataset, pngs: Path, tmp_path: Path) -> None:
     grid = original.setup.grid
     middle = np.asarray(grid.low_mm) + 0.5 * np.asarray(grid.voxel_mm) * grid.shape[::-1]
@@ -172,6 +174,7 @@ def test_broken_cameras(change: dict[str, Any], expected: str, tmp_path: Path) -
         read_camera_source(path)
 
 
+@pytest.mark.slow
 def test_masks_and_smaller_sensors(original: Dataset, tmp_path: Path) -> None:
     """One camera's images are smaller, another one's are masked."""
     import cv2
@@ -249,6 +252,7 @@ def test_double_frames(original: Dataset, pngs: Path, tmp_path: Path) -> None:
     assert tank.setup.pairs() == [(0, 1), (2, 3)]
 
 
+@pytest.mark.slow
 def test_images_stay_where_they_are(original: Dataset, pngs: Path, tmp_path: Path) -> None:
     import shutil
 

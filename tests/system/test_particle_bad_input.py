@@ -138,6 +138,7 @@ def test_saturated_particles_are_found(solver: str) -> None:
     assert min(counts.recall, counts.precision) > 0.95
 
 
+@pytest.mark.slow_but_first
 @search
 @pytest.mark.parametrize("columns", [3.0, 1000.0])
 def test_a_camera_that_is_off_is_named_and_left_out(solver: str, columns: float) -> None:
@@ -232,6 +233,7 @@ def test_particles_outside_the_grid_are_reported(solver: str) -> None:
         solve(solver, [replace(large, grid=small.grid)])
 
 
+@pytest.mark.slow_but_first
 @search
 @pytest.mark.parametrize(("seed", "layout"), [(2, (3, 1)), (3, (3, 3))])
 def test_right_cameras_are_not_reported(solver: str, seed: int, layout: tuple[int, int]) -> None:
@@ -253,6 +255,7 @@ def equal(one: FoundParticles, other: FoundParticles) -> bool:
     return all(np.array_equal(value, values[declared.name]) for declared, value in one.arrays())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_long_budget_changes_nothing(solver: str) -> None:
     assert equal(solve_within(solver, None, 2)[1], solve_within(solver, 1e6, 2)[1])

@@ -161,6 +161,7 @@ def test_claims_are_scored(sequence: Dataset, tmp_path: Path) -> None:
     assert scores["switch_percent"] == scores["fragment_percent"] == 0.0
 
 
+@pytest.mark.slow
 def test_lost_and_confused_particles_cost_identity(sequence: Dataset, tmp_path: Path) -> None:
     """Numbers are given anew from frame 3 on, and frame 1 lacks every second particle."""
     with result_writer(tmp_path / "r.h5", sequence, "confused", "particles", {}) as writer:
@@ -226,6 +227,7 @@ def test_a_solver_may_yield_frames_one_after_the_other(
     assert numbers == [[0, 1], [2, 1]] * 3
 
 
+@pytest.mark.slow
 def test_frames_too_many_and_other_things_are_refused(
     sequence: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -350,6 +352,7 @@ def test_tracking_begins_again_after_many_dark_frames() -> None:
     assert count(shots[5], found[5]).recall > 0.98
 
 
+@pytest.mark.slow
 def test_a_single_frame_is_searched() -> None:
     shots = make_shots()
     found = follow([shots[0].observation])

@@ -35,6 +35,7 @@ def stages(command: Command, *arguments: object) -> list[dict[str, Any]]:
     return out
 
 
+@pytest.mark.slow
 def test_steps_are_shown_with_their_peaks(command: Command, data: Dataset, tmp_path: Path) -> None:
     picture = tmp_path / "preview.png"
     done = succeed(command("preprocess", str(data.root), *STEPS, "-o", str(picture)))
@@ -55,6 +56,7 @@ def test_peaks_are_those_of_the_particles(command: Command, data: Dataset) -> No
     assert 0.5 * visible < by_name[0]["peaks"] <= visible + 2
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("suffix", ["png", "tif", "bmp"])
 def test_a_plain_image(
@@ -140,6 +142,7 @@ def figures(command: Command, *arguments: object) -> dict[str, Any]:
     return dict(json.loads(done.stdout))
 
 
+@pytest.mark.slow
 def test_equal_images_have_equal_figures(busy: Dataset, folder: Path, command: Command) -> None:
     white = busy.setup.sensor.white_dn
     both = figures(command, busy.root, folder, "--white", white)
@@ -173,6 +176,7 @@ def test_the_ratio_of_fluxes_is_that_of_the_truth(busy: Dataset) -> None:
     assert found["ln_ratio_robust"] == pytest.approx(robust, rel=0.2)
 
 
+@pytest.mark.slow
 def test_without_truth_they_are_found(busy: Dataset, tmp_path: Path, command: Command) -> None:
     pack(busy, tmp_path / "blind", blind=True)
     both = figures(command, busy.root, tmp_path / "blind")

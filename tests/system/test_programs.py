@@ -128,6 +128,7 @@ BAD = [
 ]
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(("body", "words"), BAD, ids=[str(number) for number in range(len(BAD))])
 def test_no_result_leaves_nothing(quick: Dataset, tmp_path: Path, body: str, words: str) -> None:
     program = write(tmp_path / "bad.py", body)
@@ -136,6 +137,7 @@ def test_no_result_leaves_nothing(quick: Dataset, tmp_path: Path, body: str, wor
     assert list(tmp_path.iterdir()) == [program]
 
 
+@pytest.mark.slow
 def test_the_command(quick: Dataset, command: Command, tmp_path: Path) -> None:
     write(tmp_path / "mine.py", WHOLE)
     done = succeed(command("solve", "./mine.py", quick.root, "-o", "r.h5"))
@@ -284,6 +286,7 @@ def test_both_examples_take_tilted_sensors(tmp_path: Path) -> None:
     np.testing.assert_allclose(volumes[1], volumes[0], rtol=0, atol=1e-5 * volumes[0].max())
 
 
+@pytest.mark.slow
 def test_a_submission_is_ranked_beside_what_is_there(
     quick: Dataset, quick_result: Path, command: Command, tmp_path: Path
 ) -> None:
@@ -306,6 +309,7 @@ def test_a_submission_is_ranked_beside_what_is_there(
     assert len(read_records(tmp_path / "leaderboard" / "records")) == 2
 
 
+@pytest.mark.slow
 def test_all_of_a_submission_or_nothing(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     folder = tmp_path / "sent"
     folder.mkdir()
@@ -430,6 +434,7 @@ def test_a_recorded_seed_is_public(quick: Dataset, quick_result: Path, tmp_path:
     )
 
 
+@pytest.mark.slow
 def test_later_submissions_replace_none(quick: Dataset, quick_result: Path, tmp_path: Path) -> None:
     board, day = tmp_path / "board", datetime.date(2026, 1, 2)
     submit(quick_result, "Ann", [quick.root], board, date=day)

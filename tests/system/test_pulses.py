@@ -119,6 +119,7 @@ def scores_of(recording: Dataset, place: Path, claim: Claim) -> dict[str, Any]:
     return score(recording, place)
 
 
+@pytest.mark.slow
 def test_other_numbers_in_each_group_cost_nothing(recording: Dataset, tmp_path: Path) -> None:
     counted: list[int] = []
 

@@ -133,6 +133,7 @@ def test_without_truth(data: Dataset, solved: Path, tmp_path: Path, command: Com
     assert "explained" in command("quality", "tank", "r.h5", "--no-again").stdout
 
 
+@pytest.mark.slow
 def test_refusals(data: Dataset, tmp_path: Path) -> None:
     sabench.solve("piv3d", data, tmp_path / "v.h5")
     with pytest.raises(InputError, match="expected a result of the task particles or recon"):

@@ -269,6 +269,7 @@ def test_a_private_test_set_has_scenes_alone(folder: Path) -> None:
     assert [case.name for case in load_suite(folder / "s.toml", secret)[1]] == ["few", "few"]
 
 
+@pytest.mark.slow
 def test_one_case_whatever_the_seeds_are(folder: Path, command: Command) -> None:
     (folder / "s.toml").write_text("seeds = [1, 2]\n" + SUITE + QUICK)
     cases = load_suite(folder / "s.toml")[1]

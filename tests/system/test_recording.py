@@ -223,6 +223,7 @@ def test_two_who_make_the_same_do_not_meet(tmp_path: Path) -> None:
     assert made(scene, tmp_path / "set")
 
 
+@pytest.mark.slow
 def test_bad_numbers_are_refused(tmp_path: Path, command: Command) -> None:
     with pytest.raises(InputError, match="jobs: expected 1 or more, got 0"):
         made(moving(1), tmp_path / "set", jobs=0)

@@ -115,6 +115,7 @@ def test_a_second_run_computes_nothing_and_a_record_is_made_again_by_its_command
     assert anew[0]["q"] == before[3]["q"]
 
 
+@pytest.mark.slow
 def test_a_data_set_that_could_not_be_checked_stays_as_it_is(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,6 +155,7 @@ def test_a_data_set_of_other_versions_is_generated_again(
         runner.dataset_of(case, tmp_path, fresh=False)
 
 
+@pytest.mark.slow
 def test_a_score_that_no_record_may_have_is_an_error_of_the_solver(
     tmp_path: Path, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -202,6 +204,7 @@ def test_hidden_runs_tell_no_seed_and_show_no_picture(tmp_path: Path, command: C
     assert all(record.get("identity") is None for record in found)  # a hash of the seed
 
 
+@pytest.mark.slow
 def test_a_suite_ends_in_means_and_leaves_no_data(command: Command, tmp_path: Path) -> None:
     (tmp_path / "suite.toml").write_text(
         'title = "t"\nbackend = "splat"\nseeds = [1, 2]\nkeep_data = false\n[[cases]]\n'

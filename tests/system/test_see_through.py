@@ -128,6 +128,7 @@ def test_a_bent_code_is_read_on_its_cylinder(tmp_path: Path, command: Command) -
     refuse(command("refocus", "data", "-o", "wall"), "wall exists already")
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -155,6 +156,7 @@ def test_the_code_comes_from_the_seed() -> None:
     assert len(solid.faces) == 12 * plate.code(1).dark.sum()
 
 
+@pytest.mark.slow
 def test_what_has_no_code_is_refused(veiled: Dataset, tmp_path: Path) -> None:
     data = generate(
         small(bubbles={"generator": "bubble_field", "count": 0}, render={"relative_error": 0.2}),

@@ -73,6 +73,7 @@ def behind_glass() -> Shot:
     return simulate(scene_of(wall=True), seed=101)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", SOLVERS)
 def test_particles_are_reconstructed(name: str, in_air: Shot, behind_glass: Shot) -> None:
     for shot, slack in ((in_air, 0.0), (behind_glass, 0.03)):
@@ -122,6 +123,7 @@ def test_particles_beyond_one_cameras_border_are_kept(name: str, in_air: Shot) -
     assert (brightest > 0.0).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_clipped_pixels_are_known_to_be_clipped(in_air: Shot) -> None:
     case = in_air.observation
     white = np.floor(np.quantile(case.images[case.images > 200], 0.7))

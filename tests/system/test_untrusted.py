@@ -326,6 +326,7 @@ def stumble(_: Path) -> None:
     raise IndexError("17")
 
 
+@pytest.mark.slow
 def test_ends_of_a_reader_are_sentences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.vti"
     path.write_bytes(b"x")

@@ -168,6 +168,7 @@ def test_a_flow_without_units_is_named_and_leaves_nothing(tmp_path: Path, comman
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.slow
 def test_volumes_that_show_nothing_are_named(tmp_path: Path, command: Command) -> None:
     generate(
         vortex_scene(frames=2, particles={"generator": "uniform", "count": 0}),

@@ -13,6 +13,7 @@ from tests.conftest import Command
 from tests.helpers.commands import refuse, succeed
 
 
+@pytest.mark.slow
 def test_a_result_is_shown_next_to_its_data_set(
     command: Command, quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:
@@ -41,6 +42,7 @@ def test_cameras_of_a_data_set_are_shown_without_its_images(quick: Dataset) -> N
     assert made.summary["frames"] == 0
 
 
+@pytest.mark.slow
 def test_the_observation_side_shows_finds(
     quick: Dataset, quick_result: Path, tmp_path: Path
 ) -> None:

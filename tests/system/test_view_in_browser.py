@@ -83,6 +83,7 @@ def open_page(browser: Browser, page: Path, width: int = 1400) -> None:
     browser.wait("document.documentElement.dataset.ready")
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("mode", ["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1400])
 def test_axe_finds_nothing(browser: Browser, page: Path, width: int, mode: str) -> None:
@@ -118,6 +119,7 @@ def test_all_points_are_drawn_without_faults(browser: Browser, page: Path) -> No
     assert faults(browser) == []
 
 
+@pytest.mark.slow
 def test_kinds_can_be_left_out(browser: Browser, page: Path) -> None:
     open_page(browser, page)
     before = drawing(browser)
@@ -145,6 +147,7 @@ def test_time_goes_on_and_paths_are_drawn(browser: Browser, page: Path) -> None:
     assert faults(browser) == []
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("key", ["\ue012", "\ue013", "+", "-"])
 def test_keys_move_the_view_and_0_takes_it_back(browser: Browser, page: Path, key: str) -> None:
     open_page(browser, page)
@@ -156,6 +159,7 @@ def test_keys_move_the_view_and_0_takes_it_back(browser: Browser, page: Path, ke
     assert browser.ask(place) == pytest.approx(home.tolist())
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("width", [390, 1400])
 def test_nothing_is_wider_than_the_screen(browser: Browser, pictured: Path, width: int) -> None:
     open_page(browser, pictured, width)
@@ -169,6 +173,7 @@ def test_nothing_is_wider_than_the_screen(browser: Browser, pictured: Path, widt
     assert faults(browser) == []
 
 
+@pytest.mark.slow
 def test_particles_are_marked_where_the_image_shows_them(browser: Browser, pictured: Path) -> None:
     """Marks are at bright pixels of the camera's image, and follow the chosen camera."""
     open_page(browser, pictured)

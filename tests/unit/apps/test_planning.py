@@ -58,6 +58,7 @@ def parallel_cameras(**camera: Any) -> Scene:
     return parse_scene(values, "parallel")
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("scene", "ratio", "pixel", "per_pixel"),
     [("thesis-50x50x10", 2.50, 0.05, 0.125), ("array-9", 2.50, 0.05, 0.075)],
@@ -96,6 +97,7 @@ def test_a_step_of_plane_spacing_moves_lines_of_sight_apart_by_a_pixel() -> None
     assert apart == pytest.approx(value(made, "pixel_center_mm"), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_figures_do_not_depend_on_the_direction_of_the_axes() -> None:
     scene = load_scene("standard-particles")
     values = scene.to_dict()
@@ -209,6 +211,7 @@ WARNED = [
 ]
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(("key", "changes"), WARNED)
 def test_warnings_name_the_key_to_change(key: str, changes: dict[str, Any]) -> None:
     advice = plan(changed(**changes)).advice
@@ -264,6 +267,7 @@ def test_a_design_has_what_was_wanted(base: str, wanted: Wanted) -> None:
     assert fields[0] >= 0.999 * wanted.depth_mm
 
 
+@pytest.mark.slow
 def test_the_base_s_own_figures_give_the_base() -> None:
     base = load_scene("standard-particles")
     figures = plan(base).to_dict()["figures"]
@@ -383,6 +387,7 @@ def test_the_model_stops_at_the_edge_of_its_range() -> None:
         assert model.predict(key, outside[None]) == model.predict(key, edge[None])
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("changes", "key"),
     [
@@ -403,6 +408,7 @@ def test_a_plan_outside_the_range_says_how_far(changes: dict[str, Any], key: str
     assert " times the " in sentences[0]
 
 
+@pytest.mark.slow
 def test_the_record_is_of_the_scenes_that_the_benchmark_draws() -> None:
     number = planner.NOT_FITTED[0]
     scene = planner.draw_scene(number)
@@ -427,6 +433,7 @@ def shapes(svg: str, kind: str) -> list[str]:
     return [one.attrib["points"] for one in root.iter() if one.attrib.get("class") == kind]
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("scene", "cameras", "walls"),
     [("quick", 4, 3), ("cylinder-tank", 4, 2), ("thesis-50x50x10", 25, 0)],
@@ -460,6 +467,7 @@ def test_the_page_escapes_what_a_scene_says() -> None:
     assert "<script" not in page
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_json_and_a_page(command: Command, tmp_path: Path) -> None:
     file = tmp_path / "plan.html"
     done = command("plan", "quick", "--html", str(file))

@@ -92,6 +92,7 @@ def test_the_bare_command_prints_help_and_no_error(command: Command) -> None:
     assert "evaluate" not in done.stdout
 
 
+@pytest.mark.slow
 def test_help_shows_no_types_of_flags() -> None:
     commands = [info.name or info.callback.__name__ for info in registered() if info.callback]
     assert len(commands) == 28
@@ -103,6 +104,7 @@ def test_help_shows_no_types_of_flags() -> None:
         assert "--track" not in done.output
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("words", "offered"),
     [

@@ -28,6 +28,7 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> SampleSet:
     return make(tmp_path_factory.mktemp("samples") / "set")
 
 
+@pytest.mark.slow
 def test_places_count_from_both_ends(samples: SampleSet) -> None:
     numbers = [one.number for one in samples]
     assert len(samples) == len(numbers) == COUNT
@@ -200,6 +201,7 @@ def copy(whole: SampleSet, tmp_path: Path) -> Path:
     return Path(shutil.copytree(whole.root, tmp_path / "copy"))
 
 
+@pytest.mark.slow
 def test_an_intact_set_has_no_faults(whole: SampleSet) -> None:
     assert sabench.verify(whole.root) == []
 

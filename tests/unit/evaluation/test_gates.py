@@ -334,6 +334,7 @@ def slanted(**changes: Any) -> Scene:
     return parse_scene(values | changes, "slanted")
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (14.0, -8.0)])
 @pytest.mark.parametrize("wall", [True, False])
 def test_two_implementations_of_a_camera_agree(wall: bool, tilt: tuple[float, float]) -> None:

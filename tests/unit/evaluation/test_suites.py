@@ -212,6 +212,7 @@ def test_a_fault_is_named_before_any_work(tmp_path: Path, text: str, sentence: s
 SUITES = list_suites()
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", SUITES)
 def test_bundled_suites_are_sound(name: str) -> None:
     suite, cases = load_suite(name)

@@ -252,6 +252,7 @@ def test_cross_has_a_centre_and_four_equal_arms() -> None:
     assert {(float(x), float(y)) for x, y in offsets} == {*arms}
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("layers", range(4))
 def test_the_projection_kernel_and_the_traced_path_agree(layers: int) -> None:
     """For any order of indices, and for points outside the fluid."""

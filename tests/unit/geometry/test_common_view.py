@@ -24,6 +24,7 @@ from sabench.utils.errors import InputError
 from tests.helpers.small_particles import rotate_cameras
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", ["quick", "cylinder-tank", "particle-tracking-air"])
 def test_all_cameras_see_the_proposed_box(name: str) -> None:
     rig = build_rig(load_scene(name), name)

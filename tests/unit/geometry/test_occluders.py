@@ -107,6 +107,7 @@ def over_the_image(camera: Camera, polygon: F64) -> F64:
     return distance_inside(polygon, pixels).reshape(camera.rows, camera.columns)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
     plain = make_scene(**VARIANTS[variant])
@@ -127,6 +128,7 @@ def test_both_renderers_agree_away_from_the_edge(variant: str) -> None:
     assert (formula[away & (inside > 0.0)] < 1e-9).all()
 
 
+@pytest.mark.slow
 def test_rays_cut_an_image_at_the_very_edge_of_a_disc() -> None:
     """The edge of a disc cuts images. Also those of particles whose own path is stopped, where they
     reach beyond the edge."""
@@ -198,6 +200,7 @@ def test_a_disc_stops_what_meets_it() -> None:
     assert edge_on.span_mm(np.array(along)) == (9.0, 11.0)
 
 
+@pytest.mark.slow
 def test_occluders_are_in_the_scene_file_and_are_not_shown_to_solvers(tmp_path: Path) -> None:
     scene = with_discs(make_scene(particles={"count": 20}), before_camera(QUICK, 0.5, 0.7))
     free = sabench.generate(

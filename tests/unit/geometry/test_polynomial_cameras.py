@@ -119,6 +119,7 @@ def test_points_that_do_not_determine_a_model_are_refused() -> None:
         )
 
 
+@pytest.mark.slow
 def test_reconstruction_runs_on_polynomials() -> None:
     """Refocusing by Soloff's polynomials agrees with that by the exact cameras. It does so as far
     as the cameras agree."""

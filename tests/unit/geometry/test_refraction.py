@@ -149,6 +149,7 @@ def test_the_iteration_ends_in_a_few_steps(wall: Wall, monkeypatch: pytest.Monke
     assert len(calls) <= 20
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("wall", WALLS)
 def test_back_projection_returns_to_the_point(wall: Wall) -> None:
     paths = hand_paths(wall, 60, 5)

@@ -24,6 +24,7 @@ OF_PIXELS = 4 * 512**2
 LOOSE = {"sliding minimum and Gaussian, cut at black": 6e-5, "double exponential noise": 1e-4}
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", SENSORS)
 def test_false_alarms_are_as_rare_as_stated(name: str) -> None:
     rng, count = np.random.default_rng(3), 0

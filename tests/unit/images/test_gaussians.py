@@ -141,6 +141,7 @@ def _of_all(position_mm: F64, light: F64) -> F64:
     return np.stack([covariance[np.ix_(one, one)] for one in rows])
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_the_bound_is_the_inverse_of_the_whole_information(count: int) -> None:
     position = np.array([[0.03, 0.02, 0.0], [0.2, 0.05, 0.06], [0.1, 0.25, -0.1]])[:count]

@@ -88,6 +88,7 @@ def test_a_background_goes_and_particles_stay() -> None:
     assert np.median(clean) < 0.02 * clean.max()
 
 
+@pytest.mark.slow
 def test_solvers_see_processed_images_and_the_data_set_keeps_raw_ones(tmp_path: Path) -> None:
     raw = moving_scene(frames=1, flow=None)
     scene = moving_scene(frames=1, flow=None, preprocessing=THESIS)

@@ -50,6 +50,7 @@ def image(
     return (y * light[:, None]).T @ x + 2.0 * rng.standard_normal((ROWS, COLUMNS))
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("per_pixel", [0.005, 0.05, 0.2])
 @pytest.mark.parametrize("sigma", [(0.5, 0.6), (0.9, 0.7)])
 def test_widths_hold_at_any_density(per_pixel: float, sigma: tuple[float, float]) -> None:

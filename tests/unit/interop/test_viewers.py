@@ -77,6 +77,7 @@ def test_every_visible_bubble_has_its_mask_and_box(data: Dataset, coco: Path) ->
     assert len({one["id"] for one in values["annotations"]}) == found
 
 
+@pytest.mark.slow
 def test_images_show_what_the_camera_recorded(data: Dataset, coco: Path) -> None:
     values = json.loads((coco / "annotations.json").read_text())
     file = coco / values["images"][2]["file_name"]

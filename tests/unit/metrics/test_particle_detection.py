@@ -46,6 +46,7 @@ def slow_maxima(volume: F32, floor: float) -> list[tuple[float, ...]]:
     return maxima
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(arrays(np.float32, (4, 5, 6), elements=st.integers(0, 4).map(float)))
 def test_plateaus_are_maxima_once_each(volume: F32) -> None:

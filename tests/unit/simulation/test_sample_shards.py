@@ -32,6 +32,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> SampleSet:
     return make(tmp_path_factory.mktemp("samples") / "whole")
 
 
+@pytest.mark.slow
 def test_stored_samples_are_those_of_the_stream(whole: SampleSet) -> None:
     assert len(whole) == COUNT
     for batch in stream(scene(), seed=4, batch=7, samples=COUNT):
@@ -123,6 +124,7 @@ def test_an_interrupted_run_resumes_and_ends_with_the_same_hash(
     assert len(numbers) == COUNT - SIZE  # the first shard was not made again
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("change", "named"),
     [

@@ -50,6 +50,7 @@ def all_samples(scene: Scene, **options: Any) -> list[Sample]:
     return [one for batch in stream(scene, **given) for one in batch.samples]
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("varied", [False, True])
 def test_a_stream_goes_on_anywhere_bit_for_bit_with_any_batch(varied: bool) -> None:
     scene = make_scene(**({"vary": vary(**VARIED)} if varied else {}))

@@ -110,6 +110,7 @@ def test_the_truth_of_a_planar_field_is_the_mean_over_the_sheet(tmp_path: Path) 
     assert np.abs(exact - mean * [1.0, 1.0, 0.0]).max() < 1e-2 * np.abs(mean).max()
 
 
+@pytest.mark.slow
 def test_a_tilted_sheet_from_the_command_s_parameters_to_scores(tmp_path: Path) -> None:
     normal = [0.0, 0.6, 0.8]
     changes = {

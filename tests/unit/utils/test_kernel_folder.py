@@ -52,6 +52,7 @@ def write_package(folder: Path) -> Path:
     return own
 
 
+@pytest.mark.slow
 def test_a_changed_callee_in_another_file_is_not_overlooked(tmp_path: Path) -> None:
     own = write_package(tmp_path)
     environment = os.environ | {

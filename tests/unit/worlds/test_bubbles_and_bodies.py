@@ -144,6 +144,7 @@ def test_the_law_of_jets_is_the_thesis_s(y_p: float, d_eq: float, angle: float) 
     assert air / (np.pi * slope**2 * y_p**3 / 3.0) == pytest.approx(0.003, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_bubbles_of_a_jet_follow_its_law() -> None:
     """The air in rings of many draws, against the law's integral over the same rings."""
     sizes = {"radius_mm": 0.3, "radius_spread": 0.3, "radius_range_mm": [0.15, 0.8]}

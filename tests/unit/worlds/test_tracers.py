@@ -59,6 +59,7 @@ def test_any_frame_is_the_same_by_itself() -> None:
     assert_array_equal(motion.at(1).position_mm, ordered[1].position_mm)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("flow", [ABC, WIND])
 def test_the_density_stays_even(flow: dict[str, Any]) -> None:
     scene = moving_scene(flow=flow, frames=40)
@@ -126,6 +127,7 @@ def test_a_sheet_beside_another_lights_other_particles() -> None:
     assert not lit[0] & lit[1]
 
 
+@pytest.mark.slow
 def test_long_pulses_leave_streaks() -> None:
     """A streak of length s adds the variance s^2 / 12 along it, and no light."""
     noise = dict.fromkeys(("read_noise_e", "dark_current_e_s"), 0.0) | {"shot_noise": False}

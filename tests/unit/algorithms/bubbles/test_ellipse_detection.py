@@ -57,6 +57,7 @@ def test_edges_lie_on_the_outline_and_look_inwards() -> None:
         assert find_edges(even, 0.02).shape == (0, 4)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("hollow", [0.0, 0.5])
 @pytest.mark.parametrize(
     ("a", "b", "angle"),

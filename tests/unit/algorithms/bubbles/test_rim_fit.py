@@ -23,6 +23,7 @@ def model_of(*shown: F64) -> rim_fit.Model:
     return rim_fit.Model(np.exp(model.logs), np.zeros(SHAPE, np.float32), CAMERAS, PROFILE)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("radius_mm", [0.15, 1.0])
 def test_a_ball_darkens_pixels_by_its_profile_inside_its_outline(radius_mm: float) -> None:
     """Radii in all directions are those of the outline that refracted lines of sight touch."""

@@ -68,6 +68,7 @@ def test_solvers_find_what_the_case_calls_unknown(name: str) -> None:
     assert errors[0] < (0.02 if name == "refractive_autocal" else 0.1)
 
 
+@pytest.mark.slow
 def test_the_bound_is_that_of_the_case(tmp_path: Path) -> None:
     bounds = []
     for number, unknown in enumerate((None, ["principal_point", "k1"])):

@@ -80,6 +80,7 @@ def test_exact_cameras_stay_and_others_are_reached(shift_px: float, reach_px: fl
     assert disagreement_px(shot, answer.cameras, scene) < 0.06
 
 
+@pytest.mark.slow
 def test_sets_that_agree_by_chance_are_refused() -> None:
     seen = simulate(particle_scene(8.0), seed=3).observation
     with pytest.raises(InputError, match=r"got \d+ where chance makes \d+: .* reach_px = 4"):

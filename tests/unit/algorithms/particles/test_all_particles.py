@@ -51,6 +51,7 @@ def outcome(maps: Maps) -> list[F64 | F32]:
     ]
 
 
+@pytest.mark.slow
 def test_passes_give_what_one_thread_gives(maps: Maps) -> None:
     left, misfit, misses, *_ = outcome(maps)
     model, particles = case(maps)
@@ -100,6 +101,7 @@ def spans(maps: Maps, points: F64, rows: I64, neighbours: Neighbours) -> F64:
     return np.stack([pixels - WINDOW, pixels + WINDOW], axis=2)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("whole", [False, True])
 def test_groups_share_no_pixel(maps: Maps, whole: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_FEW", 2)

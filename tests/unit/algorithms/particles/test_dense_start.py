@@ -65,6 +65,7 @@ def test_confirmed_particles_are_real(frames: list[dense_start.Finds], truth: li
         assert (found < 4.0 * NOISE).mean() < 0.55
 
 
+@pytest.mark.slow
 def test_velocities_come_from_wrong_links(
     frames: list[dense_start.Finds], truth: list[F64]
 ) -> None:

@@ -51,6 +51,7 @@ def over_pixels(shown: F64, room: image_model.Room) -> F64:
     return np.asarray(shown.reshape(room.window, FINE, room.window, FINE).mean(axis=(1, 3)))
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(("correlation", "share"), [(0.1, 0.001), (0.3, 0.01), (-0.3, 0.01)])
 def test_an_image_integrates_a_tilted_gaussian(
     maps: Maps, correlation: float, share: float
@@ -138,6 +139,7 @@ def all_images(model: image_model.ImageModel, position: F64) -> F64:
     return LIGHT * shown.reshape(4, -1)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("correlation", "flatness"), [(0.0, 0.0), (0.3, 0.0), (-0.4, 0.0), (0.0, 0.05), (0.3, 0.03)]
 )

@@ -50,6 +50,7 @@ def open_sensors(cameras: int) -> Bool:
     return np.zeros((cameras, ROWS, COLUMNS), dtype=np.bool_)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("cameras", [3, 4])
 @pytest.mark.parametrize("count", [1, 30])
 def test_all_particles_are_found_where_they_are(maps: Maps, cameras: int, count: int) -> None:
@@ -64,6 +65,7 @@ def test_all_particles_are_found_where_they_are(maps: Maps, cameras: int, count:
         assert sorted(found.hit[best, number]) == list(range(count))
 
 
+@pytest.mark.slow
 def test_a_camera_may_miss_a_particle_where_it_is_covered_or_off_its_sensor(maps: Maps) -> None:
     points = unit_points(10)
     pixels = images_of(points, maps)
@@ -172,6 +174,7 @@ def test_lines_of_sight_are_followed_closely(
         assert_allclose(found.position[0], point, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_steps_along_a_line_of_sight_run_from_the_front_of_the_box_to_its_back() -> None:
     maps = straight_and_oblique(0.0, 25.0, -10.0)
     for point in ([0.1, -0.2, -0.99], [0.1, -0.2, 0.01], [0.1, -0.2, 0.99]):

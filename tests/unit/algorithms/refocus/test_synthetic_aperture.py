@@ -132,6 +132,7 @@ def test_refocusing_is_interpolation_at_exact_projections(wall: Wall | None) -> 
     assert_allclose(refocus_sum(alone, rig, GRID)[seen], samples[1][seen], rtol=0, atol=2e-3)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("wall", [None, FLAT, TILTED])
 def test_maps_stay_within_their_tolerance_by_slabs(wall: Wall | None) -> None:
     rig, deep = array(wall), replace(GRID, voxel_mm=(0.06, 0.06, 1.5), shape=(40, 151, 600))
@@ -296,6 +297,7 @@ def test_whole_shifts_find_particles_where_the_exact_maps_do() -> None:
         assert np.abs(np.asarray(peak) - [y, x]).max() <= 1
 
 
+@pytest.mark.slow
 def test_whole_shifts_keep_an_even_image_even() -> None:
     grid = Grid((0.2, 4.9, 41.0), (0.06, 0.06, 0.5), (4, 9, 11))
     assert_allclose(refocus_by_shifts(even(0.75, 5), planar_array(FLAT), grid), 0.75, rtol=1e-5)

@@ -78,6 +78,7 @@ def random_volumes() -> tuple[F32, F32]:
 # Q of many thresholds
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("keep", KEEPS)
 @pytest.mark.parametrize("scored", [(slice(None),) * 3, (slice(1, -1), slice(4, -3), slice(2, -5))])
 def test_one_pass_gives_all_q(keep: Keep, scored: tuple[slice, slice, slice]) -> None:

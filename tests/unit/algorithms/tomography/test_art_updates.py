@@ -102,6 +102,7 @@ def mart_by_formula(w: F64, p: F64, values: F64) -> F64:
     return values
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("footprint", [BILINEAR, BLOB])
 @pytest.mark.parametrize("name", STEPS)
 def test_steps_follow_their_formulas(name: str, footprint: Footprint) -> None:

@@ -163,6 +163,7 @@ def test_known_flows_are_measured(name: str, parameters: dict[str, Any]) -> None
     assert (np.abs(off.mean(axis=0)) < [0.01, 0.01, 0.03]).all()
 
 
+@pytest.mark.slow
 def test_the_plain_method_is_worse_and_still_right() -> None:
     case, flow = pair_of("lamb_oseen_vortex", core_mm=2.0, circulation_mm2_s=3.0)
     plain, better = (

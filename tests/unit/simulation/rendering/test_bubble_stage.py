@@ -163,6 +163,7 @@ def compare(name: str, samples: int) -> Comparison:
     return compare_renderers(scene, build_rig(scene), 2)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("name", CASES)
 def test_rays_and_formulas_agree(name: str) -> None:
     """Rays through the middles of n x n parts make a pixel narrower by 1 / 12 n2 px2."""

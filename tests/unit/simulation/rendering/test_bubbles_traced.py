@@ -499,6 +499,7 @@ def test_rays_given_up_between_walls_find_nothing(monkeypatch: pytest.MonkeyPatc
     np.testing.assert_allclose(slow.photons, fast.photons, rtol=1e-5, atol=1e-6 * FULL)
 
 
+@pytest.mark.slow
 def test_light_from_behind_is_followed_without_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     """Light that the front wall reflects totally may still come from the diffuser."""
     from sabench.simulation.rendering import bubble_integrator

@@ -92,6 +92,7 @@ def moves_of(kind: str) -> list[tuple[float, float, float]]:
 KINDS = ("front glass", "front both", "front gel", "water", "glass", "acrylic")  # as listed
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_ray_from_the_reflected_image_meets_the_particle(kind: str) -> None:
     scene = scene_of()

@@ -67,6 +67,7 @@ def caught_light(camera: Camera, points: F64, rings: int = 6, sectors: int = 24)
     return total * (2.0 * np.pi / sectors) / math.sin(2.0 * np.pi / sectors)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_photons_are_those_that_a_round_aperture_catches(variant: str) -> None:
     scene = make_scene(**VARIANTS[variant])

@@ -73,6 +73,7 @@ def test_splat_moves_with_its_particle() -> None:
     np.testing.assert_allclose(mirrored[::-1, ::-1], first, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_splat_is_additive_and_cut_at_the_border() -> None:
     rng = np.random.default_rng(5)
     places, photons, sigma = (
@@ -146,6 +147,7 @@ def test_windows_are_integrals_of_a_normal_density(across: float, down: float, t
     np.testing.assert_allclose(found, exact, rtol=0, atol=2e-8 + left_out)
 
 
+@pytest.mark.slow
 def test_images_do_not_depend_on_the_number_of_threads_or_order() -> None:
     """Bytes of one thread and of two; and the sum of two halves, as light adds up."""
     rng, count = np.random.default_rng(3), 300

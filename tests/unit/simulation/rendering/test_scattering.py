@@ -33,6 +33,7 @@ def direct(diameters: F64, angles: F64, half: float, in_plane: F64) -> F64:
     return np.array(out)
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(("median", "spread"), [(0.02, 0.3), (0.05, 0.1), (0.002, 0.3)])
 @pytest.mark.parametrize("half", [0.0, 0.0025, 0.02])
 def test_single_particles_scatter_by_series(median: float, spread: float, half: float) -> None:

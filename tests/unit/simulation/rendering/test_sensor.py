@@ -76,6 +76,7 @@ def test_electrons_have_poissons_distribution(mean: float) -> None:
     assert abs(drawn.var() - mean) < 4.0 * variance_error
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("mean", [0.05, 4.0, 12.0, 100.0, 1e4, 1e6])
 def test_tails_of_electrons_are_poissons(mean: float) -> None:
     """Numbers beyond 4 standard deviations, of two million."""

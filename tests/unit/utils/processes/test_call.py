@@ -102,6 +102,7 @@ def one_second(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(call, "_CPU_S", 0.5)
 
 
+@pytest.mark.slow
 def test_a_process_that_starts_slowly_makes_no_file_damaged(file: Path) -> None:
     """On a busy machine it takes longer to import what it needs than to read the file."""
     (file.parent / "slow_to_import.py").write_text(SLOW_MODULE)
@@ -115,6 +116,7 @@ def test_a_process_that_starts_slowly_makes_no_file_damaged(file: Path) -> None:
     assert time.monotonic() - start > 2.0  # the process did start slowly
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_second")
 def test_time_that_others_take_does_not_count(file: Path) -> None:
     start = time.monotonic()
@@ -122,6 +124,7 @@ def test_time_that_others_take_does_not_count(file: Path) -> None:
     assert time.monotonic() - start > 1.5  # thrice the limit of CPU time
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_second")
 def test_a_file_that_sends_a_library_round_in_circles_is_not_called_damaged(file: Path) -> None:
     probe(file)

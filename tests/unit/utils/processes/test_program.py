@@ -75,6 +75,7 @@ CONTROLS = r"sys.stderr.write('\x1b[2J\x07evil ' + 'y' * 100_000)" + "\nsys.exit
 ENDLESS = "while True: print('x' * 1000, file=sys.stderr)"
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(
     ("body", "limits", "words"),
     [
@@ -117,6 +118,7 @@ while not [name for name in os.listdir() if name.isdigit()]: time.sleep(0.01)
 """
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize("escape", ["pass", "os.setsid()"])
 @pytest.mark.parametrize("end", ["pass", "sys.exit(1)", "time.sleep(60)"])
 def test_nothing_that_it_started_is_left(folder: Path, escape: str, end: str) -> None:

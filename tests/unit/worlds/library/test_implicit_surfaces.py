@@ -57,6 +57,7 @@ def characteristic(solid: Solid) -> int:
     return len(np.unique(solid.faces)) - len(solid.faces) // 2
 
 
+@pytest.mark.slow_but_first
 @pytest.mark.parametrize(("name", "parameters"), BODIES)
 def test_bodies_are_one_closed_surface(name: str, parameters: dict[str, Any]) -> None:
     made = body(name, **parameters)

@@ -51,6 +51,7 @@ def test_the_column_is_one_closed_body_along_the_measured_path(column: Solid) ->
         assert windward == pytest.approx(path - 1.0, abs=0.6)
 
 
+@pytest.mark.slow
 def test_drops_are_between_the_edges_and_off_the_column(column: Solid) -> None:
     made = drops()
     assert len(made) > 150

@@ -53,6 +53,7 @@ def test_fluid_rests_at_the_surface_and_hardly_passes_it() -> None:
     assert np.sqrt((inside**2).sum(axis=1).mean()) < 0.02
 
 
+@pytest.mark.slow
 def test_field_is_free_of_divergence_and_gradient_is_that_of_differences() -> None:
     made, points, step = flow(24), 8.0 * directions(300), 1e-5
     gradient = made.gradient(points)
