@@ -28,6 +28,7 @@ from sabench.evaluation.timed_solving import reference_s
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils import backend
+from tests.helpers import refusals
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 ROOT = Path(__file__).resolve().parents[1]
@@ -40,6 +41,9 @@ _seconds = pytest.StashKey[float]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--update-golden", action="store_true", help="store the figures of tests/regression anew"
+    )
+    parser.addoption(
+        "--update-sentences", action="store_true", help="store the sentences of errors anew"
     )
 
 
@@ -94,11 +98,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker("slow")
 
 
-def pytest_configure() -> None:
-    """Look for garbage less often.
+def pytest_configure(config: pytest.Config) -> None:
+    """Read the options; look for garbage less often.
 
     The compiler of kernels makes so many objects that a tenth of its time went into this search.
     """
+    refusals.update = config.getoption("--update-sentences")
     gc.set_threshold(50_000, 10, 10)
 
 

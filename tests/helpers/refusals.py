@@ -1,0 +1,52 @@
+"""Errors and their sentences: tests name the kind and the key, a snapshot holds the sentences.
+
+tests/sentences.json lists for each test the sentences of its errors, with `#` for numbers and `~`
+for folders. `pytest --update-sentences -n 0 TESTS` writes them anew.
+"""
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sabench.utils.errors import InputError
+
+SNAPSHOT = Path(__file__).resolve().parents[1] / "sentences.json"
+_FOLDER = re.compile(r"(?:/[\w.@+-]+)+/")
+_NUMBER = re.compile(r"(?<![A-Za-z_])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_sentences: dict[str, list[str]] = (
+    json.loads(SNAPSHOT.read_text(encoding="utf-8")) if SNAPSHOT.exists() else {}
+)
+_reached: dict[str, int] = {}
+update = False  # set by the option of pytest
+
+
+@contextmanager
+def refused(*keys: str, kind: type[Exception] = InputError) -> Iterator[Any]:
+    """Expect an error of a kind whose sentence has every key, and is that of the snapshot."""
+    with pytest.raises(kind) as end:
+        yield end
+    check_sentence(str(end.value), *keys)
+
+
+def check_sentence(text: str, *keys: str) -> None:
+    """Compare a sentence with the snapshot of the running test."""
+    for key in keys:
+        assert key in text
+    sentence = _NUMBER.sub("#", _FOLDER.sub("~/", " ".join(text.split())))
+    test = os.environ["PYTEST_CURRENT_TEST"].rpartition(" (")[0]
+    number = _reached.get(test, 0)
+    _reached[test] = number + 1
+    stored = _sentences.get(test, [])
+    if update:
+        _sentences[test] = [*stored[:number], sentence]
+        ordered = json.dumps(_sentences, indent=0, sort_keys=True, ensure_ascii=False)
+        SNAPSHOT.write_text(ordered + "\n", encoding="utf-8")
+    else:
+        expected = stored[number] if number < len(stored) else None
+        assert sentence == expected, "changed on purpose? pytest --update-sentences -n 0"
