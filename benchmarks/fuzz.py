@@ -41,7 +41,7 @@ import psutil
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
-from sabench.utils import backend, machine_limits  # noqa: E402
+from sabench.utils import backend, memory  # noqa: E402
 from sabench.utils.errors import InputError  # noqa: E402
 from sabench.utils.processes import call  # noqa: E402
 from tests.helpers.untrusted import (  # noqa: E402
@@ -252,7 +252,7 @@ def _work(pipe: Connection, base: Base, root: Path, seed: int) -> None:
         kind, number = pipe.recv()
         folder = root / "cases" / f"{kind}-{number}"
         case = _run_case(pipe, base, folder, kind, random.Random(f"{seed} {kind} {number}"))
-        pipe.send((*case, machine_limits.peak_mb() or 0.0))
+        pipe.send((*case, memory.peak_mb() or 0.0))
 
 
 def _warm_up(base: Base, root: Path) -> None:
@@ -289,7 +289,7 @@ def _run_case(
     except Exception:
         return "traceback", f"the case could not be made: {traceback.format_exc()}"
     before = dict(_tree(root, out))
-    machine_limits.forget_peak()
+    memory.forget_peak()
     pipe.send(("made", "", 0.0))
     try:
         outcome, words = _outcome(feed)

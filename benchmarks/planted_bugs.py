@@ -66,7 +66,7 @@ BUGS = (
     ),
     Bug(
         "thickness of the glass forgotten in fast projection",
-        "sabench/geometry/camera.py",
+        "sabench/geometry/projection_kernels.py",
         "first, before + wall.thickness_mm",
         "first, before",
         case="particles",
@@ -258,7 +258,7 @@ BUGS = (
     ),
     Bug(
         "Snell's law upside down at a cylinder",
-        "sabench/geometry/cylinder_wall.py",
+        "sabench/geometry/cylinder_kernels.py",
         "if _cross(faces[m], indices[m] / indices[m + 1], at",
         "if _cross(faces[m], indices[m + 1] / indices[m], at",
         tests="tests/unit/geometry/test_cylinder_wall.py",

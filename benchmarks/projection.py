@@ -15,10 +15,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from sabench.geometry.path_slope import solve_slope
 
-from sabench.geometry.camera import Camera, aimed_rotation, media_of, project
+from sabench.geometry import projection_kernels
+from sabench.geometry.camera import Camera, aimed_rotation
 from sabench.geometry.lens import Distortion
-from sabench.geometry.refraction import Layer, Wall, solve_slope, trace_to_points
+from sabench.geometry.refraction import Layer, Wall, trace_to_points
 from sabench.scenes import build_rig, load_scene
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.progress import progress_bar
@@ -165,10 +167,12 @@ def kernel_on_demo(count: int) -> dict[str, float]:
         (*np.eye(3).ravel().tolist(),),
         (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0),
     )
-    media = media_of(wall, center)
-    project(x, y, z, camera.center_mm, frame, media, lens, column, row)
+    media = projection_kernels.media_of(wall, center)
+    projection_kernels.project(x, y, z, camera.center_mm, frame, media, lens, column, row)
     seconds = fastest(
-        lambda: project(x, y, z, camera.center_mm, frame, media, lens, column, row),
+        lambda: projection_kernels.project(
+            x, y, z, camera.center_mm, frame, media, lens, column, row
+        ),
         9,
     )
     traced = fastest(lambda: trace_to_points(wall, center, points))

@@ -37,7 +37,7 @@ from sabench.simulation.camera_view import record_image, render
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.in_memory import record_frame
 from sabench.simulation.shard_job import stream
-from sabench.utils.rng import draw_key, fill_blocks
+from sabench.utils.philox import draw_key, fill_blocks
 
 SIZES, DENSITIES = (128, 256, 512, 1024), (0.01, 0.05)
 CPU = time.process_time  # of all threads: other programs on the machine change it little

@@ -29,7 +29,7 @@ from sabench.metrics.reconstruction_error import score_frame
 from sabench.scenes import Scene, load_scene, parse_scene
 from sabench.simulation.in_memory import simulate
 from sabench.utils.confidence import mean_of
-from sabench.utils.machine_limits import forget_peak, peak_mb
+from sabench.utils.memory import forget_peak, peak_mb
 from sabench.utils.progress import progress_bar
 
 ITERATIONS = 5

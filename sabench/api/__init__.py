@@ -52,7 +52,7 @@ from sabench.geometry.lens import Distortion
 from sabench.geometry.refraction import Layer, Rays, Wall
 from sabench.geometry.rigid_motion import Domain, Pose, frame_along, rotation_matrices
 from sabench.geometry.surfaces import bend
-from sabench.images.repair import Flaws, Repaired
+from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, I32, I64, U16, Bool, triple
 from sabench.utils.errors import DeclinedError, InputError
 from sabench.utils.progress import progress_bar

@@ -16,7 +16,7 @@ from sabench.api.truth import Target
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
-from sabench.images.repair import Flaws, Repaired
+from sabench.images.flaws import Flaws, Repaired
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.validation import Unknown

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.errors import InputError
 
 # filters that a data set may have, in this order, and the bit of each
@@ -236,7 +236,7 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
     size, stored, there = (
         int(node.nbytes),
         int(node.id.get_storage_size()),
-        machine_limits.available_mb(),
+        memory.available_mb(),
     )
     if there is not None and 2.0 * size / 1e6 > there:
         raise InputError(

@@ -21,8 +21,8 @@ from sabench.dataset.schema import Contents, Manifest, RecordedManifest
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
 from sabench.geometry.grid import Grid
+from sabench.images.flaws import Flaws, Repaired
 from sabench.images.preprocessing import WHITE, Step, preprocess, takes_all_frames
-from sabench.images.repair import Flaws, Repaired
 from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool

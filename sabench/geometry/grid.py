@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sabench.images.gaussians import gaussian_shares
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.errors import InputError
 
@@ -79,7 +79,7 @@ class Grid:
 
 def check_volume(grid: Grid) -> None:
     """Raise an InputError if a volume of the grid does not fit into memory."""
-    free, need = machine_limits.available_mb(), math.prod(grid.shape) * 4 / 1e6
+    free, need = memory.available_mb(), math.prod(grid.shape) * 4 / 1e6
     if free is not None and need > free:
         voxels = " x ".join(map(str, grid.shape))
         raise InputError(

@@ -13,7 +13,7 @@ import numpy as np
 from sabench.geometry.camera_model import CameraModel
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
-from sabench.utils.machine_limits import share_rows
+from sabench.utils.threads import share_rows
 
 TOLERANCE_PX = 1e-3
 _HIGHEST = 9

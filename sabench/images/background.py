@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from sabench.images.repair import Flaws
+from sabench.images.flaws import Flaws
 from sabench.images.widths import measure_images, noise_below_black
 from sabench.utils.arrays import F32, I64, Bool
 from sabench.utils.compiled import numba

@@ -6,7 +6,7 @@ import numpy as np
 
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
-from sabench.utils.machine_limits import share_rows
+from sabench.utils.threads import share_rows
 
 _CELLS = 4  # of a camera's grid for each particle
 _FEW = 1.0  # percent of images on each side that may be far from all others

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from sabench.images.gaussians import fill_profile
+from sabench.images.gaussian_kernels import fill_profile
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
-from sabench.utils.machine_limits import share_rows
+from sabench.utils.threads import share_rows
 from sabench.utils.vector_units import add_product, whole_lanes
 
 _REACH = 4.0  # standard deviations from the centre of an image to its window's edge

@@ -5,53 +5,14 @@ those of particles' peaks. A dead pixel is darker than the light on all of its s
 is a bright area wider than any particle's image.
 """
 
-from __future__ import annotations
-
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from sabench.images.flaws import Flaws, Repaired
 from sabench.images.peaks import maxima
 from sabench.utils.arrays import F32, U16, Bool
 from sabench.utils.compiled import numba
-
-
-class Flaws(NamedTuple):
-    """Pixels that show nothing of the particles.
-
-    Attributes
-    ----------
-    points : (camera, row, column) hot and dead pixels.
-    covered : the same shape, reflections.
-    """
-
-    points: Bool
-    covered: Bool
-
-    @classmethod
-    def none(cls, shape: tuple[int, ...]) -> Flaws:
-        """Make those of images (camera, row, column) without any."""
-        return cls(np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_))
-
-    @property
-    def unknown(self) -> Bool:
-        """Both kinds."""
-        return np.asarray(self.points | self.covered)
-
-
-class Repaired(NamedTuple):
-    """Images in which flaws have been replaced.
-
-    Attributes
-    ----------
-    images : (camera, row, column) grey values; hot and dead pixels have their neighbours' mean,
-        reflections the black level.
-    flaws : what has been replaced.
-    """
-
-    images: U16
-    flaws: Flaws
-
 
 _WINDOW = 9  # px: edge of the square whose darkest part is the background
 _CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background

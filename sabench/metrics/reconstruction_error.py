@@ -15,7 +15,7 @@ from sabench.api.truth import Particles, View
 from sabench.geometry.grid import Grid, check_volume, synthesise
 from sabench.metrics import particle_detection as detection
 from sabench.metrics.quality_factor import quality
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, U8, Bool
 
 
@@ -202,7 +202,7 @@ def score_frame(
         for key, value in zip(_DETECTION, (*figures, challenge.recall, challenge.rms), strict=True):
             counts[prefix + key] = value
     light = intensity_error(estimate.volume, peaks, truth, brightness(views), scored)
-    machine_limits.trim()
+    memory.trim()
     q = quality(estimate.volume[grid.scored], true_field(grid, particles, views)[grid.scored])
     return {"q": q, "peak_f1": challenge.f1, "intensity_error": light, **counts}
 

@@ -25,7 +25,7 @@ from sabench.simulation.recording.schedule import (
     WorkerPool,
     run_schedule,
 )
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.backend import Renderer, choose_renderer
 from sabench.utils.errors import InputError
 from sabench.utils.files import refuse_existing
@@ -44,7 +44,7 @@ def check_affordable(name: str, scene: Scene, rig: Rig, folder: Path, *, copies:
     """
     pixels = scene.cameras.rows * scene.cameras.columns
     pictures = copies * scene.frames * len(rig.cameras)
-    available, need = machine_limits.available_mb(), pixels * _WORKING_BYTES / 1e6
+    available, need = memory.available_mb(), pixels * _WORKING_BYTES / 1e6
     if available is not None and need > available:
         size = f"{scene.cameras.rows} x {scene.cameras.columns}"
         raise InputError(
@@ -196,7 +196,7 @@ def put_together(
                 writer.store(part.truth)
                 for name, entry in part.files.items():
                     writer.take(parts.root / name, name, entry)
-            machine_limits.trim()
+            memory.trim()
         recorder.finish(writer, parts)
 
 

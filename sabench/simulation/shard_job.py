@@ -40,7 +40,7 @@ from sabench.simulation.frames import Frames
 from sabench.simulation.in_memory import observation_of
 from sabench.simulation.recording.parts import JOB, Job, read_job
 from sabench.simulation.recording.schedule import Task
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F32, U16
 from sabench.utils.backend import Renderer, choose_renderer, limit_kernels
 from sabench.utils.errors import InputError
@@ -170,7 +170,7 @@ class SampleMaker:
     def __init__(self, scene: Scene, seed: int, renderer: str) -> None:
         if not isinstance(scene.world, ParticleWorld):
             raise InputError(f"{scene.title}: expected a scene with particles alone")
-        machine_limits.keep_freed()
+        memory.keep_freed()
         self.scene, self.seed, self.renderer = scene, seed, renderer
         self.rig = build_rig(scene, scene.title)
         if scene.vary is not None and scene.vary.impossible == "refuse":

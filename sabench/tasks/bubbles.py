@@ -36,7 +36,7 @@ from sabench.tasks.task import (
     check_number,
     share_near,
 )
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F64, I64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
@@ -188,7 +188,7 @@ class BubblesTask(FrameByFrame):
             found, took = self.call(algorithm, name, data, frame)
             seconds.append(took)
             every.append(found)
-            machine_limits.trim()
+            memory.trim()
         self._store(data, every, writer)
         return seconds
 

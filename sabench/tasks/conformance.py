@@ -31,7 +31,7 @@ from sabench.api import (
 from sabench.api.estimates import Estimate
 from sabench.api.make import make_algorithm
 from sabench.dataset.reader import Dataset, open_dataset
-from sabench.images.repair import Flaws
+from sabench.images.flaws import Flaws
 from sabench.scenes import load_scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve

@@ -34,7 +34,7 @@ from sabench.tasks.task import (
     check_number,
     share_near,
 )
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
@@ -159,7 +159,7 @@ class ParticlesTask(Task):
                 writer.add(numbers.assign(one), frame)
             numbers.begin_sequence()
             seconds += [max(clock.seconds - reader.seconds, 0.0) / len(frames)] * len(frames)
-            machine_limits.trim()
+            memory.trim()
         return seconds
 
     def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:

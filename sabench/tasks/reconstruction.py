@@ -37,7 +37,7 @@ from sabench.tasks.task import (
     check_number,
     correlation,
 )
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
@@ -122,7 +122,7 @@ class ReconstructionTask(FrameByFrame):
             for frame, one in zip(frames, found, strict=True):
                 writer.add(one, frame)
             seconds += [clock.seconds / len(frames)] * len(frames)
-            machine_limits.trim()
+            memory.trim()
         return seconds
 
     def _run_iterations(
@@ -252,7 +252,7 @@ def check_memory(case: Observation, source: str) -> None:
 
     These are `_VOLUMES` volumes and the images as float32.
     """
-    there, images = machine_limits.available_mb(), case.images.size * 4 / 1e6
+    there, images = memory.available_mb(), case.images.size * 4 / 1e6
     (planes, rows, columns), voxel = case.grid.shape, _VOLUMES * 4 / 1e6
     need = images + planes * rows * columns * voxel
     if there is None or need <= there:

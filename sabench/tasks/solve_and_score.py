@@ -18,7 +18,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.dataset.results import Result, add_identity, open_result, result_writer
 from sabench.tasks import external_programs
 from sabench.tasks.visible_files import open_sandbox, view_of_import, view_of_plugin
-from sabench.utils import backend, machine_limits
+from sabench.utils import backend, memory
 from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, refuse_existing
 from sabench.utils.processes.call import call_isolated, preload
@@ -32,7 +32,7 @@ preload(
     # what solvers import while they solve, which would count in their seconds
     "cv2",
     "sabench.geometry.cylinder_wall",
-    "sabench.geometry.camera",
+    "sabench.geometry.projection_kernels",
     "scipy.ndimage",
     "scipy.spatial",
     "scipy.special",
@@ -174,7 +174,7 @@ def run_plug_in(
             f"this one shows {shown}"
         )
     load_registries()  # which no solver's clock should see
-    machine_limits.forget_peak()
+    memory.forget_peak()
     resolved = algorithm.parameters.model_dump(mode="json")
     with (
         backend.limit_libraries(threads),
@@ -186,9 +186,7 @@ def run_plug_in(
         before, start, spent = compile_s(), time.perf_counter(), _cpu_s()
         seconds = tasks.of(algorithm.task).run(algorithm, solver, data, writer)
         share = (_cpu_s() - spent) / (time.perf_counter() - start)
-        writer.set_cost(
-            float(np.mean(seconds)), machine_limits.peak_mb(), compile_s() - before, share
-        )
+        writer.set_cost(float(np.mean(seconds)), memory.peak_mb(), compile_s() - before, share)
 
 
 def _cpu_s() -> float:

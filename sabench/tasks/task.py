@@ -19,7 +19,7 @@ from sabench.dataset.reader import Dataset
 from sabench.dataset.results import Result, ResultWriter
 from sabench.plotting import pictures
 from sabench.tasks.solver_call import call_solver
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F32, F64
 from sabench.utils.errors import InputError
 
@@ -257,7 +257,7 @@ class Task(ABC):
         """Write every estimate of a foreign result anew; reading checks it."""
         for frame in self.frames(data):
             writer.add(self.read(data, result, frame), frame)
-            machine_limits.trim()
+            memory.trim()
         for number, seconds, estimate in result.iterations(self.estimate):
             writer.add_iteration(estimate, number, seconds)
 
@@ -333,7 +333,7 @@ class FrameByFrame(Task):
             seconds.append(took)
             writer.add(found, frame)
             del found
-            machine_limits.trim()
+            memory.trim()
         return seconds
 
     def call(self, algorithm: Any, name: str, data: Dataset, frame: int) -> tuple[Any, float]:

@@ -45,7 +45,7 @@ from sabench.tasks.task import (
     Task,
     check_estimate,
 )
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F64, triple
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
@@ -313,7 +313,7 @@ class VelocimetryTask(Task):
             seconds.append(took)
             check_estimate(field, name, data, pair[0])
             writer.add(field, pair[0])
-            machine_limits.trim()
+            memory.trim()
         if volumes:
             writer.set_reconstruction(float(np.mean(volumes.seconds)))
         return seconds

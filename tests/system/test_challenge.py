@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import sabench
-from sabench.apps.challenge.board import COSTS, make_challenge, score_submission
+from sabench.apps.challenge.board import make_challenge
+from sabench.apps.challenge.scoring import COSTS, score_submission
 from sabench.evaluation.records import read_records
 from sabench.utils.errors import InputError
 from sabench.utils.files import read_json

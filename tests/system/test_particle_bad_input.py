@@ -280,7 +280,7 @@ def test_more_time_finds_more(monkeypatch: pytest.MonkeyPatch) -> None:
     scores = []
     for ticks in (2, 12, 40, 100, 100_000):
         tick = itertools.count().__next__
-        monkeypatch.setattr("sabench.utils.machine_limits.time.monotonic", tick)
+        monkeypatch.setattr("sabench.utils.threads.time.monotonic", tick)
         found = solve_within("bayesian_ipr", float(ticks))[0]
         assert found.probability is not None
         scores.append(count_found(shot, found).f1)

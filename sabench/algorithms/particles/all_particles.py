@@ -35,7 +35,7 @@ from sabench.algorithms.particles.joint_fit import factorise_cholesky, fill_inve
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_points
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
-from sabench.utils.machine_limits import for_each, share_rows
+from sabench.utils.threads import for_each, share_rows
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
 _FEW = 20_000  # rows: fewer are fitted in their order, whose effect is larger than the time saved

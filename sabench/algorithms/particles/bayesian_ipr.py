@@ -21,7 +21,7 @@ from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.images.background import ClearImages, clear_images
 from sabench.images.widths import measure_images
 from sabench.utils.arrays import F64, Bool
-from sabench.utils.machine_limits import Deadline
+from sabench.utils.threads import Deadline
 
 _FEWEST = 3  # cameras that must show particles
 _ANY_LIGHT = 2.0  # scatter of the common logarithm while candidates share the light: no prior

@@ -16,7 +16,7 @@ from sabench.geometry.volume_polynomials import project_with_slopes
 from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
-from sabench.utils.machine_limits import for_each
+from sabench.utils.threads import for_each
 
 _LEAST_ERROR_PX = 0.002  # of positions, beside what the images tell
 _NARROWEST_PX = 0.1  # axis of an image

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point
-from sabench.images.gaussians import fill_derivatives, fill_profile
+from sabench.images.gaussian_kernels import fill_derivatives, fill_profile
 from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.vector_units import (

@@ -28,12 +28,12 @@ from sabench.algorithms.particles.image_model import (
 from sabench.algorithms.particles.joint_fit import learn_covariance
 from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.geometry.volume_polynomials import project_points
-from sabench.images.gaussians import fill_derivatives
+from sabench.images.gaussian_kernels import fill_derivatives
 from sabench.images.near_images import near_images
 from sabench.images.widths import LEAST_TILTED
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
-from sabench.utils.machine_limits import for_each, share_rows
+from sabench.utils.threads import for_each, share_rows
 from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, TILT_SLOPE_Y
 
 _FEW = 30  # particles that tell nothing of all

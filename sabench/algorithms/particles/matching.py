@@ -29,7 +29,7 @@ from sabench.images.levels import bright_dn
 from sabench.images.peaks import Peaks, detect_particle_peaks, find_near, keep_peaks
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
-from sabench.utils.machine_limits import Deadline
+from sabench.utils.threads import Deadline
 
 _MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
 _MOST_BY_CHANCE = 5.0  # sets of particle images with each one: beyond, nearly all are ghosts

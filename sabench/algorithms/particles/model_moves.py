@@ -34,7 +34,7 @@ from sabench.algorithms.particles.image_model import (
 )
 from sabench.algorithms.particles.joint_fit import cost_of, fit_particle, penalty
 from sabench.geometry.volume_polynomials import VolumePolynomials, project_point, project_points
-from sabench.images.gaussians import fill_bend
+from sabench.images.gaussian_kernels import fill_bend
 from sabench.images.near_images import near_images
 from sabench.utils.arrays import F64, I64, Bool
 from sabench.utils.compiled import numba

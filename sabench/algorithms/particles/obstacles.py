@@ -25,7 +25,7 @@ from sabench.algorithms.particles.image_model import without_margins
 from sabench.algorithms.particles.joint_fit import scatter_between
 from sabench.algorithms.particles.particle_search import MOST_TILT, ParticleSearch
 from sabench.images.background import ClearImages
-from sabench.images.repair import Flaws
+from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, Bool
 
 # Hidden areas:

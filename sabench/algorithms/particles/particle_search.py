@@ -31,7 +31,7 @@ from sabench.geometry.volume_polynomials import VolumePolynomials, points_in_mm
 from sabench.images.background import ClearImages
 from sabench.images.widths import PIXEL, ImageStatistics, peak_brightness
 from sabench.utils.arrays import F32, F64, I64, Bool
-from sabench.utils.machine_limits import Deadline, for_each
+from sabench.utils.threads import Deadline, for_each
 
 _BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common

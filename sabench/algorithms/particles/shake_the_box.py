@@ -34,7 +34,7 @@ from sabench.algorithms.particles.particle_search import ParticleSearch
 from sabench.api import FoundParticles, Observation
 from sabench.geometry.volume_polynomials import VolumePolynomials
 from sabench.utils.arrays import F64, I64
-from sabench.utils.machine_limits import Deadline
+from sabench.utils.threads import Deadline
 
 _SHAKES = 3  # rounds of fits of the predicted particles before others are looked for
 _SLACK = 0.04  # of the distance between particles: misses, beside those expected, of the same one

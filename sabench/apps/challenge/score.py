@@ -6,7 +6,7 @@ INPUT holds the reference data in `ref` and the submission in `res`; the scores 
 import sys
 from pathlib import Path
 
-from sabench.apps.challenge.board import score_submission
+from sabench.apps.challenge.scoring import score_submission
 from sabench.utils.errors import InputError
 
 

@@ -1,4 +1,4 @@
-"""Plan of an experiment: design for a wanted depth and density, figures of a scene, warnings.
+"""Plan of an experiment: a design for a wanted depth, figures, warnings.
 
 The calibration has the errors of nominal cameras in the images; the recording has data rate, buses,
 buffer and times of pulses.

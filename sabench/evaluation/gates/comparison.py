@@ -1,4 +1,4 @@
-"""Regression gates: run a suite again, measure its cases and compare them with a baseline.
+"""Regression gates: run a suite again and compare it with a baseline.
 
 A case has the statistics of its data set and the figures of its solvers. Estimates that are wrong
 in a known way are scored too: a bug in a metric that flatters every solver shows in their scores.

@@ -1,4 +1,4 @@
-"""Standings of a task: solvers against easy, standard and hard cases, ranks, and curves.
+"""Standings of a task: solvers against groups of cases, ranks, and curves.
 
 A curve is a score over one property of the scenes: density, cameras, noise. The page has standings
 as values of JSON, and as plain tables for browsers without scripts.

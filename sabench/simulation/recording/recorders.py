@@ -23,7 +23,7 @@ from sabench.simulation.camera_view import record_image, render
 from sabench.simulation.frames import FrameContent, Frames
 from sabench.simulation.recording.parts import Entry, Kept, Part, Parts, Recall, Taken
 from sabench.simulation.recording.schedule import Task
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F64, Bool
 from sabench.utils.errors import InputError
 from sabench.worlds import calibration_targets
@@ -199,7 +199,7 @@ def record_task(recorder: Recorder, parts: Parts, task: Task) -> None:
     camera = recorder.cameras[task.camera].name
     if not parts.has_view(task.frame, camera):
         parts.put_view(task.frame, camera, recorder.view(task.frame, task.camera, parts.frame))
-    machine_limits.trim()
+    memory.trim()
 
 
 def _tracers(part: Part, number: int) -> Particles:

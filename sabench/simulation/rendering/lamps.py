@@ -1,4 +1,4 @@
-"""Laser sheet and lamps: photons per square millimetre of a pulse, and apparent positions."""
+"""Laser sheet and lamps: light of a pulse, and apparent positions."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Light that particles send towards a camera: the laser's, times what each particle scatters.
+"""Light that particles send towards a camera.
 
 Source of the Mie series: Bohren and Huffman (1983), chapter 4 and appendix A. The scattering of one
 size is tabulated over angles where a particle of that size occurs. Sizes lie on a lattice

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from sabench.geometry.camera import Camera
-from sabench.images.gaussians import fill_shares
+from sabench.images.gaussian_kernels import fill_shares
 from sabench.simulation.rendering.particle_images import ParticleImages, diffraction_px
 from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba

@@ -1,4 +1,4 @@
-"""Sensor: photons to electrons to grey values, with exact Poisson and normal noise.
+"""Sensor: photons to electrons to grey values, with exact noise.
 
 A pixel's random numbers come from Philox blocks of its own, whose counters are its column and row,
 an attempt, and a purpose. The first attempt's words are handed in; few numbers need others. Uniform
@@ -15,7 +15,7 @@ from sabench.scenes.sensor import Sensor
 from sabench.utils.arrays import F64, U16
 from sabench.utils.compiled import numba
 from sabench.utils.errors import InputError
-from sabench.utils.rng import block, draw_key, fill_blocks
+from sabench.utils.philox import block, draw_key, fill_blocks
 
 SHOT, READ, _REST = np.uint64(0), np.uint64(1), np.uint64(2)  # purposes of blocks
 _ONE, _SHIFT, _UNUSED = np.uint64(1), np.uint64(21), np.uint64(11)

@@ -18,7 +18,7 @@ from typing import IO
 
 import psutil
 
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.processes.confinement import View, start_input, start_words
 from sabench.utils.validation import printable
@@ -174,7 +174,7 @@ def _watch(
     process: subprocess.Popen[bytes], folder: Path, limits: Limits, start: float
 ) -> tuple[float, str]:
     """Return peak memory (MB) at a program's end or first breach, and the breach."""
-    free_mb = machine_limits.available_mb()
+    free_mb = memory.available_mb()
     free_mb = float("inf") if free_mb is None else _MEMORY_SHARE * free_mb
     allowed_mb, peak_mb, looked = limits.memory_mb or free_mb, 0.0, start
     while True:

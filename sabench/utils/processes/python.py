@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.errors import InputError
 from sabench.utils.processes.program import (
     check_end,
@@ -125,7 +125,7 @@ def run_module(module: str, folder: Path, name: str, mark: str, steps: int) -> N
             pass
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
-        machine_limits.add_child(used.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e6)
+        memory.add_child(used.ru_maxrss * (1024 if sys.platform != "darwin" else 1) / 1e6)
     check_end(name, process.returncode, last_line(log.read_bytes()))
 
 

@@ -18,7 +18,7 @@ from sabench.geometry.grid import Grid
 from sabench.images.tiff_exr import write_tiff
 from sabench.simulation.in_memory import simulate
 from sabench.tasks.reconstruction import TASK
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.errors import InputError
 from tests.conftest import pinholes
 from tests.helpers.particle_scenes import make_scene
@@ -102,19 +102,19 @@ def test_a_grid_that_does_not_fit_is_refused_before_it_is_allocated(
     case: Observation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     huge = replace(case, grid=Grid(case.grid.low_mm, case.grid.voxel_mm, (4000, 5000, 6000)))
-    monkeypatch.setattr(machine_limits, "available_mb", lambda: 5000.0)
+    monkeypatch.setattr(memory, "available_mb", lambda: 5000.0)
     with pytest.raises(InputError, match=r"960000 MB where 5000 MB .*: at most 20 of its planes"):
         TASK.check_case(huge, "d: frame 0")
-    monkeypatch.setattr(machine_limits, "available_mb", lambda: 100.0)
+    monkeypatch.setattr(memory, "available_mb", lambda: 100.0)
     count = (100_000_000 - 4 * case.images.size) // 8
     with pytest.raises(InputError, match=f"where 100 MB .*: at most {count} of its voxels fit"):
         TASK.check_case(huge, "d: frame 0")
-    monkeypatch.setattr(machine_limits, "available_mb", lambda: None)
+    monkeypatch.setattr(memory, "available_mb", lambda: None)
     TASK.check_case(replace(case, grid=case.grid), "d: frame 0")
 
 
 def test_the_largest_named_grid_fits(case: Observation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine_limits, "available_mb", lambda: 50.0)
+    monkeypatch.setattr(memory, "available_mb", lambda: 50.0)
     for planes, fits in ((62, True), (63, False)):
         grid = Grid(case.grid.low_mm, case.grid.voxel_mm, (planes, 300, 330))
         if fits:
@@ -125,7 +125,7 @@ def test_the_largest_named_grid_fits(case: Observation, monkeypatch: pytest.Monk
 
 
 def test_the_system_says_what_memory_is_there() -> None:
-    there = machine_limits.available_mb()
+    there = memory.available_mb()
     assert there is not None
     assert 10.0 < there < 1e8
 

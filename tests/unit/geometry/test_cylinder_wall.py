@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench.evaluation.gates.independent_projection import aim_at, shoot
-from sabench.geometry import cylinder_wall
+from sabench.geometry import cylinder_kernels
 from sabench.geometry.camera import Camera, aim, aimed_rotation
 from sabench.geometry.cylinder_wall import CylinderWall
 from sabench.geometry.lens import Distortion
@@ -220,14 +220,14 @@ def test_without_curvature_the_kernels_are_a_plane_wall(kind: str) -> None:
     faces = np.column_stack([np.zeros(len(wall.layers) + 1), flat.interface_depths_mm])
     local = np.random.default_rng(4).uniform([8.0, -60.0, -60.0], [90.0, 60.0, 60.0], (200, 3))
     leaving, arriving = np.zeros_like(local), np.zeros_like(local)
-    assert cylinder_wall.find(gap, faces, wall.indices, local, leaving, arriving).all()
+    assert cylinder_kernels.find(gap, faces, wall.indices, local, leaving, arriving).all()
     points = pinhole + (local + np.array([gap, 0.0, 0.0])) @ frame
     paths = trace_to_points(flat, pinhole, points)
     assert_allclose(leaving @ frame, paths.leaving, rtol=0, atol=1e-15 * 5)
     assert_allclose(arriving @ frame, paths.arriving, rtol=0, atol=1e-15 * 5)
     ends, length, passed = np.zeros_like(local), np.zeros(200), np.zeros(200)
     there = leaving.copy()
-    assert cylinder_wall.follow(gap, faces, wall.indices, there, ends, length, passed).all()
+    assert cylinder_kernels.follow(gap, faces, wall.indices, there, ends, length, passed).all()
     assert_allclose(there, arriving, rtol=0, atol=1e-15 * 5)
     assert_allclose(length, length_to_fluid(flat, pinhole, paths.leaving), rtol=1e-14, atol=0)
     assert_allclose(passed, transmittance(flat, pinhole, paths.leaving), rtol=1e-14, atol=0)

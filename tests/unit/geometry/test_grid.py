@@ -16,7 +16,7 @@ from sabench.geometry.lens import Distortion
 from sabench.geometry.plane_polynomials import TOLERANCE_PX, plane_map, plane_maps
 from sabench.geometry.refraction import Layer, Wall
 from sabench.geometry.rigid_motion import frame_of_normal
-from sabench.utils import machine_limits
+from sabench.utils import memory
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from tests.helpers import cameras
@@ -68,9 +68,9 @@ def test_a_volume_that_fills_the_memory_fits(
 ) -> None:
     need_mb = 12 * 30 * 41 * 4 / 1e6
     for there in (None, need_mb, 2.0 * need_mb):
-        monkeypatch.setattr(machine_limits, "available_mb", lambda there=there: there)
+        monkeypatch.setattr(memory, "available_mb", lambda there=there: there)
         check_volume(GRID)
-    monkeypatch.setattr(machine_limits, "available_mb", lambda: 0.99 * need_mb)
+    monkeypatch.setattr(memory, "available_mb", lambda: 0.99 * need_mb)
     with pytest.raises(InputError, match="12 x 30 x 41 voxels"):
         check_volume(GRID)
 

@@ -11,7 +11,7 @@ from sabench.images.background import (
     find_bright_spots,
     find_patches,
 )
-from sabench.images.repair import Flaws
+from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64
 from tests.helpers.image_model import profile
 

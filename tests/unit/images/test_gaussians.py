@@ -5,13 +5,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import erf
 
-from sabench.images.gaussians import (
-    fill_bend,
-    fill_derivatives,
-    fill_profile,
-    fill_shares,
-    gaussian_shares,
-)
+from sabench.images.gaussian_kernels import fill_bend, fill_derivatives, fill_profile, fill_shares
+from sabench.images.gaussians import gaussian_shares
 from sabench.images.position_bounds import ParticleSpots, position_bounds
 from sabench.metrics.particle_bounds import rms_over_bound
 from sabench.utils.arrays import F64

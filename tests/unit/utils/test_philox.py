@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sabench.utils.arrays import in_box
-from sabench.utils.rng import block, draw_key, fill_blocks
+from sabench.utils.philox import block, draw_key, fill_blocks
 
 
 def words(text: str) -> tuple[np.uint64, ...]:

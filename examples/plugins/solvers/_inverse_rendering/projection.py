@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from sabench.geometry.camera import Camera, media_of
+from sabench.geometry.camera import Camera
 from sabench.geometry.lens import sensor_axes
+from sabench.geometry.projection_kernels import media_of
 from sabench.geometry.refraction import Wall
 from sabench.utils.backend import drjit
 
