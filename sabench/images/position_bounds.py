@@ -68,15 +68,30 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     both = np.zeros((len(near), _UNKNOWNS, _UNKNOWNS))
     for camera, pixel in zip(cameras, pixels, strict=True):
         _add_information(camera, pixel, starts, near, own, both)
-    bounds = np.full((len(rows), 3, 3), np.nan)
+    information = np.zeros((len(rows), _UNKNOWNS, _UNKNOWNS))
     known = own + np.eye(_UNKNOWNS) * (_KNOWN * own + np.finfo(float).tiny)
     inverse = np.linalg.inv(known)
 
-    def invert(part: slice) -> None:
-        _invert(starts, near, own, known, inverse, both, rows[part], bounds[part])
+    def reduce(part: slice) -> None:
+        _fill_information(starts, near, own, known, inverse, both, rows[part], information[part])
 
-    share_rows(invert, len(rows))
-    return bounds
+    share_rows(reduce, len(rows))
+    return _covariances(information)
+
+
+def _covariances(information: F64) -> F64:
+    """Invert information (k, 4, 4) to covariances (k, 3, 3) of positions; NaN where singular."""
+    with np.errstate(invalid="ignore"):
+        scale = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
+    regular = scale.min(axis=1) > 0.0
+    even = np.tile(np.eye(_UNKNOWNS), (len(information), 1, 1))
+    scale[~regular] = 1.0
+    even[regular] = (information / scale[:, :, None] / scale[:, None, :])[regular]
+    regular &= np.linalg.eigvalsh(even)[:, 0] > _SINGULAR
+    even[~regular] = np.eye(_UNKNOWNS)
+    covariances = (np.linalg.inv(even) / scale[:, :, None] / scale[:, None, :])[:, 1:, 1:]
+    covariances[~regular] = np.nan
+    return covariances
 
 
 def _add_information(
@@ -142,7 +157,7 @@ def _add_pairs(
             continue
         _overlap(i, i, light, shapes, weight, inner)
         _chain(inner, slope[i], slope[i], block)
-        own[i] += block
+        _add(block, own[i])
         for place in range(starts[i], starts[i + 1]):
             j = near[place]
             if j < i or np.isnan(pixel[j, 0]):
@@ -151,9 +166,18 @@ def _add_pairs(
             if math.hypot(x, y) < _OVERLAP * (sigma[i] + sigma[j]):
                 _overlap(i, j, light, shapes, weight, inner)
                 _chain(inner, slope[i], slope[j], block)
-                both[place] += block
+                _add(block, both[place])
                 mirror = starts[j] + np.searchsorted(near[starts[j] : starts[j + 1]], i)
-                both[mirror] += block.T
+                _add(block.T, both[mirror])
+
+
+# Kernels have loops where numpy has expressions of arrays: numba would compile the checks of their
+# shapes and the messages of these for half a minute.
+@numba.njit(cache=True)
+def _add(block: Any, total: Any) -> None:  # pragma: no cover
+    for a in range(_UNKNOWNS):
+        for b in range(_UNKNOWNS):
+            total[a, b] += block[a, b]
 
 
 @numba.njit(cache=True)
@@ -201,10 +225,10 @@ def _overlap(
 
 
 @numba.njit(cache=True, nogil=True)
-def _invert(
+def _fill_information(
     starts: Any, near: Any, own: Any, known: Any, inverse: Any, both: Any, rows: Any, out: Any
 ) -> None:  # pragma: no cover
-    """Invert the information of positions whose partners are fitted, too."""
+    """Fill in the information of particles whose partners are fitted, too."""
     slot = np.full(len(own), -1)  # of a particle among the partners of the present one
     for k in range(len(rows)):
         i = rows[k]
@@ -212,11 +236,10 @@ def _invert(
         for n in range(len(partners)):
             slot[partners[n]] = n
         links, places, ends = _among(starts, near, partners, slot)
-        for one in partners:
-            slot[one] = -1
+        for partner in partners:
+            slot[partner] = -1
         shared = both[starts[i] : starts[i + 1]]
-        rest = _rest(own[i], shared, known[partners], inverse[partners], links, places, ends, both)
-        out[k] = _inverse_of_rest(rest)
+        _reduce(own[i], shared, partners, known, inverse, links, places, ends, both, out[k])
 
 
 @numba.njit(cache=True)
@@ -238,52 +261,82 @@ def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: 
 
 
 @numba.njit(cache=True)
-def _rest(
-    own: Any, shared: Any, alone: Any, inverse: Any, links: Any, places: Any, ends: Any, both: Any
-) -> Any:  # pragma: no cover
+def _reduce(
+    own: Any,
+    shared: Any,
+    partners: Any,
+    known: Any,
+    inverse: Any,
+    links: Any,
+    places: Any,
+    ends: Any,
+    both: Any,
+    out: Any,
+) -> None:  # pragma: no cover
     """Compute a particle's information (4, 4) if its partners are fitted, too.
 
     That is the Schur complement, by conjugate gradients (M. R. Hestenes and E. Stiefel, J. Res.
     Natl. Bur. Stand. 49, 409-436, 1952) for each unknown, preconditioned by the partners' own
     blocks (partner, 4, 4). Its error is of second order in that of the solutions.
     """
-    shape, k = (len(shared), _UNKNOWNS, _UNKNOWNS), _UNKNOWNS
-    right, x = np.ascontiguousarray(shared.transpose(0, 2, 1)), np.zeros(shape)
-    left, better, pull = right.copy(), np.zeros(shape), np.zeros(shape)
-    _times_blocks(inverse, left, better)
-    step, size, known = better.copy(), _product(left, better), np.diag(own).copy()
+    count, k = len(shared), _UNKNOWNS
+    right, left, x = np.zeros((count, k, k)), np.zeros((count, k, k)), np.zeros((count, k, k))
+    better, pull, step = np.zeros((count, k, k)), np.zeros((count, k, k)), np.zeros((count, k, k))
+    size, bend, after, share, rest = np.zeros(k), np.zeros(k), np.zeros(k), np.zeros(k), np.zeros(k)
+    for n in range(count):
+        for a in range(k):
+            for b in range(k):
+                right[n, a, b] = left[n, a, b] = shared[n, b, a]
+    _times_blocks(inverse, partners, left, step)
+    _fill_product(left, step, size)
+    for a in range(k):
+        rest[a] = own[a, a]
     for _ in range(_STEPS):
-        _times_blocks(alone, step, pull)
+        _times_blocks(known, partners, step, pull)
         _add_links(links, places, ends, both, step, pull)
-        bend = _product(step, pull)
-        share, exact = np.zeros(k), True
+        _fill_product(step, pull, bend)
+        exact = True
         for a in range(k):
             share[a] = size[a] / bend[a] if bend[a] > 0.0 else 0.0
-            known[a] -= share[a] * size[a]
-            exact = exact and share[a] * size[a] < _EXACT * known[a]
-        x += share * step
-        left -= share * pull
+            rest[a] -= share[a] * size[a]
+            exact = exact and share[a] * size[a] < _EXACT * rest[a]
+        for n in range(count):
+            for a in range(k):
+                for b in range(k):
+                    x[n, a, b] += share[b] * step[n, a, b]
+                    left[n, a, b] -= share[b] * pull[n, a, b]
         if exact:
             break
-        _times_blocks(inverse, left, better)
-        after = _product(left, better)
+        _times_blocks(inverse, partners, left, better)
+        _fill_product(left, better, after)
         for a in range(k):
             share[a] = after[a] / size[a] if size[a] > 0.0 else 0.0
-        step, size = better + share * step, after
-    rest = own.copy()
-    for n in range(len(shared)):
+            size[a] = after[a]
+        for n in range(count):
+            for a in range(k):
+                for b in range(k):
+                    step[n, a, b] = better[n, a, b] + share[b] * step[n, a, b]
+    for a in range(k):
+        for b in range(k):
+            out[a, b] = own[a, b]
+    for n in range(count):
         for c in range(k):
             for a in range(k):
                 for b in range(k):
-                    rest[a, b] -= right[n, c, a] * x[n, c, b] + x[n, c, a] * left[n, c, b]
-    return 0.5 * (rest + rest.T)
+                    out[a, b] -= right[n, c, a] * x[n, c, b] + x[n, c, a] * left[n, c, b]
+    for a in range(k):
+        for b in range(a):
+            out[a, b] = out[b, a] = 0.5 * (out[a, b] + out[b, a])
 
 
 @numba.njit(cache=True)
-def _times_blocks(blocks: Any, vectors: Any, out: Any) -> None:  # pragma: no cover
-    out[:] = 0.0
-    for n in range(len(blocks)):
-        add_product(out, n, blocks, n, vectors, n)
+def _times_blocks(blocks: Any, rows: Any, vectors: Any, out: Any) -> None:  # pragma: no cover
+    """Fill in products of some rows' blocks with vectors."""
+    for n in range(len(out)):
+        for a in range(_UNKNOWNS):
+            for b in range(_UNKNOWNS):
+                out[n, a, b] = 0.0
+        add_product(out, n, blocks, rows[n], vectors, n)
 
 
 @numba.njit(cache=True)
@@ -297,23 +350,11 @@ def _add_links(
 
 
 @numba.njit(cache=True)
-def _product(one: Any, other: Any) -> Any:  # pragma: no cover
-    total = np.zeros(_UNKNOWNS)
+def _fill_product(one: Any, other: Any, total: Any) -> None:  # pragma: no cover
+    """Fill in the sums (4,) of products, for each unknown."""
+    for r in range(_UNKNOWNS):
+        total[r] = 0.0
     for n in range(len(one)):
         for a in range(_UNKNOWNS):
             for r in range(_UNKNOWNS):
                 total[r] += one[n, a, r] * other[n, a, r]
-    return total
-
-
-@numba.njit(cache=True)
-def _inverse_of_rest(rest: Any) -> Any:
-    """Return the covariance (3, 3) of a position; NaN where the rest is singular."""
-    scale = np.sqrt(np.diag(rest))
-    if not scale.min() > 0.0:
-        return np.full((3, 3), np.nan)
-    even = rest / scale.reshape(-1, 1) / scale
-    if not np.linalg.eigvalsh(even)[0] > _SINGULAR:
-        return np.full((3, 3), np.nan)
-    inverse = np.linalg.inv(even) / scale.reshape(-1, 1) / scale
-    return np.ascontiguousarray(inverse[1:, 1:])
