@@ -3,29 +3,138 @@
 import contextlib
 import functools
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from sabench.api import CalibrationCase, Shown, truth
+from sabench.api import CalibrationCase, Observation, Shown, truth
 from sabench.dataset import schema
 from sabench.dataset.arrays import AnyArrays, group_of, read_arrays
 from sabench.dataset.cameras import CamerasFile, read_cameras, read_true_cameras
 from sabench.dataset.hdf5 import names_in, open_hdf5, read_array
 from sabench.dataset.recorded import ReferencesFile, read_references
 from sabench.dataset.schema import Contents, Manifest, RecordedManifest
-from sabench.dataset.stored_frames import StoredFrames
 from sabench.geometry.camera import Camera
 from sabench.geometry.camera_model import CameraModel
+from sabench.geometry.grid import Grid
+from sabench.images.preprocessing import WHITE, Step, preprocess, takes_all_frames
+from sabench.images.repair import Flaws, Repaired
 from sabench.images.tiff_exr import read_exr, read_tiff
 from sabench.scenes import Scene
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.errors import InputError
 from sabench.utils.files import inside
 from sabench.utils.validation import validate
+
+
+def build_observation(
+    images: U16,
+    cameras: tuple[CameraModel, ...],
+    grid: Grid,
+    levels: tuple[float, float],
+    steps: Sequence[Step],
+    *,
+    lowest: U16 | None = None,
+    by_camera: Sequence[tuple[float, float]] = (),
+    backlit: bool = False,
+    masked: Bool | None = None,
+) -> Observation:
+    """Build the observation of raw images, after the steps of preprocessing.
+
+    Steps would spread hot pixels, and darken reflections: both are replaced before, unless the
+    images are backlit.
+
+    Parameters
+    ----------
+    levels : grey values of no light and of saturation.
+    lowest : each pixel's least value over all frames; only where a step needs it.
+    by_camera : those of each camera, where they differ: all images are brought to one black level.
+    masked : pixels (camera, row, column) that do not count, as if a reflection covered them.
+    """
+    if by_camera:
+        lowest = None if lowest is None else _align_levels(lowest, levels[0], by_camera)[0]
+        images, levels = _align_levels(images, levels[0], by_camera)
+    if not steps and masked is None:
+        return Observation(images, cameras, grid, *levels)
+    flaws = None
+    if not backlit:
+        images, flaws = _repaired(images, levels, masked)
+    if steps:
+        images, levels = preprocess(images, *levels, steps, lowest), (0.0, float(WHITE))
+    return Observation(images, cameras, grid, *levels, flaws)
+
+
+def _repaired(images: U16, levels: tuple[float, float], masked: Bool | None) -> Repaired:
+    from sabench.images.repair import repair  # numba is loaded at the first use
+
+    if masked is None:
+        return repair(images, *levels)
+    black = np.uint16(np.rint(levels[0]))
+    good, flaws = repair(np.where(masked, black, images), *levels)
+    return Repaired(np.where(masked, black, good), Flaws(flaws.points, flaws.covered | masked))
+
+
+def _align_levels(
+    images: U16, black_dn: float, by_camera: Sequence[tuple[float, float]]
+) -> tuple[U16, tuple[float, float]]:
+    """Subtract each camera's dark level and add `black_dn`, in whole grey values.
+
+    Returns the images with one black and one white level, which saturated pixels have.
+    """
+    widest = max(round(camera_white - black) for black, camera_white in by_camera)
+    white = min(round(black_dn) + widest, np.iinfo(np.uint16).max)
+    aligned = np.empty_like(images)
+    for image, out, (black, camera_white) in zip(images, aligned, by_camera, strict=True):
+        grey = image.astype(np.int64) - round(black) + round(black_dn)
+        out[:] = np.where(image >= camera_white, white, np.clip(grey, 0, white))
+    return aligned, (black_dn, float(white))
+
+
+class StoredFrames(Protocol):
+    """Frames on disk with one setup: a data set folder, or a sample of a shard.
+
+    A store reads its setup and images, from which observations are built here, and its truth:
+    `seed`, `true_cameras`, and the `particles`, `views` and `radiance` of a frame.
+    """
+
+    @property
+    def setup(self) -> CamerasFile:
+        """Cameras, wall, grid and sensor levels that solvers receive."""
+
+    def raw_images(self, frame: int) -> U16:
+        """Read the images (camera, row, column) of a frame as they were recorded."""
+
+    @property
+    def masked(self) -> Bool | None:
+        """Pixels (camera, row, column) that masks leave out; None without masks."""
+        return None
+
+    def observation(self, frame: int, steps: Sequence[Step] | None = None) -> Observation:
+        """Read one frame as a solver receives it, or after other steps of preprocessing."""
+        images, setup = self.raw_images(frame), self.setup
+        steps = setup.preprocessing if steps is None else steps
+        return build_observation(
+            images,
+            setup.cameras,
+            setup.grid,
+            (setup.sensor.black_dn, setup.sensor.white_dn),
+            steps,
+            lowest=self._lowest if takes_all_frames(steps) else None,
+            by_camera=setup.sensor.by_camera,
+            backlit="bubbles" in setup.shows,
+            masked=self.masked,
+        )
+
+    @cached_property
+    def _lowest(self) -> U16:
+        lowest = self.raw_images(0).copy()
+        for frame in range(1, self.setup.frames):
+            np.minimum(lowest, self.raw_images(frame), out=lowest)
+        return lowest
 
 
 @dataclass(frozen=True)
@@ -115,7 +224,8 @@ class Dataset(StoredFrames):
 
     def raw_images(self, frame: int) -> U16:
         """Read the images (camera, row, column) of a frame as they were recorded."""
-        return np.stack([self.raw_image(n, frame) for n in range(len(self.setup.cameras))])
+        cameras = range(len(self.setup.cameras))
+        return np.stack([self.raw_image(camera, frame) for camera in cameras])
 
     def raw_image(self, number: int, frame: int) -> U16:
         """Read the image (row, column) of a frame and camera as it was recorded."""

@@ -20,8 +20,7 @@ import numpy.typing as npt
 from sabench.api.truth import Particles
 from sabench.dataset import schema
 from sabench.dataset.reader import Dataset
-from sabench.dataset.stored_frames import StoredSample
-from sabench.dataset.stored_shard import StoredShard
+from sabench.dataset.stored_samples import FrameGroups, StoredSample, StoredShard
 from sabench.utils.arrays import F64, I64, U16
 from sabench.utils.errors import InputError
 
@@ -94,14 +93,14 @@ class Batch(Generic[S]):
             shape = (*self.images.shape[:2], particles)
             positions, present = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.bool_)
             for row, one in enumerate(self.samples):
-                for frame, own in enumerate(one.particles):
-                    if len(own) > particles:
+                for frame, truth in enumerate(one.particles):
+                    if len(truth) > particles:
                         raise InputError(
                             f"sample {one.number}: expected at most {particles} particles, got "
-                            f"{len(own)}"
+                            f"{len(truth)}"
                         )
-                    positions[row, frame, : len(own)] = own.position_mm
-                    present[row, frame, : len(own)] = True
+                    positions[row, frame, : len(truth)] = truth.position_mm
+                    present[row, frame, : len(truth)] = True
             arrays |= {"position_mm": positions, "present": present}
         return arrays
 
@@ -112,12 +111,12 @@ def make_batch(samples: Sequence[S]) -> Batch[S]:
     Raises InputError for images of different shapes.
     """
     images = [one.images for one in samples]
-    for one, own in zip(samples, images, strict=True):
-        if own.shape != images[0].shape:
+    for one in samples:
+        if one.images.shape != images[0].shape:
             raise InputError(
                 f"sample {one.number}: expected images (frame, camera, row, column) of one shape "
                 f"in all samples, got {images[0].shape} in sample {samples[0].number} and "
-                f"{own.shape} here"
+                f"{one.images.shape} here"
             )
     return Batch(tuple(samples), np.stack(images))
 
@@ -125,29 +124,6 @@ def make_batch(samples: Sequence[S]) -> Batch[S]:
 def _moves(first: Particles, second: Particles) -> tuple[F64, F64]:
     _, i, j = np.intersect1d(first.id, second.id, assume_unique=True, return_indices=True)
     return first.position_mm[i], second.position_mm[j] - first.position_mm[i]
-
-
-class FrameGroups:
-    """Samples of a data set: its groups of pulses, or else its frames."""
-
-    def __init__(self, data: Dataset) -> None:
-        self._data, self._size = data, data.setup.pulses
-        if data.setup.frames % self._size:
-            raise InputError(f"{data.root}: expected frames in groups of {self._size}")
-
-    def __len__(self) -> int:
-        return self._data.setup.frames // self._size
-
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
-
-    def sample(self, row: int) -> StoredSample:
-        """Read the images of a group, and select its times."""
-        frames = range(row * self._size, (row + 1) * self._size)
-        times = tuple(self._data.setup.time_s(frame) for frame in frames)
-        setup = self._data.setup.model_copy(update={"frames": self._size, "times_s": times})
-        images = np.stack([self._data.raw_images(frame) for frame in frames])
-        return StoredSample(row, images, self._data, frames, setup)
 
 
 _OPEN = 128  # shards whose files are open, two each
@@ -208,8 +184,8 @@ class SampleSet(Sequence[StoredSample]):
             raise InputError(
                 f"{self.root}: expected one of the splits {', '.join(self.splits)}, got {name!r}"
             )
-        own = [one for one in self._stores if one[0] == name]
-        return SampleSet(self.root, self.content_hash, own)
+        stores = [(split, store) for split, store in self._stores if split == name]
+        return SampleSet(self.root, self.content_hash, stores)
 
     def batches(
         self,

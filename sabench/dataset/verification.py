@@ -16,7 +16,7 @@ from sabench.dataset.hdf5 import walk
 from sabench.dataset.reader import Dataset
 from sabench.dataset.sample_set import open_samples
 from sabench.dataset.shards import Shard, describe, plan_shards
-from sabench.dataset.stored_shard import StoredShard
+from sabench.dataset.stored_samples import StoredShard
 from sabench.utils.errors import InputError, UncheckedError, one_line
 from sabench.utils.files import inside, is_file
 from sabench.utils.processes.call import preload, read_isolated

@@ -7,7 +7,7 @@ import numpy as np
 
 from sabench.api import Observation
 from sabench.api.truth import Particles, View
-from sabench.dataset.stored_frames import build_observation
+from sabench.dataset.reader import build_observation
 from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import Scene, build_rig
 from sabench.scenes.focusing import nominal_cameras

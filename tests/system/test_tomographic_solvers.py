@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from benchmarks.flawed_images import VOLUMES, cases_of, measure, part_of_standard
 from sabench import plugins
 from sabench.api import Camera, Observation, Reconstruction
-from sabench.dataset.stored_frames import build_observation
+from sabench.dataset.reader import build_observation
 from sabench.geometry.grid import Grid, synthesise
 from sabench.images.preprocessing import Gaussian, SlidingMinimum
 from sabench.metrics.quality_factor import quality

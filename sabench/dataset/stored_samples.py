@@ -1,9 +1,12 @@
-"""Reader of one shard, sample by sample."""
+"""Samples on disk: of a shard, or groups of frames of a data set."""
+
+from __future__ import annotations
 
 import functools
 import json
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,12 +14,13 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from sabench.api import Observation
 from sabench.api.truth import Particles, View
 from sabench.dataset import schema
 from sabench.dataset.arrays import Fetch, read_arrays
 from sabench.dataset.cameras import CamerasFile, check_setup, check_true_cameras
 from sabench.dataset.hdf5 import check_streams, find_array, name_faults, read_array
-from sabench.dataset.stored_frames import StoredFrames, StoredSample
+from sabench.dataset.reader import Dataset, StoredFrames
 from sabench.geometry.camera import Camera
 from sabench.utils.arrays import F32, I64, U16
 from sabench.utils.errors import InputError
@@ -271,6 +275,92 @@ class ShardSample(StoredFrames):
             return self._shard.part("truth", name, stored, kinds, part)
 
         return fetch
+
+
+@dataclass(frozen=True)
+class StoredSample:
+    """One sample on disk; its truth is read when it is asked for.
+
+    Attributes
+    ----------
+    number : number of the sample.
+    images : (frame, camera, row, column) grey values.
+    """
+
+    number: int
+    images: U16
+    _store: Dataset | ShardSample
+    _frames: range  # of the store
+    _setup: CamerasFile | None = None  # None: that of the store
+
+    @property
+    def setup(self) -> CamerasFile:
+        """Nominal cameras, wall, grid and sensor levels, which solvers receive."""
+        return self._setup or self._store.setup
+
+    def observation(self, frame: int = 0) -> Observation:
+        """Build what a solver sees of a frame."""
+        if not 0 <= frame < len(self._frames):
+            raise InputError(f"frame {frame}: expected 0 to {len(self._frames) - 1}")
+        return self._store.observation(self._frames[frame])
+
+    @property
+    def seed(self) -> int:
+        """Seed of the sample: truth, as all below, not for solvers."""
+        return self._store.seed
+
+    @property
+    def redrawn(self) -> int:
+        """Number of times that its values were drawn again, as no such scene can be."""
+        return self._store.redrawn if isinstance(self._store, ShardSample) else 0
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Values of the keys that vary."""
+        return self._store.drawn if isinstance(self._store, ShardSample) else {}
+
+    @property
+    def true_cameras(self) -> tuple[Camera, ...]:
+        """Cameras that took the images."""
+        return self._store.true_cameras
+
+    @property
+    def particles(self) -> tuple[Particles, ...]:
+        """True particles of each frame, the same rows for the same `id`."""
+        return tuple(self._store.particles(frame) for frame in self._frames)
+
+    @property
+    def views(self) -> tuple[tuple[View, ...], ...]:
+        """True particle images of each frame and camera."""
+        return tuple(tuple(self._store.views(frame)) for frame in self._frames)
+
+    @property
+    def radiance(self) -> F32:
+        """Radiance (frame, camera, row, column) without noise, photons / (mm2 sr)."""
+        return np.stack([self._store.radiance(frame) for frame in self._frames])
+
+
+class FrameGroups:
+    """Samples of a data set: its groups of pulses, or else its frames."""
+
+    def __init__(self, data: Dataset) -> None:
+        self._data, self._size = data, data.setup.pulses
+        if data.setup.frames % self._size:
+            raise InputError(f"{data.root}: expected frames in groups of {self._size}")
+
+    def __len__(self) -> int:
+        return self._data.setup.frames // self._size
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+    def sample(self, row: int) -> StoredSample:
+        """Read the images of a group, and select its times."""
+        frames = range(row * self._size, (row + 1) * self._size)
+        times = tuple(self._data.setup.time_s(frame) for frame in frames)
+        setup = self._data.setup.model_copy(update={"frames": self._size, "times_s": times})
+        images = np.stack([self._data.raw_images(frame) for frame in frames])
+        return StoredSample(row, images, self._data, frames, setup)
 
 
 def _listed(numbers: I64) -> str:
