@@ -164,7 +164,8 @@ class StoredShard:
         """Read something, unless it has been read since the files were opened."""
         if name not in self._arrays:
             self._arrays[name] = read()
-        return self._arrays[name]
+        value: Value = self._arrays[name]
+        return value
 
     def path(self, side: str) -> Path:
         """Name the file of a side."""
