@@ -59,14 +59,8 @@ def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) ->
                 place.parent.mkdir(parents=True, exist_ok=True)
                 write_tiff(place, dataset.raw_image(number, frame))
                 files[name] = schema.FileEntry.of(place)
-    head = {
-        "format": schema.FORMAT,
-        "version": schema.VERSION,
-        "side": "observation",
-        "content_hash": dataset.content_hash,
-        "files": {name: entry.model_dump() for name, entry in files.items()},
-    }
-    (folder / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")
+    whole = dataset.content_hash
+    schema.write_manifest(folder, files, side="observation", content_hash=whole)
 
 
 def pack(dataset: Dataset, out: Path, *, blind: bool, overwrite: bool = False) -> Path:
@@ -211,7 +205,7 @@ def _compare_images(one: Dataset, first: Path, second: Path) -> Iterator[str]:
     shape = (camera.rows, camera.columns)
     if first.suffix == ".tif":
         read = read_tiff(first, shape), read_tiff(second, shape)
-        names = [own.name for own in one.setup.cameras]
+        names = [each.name for each in one.setup.cameras]
         number = names.index(first.stem) if first.stem in names else 0
         different = _other_grey(*read, one.scene.sensor.of_camera(number))
     else:

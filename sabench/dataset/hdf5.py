@@ -116,9 +116,15 @@ def open_hdf5(path: Path) -> Iterator[Any]:
     """
     if not path.is_file():
         raise InputError(f"{path}: expected an HDF5 file, found none")
+    with name_faults(path), h5py.File(path, "r") as file:
+        yield file
+
+
+@contextlib.contextmanager
+def name_faults(path: Path) -> Iterator[None]:
+    """Turn any fault of the HDF5 library into an InputError that names the file."""
     try:
-        with h5py.File(path, "r") as file:
-            yield file
+        yield
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         raise InputError(
             f"{path}: expected an intact HDF5 file, got {type(error).__name__}: {error}"
@@ -233,12 +239,9 @@ def read_array(file: Any, name: str, shape: tuple[int | None, ...], kind: str) -
     where = f"{file.filename}: {name}"
     node = find_array(file, name, shape, kind)
     is_open = None in shape
-    size, stored, there = (
-        int(node.nbytes),
-        int(node.id.get_storage_size()),
-        memory.available_mb(),
-    )
-    if there is not None and 2.0 * size / 1e6 > there:
+    size, stored = int(node.nbytes), int(node.id.get_storage_size())
+    available = memory.available_mb()
+    if available is not None and 2.0 * size / 1e6 > available:
         raise InputError(
             f"{where}: expected values that fit into memory, but {node.shape} of {node.dtype} need "
             f"{2.0 * size / 1e6:.0f} MB"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -85,17 +85,60 @@ def _align_levels(
 
     Returns the images with one black and one white level, which saturated pixels have.
     """
-    widest = max(round(own_white - black) for black, own_white in by_camera)
+    widest = max(round(camera_white - black) for black, camera_white in by_camera)
     white = min(round(black_dn) + widest, np.iinfo(np.uint16).max)
     aligned = np.empty_like(images)
-    for image, out, (black, own_white) in zip(images, aligned, by_camera, strict=True):
+    for image, out, (black, camera_white) in zip(images, aligned, by_camera, strict=True):
         grey = image.astype(np.int64) - round(black) + round(black_dn)
-        out[:] = np.where(image >= own_white, white, np.clip(grey, 0, white))
+        out[:] = np.where(image >= camera_white, white, np.clip(grey, 0, white))
     return aligned, (black_dn, float(white))
 
 
+class StoredFrames(Protocol):
+    """Frames on disk with one setup: a data set folder, or a sample of a shard.
+
+    A store reads its setup and images, from which observations are built here, and its truth:
+    `seed`, `true_cameras`, and the `particles`, `views` and `radiance` of a frame.
+    """
+
+    @property
+    def setup(self) -> CamerasFile:
+        """Cameras, wall, grid and sensor levels that solvers receive."""
+
+    def raw_images(self, frame: int) -> U16:
+        """Read the images (camera, row, column) of a frame as they were recorded."""
+
+    @property
+    def masked(self) -> Bool | None:
+        """Pixels (camera, row, column) that masks leave out; None without masks."""
+        return None
+
+    def observation(self, frame: int, steps: Sequence[Step] | None = None) -> Observation:
+        """Read one frame as a solver receives it, or after other steps of preprocessing."""
+        images, setup = self.raw_images(frame), self.setup
+        steps = setup.preprocessing if steps is None else steps
+        return build_observation(
+            images,
+            setup.cameras,
+            setup.grid,
+            (setup.sensor.black_dn, setup.sensor.white_dn),
+            steps,
+            lowest=self._lowest if takes_all_frames(steps) else None,
+            by_camera=setup.sensor.by_camera,
+            backlit="bubbles" in setup.shows,
+            masked=self.masked,
+        )
+
+    @cached_property
+    def _lowest(self) -> U16:
+        lowest = self.raw_images(0).copy()
+        for frame in range(1, self.setup.frames):
+            np.minimum(lowest, self.raw_images(frame), out=lowest)
+        return lowest
+
+
 @dataclass(frozen=True)
-class Dataset:
+class Dataset(StoredFrames):
     """Data set folder; a frame is read when it is requested."""
 
     root: Path
@@ -149,6 +192,11 @@ class Dataset:
             return self.setup.pinholes
         return read_true_cameras(self.root, self.setup)
 
+    @property
+    def seed(self) -> int:
+        """Seed of all random numbers: truth, not for solvers."""
+        return self.manifest.seed
+
     @cached_property
     def scene(self) -> Scene:
         """Read the resolved scene: truth, not for solvers."""
@@ -159,23 +207,6 @@ class Dataset:
             raise InputError(f"{path}: expected a TOML file, got {error}") from error
         return scene.with_files(
             {table: inside(self.root, file.as_posix()) for table, file in scene.files.items()}
-        )
-
-    def observation(self, frame: int, steps: Sequence[Step] | None = None) -> Observation:
-        """Read one frame as a solver receives it, or after other steps of preprocessing."""
-        self._check_frame(frame)
-        setup = self.setup
-        chosen = setup.preprocessing if steps is None else steps
-        return build_observation(
-            self._raw(frame),
-            setup.cameras,
-            setup.grid,
-            (setup.sensor.black_dn, setup.sensor.white_dn),
-            chosen,
-            lowest=self._lowest if takes_all_frames(chosen) else None,
-            by_camera=setup.sensor.by_camera,
-            backlit="bubbles" in setup.shows,
-            masked=self.masked,
         )
 
     @cached_property
@@ -191,9 +222,10 @@ class Dataset:
                 leaves_out[:] = read_tiff(inside(self.root, name), leaves_out.shape) == 0
         return masked
 
-    def _raw(self, frame: int) -> U16:
-        """Read the raw images (camera, row, column) of a frame."""
-        return np.stack([self.raw_image(n, frame) for n in range(len(self.setup.cameras))])
+    def raw_images(self, frame: int) -> U16:
+        """Read the images (camera, row, column) of a frame as they were recorded."""
+        cameras = range(len(self.setup.cameras))
+        return np.stack([self.raw_image(camera, frame) for camera in cameras])
 
     def raw_image(self, number: int, frame: int) -> U16:
         """Read the image (row, column) of a frame and camera as it was recorded."""
@@ -212,13 +244,6 @@ class Dataset:
         if not self.recorded or schema.REFERENCES not in self.contents.files:
             return None
         return read_references(self.root)
-
-    @cached_property
-    def _lowest(self) -> U16:
-        lowest = self._raw(0)
-        for frame in range(1, self.setup.frames):
-            np.minimum(lowest, self._raw(frame), out=lowest)
-        return lowest
 
     def radiance(self, frame: int) -> list[F32]:
         """Read the noise-free radiance of every camera: truth, not for solvers.
@@ -312,9 +337,12 @@ class Dataset:
         """
         sizes = {"frame": self.setup.frames, "point": len(self._target().points_mm)}
         with open_hdf5(self._truth()) as file:
-            names = [camera.name for camera in self.setup.cameras]
-            seen = [_read(file, truth.Sighting, which=name, **sizes) for name in names]
-        return np.stack([one.pixel for one in seen]), np.stack([one.outlier for one in seen])
+            sightings = [
+                _read(file, truth.Sighting, which=camera.name, **sizes)
+                for camera in self.setup.cameras
+            ]
+        pixels, outliers = [one.pixel for one in sightings], [one.outlier for one in sightings]
+        return np.stack(pixels), np.stack(outliers)
 
     def _target(self) -> truth.Target:
         if not self.shows_target:

@@ -56,11 +56,11 @@ class ReferencesFile(Record):
         frames = self.images.get(camera, ())
         if camera not in self.shapes or not 0 <= frame < len(frames):
             raise InputError(f"{REFERENCES}: {camera}: expected an image of frame {frame}")
-        own = self.shapes[camera]
-        if not all(0 < size <= most for size, most in zip(own, shape, strict=True)):
+        recorded = self.shapes[camera]
+        if not all(0 < size <= most for size, most in zip(recorded, shape, strict=True)):
             raise InputError(
                 f"{REFERENCES}: {camera}: expected a shape of at most {shape[0]} x {shape[1]} "
-                f"pixels (rows x columns), got {own[0]} x {own[1]}"
+                f"pixels (rows x columns), got {recorded[0]} x {recorded[1]}"
             )
         name, page = frames[frame]
         path = self._place(name)
@@ -69,7 +69,7 @@ class ReferencesFile(Record):
                 f"{path}: expected an image, found no such file; if the recording has moved, "
                 "import it again"
             )
-        return extended(read_page(path, page, own, self.raw), shape)
+        return extended(read_page(path, page, recorded, self.raw), shape)
 
     def faults(self) -> Iterator[str]:
         """Find files that are missing or have changed."""
@@ -171,18 +171,10 @@ def recorded_writer(
     with complete_or_nothing(target, overwrite=overwrite) as root:
         root.mkdir()
         yield RecordedWriter(root)
-        files = schema.list_files(root)
-        (root / schema.MANIFEST).write_text(
-            schema.seal(
-                {
-                    "format": schema.FORMAT,
-                    "version": schema.VERSION,
-                    "recorded": True,
-                    "source": source,
-                    "content_hash": schema.content_hash(files),
-                    "versions": {"sabench": __version__, "python": platform.python_version()},
-                    "files": {name: entry.model_dump() for name, entry in files.items()},
-                }
-            ),
-            encoding="utf-8",
+        schema.write_manifest(
+            root,
+            schema.list_files(root),
+            recorded=True,
+            source=source,
+            versions={"sabench": __version__, "python": platform.python_version()},
         )

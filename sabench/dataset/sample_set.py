@@ -17,14 +17,11 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sabench.api import Observation
-from sabench.api.truth import Particles, View
+from sabench.api.truth import Particles
 from sabench.dataset import schema
-from sabench.dataset.cameras import CamerasFile
 from sabench.dataset.reader import Dataset
-from sabench.dataset.stored_shard import StoredShard
-from sabench.geometry.camera import Camera
-from sabench.utils.arrays import F32, F64, I64, U16
+from sabench.dataset.stored_samples import FrameGroups, StoredSample, StoredShard
+from sabench.utils.arrays import F64, I64, U16
 from sabench.utils.errors import InputError
 
 
@@ -96,14 +93,14 @@ class Batch(Generic[S]):
             shape = (*self.images.shape[:2], particles)
             positions, present = np.zeros((*shape, 3)), np.zeros(shape, dtype=np.bool_)
             for row, one in enumerate(self.samples):
-                for frame, own in enumerate(one.particles):
-                    if len(own) > particles:
+                for frame, truth in enumerate(one.particles):
+                    if len(truth) > particles:
                         raise InputError(
                             f"sample {one.number}: expected at most {particles} particles, got "
-                            f"{len(own)}"
+                            f"{len(truth)}"
                         )
-                    positions[row, frame, : len(own)] = own.position_mm
-                    present[row, frame, : len(own)] = True
+                    positions[row, frame, : len(truth)] = truth.position_mm
+                    present[row, frame, : len(truth)] = True
             arrays |= {"position_mm": positions, "present": present}
         return arrays
 
@@ -114,12 +111,12 @@ def make_batch(samples: Sequence[S]) -> Batch[S]:
     Raises InputError for images of different shapes.
     """
     images = [one.images for one in samples]
-    for one, own in zip(samples, images, strict=True):
-        if own.shape != images[0].shape:
+    for one in samples:
+        if one.images.shape != images[0].shape:
             raise InputError(
                 f"sample {one.number}: expected images (frame, camera, row, column) of one shape "
                 f"in all samples, got {images[0].shape} in sample {samples[0].number} and "
-                f"{own.shape} here"
+                f"{one.images.shape} here"
             )
     return Batch(tuple(samples), np.stack(images))
 
@@ -129,141 +126,8 @@ def _moves(first: Particles, second: Particles) -> tuple[F64, F64]:
     return first.position_mm[i], second.position_mm[j] - first.position_mm[i]
 
 
-class FrameGroups:
-    """Groups of frames of one data set."""
-
-    def __init__(self, data: Dataset) -> None:
-        self._data = data
-        pulses = data.setup.pulses
-        self._size = pulses if pulses > 1 else 1
-        if data.setup.frames % self._size:
-            raise InputError(f"{data.root}: expected frames in groups of {self._size}")
-
-    def __len__(self) -> int:
-        return self._data.setup.frames // self._size
-
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
-
-    def number(self, row: int) -> int:
-        """Return the number of a group."""
-        return row
-
-    def images(self, row: int) -> U16:
-        """Read the grey values (frame, camera, row, column) of a group."""
-        cameras = range(len(self._data.setup.cameras))
-        return np.stack(
-            [[self._data.raw_image(n, frame) for n in cameras] for frame in self._frames(row)]
-        )
-
-    def setup(self, row: int) -> CamerasFile:
-        """Select the cameras and times of a group."""
-        times = [self._data.setup.time_s(frame) for frame in self._frames(row)]
-        return self._data.setup.model_copy(update={"frames": self._size, "times_s": tuple(times)})
-
-    def observation(self, row: int, frame: int, images: U16) -> Observation:
-        """Build what a solver sees of a frame of a group."""
-        if not 0 <= frame < self._size:
-            raise InputError(f"frame {frame}: expected 0 to {self._size - 1}")
-        return self._data.observation(self._frames(row)[frame])
-
-    def true_cameras(self, row: int) -> tuple[Camera, ...]:
-        """Read the cameras that took the images."""
-        return self._data.true_cameras
-
-    def seed(self, row: int) -> int:
-        """Read the seed of the data set."""
-        return self._data.manifest.seed
-
-    def redrawn(self, row: int) -> int:
-        """Return 0: nothing varies."""
-        return 0
-
-    def drawn(self, row: int) -> dict[str, Any]:
-        """Return no values: nothing varies."""
-        return {}
-
-    def particles(self, row: int) -> tuple[Particles, ...]:
-        """Read the true particles of each frame."""
-        return tuple(self._data.particles(frame) for frame in self._frames(row))
-
-    def views(self, row: int) -> tuple[tuple[View, ...], ...]:
-        """Read the true particle images of each frame and camera."""
-        return tuple(tuple(self._data.views(frame)) for frame in self._frames(row))
-
-    def radiance(self, row: int) -> F32:
-        """Read the radiance (frame, camera, row, column) without noise."""
-        return np.stack([self._data.radiance(frame) for frame in self._frames(row)])
-
-    def _frames(self, row: int) -> range:
-        return range(row * self._size, (row + 1) * self._size)
-
-
 _OPEN = 128  # shards whose files are open, two each
 Store = StoredShard | FrameGroups
-
-
-@dataclass(frozen=True)
-class StoredSample:
-    """One sample on disk; its truth is read when it is asked for.
-
-    Attributes
-    ----------
-    images : (frame, camera, row, column) grey values.
-    """
-
-    images: U16
-    _store: Store
-    _row: int
-
-    @property
-    def number(self) -> int:
-        """Number of the sample."""
-        return self._store.number(self._row)
-
-    @property
-    def setup(self) -> CamerasFile:
-        """Nominal cameras, wall, grid and sensor levels, which solvers receive."""
-        return self._store.setup(self._row)
-
-    def observation(self, frame: int = 0) -> Observation:
-        """Build what a solver sees of a frame."""
-        return self._store.observation(self._row, frame, self.images)
-
-    @property
-    def seed(self) -> int:
-        """Seed of the sample: truth, as all below, not for solvers."""
-        return self._store.seed(self._row)
-
-    @property
-    def redrawn(self) -> int:
-        """Number of times that its values were drawn again, as no such scene can be."""
-        return self._store.redrawn(self._row)
-
-    @property
-    def drawn(self) -> dict[str, Any]:
-        """Values of the keys that vary."""
-        return self._store.drawn(self._row)
-
-    @property
-    def true_cameras(self) -> tuple[Camera, ...]:
-        """Cameras that took the images."""
-        return self._store.true_cameras(self._row)
-
-    @property
-    def particles(self) -> tuple[Particles, ...]:
-        """True particles of each frame, the same rows for the same `id`."""
-        return self._store.particles(self._row)
-
-    @property
-    def views(self) -> tuple[tuple[View, ...], ...]:
-        """True particle images of each frame and camera."""
-        return self._store.views(self._row)
-
-    @property
-    def radiance(self) -> F32:
-        """Radiance (frame, camera, row, column) without noise, photons / (mm2 sr)."""
-        return self._store.radiance(self._row)
 
 
 class SampleSet(Sequence[StoredSample]):
@@ -298,8 +162,7 @@ class SampleSet(Sequence[StoredSample]):
             del self._open[oldest]
             self._stores[oldest][1].close()
         store = self._stores[number][1]
-        row = place - (self._ends[number] - len(store))
-        return StoredSample(store.images(row), store, row)
+        return store.sample(place - (self._ends[number] - len(store)))
 
     def __iter__(self) -> Iterator[StoredSample]:
         return (self[place] for place in range(len(self)))
@@ -321,8 +184,8 @@ class SampleSet(Sequence[StoredSample]):
             raise InputError(
                 f"{self.root}: expected one of the splits {', '.join(self.splits)}, got {name!r}"
             )
-        own = [one for one in self._stores if one[0] == name]
-        return SampleSet(self.root, self.content_hash, own)
+        stores = [(split, store) for split, store in self._stores if split == name]
+        return SampleSet(self.root, self.content_hash, stores)
 
     def batches(
         self,

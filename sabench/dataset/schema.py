@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -194,7 +195,7 @@ def frame_group(frame: int) -> str:
     return f"frames/{frame:04d}"
 
 
-def content_hash(files: dict[str, FileEntry]) -> str:
+def content_hash(files: Mapping[str, FileEntry]) -> str:
     """Hash the files of a data set: SHA-256 over the JSON of path -> SHA-256."""
     return digest({name: entry.sha256 for name, entry in files.items()})
 
@@ -209,10 +210,22 @@ def identity_of(scene_hash: str, seed: int, renderer: str, simulation: str) -> s
     return digest(keys)
 
 
-def list_files(root: Path) -> dict[str, FileEntry]:
-    """Measure all files of a folder, by their paths in it."""
+def list_files(root: Path, measured: Mapping[str, FileEntry] | None = None) -> dict[str, FileEntry]:
+    """Measure all files of a folder but the manifest, by their paths in it."""
     paths = sorted(path for path in root.rglob("*") if path.is_file())
-    return {path.relative_to(root).as_posix(): FileEntry.of(path) for path in paths}
+    names = [path.relative_to(root).as_posix() for path in paths if path != root / MANIFEST]
+    return {name: (measured or {}).get(name) or FileEntry.of(root / name) for name in names}
+
+
+def write_manifest(root: Path, files: Mapping[str, FileEntry], **keys: Any) -> None:
+    """Write the manifest of a data set; `keys` come before those that follow from its files."""
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "content_hash": content_hash(files),
+        "files": {name: entry.model_dump() for name, entry in files.items()},
+    }
+    (root / MANIFEST).write_text(seal(head | keys), encoding="utf-8")
 
 
 def seal(manifest: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ from sabench.dataset.hdf5 import walk
 from sabench.dataset.reader import Dataset
 from sabench.dataset.sample_set import open_samples
 from sabench.dataset.shards import Shard, describe, plan_shards
-from sabench.dataset.stored_shard import StoredShard
+from sabench.dataset.stored_samples import StoredShard
 from sabench.utils.errors import InputError, UncheckedError, one_line
 from sabench.utils.files import inside, is_file
 from sabench.utils.processes.call import preload, read_isolated
@@ -41,10 +41,7 @@ def probe_dataset(root: Path) -> None:
             probe(inside(root, name))
 
 
-Try = Callable[[Callable[[], object]], Iterator[str]]
-
-
-def check_plan(root: Path, contents: schema.ShardedContents) -> None:
+def _check_plan(root: Path, contents: schema.ShardedContents) -> None:
     """Check that the shards hold every sample once, in its split.
 
     Raises InputError for a shard that is missing, doubled or of other samples.
@@ -83,18 +80,18 @@ def _check_entry(path: Path, entry: schema.ShardEntry, shard: Shard, sides: Sequ
         )
 
 
-def shard_faults(root: Path, contents: schema.ShardedContents, attempt: Try) -> Iterator[str]:
+def _shard_faults(root: Path, contents: schema.ShardedContents) -> Iterator[str]:
     """Find shards whose arrays contradict the manifest, or each other."""
     files = [name for entry in contents.shards for name in entry.files]
     size = sum(file.bytes for entry in contents.shards for file in entry.files.values())
-    if list(attempt(lambda: read_isolated(_walk_all, root, files, size_bytes=size))):
+    if list(_try(lambda: read_isolated(_walk_all, root, files, size_bytes=size))):
         for name in files:  # one of them, in a process of its own
-            yield from attempt(partial(probe, inside(root, name)))
+            yield from _try(partial(probe, inside(root, name)))
         return
     entries = {entry.name: entry for entry in contents.shards}
     for shard in progress_bar(plan_shards(*_plan(contents)), "verify shards"):
         stored = StoredShard(root, contents, entries[shard.name])
-        yield from attempt(partial(stored.check, shard.numbers))
+        yield from _try(partial(stored.check, shard.numbers))
         stored.close()
 
 
@@ -131,7 +128,7 @@ def verify(path: str | Path) -> list[str]:
     faults = list(itertools.islice(_byte_faults(root, manifest), _MOST_FAULTS))
     if not faults:
         if isinstance(manifest, schema.ShardedContents):
-            inner = shard_faults(root, manifest, _try)
+            inner = _shard_faults(root, manifest)
         else:
             inner = _content_faults(Dataset(root, manifest))
         faults = list(itertools.islice(inner, _MOST_FAULTS))
@@ -168,10 +165,10 @@ def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
         if entry.is_symlink() or not entry.is_dir()
     }
     if isinstance(manifest, schema.ShardedContents):
-        yield from _try(lambda: check_plan(root, manifest))
+        yield from _try(lambda: _check_plan(root, manifest))
     for name in sorted(present - set(files) - {schema.MANIFEST}):
         yield f"{root / name}: a file that the manifest does not list"
-    known = {entry.sha256: name for name, entry in files.items()}
+    names = {entry.sha256: name for name, entry in files.items()}
     for name, entry in progress_bar(files.items(), "verify checksums"):
         try:
             file = inside(root, name)
@@ -183,8 +180,8 @@ def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
                 guess = (
                     f": {got.bytes} of {entry.bytes} are left" if got.bytes < entry.bytes else ""
                 )
-                if got.sha256 in known:
-                    guess = f": they are those of {known[got.sha256]}"
+                if got.sha256 in names:
+                    guess = f": they are those of {names[got.sha256]}"
                 yield f"{file}: its bytes do not match the manifest{guess}"
         except (InputError, OSError) as error:
             yield _sentence(error)
@@ -192,14 +189,12 @@ def _byte_faults(root: Path, manifest: schema.Contents) -> Iterator[str]:
 
 def _content_faults(dataset: Dataset) -> Iterator[str]:
     """Find files that are as they were written, but contradict each other."""
-    deadly = list(_try(lambda: probe_dataset(dataset.root)))
-    if deadly:
+    if deadly := list(_try(lambda: probe_dataset(dataset.root))):
         yield from deadly
         return
     if dataset.has_truth:
         yield from _try(lambda: _check_scene(dataset))
-    broken = list(_try(lambda: dataset.setup))
-    if broken:
+    if broken := list(_try(lambda: dataset.setup)):
         yield from broken
         return
     if not dataset.has_truth:
@@ -224,10 +219,7 @@ def _observation_faults(dataset: Dataset) -> Iterator[str]:
     if dataset.shows_target:
         yield from _try(dataset.calibration_case)
         return
-    if broken := list(_try(lambda: dataset.masked)):
-        yield from broken
-        return
-    if broken := list(_try(lambda: dataset.references)):
+    if broken := list(_try(lambda: (dataset.masked, dataset.references))):
         yield from broken
         return
     if dataset.references is not None:

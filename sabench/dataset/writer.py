@@ -103,8 +103,15 @@ def dataset_writer(
                 truth.attrs["format"], truth.attrs["version"] = schema.FORMAT, schema.VERSION
             writer = DatasetWriter(root, truth, check)
             yield writer
-        (root / schema.MANIFEST).write_text(
-            _manifest(root, name, scene, seed, renderer, writer.files), encoding="utf-8"
+        schema.write_manifest(
+            root,
+            schema.list_files(root, writer.files),
+            identity=schema.identity_of(scene.hash, seed, renderer, SIMULATION),
+            scene=name,
+            scene_hash=scene.hash,
+            seed=seed,
+            renderer=renderer,
+            versions=list_versions(),
         )
 
 
@@ -147,10 +154,9 @@ def list_setups(
 
 def with_copies(scene: Scene, root: Path) -> Scene:
     """Copy the scene's files into the data set; the scene then names the copies."""
-    copies = {}
-    for table, path in scene.files.items():
-        copies[table] = _copy_given(root, table, path)
-    return scene.with_files(copies)
+    return scene.with_files(
+        {table: _copy_given(root, table, path) for table, path in scene.files.items()}
+    )
 
 
 def _copy_given(root: Path, table: str, path: Path) -> Path:
@@ -168,34 +174,8 @@ def _copy_given(root: Path, table: str, path: Path) -> Path:
     return folder / path.name
 
 
-def _manifest(
-    root: Path,
-    name: str,
-    scene: Scene,
-    seed: int,
-    renderer: str,
-    known: dict[str, schema.FileEntry],
-) -> str:
-    paths = sorted(path for path in root.rglob("*") if path.is_file())
-    names = [path.relative_to(root).as_posix() for path in paths]
-    files = {name: known.get(name) or schema.FileEntry.of(root / name) for name in names}
-    return schema.seal(
-        {
-            "format": schema.FORMAT,
-            "version": schema.VERSION,
-            "content_hash": schema.content_hash(files),
-            "identity": schema.identity_of(scene.hash, seed, renderer, SIMULATION),
-            "scene": name,
-            "scene_hash": scene.hash,
-            "seed": seed,
-            "renderer": renderer,
-            "versions": list_versions(),
-            "files": {key: entry.model_dump() for key, entry in files.items()},
-        }
-    )
-
-
 def list_versions() -> dict[str, str]:
     """List the versions of all that the bytes of a data set depend on."""
-    own = {"sabench": __version__, "simulation": SIMULATION, "python": platform.python_version()}
-    return own | {package: importlib.metadata.version(package) for package in _RECORDED}
+    programs = {"sabench": __version__, "simulation": SIMULATION}
+    programs |= {"python": platform.python_version()}
+    return programs | {package: importlib.metadata.version(package) for package in _RECORDED}

@@ -52,20 +52,19 @@ def _simulate_frame(frames: Frames, frame: int) -> Shot:
     scene, content = frames.scene, frames.at(frame)
     if content.tracers is None:
         raise ValueError(f"{scene.title}: expected a scene with particles")
-    rendered = [render(content, camera) for camera in range(len(frames.rig.cameras))]
-    images = [record_image(content, view, camera) for camera, view in enumerate(rendered)]
-    views: list[View] = [view.particles for view in rendered if view.particles is not None]
+    images, views = record_frame(content)
     lowest = None
     if takes_all_frames(scene.preprocessing or ()):
-        lowest = np.min([record_frame(frames.at(number)) for number in range(scene.frames)], axis=0)
+        every = [record_frame(frames.at(number))[0] for number in range(scene.frames)]
+        lowest = np.min(every, axis=0)
     return Shot(observation_of(content, images, lowest), content.tracers.particles, views)
 
 
-def record_frame(frame: FrameContent) -> U16:
-    """Record the images (camera, row, column) of a frame."""
-    return np.stack(
-        [record_image(frame, render(frame, n), n) for n in range(len(frame.rig.cameras))]
-    )
+def record_frame(frame: FrameContent) -> tuple[list[U16], list[View]]:
+    """Record the images of a frame and the true particle images, camera by camera."""
+    rendered = [render(frame, camera) for camera in range(len(frame.rig.cameras))]
+    images = [record_image(frame, view, camera) for camera, view in enumerate(rendered)]
+    return images, [view.particles for view in rendered if view.particles is not None]
 
 
 def observation_of(

@@ -95,20 +95,14 @@ def generate(
     Raises InputError for a bad scene or seed, an existing folder, no working Mitsuba when it was
     asked for, or frames that failed again and again.
     """
-    if not 0 <= seed < 2**63:
-        raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
-    if jobs < 1:
-        raise InputError(f"jobs: expected 1 or more, got {jobs}")
-    loaded, target = scene if isinstance(scene, Scene) else load_scene(scene), Path(out).absolute()
-    label = name or (loaded.title if isinstance(scene, Scene) else Path(scene).stem)
-    job = Job(loaded, seed, _renderer(loaded, backend, label), label)
+    loaded, label = load_checked(scene, name, seed, jobs=jobs)
+    target, job = Path(out).absolute(), Job(loaded, seed, _renderer(loaded, backend, label), label)
     refuse_existing(target, overwrite=overwrite)
     check_affordable(label, loaded, build_rig(loaded, label), target.parent)
     with _parts(target, job) as parts:
         recorder = recorder_of(loaded, seed, job.renderer, label)
         do = functools.partial(record_task, recorder, parts)
-        workers = worker_pool(parts.root, do, jobs, scheduler)
-        with contextlib.closing(workers):
+        with worker_pool(parts.root, do, jobs, scheduler) as workers:
             tasks = Schedule(
                 loaded.frames, recorder.views, chained=recorder.chained, ahead=workers.ahead
             )
@@ -117,16 +111,30 @@ def generate(
     return open_dataset(target)
 
 
+def load_checked(
+    scene: Scene | str | Path, name: str | None, seed: int, **counts: int
+) -> tuple[Scene, str]:
+    """Check a seed and numbers from 1 on, and load the scene with its name in errors."""
+    if not 0 <= seed < 2**63:
+        raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
+    for key, count in counts.items():
+        if count < 1:
+            raise InputError(f"{key}: expected 1 or more, got {count}")
+    if isinstance(scene, Scene):
+        return scene, name or scene.title
+    return load_scene(scene), name or Path(scene).stem
+
+
 def worker_pool(
     root: Path, do: Callable[[Task], None], jobs: int, scheduler: str | None
-) -> WorkerPool:
+) -> contextlib.closing[WorkerPool]:
     """Open this process, some processes or the workers of a Dask scheduler as a pool.
 
     `root` is the job's folder. Raises InputError if Dask is not installed, or there is no scheduler
     at the address.
     """
     if not scheduler:
-        return InProcess(do) if jobs == 1 else ProcessPool(root, jobs)
+        return contextlib.closing(InProcess(do) if jobs == 1 else ProcessPool(root, jobs))
     try:
         from sabench.simulation.recording.dask_workers import DaskPool
     except ImportError as error:
@@ -134,7 +142,19 @@ def worker_pool(
             f"scheduler: expected the package distributed, got {error}: "
             "run pip install 'sabench[dask]'"
         ) from error
-    return DaskPool(scheduler, root)
+    return contextlib.closing(DaskPool(scheduler, root))
+
+
+@contextlib.contextmanager
+def locked(root: Path, target: Path) -> Iterator[None]:
+    """Lock the folder in which a data set is made, or say that another process makes it."""
+    try:
+        with FileLock(root / "lock", timeout=0):
+            yield
+    except Timeout as error:
+        raise InputError(
+            f"{target}: expected nobody else at it, but another process is making this data set"
+        ) from error
 
 
 @contextlib.contextmanager
@@ -145,23 +165,17 @@ def _parts(target: Path, job: Job) -> Iterator[Parts]:
     """
     parts = Parts(target.parent / f".{target.name}.parts-{job.key[:16]}")
     job.write(parts.root)
-    try:
-        with FileLock(parts.root / "lock", timeout=0):
+    with locked(parts.root, target):
+        try:
             yield parts
-    except Timeout as error:
-        raise InputError(
-            f"{target}: expected nobody else at it, but another process is making this data set"
-        ) from error
-    except UnfinishedError:
-        raise
-    except InputError:  # another try would fail again
+        except UnfinishedError:
+            raise
+        except BaseException as error:
+            # after an InputError, another try would fail again
+            if isinstance(error, InputError) or not any(parts.root.glob("views/*.npz")):
+                _forget(target)
+            raise
         _forget(target)
-        raise
-    except BaseException:
-        if not any(parts.root.glob("views/*.npz")):
-            _forget(target)
-        raise
-    _forget(target)
 
 
 def _forget(target: Path) -> None:

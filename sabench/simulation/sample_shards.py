@@ -12,14 +12,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
-
 from sabench.dataset import schema
 from sabench.dataset.sample_set import SampleSet, open_samples
 from sabench.dataset.shards import Compression, Kept, Shard, ShardFolder, TruthKind, check_shares
 from sabench.dataset.writer import list_versions, with_copies
-from sabench.scenes import Scene, build_rig, load_scene
-from sabench.simulation.pipeline import check_affordable, worker_pool
+from sabench.scenes import Scene, build_rig
+from sabench.simulation.pipeline import check_affordable, load_checked, locked, worker_pool
 from sabench.simulation.recording.parts import Job
 from sabench.simulation.recording.schedule import Schedule, UnfinishedError, run_schedule
 from sabench.simulation.shard_job import PLAN, ShardJob, ShardMaker
@@ -189,34 +187,24 @@ def generate_samples(
     Raises InputError as `stream`; an existing folder, an unfinished data set of something else, a
     full disk, or shards that failed again and again.
     """
-    loaded, target = scene if isinstance(scene, Scene) else load_scene(scene), Path(out).absolute()
-    label = name or (loaded.title if isinstance(scene, Scene) else Path(scene).stem)
-    for key, value in {
-        "samples": samples,
-        "jobs": jobs,
-        "size": 1 if size is None else size,
-    }.items():
-        if value < 1:
-            raise InputError(f"{key}: expected 1 or more, got {value}")
+    counts = {"samples": samples, "jobs": jobs, "size": 1 if size is None else size}
+    loaded, label = load_checked(scene, name, seed, **counts)
     check_shares(split)
-    if not 0 <= seed < 2**63:
-        raise InputError(f"seed: expected 0 to 2^63 - 1, got {seed}")
-    kept = Kept(tuple(truth), compression)
+    target, kept = Path(out).absolute(), Kept(tuple(truth), compression)
     rig = build_rig(loaded, label)
     pixels = len(rig.cameras) * loaded.cameras.rows * loaded.cameras.columns * loaded.frames
     size = size or min(_MOST_SAMPLES, max(1, _SHARD_BYTES // (2 * pixels)))
-    own = Job(loaded, seed, choose_renderer("splat" if backend == "auto" else backend), label)
-    job = ShardJob(own, samples, tuple(float(share) for share in split), size, kept)
+    base = Job(loaded, seed, choose_renderer("splat" if backend == "auto" else backend), label)
+    job = ShardJob(base, samples, tuple(float(share) for share in split), size, kept)
     refuse_existing(target, overwrite=overwrite)
     copies = samples if compression == "none" else 1
     check_affordable(label, loaded, rig, target.parent, copies=copies)
     with _folder(target, job, overwrite=overwrite) as root:
         shards = job.shards
         maker = ShardMaker(job, root)  # finds faults of the scene before anything is rendered
-        workers = worker_pool(root, maker, jobs, scheduler)
-        with contextlib.closing(workers):
+        doing = f"make shards of {label} with {base.renderer}"
+        with worker_pool(root, maker, jobs, scheduler) as workers:
             schedule = Schedule(len(shards), 0, chained=False, ahead=workers.ahead)
-            doing = f"make shards of {job.job.label} with {job.job.renderer}"
             run_schedule(workers, schedule, doing, name=lambda task: shards[task.frame].name)
         merge_shards(job, ShardFolder(root))
         put_in_place(target, root / "data")
@@ -232,7 +220,7 @@ def _folder(target: Path, job: ShardJob, *, overwrite: bool) -> Iterator[Path]:
     root = target.parent / f".{target.name}.shards"
     root.mkdir(parents=True, exist_ok=True)
     try:
-        with FileLock(root / "lock", timeout=0), _cleaned(root):
+        with locked(root, target), _cleaned(root):
             if overwrite and job.changes(root):
                 for name in ("data", "entries"):
                     shutil.rmtree(root / name, ignore_errors=True)
@@ -240,10 +228,6 @@ def _folder(target: Path, job: ShardJob, *, overwrite: bool) -> Iterator[Path]:
             job.write(root)
             shutil.rmtree(root / "making", ignore_errors=True)
             yield root
-    except Timeout as error:
-        raise InputError(
-            f"{target}: expected nobody else at it, but another process is making this data set"
-        ) from error
     except OSError as error:
         why = f"{error.filename}: {error.strerror}" if error.filename else str(error)
         raise InputError(
@@ -263,39 +247,32 @@ def _cleaned(root: Path) -> Iterator[None]:
 
 def merge_shards(job: ShardJob, folder: ShardFolder) -> None:
     """Write the manifest from what was noted of each shard, without its pixels."""
-    own, key = job.job, job.job.key  # the key takes milliseconds, and there may be 10,000 shards
-    entries = [folder.note(shard, own.seed, key) for shard in job.shards]
+    base, key = job.job, job.job.key  # the key takes milliseconds, and there may be 10,000 shards
+    entries = [folder.note(shard, base.seed, key) for shard in job.shards]
     shards = tuple(entry for entry in entries if entry is not None)
     if len(shards) < len(entries):
         raise UnfinishedError(f"{folder.root}: expected a note of each shard; run it again")
     root = folder.data
     shutil.rmtree(root / schema.GIVEN, ignore_errors=True)
-    (root / schema.SCENE).write_text(with_copies(own.scene, root).to_toml(), encoding="utf-8")
+    (root / schema.SCENE).write_text(with_copies(base.scene, root).to_toml(), encoding="utf-8")
     head: dict[str, Any] = {
-        "format": schema.FORMAT,
         "version": schema.SAMPLES_VERSION,
         "samples": job.samples,
         "shares": list(job.shares),
         "size": job.size,
         "shape": list(job.shape),
         "truth": list(job.kept.truth),
-        "scene": own.label,
-        "scene_hash": own.scene.hash,
-        "seed": own.seed,
-        "renderer": own.renderer,
+        "scene": base.label,
+        "scene_hash": base.scene.hash,
+        "seed": base.seed,
+        "renderer": base.renderer,
         "key": key,
         "versions": list_versions(),
         "shards": [entry.model_dump() for entry in shards],
     }
-    write_card(root, head, own.scene.title, job.shards)
-    files = {
-        path.relative_to(root).as_posix(): schema.FileEntry.of(path)
-        for path in sorted(root.rglob("*"))
-        if path.is_file()
-        and path != root / schema.MANIFEST
-        and path.relative_to(root).parts[0] not in schema.SIDES
-    }
-    head["files"] = {name: entry.model_dump() for name, entry in files.items()}
+    write_card(root, head, base.scene.title, job.shards)
     in_shards = {name: file for entry in shards for name, file in entry.files.items()}
-    head["content_hash"] = schema.content_hash(files | in_shards)
-    (root / schema.MANIFEST).write_text(schema.seal(head), encoding="utf-8")
+    listed = schema.list_files(root, in_shards)
+    files = {name: entry for name, entry in listed.items() if name not in in_shards}
+    whole = schema.content_hash(files | in_shards)
+    schema.write_manifest(root, files, content_hash=whole, **head)

@@ -11,7 +11,7 @@ import contextlib
 import functools
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +35,9 @@ from sabench.images.preprocessing import takes_all_frames
 from sabench.scenes import ParticleWorld, Rig, Scene, build_rig, load_scene, parse_scene
 from sabench.scenes.focusing import nominal_cameras
 from sabench.scenes.variation import draw_values, extremes, with_values
-from sabench.simulation.camera_view import record_image, render
+from sabench.simulation.camera_view import render
 from sabench.simulation.frames import Frames
-from sabench.simulation.in_memory import observation_of
+from sabench.simulation.in_memory import observation_of, record_frame
 from sabench.simulation.recording.parts import JOB, Job, read_job
 from sabench.simulation.recording.schedule import Task
 from sabench.utils import memory
@@ -156,11 +156,11 @@ def stream_key(scene: Scene | str | Path, *, seed: int = 0, backend: Renderer = 
 def _batches(
     maker: SampleMaker, batch: int, numbers: Iterator[int], part: tuple[int, int]
 ) -> Iterator[Batch[Sample]]:
-    own, count = part
+    first, count = part
     for place in itertools.count():
         if not (chosen := list(itertools.islice(numbers, batch))):
             return
-        if place % count == own:
+        if place % count == first:
             yield make_batch([maker.make(number) for number in chosen])
 
 
@@ -180,12 +180,12 @@ class SampleMaker:
     def make(self, number: int) -> Sample:
         """Make a sample."""
         scene, rig, drawn, redrawn = self._choose(number)
-        own = int(random_stream(self.seed, "sample", number).integers(2**62))
-        frames = Frames(scene, rig, own, self.renderer)
+        seed = int(random_stream(self.seed, "sample", number).integers(2**62))
+        frames = Frames(scene, rig, seed, self.renderer)
         small = sum(camera.rows * camera.columns for camera in rig.cameras) < _SMALL_PX
         with limit_kernels(1) if small else contextlib.nullcontext():
             images, particles, views = _record(frames)
-        return Sample(number, scene, own, drawn, redrawn, images, particles, views, rig)
+        return Sample(number, scene, seed, drawn, redrawn, images, particles, views, rig)
 
     def _choose(self, number: int) -> tuple[Scene, Rig, dict[str, Any], int]:
         """Draw a sample's values, again and again if the scene asks for it."""
@@ -220,9 +220,9 @@ def _record(frames: Frames) -> tuple[U16, tuple[Particles, ...], Views]:
     images, particles, views = [], [], []
     for number in range(frames.scene.frames):
         content = frames.at(number)
-        shown = [render(content, camera) for camera in range(len(frames.rig.cameras))]
-        images.append([record_image(content, view, n) for n, view in enumerate(shown)])
-        views.append(tuple(view.particles for view in shown if view.particles is not None))
+        frame_images, frame_views = record_frame(content)
+        images.append(frame_images)
+        views.append(tuple(frame_views))
         if content.tracers is not None:
             particles.append(content.tracers.particles)
     return np.array(images), tuple(particles), tuple(views)
@@ -275,9 +275,9 @@ class ShardJob:
 
     @property
     def _plan(self) -> dict[str, Any]:
-        own = {"samples": self.samples, "split": list(self.shares), "shard size": self.size}
-        kept = {key: list(v) if key == "truth" else v for key, v in asdict(self.kept).items()}
-        return {**own, **kept, "scene": self.job.scene.hash, "stream": self.job.key}
+        counts = {"samples": self.samples, "split": list(self.shares), "shard size": self.size}
+        kept = {"truth": list(self.kept.truth), "compression": self.kept.compression}
+        return {**counts, **kept, "scene": self.job.scene.hash, "stream": self.job.key}
 
     def changes(self, root: Path) -> list[str]:
         """List what differs from the job whose shards are in a folder, if there is one."""
@@ -310,18 +310,18 @@ class ShardMaker:
 
     def __call__(self, task: Task) -> None:
         """Make the shard of a task, unless it is there and intact."""
-        shard, own = self._shards[task.frame], self._job.job
-        if self._folder.read(shard, own.seed, self._key) is None:
+        shard, origin = self._shards[task.frame], (self._job.job.seed, self._key)
+        if self._folder.read(shard, *origin) is None:
             samples = (self._record(int(number)) for number in shard.numbers)
-            self._folder.write(shard, samples, self._shape, self._job.kept, (own.seed, self._key))
+            self._folder.write(shard, samples, self._shape, self._job.kept, origin)
 
     def _record(self, number: int) -> SampleRecord:
         one = self._maker.make(number)
         nominal = nominal_cameras(one.scene, one.rig.cameras, one.seed)
-        setup, true = list_setups(one.scene, one.rig, nominal)
+        setups = list_setups(one.scene, one.rig, nominal)
         light = self._radiance(one) if "radiance" in self._job.kept.truth else None
-        made = (one.images, one.particles, one.views, light)
-        return SampleRecord(number, one.seed, one.drawn, one.redrawn, setup, true, *made)
+        arrays = one.images, one.particles, one.views, light
+        return SampleRecord(number, one.seed, one.drawn, one.redrawn, *setups, *arrays)
 
     def _radiance(self, one: Sample) -> F32:
         """Render a sample once more, without noise."""

@@ -113,7 +113,7 @@ def is_bright(data: Dataset) -> bool:
 
 def _grey_images(data: Dataset, frame: int) -> Iterator[U8]:
     """Scale a frame's images to 8 bits; dim particles are raised."""
-    images = np.stack([data.raw_image(n, frame) for n in range(len(data.setup.cameras))])
+    images = data.raw_images(frame)
     light = images.astype(np.float32) - np.float32(data.setup.sensor.black_dn)
     top = np.percentile(light, _BRIGHTEST)
     block = -(-max(images.shape[1:]) // _LONGEST_PX)
