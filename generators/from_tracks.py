@@ -144,8 +144,8 @@ class _Tracks:
     def chosen(self, seed: int, share: float) -> Bool:
         """Mark the points (n,) of a share of the trajectories, the same in all frames."""
         number, which = np.unique(self.id, return_inverse=True)
-        kept: Bool = stream(seed, "from_tracks").random(len(number)) < share
-        return kept[which]
+        drawn: Bool = stream(seed, "from_tracks").random(len(number)) < share
+        return drawn[which]
 
     def at(self, now: float) -> tuple[F64, F64, I64]:
         """Interpolate all trajectories that have begun and not ended.

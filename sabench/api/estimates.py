@@ -99,7 +99,7 @@ class FoundParticles(Estimate):
 
     def rows(self, chosen: Bool | I64) -> FoundParticles:
         """Return some of the particles, with all that is known of them."""
-        return FoundParticles(**{one.name: value[chosen] for one, value in self.arrays()})
+        return FoundParticles(**{array.name: value[chosen] for array, value in self.arrays()})
 
 
 def _check_covariances(name: str, value: F64) -> None:

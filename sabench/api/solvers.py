@@ -61,10 +61,10 @@ class IterativeSolver(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """Return the estimate after the last iteration."""
-        made = deque(self.iterations(case), maxlen=1)
-        if not made:
+        last = deque(self.iterations(case), maxlen=1)
+        if not last:
             raise InputError("expected an iteration at least, got none")
-        return made[0]()
+        return last[0]()
 
 
 class SequenceSolver(PlugIn):

@@ -53,13 +53,13 @@ def frame_of_normal(normal: F64) -> F64:
     return np.stack([cross(second, normal), second, normal])
 
 
-def cross(one: F64, other: F64) -> F64:
+def cross(first: F64, second: F64) -> F64:
     """Compute the cross product of two vectors (3,).
 
     numpy.cross, which takes any shapes, needs ten times as long for so little, to the same bits.
     """
-    a, b, c = one.tolist()
-    d, e, f = other.tolist()
+    a, b, c = first.tolist()
+    d, e, f = second.tolist()
     return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
 
 

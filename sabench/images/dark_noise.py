@@ -95,7 +95,7 @@ class DarkNoise:
         return np.asarray(self.level + away + np.float32(0.5 * self.step), dtype=np.float32)
 
 
-def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
+def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
     """Measure the dark level and noise of images (frame, row, column) of one camera.
 
     Bright pixels and their surroundings are left out, again and again, as long as darker ones
@@ -107,15 +107,15 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
 
     if images.ndim != 3 or not images.size:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
-    counts = np.array(np.broadcast_to(True if known is None else known, images.shape))
+    counts = np.array(np.broadcast_to(True if valid is None else valid, images.shape))
     step = _grey_step(images[counts])
     # each pixel's surroundings without itself, so that independent noise of pixels with dark
     # surroundings is distributed as that of all
     grey, size = images.astype(np.float32), (_AROUND_PX, _AROUND_PX)
-    around = np.stack([cv2.boxFilter(one, -1, size, normalize=False) - one for one in grey])
-    found = _measure_calm(images, counts, around, step, _CALM)
-    dense = _measure_dense(images, counts, around, step, found)
-    return _leave_out_bright(images, counts, step, found) if dense is None else dense
+    around = np.stack([cv2.boxFilter(frame, -1, size, normalize=False) - frame for frame in grey])
+    calm = _measure_calm(images, counts, around, step, _CALM)
+    dense = _measure_dense(images, counts, around, step, calm)
+    return _leave_out_bright(images, counts, step, calm) if dense is None else dense
 
 
 def _measure_calm(images: U16, counts: Bool, around: F32, step: float, share: float) -> DarkNoise:
@@ -154,25 +154,25 @@ def _measure_dense(
     return least
 
 
-def _leave_out_bright(images: U16, counts: Bool, step: float, found: DarkNoise) -> DarkNoise:
+def _leave_out_bright(images: U16, counts: Bool, step: float, noise: DarkNoise) -> DarkNoise:
     """Measure pixels far from bright ones, which are left out again and again."""
     import cv2  # takes long to load
 
     dark, halo = counts, np.ones((_HALO_PX, _HALO_PX), np.uint8)
     for round_ in range(_ROUNDS):
-        limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
+        limit = noise.level + np.float32(_BRIGHT) * (noise.threshold() - noise.level)
         bright = (images >= limit).astype(np.uint8)
-        darker = dark & ~np.stack([cv2.dilate(one, halo) > 0 for one in bright])
+        darker = dark & ~np.stack([cv2.dilate(frame, halo) > 0 for frame in bright])
         if darker.sum() < _LEAST_SHARE * counts.sum():
             break
         now = _measure(images, darker, step, _WIDE_Z)
-        if round_ and np.median(now.threshold()) >= np.median(found.threshold()):
+        if round_ and np.median(now.threshold()) >= np.median(noise.threshold()):
             break
-        found = now
+        noise = now
         if darker.sum() > _SETTLED * dark.sum():
             break
         dark = darker
-    return found
+    return noise
 
 
 def _show_particles(images: U16, around: F32, bright: Bool, step: float) -> bool:
@@ -242,12 +242,12 @@ def _by_tile(
     tiles = _tiles(values.shape[1:], edge)
     mean, deviation = (np.full(np.add(max(tiles), 1), np.nan) for _ in range(2))
     for number, where in tiles.items():
-        own = values[:, *where][counts[:, *where]]
-        if len(own) >= _FEW:
-            mean[number], deviation[number] = _fit_quantiles(own, int(black[where].max()), span)
+        sample = values[:, *where][counts[:, *where]]
+        if len(sample) >= _FEW:
+            mean[number], deviation[number] = _fit_quantiles(sample, int(black[where].max()), span)
     if np.isnan(mean).all():
-        own = values[counts] if counts.any() else values.ravel()
-        mean[:], deviation[:] = _fit_quantiles(own, int(black.max()), span)
+        sample = values[counts] if counts.any() else values.ravel()
+        mean[:], deviation[:] = _fit_quantiles(sample, int(black.max()), span)
     mean, deviation = _fill(mean), _fill(deviation)
     around = median_filter(deviation, 3, mode="nearest")
     far = np.maximum(deviation, around) > _OUTLIER * np.minimum(deviation, around)
@@ -346,7 +346,7 @@ def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:
     terms = np.stack([np.ones_like(z), z, z**2 - 1.0][: degree + 1], axis=1)
     quantiles = np.quantile(values, share)
     fit = np.linalg.lstsq(weight[:, None] * terms, weight * quantiles, rcond=None)[0]
-    return [float(one) for one in fit]
+    return [float(coefficient) for coefficient in fit]
 
 
 def _deviates(skewness: F32, probability: float) -> F64:

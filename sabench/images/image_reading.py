@@ -38,9 +38,9 @@ class RawLayout:
     def __post_init__(self) -> None:
         """Check the type of a pixel."""
         if self.dtype not in _RAW_TYPES or self.header_bytes < 0:
-            known = ", ".join(_RAW_TYPES)
+            types = ", ".join(_RAW_TYPES)
             raise InputError(
-                f"raw: expected one of {known} and a header of 0 bytes or more, got "
+                f"raw: expected one of {types} and a header of 0 bytes or more, got "
                 f"{self.dtype!r} and {self.header_bytes}"
             )
 
@@ -233,8 +233,8 @@ def _read_raw(
     path: Path, shape: tuple[int, int], raw: RawLayout | None
 ) -> Iterator[tuple[Path, U16]]:
     if raw is None:
-        known = ", ".join(_RAW_TYPES)
-        raise InputError(f"{path}: expected the type of raw pixels to be given ({known}), got none")
+        types = ", ".join(_RAW_TYPES)
+        raise InputError(f"{path}: expected the type of raw pixels to be given ({types}), got none")
     dtype = np.dtype(_RAW_TYPES[raw.dtype])
     size = shape[0] * shape[1] * dtype.itemsize
     count, rest = divmod(path.stat().st_size - raw.header_bytes, size)

@@ -69,7 +69,7 @@ def keep_peaks(peaks: Peaks, numbers: I64) -> Peaks:
 def maxima(light: Any, least: Any) -> Any:
     """Find inner pixels (rows, columns) of `least` or more that no neighbour exceeds."""
     rows, columns = light.shape
-    found = []
+    pixels = []
     for r in range(1, rows - 1):
         for c in range(1, columns - 1):
             value = light[r, c]
@@ -82,10 +82,10 @@ def maxima(light: Any, least: Any) -> Any:
                     if other > value or (other == value and (i < 0 or (i == 0 and j < 0))):
                         top = False
             if top:
-                found.append((r, c))
-    out = np.empty((2, len(found)), dtype=np.int64)
-    for n in range(len(found)):
-        out[0, n], out[1, n] = found[n]
+                pixels.append((r, c))
+    out = np.empty((2, len(pixels)), dtype=np.int64)
+    for n in range(len(pixels)):
+        out[0, n], out[1, n] = pixels[n]
     return out
 
 
@@ -109,7 +109,7 @@ def sort_peaks(pixels: F64, shape: tuple[int, ...]) -> Peaks:
 
 
 @numba.njit(cache=True)
-def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
+def find_near(peaks: Any, pixel: Any, radius: float, numbers: Any) -> int:
     """Fill in numbers of peaks within a radius of a pixel; count them.
 
     Peaks for which there is no room are left out.
@@ -124,8 +124,8 @@ def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
             cell = r * peaks.columns + c
             for n in range(peaks.starts[cell], peaks.starts[cell + 1]):
                 across, down = peaks.pixels[n, 0] - pixel[0], peaks.pixels[n, 1] - pixel[1]
-                if math.hypot(across, down) <= radius and count < len(found):
-                    found[count] = n
+                if math.hypot(across, down) <= radius and count < len(numbers):
+                    numbers[count] = n
                     count += 1
     return count
 

@@ -60,27 +60,27 @@ def position_bounds(cameras: Sequence[ParticleSpots], rows: I64) -> F64:
     """
     pixels = np.stack([camera.pixel for camera in cameras])
     for pixel, camera in zip(pixels, cameras, strict=True):
-        seen = (camera.light > 0.0) & (_REACH * camera.sigma_px + 1.0 < _WIDEST)
-        pixel[~seen] = np.nan
+        visible = (camera.light > 0.0) & (_REACH * camera.sigma_px + 1.0 < _WIDEST)
+        pixel[~visible] = np.nan
     widest = np.array([float(camera.sigma_px.max(initial=0.0)) for camera in cameras])
     starts, near = near_images(pixels, 2.0 * _OVERLAP * widest)
-    own = np.zeros((pixels.shape[1], _UNKNOWNS, _UNKNOWNS))
+    single = np.zeros((pixels.shape[1], _UNKNOWNS, _UNKNOWNS))
     both = np.zeros((len(near), _UNKNOWNS, _UNKNOWNS))
     for camera, pixel in zip(cameras, pixels, strict=True):
-        _add_information(camera, pixel, starts, near, own, both)
+        _add_information(camera, pixel, starts, near, single, both)
     bounds = np.full((len(rows), 3, 3), np.nan)
-    known = own + np.eye(_UNKNOWNS) * (_KNOWN * own + np.finfo(float).tiny)
-    inverse = np.linalg.inv(known)
+    damped = single + np.eye(_UNKNOWNS) * (_KNOWN * single + np.finfo(float).tiny)
+    inverse = np.linalg.inv(damped)
 
     def invert(part: slice) -> None:
-        _invert(starts, near, own, known, inverse, both, rows[part], bounds[part])
+        _invert(starts, near, single, damped, inverse, both, rows[part], bounds[part])
 
     share_rows(invert, len(rows))
     return bounds
 
 
 def _add_information(
-    camera: ParticleSpots, pixel: F64, starts: I64, near: I64, own: F64, both: F64
+    camera: ParticleSpots, pixel: F64, starts: I64, near: I64, single: F64, both: F64
 ) -> None:
     """Add the Fisher information of a camera's images, and of pairs that overlap.
 
@@ -88,7 +88,7 @@ def _add_information(
     ----------
     pixel : (n, 2) of the images that count.
     starts, near : pairs, as `near_images` lists them.
-    own, both : (n, 4, 4) and (pair, 4, 4) blocks of logarithm of the light and position.
+    single, both : (n, 4, 4) and (pair, 4, 4) blocks of logarithm of the light and position.
     """
     count = len(pixel)
     half = np.where(np.isfinite(pixel[:, 0]), np.ceil(_REACH * camera.sigma_px + 0.5), 0)
@@ -102,7 +102,7 @@ def _add_information(
     def add(part: slice) -> None:
         pairs = np.arange(part.start, part.stop), starts, near
         images = pixel, camera.sigma_px, camera.light, (first, half, grey, change), camera.slope
-        _add_pairs(*pairs, *images, weight, own, both)
+        _add_pairs(*pairs, *images, weight, single, both)
 
     share_rows(add, count)
 
@@ -132,7 +132,7 @@ def _add_pairs(
     shapes: Any,
     slope: Any,
     weight: Any,
-    own: Any,
+    single: Any,
     both: Any,
 ) -> None:  # pragma: no cover
     """Add the information of some particles' images, and of pairs with later ones."""
@@ -142,7 +142,7 @@ def _add_pairs(
             continue
         _overlap(i, i, light, shapes, weight, inner)
         _chain(inner, slope[i], slope[i], block)
-        own[i] += block
+        single[i] += block
         for place in range(starts[i], starts[i + 1]):
             j = near[place]
             if j < i or np.isnan(pixel[j, 0]):
@@ -157,16 +157,16 @@ def _add_pairs(
 
 
 @numba.njit(cache=True)
-def _chain(inner: Any, one: Any, other: Any, block: Any) -> None:  # pragma: no cover
+def _chain(inner: Any, first: Any, second: Any, block: Any) -> None:  # pragma: no cover
     """Fill in unknowns' block (4, 4) from derivatives by column, row and light."""
     block[0, 0] = inner[2, 2]
     for p in range(3):
-        block[0, 1 + p] = inner[2, 0] * other[0, p] + inner[2, 1] * other[1, p]
-        block[1 + p, 0] = one[0, p] * inner[0, 2] + one[1, p] * inner[1, 2]
-        column = one[0, p] * inner[0, 0] + one[1, p] * inner[1, 0]
-        row = one[0, p] * inner[0, 1] + one[1, p] * inner[1, 1]
+        block[0, 1 + p] = inner[2, 0] * second[0, p] + inner[2, 1] * second[1, p]
+        block[1 + p, 0] = first[0, p] * inner[0, 2] + first[1, p] * inner[1, 2]
+        column = first[0, p] * inner[0, 0] + first[1, p] * inner[1, 0]
+        row = first[0, p] * inner[0, 1] + first[1, p] * inner[1, 1]
         for q in range(3):
-            block[1 + p, 1 + q] = column * other[0, q] + row * other[1, q]
+            block[1 + p, 1 + q] = column * second[0, q] + row * second[1, q]
 
 
 @numba.njit(cache=True)
@@ -202,20 +202,20 @@ def _overlap(
 
 @numba.njit(cache=True, nogil=True)
 def _invert(
-    starts: Any, near: Any, own: Any, known: Any, inverse: Any, both: Any, rows: Any, out: Any
+    starts: Any, near: Any, single: Any, damped: Any, inverse: Any, both: Any, rows: Any, out: Any
 ) -> None:  # pragma: no cover
     """Invert the information of positions whose partners are fitted, too."""
-    slot = np.full(len(own), -1)  # of a particle among the partners of the present one
+    slot = np.full(len(single), -1)  # of a particle among the partners of the present one
     for k in range(len(rows)):
         i = rows[k]
-        partners = near[starts[i] : starts[i + 1]]
-        for n in range(len(partners)):
-            slot[partners[n]] = n
-        links, places, ends = _among(starts, near, partners, slot)
-        for one in partners:
-            slot[one] = -1
+        others = near[starts[i] : starts[i + 1]]
+        for n in range(len(others)):
+            slot[others[n]] = n
+        links, places, ends = _among(starts, near, others, slot)
+        for partner in others:
+            slot[partner] = -1
         shared = both[starts[i] : starts[i + 1]]
-        rest = _rest(own[i], shared, known[partners], inverse[partners], links, places, ends, both)
+        rest = _rest(single[i], shared, damped[others], inverse[others], links, places, ends, both)
         out[k] = _inverse_of_rest(rest)
 
 
@@ -223,8 +223,8 @@ def _invert(
 def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: no cover
     """List pairs among partners: where each one's start, places, and others."""
     most = 0
-    for one in partners:
-        most += starts[one + 1] - starts[one]
+    for partner in partners:
+        most += starts[partner + 1] - starts[partner]
     links, n = np.zeros(len(partners) + 1, dtype=np.int64), 0
     places, ends = np.zeros(most, dtype=np.int64), np.zeros(most, dtype=np.int64)
     for row in range(len(partners)):
@@ -239,7 +239,7 @@ def _among(starts: Any, near: Any, partners: Any, slot: Any) -> Any:  # pragma: 
 
 @numba.njit(cache=True)
 def _rest(
-    own: Any, shared: Any, alone: Any, inverse: Any, links: Any, places: Any, ends: Any, both: Any
+    block: Any, shared: Any, alone: Any, inverse: Any, links: Any, places: Any, ends: Any, both: Any
 ) -> Any:  # pragma: no cover
     """Compute a particle's information (4, 4) if its partners are fitted, too.
 
@@ -251,7 +251,7 @@ def _rest(
     right, x = np.ascontiguousarray(shared.transpose(0, 2, 1)), np.zeros(shape)
     left, better, pull = right.copy(), np.zeros(shape), np.zeros(shape)
     _times_blocks(inverse, left, better)
-    step, size, known = better.copy(), _product(left, better), np.diag(own).copy()
+    step, size, remaining = better.copy(), _product(left, better), np.diag(block).copy()
     for _ in range(_STEPS):
         _times_blocks(alone, step, pull)
         _add_links(links, places, ends, both, step, pull)
@@ -259,8 +259,8 @@ def _rest(
         share, exact = np.zeros(k), True
         for a in range(k):
             share[a] = size[a] / bend[a] if bend[a] > 0.0 else 0.0
-            known[a] -= share[a] * size[a]
-            exact = exact and share[a] * size[a] < _EXACT * known[a]
+            remaining[a] -= share[a] * size[a]
+            exact = exact and share[a] * size[a] < _EXACT * remaining[a]
         x += share * step
         left -= share * pull
         if exact:
@@ -270,7 +270,7 @@ def _rest(
         for a in range(k):
             share[a] = after[a] / size[a] if size[a] > 0.0 else 0.0
         step, size = better + share * step, after
-    rest = own.copy()
+    rest = block.copy()
     for n in range(len(shared)):
         for c in range(k):
             for a in range(k):
@@ -297,12 +297,12 @@ def _add_links(
 
 
 @numba.njit(cache=True)
-def _product(one: Any, other: Any) -> Any:  # pragma: no cover
+def _product(first: Any, second: Any) -> Any:  # pragma: no cover
     total = np.zeros(_UNKNOWNS)
-    for n in range(len(one)):
+    for n in range(len(first)):
         for a in range(_UNKNOWNS):
             for r in range(_UNKNOWNS):
-                total[r] += one[n, a, r] * other[n, a, r]
+                total[r] += first[n, a, r] * second[n, a, r]
     return total
 
 

@@ -181,11 +181,11 @@ def _derivative_figures(
     estimate: F64, truth: F64, valid: Bool, step_mm: tuple[float, float, float]
 ) -> dict[str, float]:
     """Compute rms errors of divergence, and of vorticity in percent."""
-    known = valid & inner(valid.shape)  # with neighbours that were measured
+    inside = valid & inner(valid.shape)  # with neighbours that were measured
     for axis in np.flatnonzero(np.asarray(valid.shape) > 1):
         for shift in (1, -1):
-            known &= np.roll(valid, shift, axis=axis)
-    slopes, true = (gradient(field, step_mm)[known] for field in (estimate, truth))
+            inside &= np.roll(valid, shift, axis=axis)
+    slopes, true = (gradient(field, step_mm)[inside] for field in (estimate, truth))
     several = np.asarray(valid.shape[::-1]) > 1
     about = [axis for axis in range(3) if np.delete(several, axis).all()]
     spin, true_spin = vorticity(slopes)[..., about], vorticity(true)[..., about]
@@ -212,6 +212,6 @@ def response(estimate: F64, truth: F64) -> float:
     """
     if not len(truth):
         return float("nan")
-    own, true = (values - values.mean(axis=0) for values in (estimate, truth))
+    estimated, true = (values - values.mean(axis=0) for values in (estimate, truth))
     power = float(np.sum(true**2))
-    return float(np.sum(own * true)) / power if power > 0.0 else float("nan")
+    return float(np.sum(estimated * true)) / power if power > 0.0 else float("nan")

@@ -45,11 +45,11 @@ def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
     step = camera.aperture_radius_mm
     moves = []
     for axis, (right, down) in enumerate(((step, 0.0), (0.0, step))):
-        there, valid = plain.shifted(right, down).project(target_mm[None])
+        ahead, valid = plain.shifted(right, down).project(target_mm[None])
         back, valid_back = plain.shifted(-right, -down).project(target_mm[None])
         if not (valid[0] and valid_back[0]):
             return math.nan
-        moves.append(abs(there[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
+        moves.append(abs(ahead[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
     mean = float(np.mean(moves))
     return 1.0 / mean if mean else math.inf
 

@@ -228,7 +228,7 @@ class Tracer(Material):
 
     @model_validator(mode="after")
     def _check_shares(self) -> Tracer:
-        total = sum(one.share for one in self.mixture or ())
+        total = sum(material.share for material in self.mixture or ())
         if total > 1.0 + 1e-9:
             raise ValueError(f"expected shares of mixture that add up to 1 at most, got {total:g}")
         return self

@@ -45,7 +45,7 @@ def refractive_index(name: str, wavelength_nm: float, celsius: float = 20.0) -> 
     """
     medium = MEDIA.get(_ALIASES.get(name, name))
     if medium is None:
-        lower = {known.lower(): known for known in (*MEDIA, *_ALIASES)}
+        lower = {material.lower(): material for material in (*MEDIA, *_ALIASES)}
         near = [lower[word] for word in difflib.get_close_matches(name.lower(), lower, 3, 0.4)]
         *first, last = near or lower.values()
         such = f"{', '.join(first)} or {last}" if first else last
@@ -156,7 +156,7 @@ def fill_indices(values: dict[str, Any]) -> tuple[dict[str, Any], Faults]:
     faults: Faults = []
     nm, filled = _wavelength_nm(values), dict(values)
     if isinstance(wall := values.get("wall"), list | tuple):
-        filled["wall"] = [_wall(one, f"wall.{n}", nm, faults) for n, one in enumerate(wall)]
+        filled["wall"] = [_wall(layer, f"wall.{n}", nm, faults) for n, layer in enumerate(wall)]
     elif "wall" in values:
         filled["wall"] = _wall(wall, "wall", nm, faults)
     light = values.get("illumination")

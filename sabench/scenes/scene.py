@@ -296,9 +296,9 @@ class Scene(Table):
 
 def _name_tables(values: dict[str, Any]) -> set[str]:
     """Name the tables that a file gives; a misspelt one counts as its nearest match."""
-    known = Scene.model_fields
+    tables = Scene.model_fields
     keys = {str(key) for key, value in values.items() if value not in (None, [], ())}
-    return {key if key in known else nearest(key, known) or key for key in keys}
+    return {key if key in tables else nearest(key, tables) or key for key in keys}
 
 
 def plain(value: Any) -> Any:

@@ -90,11 +90,11 @@ def check_one_face(camera: Camera, walls: Sequence[TankWall], corners: F64) -> N
         A light path that crosses the edge between two walls, or an image of a corner on the sensor
         through another wall.
     """
-    own = next(i for i, wall in enumerate(walls) if wall is camera.wall)
+    facing = next(i for i, wall in enumerate(walls) if wall is camera.wall)
     for number, other in enumerate(walls):
-        if number == own:
+        if number == facing:
             continue
-        beyond = (_beyond(camera, walls[own], other, corners) > 0.0).any()
+        beyond = (_beyond(camera, walls[facing], other, corners) > 0.0).any()
         pixels, valid = replace(camera, wall=other).project(corners)
         visible = valid & camera.contains(pixels)
         for third in walls:
@@ -103,7 +103,7 @@ def check_one_face(camera: Camera, walls: Sequence[TankWall], corners: F64) -> N
         if beyond or visible.any():
             raise InputError(
                 f"cameras: {camera.name} at {list(camera.center_mm)} mm: expected it to see the "
-                f"volume through one wall, but it faces two, wall.{own} and wall.{number}"
+                f"volume through one wall, but it faces two, wall.{facing} and wall.{number}"
             )
 
 

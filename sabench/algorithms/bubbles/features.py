@@ -129,7 +129,7 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
     small : equivalent diameter in voxels below which a feature is thresholded.
     """
     right, down, labels, stats = _label_edges(dark, least)
-    found = []
+    ellipses = []
     for number, (left, top, width, height, area) in enumerate(stats[1:], start=1):
         if area <= 3:
             continue
@@ -140,8 +140,8 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
             shapes = find_circles(right[box], down[box], feature)
         # a circle that nothing votes for is too small for votes
         for x, y, a, b in shapes or _threshold(dark[box]):
-            found.append((x + box[1].start, y + box[0].start, a, b))
-    outlines = np.array(found, dtype=np.float64).reshape(-1, 4)
+            ellipses.append((x + box[1].start, y + box[0].start, a, b))
+    outlines = np.array(ellipses, dtype=np.float64).reshape(-1, 4)
     return Outlines(outlines, np.array([_depth_of(shape, dark, depth) for shape in outlines]))
 
 
@@ -185,24 +185,24 @@ def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float
     return out
 
 
-def find_circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, float]]:
+def find_circles(right: F32, down: F32, feature: Any) -> list[tuple[float, float, float, float]]:
     """Find circles of one feature by votes of its edge pixels along their gradients.
 
     Votes go towards the dark side; there are several circles if several are supported.
     """
-    rows, columns = np.nonzero(own)
+    rows, columns = np.nonzero(feature)
     gx, gy = right[rows, columns], down[rows, columns]
     length = np.hypot(gx, gy)
-    largest = int(np.ceil(0.75 * max(own.shape))) + 1
-    votes = np.zeros((largest, own.shape[0], own.shape[1]), dtype=np.float32)
+    largest = int(np.ceil(0.75 * max(feature.shape))) + 1
+    votes = np.zeros((largest, feature.shape[0], feature.shape[1]), dtype=np.float32)
     _vote(rows, columns, gx / length, gy / length, votes)
     out = []
     for _ in range(8):
         smooth = cv2.GaussianBlur(votes.max(axis=0), (0, 0), 0.8)
         row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
         around = (
-            slice(max(row - 1, 0), min(row + 2, own.shape[0])),
-            slice(max(column - 1, 0), min(column + 2, own.shape[1])),
+            slice(max(row - 1, 0), min(row + 2, feature.shape[0])),
+            slice(max(column - 1, 0), min(column + 2, feature.shape[1])),
         )
         profile = votes[:, *around].sum(axis=(1, 2))
         radii = np.arange(1, largest + 1)
@@ -265,20 +265,20 @@ def merge_overlaps(shapes: F64, grid: Grid) -> F64:
     """
     order = np.argsort(-shapes[:, 3], kind="stable")
     reach = STACK * grid.voxel_mm[2] * 0.5
-    kept: list[F64] = []
-    for one in shapes[order]:
-        for number, other in enumerate(kept):
-            apart = float(np.hypot(one[0] - other[0], one[1] - other[1]))
-            if abs(one[2] - other[2]) > max(other[3], reach) or apart > 0.8 * (one[3] + other[3]):
+    merged: list[F64] = []
+    for disc in shapes[order]:
+        for number, other in enumerate(merged):
+            apart = float(np.hypot(disc[0] - other[0], disc[1] - other[1]))
+            if abs(disc[2] - other[2]) > max(other[3], reach) or apart > 0.8 * (disc[3] + other[3]):
                 continue
-            if apart + one[3] <= 1.1 * other[3] or one[3] < other[3] / 1.5:
+            if apart + disc[3] <= 1.1 * other[3] or disc[3] < other[3] / 1.5:
                 break
-            weight = other[5] + one[5]
-            kept[number] = np.append((other[:5] * other[5] + one[:5] * one[5]) / weight, weight)
+            weight = other[5] + disc[5]
+            merged[number] = np.append((other[:5] * other[5] + disc[:5] * disc[5]) / weight, weight)
             break
         else:
-            kept.append(one)
-    return np.array(kept).reshape(-1, 6)
+            merged.append(disc)
+    return np.array(merged).reshape(-1, 6)
 
 
 STEP = WINDOW // 2  # voxels between windows that overlap by half
@@ -388,16 +388,16 @@ def drop_duplicates(bubbles: F64, depth: float) -> F64:
     bubbles : column, row, semi-axes, angle, part of the outline that has edges, plane.
     depth : distance of planes in voxels.
     """
-    kept: list[F64] = []
-    for one in bubbles[np.argsort(-bubbles[:, 2], kind="stable")]:
-        for other in kept:
-            if np.linalg.norm((one - other)[[0, 1, 6]] * [1.0, 1.0, depth]) > _OVERLAP * other[2]:
+    merged: list[F64] = []
+    for bubble in bubbles[np.argsort(-bubbles[:, 2], kind="stable")]:
+        for peer in merged:
+            if np.linalg.norm((bubble - peer)[[0, 1, 6]] * [1.0, 1.0, depth]) > _OVERLAP * peer[2]:
                 continue
-            if _LARGER * one[2] >= other[2]:
-                share = one[5] / max(one[5] + other[5], 1e-9)
-                other[[0, 1, 2, 3, 6]] += share * (one - other)[[0, 1, 2, 3, 6]]
-                other[5] = max(one[5], other[5])
+            if _LARGER * bubble[2] >= peer[2]:
+                share = bubble[5] / max(bubble[5] + peer[5], 1e-9)
+                peer[[0, 1, 2, 3, 6]] += share * (bubble - peer)[[0, 1, 2, 3, 6]]
+                peer[5] = max(bubble[5], peer[5])
             break
         else:
-            kept.append(one.copy())
-    return np.array(kept, dtype=np.float64).reshape(-1, 7)
+            merged.append(bubble.copy())
+    return np.array(merged, dtype=np.float64).reshape(-1, 7)

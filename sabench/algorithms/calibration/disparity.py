@@ -92,9 +92,9 @@ def densest(values: F64) -> F64:
     cells = np.floor(values / _CELL_PX).astype(np.int64)
     cells -= cells.min(axis=0)
     keys = np.ravel_multi_index(tuple(cells.T), tuple((cells.max(axis=0) + 1).tolist()))
-    found, counts = np.unique(keys, return_counts=True)
+    occupied, counts = np.unique(keys, return_counts=True)
     best, most = np.asarray(values.mean(axis=0), dtype=np.float64), -1
-    for key in found[np.argsort(-counts, kind="stable")[:_TRIED]]:
+    for key in occupied[np.argsort(-counts, kind="stable")[:_TRIED]]:
         start = values[keys == key].mean(axis=0)
         near = values[(np.abs(values - start) <= _AROUND_PX).all(axis=1)]
         middle, count = _shift_mean(near, start)
@@ -132,8 +132,8 @@ def _by_parts(positions: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
     chosen = [np.flatnonzero(near & (part == number)) for number in range(_PARTS**2)]
     if min(map(len, chosen)) < _FEW:
         return np.ones((1, 1)), whole[None]
-    middles = np.array([positions[own, :2].mean(axis=0) for own in chosen])
-    spots = np.stack([_shift_mean(errors[own], whole)[0] for own in chosen])
+    middles = np.array([positions[rows, :2].mean(axis=0) for rows in chosen])
+    spots = np.stack([_shift_mean(errors[rows], whole)[0] for rows in chosen])
     return np.column_stack([np.ones(len(chosen)), middles]), spots
 
 
@@ -252,10 +252,10 @@ def match(
 
 @numba.njit(cache=True)
 def _is_among(numbers: Any, number: int) -> bool:
-    found = False
-    for one in numbers:
-        found |= one == number
-    return found
+    among = False
+    for other in numbers:
+        among |= other == number
+    return among
 
 
 @numba.njit(cache=True)
@@ -302,22 +302,22 @@ def _others(
 ) -> int:
     """Try all images of the other cameras near a position; return the number of sets."""
     cameras = len(peaks)
-    seen, found = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
+    projected, nearby = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
     numbers = np.ones(2, dtype=np.int64)
     for c in range(cameras):
-        project_point(maps, c, start, seen[c], slopes[c])
+        project_point(maps, c, start, projected[c], slopes[c])
         if c >= 2:
-            numbers[c - 2] = find_near(peaks[c], seen[c], radius, found[c - 2])
+            numbers[c - 2] = find_near(peaks[c], projected[c], radius, nearby[c - 2])
     if numbers[0] * numbers[1] == 0 or not _gains(slopes, cameras, gains):
         return count
     for c in range(2):
         for a in range(2):
-            misses[c, a] = peaks[c].pixels[chosen[c], a] - seen[c, a]
+            misses[c, a] = peaks[c].pixels[chosen[c], a] - projected[c, a]
     for both in range(numbers[0] * numbers[1]):
         for c in range(2, cameras):
-            chosen[c] = found[0, both // numbers[1]] if c == 2 else found[1, both % numbers[1]]
-            misses[c, 0] = peaks[c].pixels[chosen[c], 0] - seen[c, 0]
-            misses[c, 1] = peaks[c].pixels[chosen[c], 1] - seen[c, 1]
+            chosen[c] = nearby[0, both // numbers[1]] if c == 2 else nearby[1, both % numbers[1]]
+            misses[c, 0] = peaks[c].pixels[chosen[c], 0] - projected[c, 0]
+            misses[c, 1] = peaks[c].pixels[chosen[c], 1] - projected[c, 1]
         _compute_step(gains, misses, cameras, step)
         if _worst(slopes, misses, step, cameras) <= radius * radius:
             if count == len(positions):
@@ -358,11 +358,11 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
 @numba.njit(cache=True)
 def pair_up(peaks: Any, pixels: Any, radius: float, out: Any) -> int:
     """Fill in pairs (pixel, peak) within a radius while they fit; count them."""
-    found, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
+    nearby, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
     for n in range(len(pixels)):
-        for k in range(find_near(peaks, pixels[n], radius, found)):
+        for k in range(find_near(peaks, pixels[n], radius, nearby)):
             if count == len(out):
                 return count
-            out[count, 0], out[count, 1] = n, found[k]
+            out[count, 0], out[count, 1] = n, nearby[k]
             count += 1
     return count

@@ -202,7 +202,7 @@ def _fill(
     row: Any,
     first: float,
     second: float,
-    seen: Any,
+    view: Any,
     rotation: Any,
     swing: Any,
     lever: Any,
@@ -210,7 +210,7 @@ def _fill(
     count: int,
 ) -> None:
     """Fill in derivatives of a pixel coordinate by rotation, centre, board and media."""
-    (u, v, w), (x, y, tangent, curved) = seen, swing
+    (u, v, w), (x, y, tangent, curved) = view, swing
     by_depth, by_index = work[1], work[2]
     third = -(first * u + second * v)  # by the camera frame's z; its vector is (u, v, 1) w
     row[0], row[1], row[2] = (

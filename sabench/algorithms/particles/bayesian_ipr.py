@@ -73,8 +73,8 @@ def reconstruct_most_probable(
     if search is None:
         return no_particles(len(case.cameras))
     parts = obstacles.find_partly_hidden(search) if search.unexplained() > _UNEXPLAINED else []
-    found = reduce(joined, (one.found() for one in (search, *parts)))
-    return candidate_search.turn_to_world(found, axes)
+    particles = reduce(joined, (part.found() for part in (search, *parts)))
+    return candidate_search.turn_to_world(particles, axes)
 
 
 def dark_images(case: Observation) -> ClearImages:
@@ -95,7 +95,7 @@ def search_frame(
     case: Observation,
     maps: VolumePolynomials,
     settings: BayesianIprSettings,
-    known: Known | None = None,
+    confirmed: Known | None = None,
 ) -> ParticleSearch | None:
     """Search for a frame's particles; None if too few cameras show any.
 
@@ -103,7 +103,7 @@ def search_frame(
     particles from a camera do not count. Cameras that contradict the others are left out, with a
     warning.
     """
-    frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s), known)
+    frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s), confirmed)
     search = _find_visible(frame, np.zeros(len(case.cameras), dtype=np.bool_))
     if search is None:
         return None
@@ -152,7 +152,7 @@ class _Frame(NamedTuple):
     maps: VolumePolynomials
     settings: BayesianIprSettings
     deadline: Deadline
-    known: Known | None
+    confirmed: Known | None
 
 
 def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
@@ -178,7 +178,7 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
 
 def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> ParticleSearch | None:
     """Find particles, except pairs that look like one, outside areas that are hidden."""
-    clear, maps, settings, deadline, known = frame
+    clear, maps, settings, deadline, confirmed = frame
     unknown = clear.flaws.unknown if hidden is None else clear.flaws.unknown | hidden
     statistics = measure_images(clear.images.astype(np.float64), ~unknown)
     statistics = replace(statistics, shown=statistics.shown & ~wrong)
@@ -188,10 +188,10 @@ def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> Partic
     if hidden is not None:
         search.hide(hidden)
     search.deadline = deadline
-    if known is not None:
-        place = (known.position - maps.middle_mm) / maps.half_mm
+    if confirmed is not None:
+        place = (confirmed.position - maps.middle_mm) / maps.half_mm
         inside = (np.abs(place) <= 1.0).all(axis=1)
-        light = known.light[inside][:, search.shown]
+        light = confirmed.light[inside][:, search.shown]
         light = np.where(light > 0.0, light, search.typical)
         search.put(place[inside], light, np.full(len(light), -1))
     search = _share_the_light(search, settings)
@@ -225,18 +225,18 @@ def split_and_find(search: ParticleSearch) -> int:
     return more
 
 
-def _share_the_light(known: ParticleSearch, settings: BayesianIprSettings) -> ParticleSearch:
+def _share_the_light(base: ParticleSearch, settings: BayesianIprSettings) -> ParticleSearch:
     """Fit the first candidates jointly, and drop the darkest, slowly.
 
     Known particles keep their light. Images are wider than they are, which keeps candidates
     together whose images meet by chance. In many cameras few do, but then two particles whose
     images are wide become one.
     """
-    search = known.rest(np.arange(len(known.typical)))
+    search = base.rest(np.arange(len(base.typical)))
     # saturated pixels have no more light than they show, or candidates would not share it
-    search.saturated = np.zeros_like(known.saturated)
+    search.saturated = np.zeros_like(base.saturated)
     few = min(_FEW_CAMERAS / len(search.typical), 1.0) ** 2
-    search.set_width((1.0 + few * (settings.widening - 1.0)) * known.sigma)
+    search.set_width((1.0 + few * (settings.widening - 1.0)) * base.sigma)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
     learned_model.weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
@@ -249,14 +249,14 @@ def _share_the_light(known: ParticleSearch, settings: BayesianIprSettings) -> Pa
         common = search.common_light()
         real, before = common[common > _REAL], _FEWER * len(common)
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))
-    search.saturated = known.saturated
+    search.saturated = base.saturated
     search.reset_covariance()
-    search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * known.sigma)
+    search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * base.sigma)
     search.refine(settings.fits)
-    search.images[:] = known.images
+    search.images[:] = base.images
     search.subtract_all()
-    if len(known.position):
-        search.put(known.position, known.light, np.full(len(known.position), -1))
+    if len(base.position):
+        search.put(base.position, base.light, np.full(len(base.position), -1))
         search.refine(settings.fits)
     learned_model.learn_light(search)
     return search

@@ -100,10 +100,10 @@ def split_directions(maps: VolumePolynomials) -> F64:
     values, vectors = np.linalg.eigh(np.einsum("cia,cib->ab", slopes, slopes))
     depth = vectors[:, 0] * np.sign(vectors[np.argmax(np.abs(vectors[:, 0])), 0])
     least = np.argsort(np.abs(depth), kind="stable")[0]  # the world's axis that is most across
-    one = np.eye(3)[least] - depth[least] * depth
-    one /= np.linalg.norm(one)
+    across = np.eye(3)[least] - depth[least] * depth
+    across /= np.linalg.norm(across)
     longer = min(math.sqrt(values[1] / max(values[0], 1e-300)), _DEEPEST)
-    frame = np.stack([one, np.cross(depth, one), longer * depth])
+    frame = np.stack([across, np.cross(depth, across), longer * depth])
     return np.asarray(pixel_mm(maps) * _STEPS @ frame)
 
 
@@ -288,8 +288,8 @@ def rig_axes(maps: VolumePolynomials) -> F64:
 def turn_maps(maps: VolumePolynomials, axes: F64) -> VolumePolynomials:
     """Rewrite polynomials for coordinates along other axes (3, 3) of the same box."""
     order = np.abs(axes).argmax(axis=1)
-    there = {tuple(power): row for row, power in enumerate(maps.powers[:, order].tolist())}
-    rows = [there[tuple(power)] for power in maps.powers.tolist()]
+    row_of = {tuple(power): row for row, power in enumerate(maps.powers[:, order].tolist())}
+    rows = [row_of[tuple(power)] for power in maps.powers.tolist()]
     signs = np.prod(axes.sum(axis=1) ** maps.powers, axis=1)
     turned = np.ascontiguousarray(maps.coefficients[:, rows] * signs[:, None])
     return VolumePolynomials(
@@ -297,9 +297,9 @@ def turn_maps(maps: VolumePolynomials, axes: F64) -> VolumePolynomials:
     )
 
 
-def turn_to_world(found: FoundParticles, axes: F64) -> FoundParticles:
+def turn_to_world(particles: FoundParticles, axes: F64) -> FoundParticles:
     """Convert particles from coordinates along axes (3, 3) to the world's."""
-    turned: dict[str, Any] = {declared.name: value for declared, value in found.arrays()}
+    turned: dict[str, Any] = {declared.name: value for declared, value in particles.arrays()}
     for name in turned.keys() & _VECTORS:
         turned[name] = turned[name] @ axes
     for name in turned.keys() & _SQUARES:

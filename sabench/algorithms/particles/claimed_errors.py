@@ -35,7 +35,7 @@ def claimed_covariances(
     """
     maps, taken = model.maps, leverage(model, sigma, particles)
     images, left, weight, taken = (
-        without_margins(one) for one in (model.images, model.left, model.weight, taken)
+        without_margins(padded) for padded in (model.images, model.left, model.weight, taken)
     )
 
     def spots_in(camera: int) -> ParticleSpots:

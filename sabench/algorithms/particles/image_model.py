@@ -68,12 +68,12 @@ def without_margins(images: Any) -> Any:
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_weights(known: Any, saturated: Any, variance: Any, weight: Any) -> None:
+def fill_weights(valid: Any, saturated: Any, variance: Any, weight: Any) -> None:
     """Fill in a camera's weights, with margins, from its pixels without."""
-    rows, columns = known.shape
+    rows, columns = valid.shape
     for i in range(rows):
         for j in range(columns):
-            if known[i, j]:
+            if valid[i, j]:
                 each = np.float32(1.0) / variance[i, j]
                 weight[MARGIN_PX + i, MARGIN_PX + j] = -each if saturated[i, j] else each
 
@@ -200,13 +200,13 @@ def place_windows(model: Any, room: Any, position: Any) -> None:
             first = math.floor(room.here[c, k] + 0.5) - half
             last = model.left.shape[2 - k] - lanes
             room.corner[c, k] = min(max(first + MARGIN_PX, 0), last)
-            own, slope = (OWN_X, SLOPE_X) if k == 0 else (OWN_Y, SLOPE_Y)
-            shares, slopes = room.profiles[c, own], room.profiles[c, slope]
+            profile, slope = (OWN_X, SLOPE_X) if k == 0 else (OWN_Y, SLOPE_Y)
+            shares, slopes = room.profiles[c, profile], room.profiles[c, slope]
             fill_profile(room.here[c, k], width, first, room.window, shares, slopes)
         if not is_plain(model.shapes, c):
-            seen = room.here[c], room.width[c], room.corner[c]
+            placement = room.here[c], room.width[c], room.corner[c]
             profiles = room.profiles[c, :, : room.window]
-            _shape_profiles(profiles, model.shapes[c], position, *seen)
+            _shape_profiles(profiles, model.shapes[c], position, *placement)
 
 
 @numba.njit(cache=True, inline="always")
@@ -217,7 +217,7 @@ def is_plain(shapes: Any, c: int) -> bool:
 
 @numba.njit(cache=True)
 def _shape_profiles(
-    own: Any, shape: Any, position: Any, here: Any, width: Any, corner: Any
+    table: Any, shape: Any, position: Any, here: Any, width: Any, corner: Any
 ) -> None:
     """Fill in the profiles (profile, pixel) of a camera's image that is not plain.
 
@@ -237,16 +237,16 @@ def _shape_profiles(
     column, row = -flat * across * across, -flat * down * down
     for k in range(2):
         start = CURVE_X if k == 0 else WHOLE_Y  # of rows that have room for four derivatives
-        fill_derivatives(here[k], width[k], corner[k] - MARGIN_PX, own[start : start + 4])
-    for i in range(own.shape[1]):
-        own[FLAT_X, i] = column * own[CURVE_X + 2, i]
-        own[FLAT_SLOPE_X, i] = column * own[CURVE_X + 3, i]
-        second, third = own[WHOLE_Y, i], own[WHOLE_Y + 1, i]
-        fourth, fifth = own[WHOLE_Y + 2, i], own[WHOLE_Y + 3, i]
-        own[WHOLE_Y, i] = own[OWN_Y, i] + row * fourth
-        own[WHOLE_SLOPE_Y, i] = own[SLOPE_Y, i] + row * fifth
-        own[TILT_Y, i], own[TILT_SLOPE_Y, i] = tilt * own[SLOPE_Y, i], tilt * second
-        own[CURVE_Y, i], own[CURVE_SLOPE_Y, i] = bend * second, bend * third
+        fill_derivatives(here[k], width[k], corner[k] - MARGIN_PX, table[start : start + 4])
+    for i in range(table.shape[1]):
+        table[FLAT_X, i] = column * table[CURVE_X + 2, i]
+        table[FLAT_SLOPE_X, i] = column * table[CURVE_X + 3, i]
+        second, third = table[WHOLE_Y, i], table[WHOLE_Y + 1, i]
+        fourth, fifth = table[WHOLE_Y + 2, i], table[WHOLE_Y + 3, i]
+        table[WHOLE_Y, i] = table[OWN_Y, i] + row * fourth
+        table[WHOLE_SLOPE_Y, i] = table[SLOPE_Y, i] + row * fifth
+        table[TILT_Y, i], table[TILT_SLOPE_Y, i] = tilt * table[SLOPE_Y, i], tilt * second
+        table[CURVE_Y, i], table[CURVE_SLOPE_Y, i] = bend * second, bend * third
 
 
 @numba.njit(cache=True)
@@ -305,10 +305,10 @@ def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) ->
 def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
     """Add light (camera,) times a sign to the images, where `place_windows` was last."""
     for c in range(len(light)):
-        own, image, amount = room.profiles[c], model.left[c], sign * light[c]
+        rows, image, amount = room.profiles[c], model.left[c], sign * light[c]
         first, pairs = (OWN_X, 1) if is_plain(model.shapes, c) else (FLAT_X, 4)  # as in SHAPED
         for k in range(pairs):
-            _paint(image, own[first + k], own[OWN_Y + k], room.window, room.corner[c], amount)
+            _paint(image, rows[first + k], rows[OWN_Y + k], room.window, room.corner[c], amount)
 
 
 @numba.njit(cache=True)
@@ -357,8 +357,8 @@ def match_here(model: Any, room: Any, light: Any) -> None:
             signal, weight, given = match_shaped(
                 left, weights, room.profiles, c, row, column, room.window, light[c]
             )
-        seen = weight > UNSEEN
-        room.signal[c], room.weight[c] = signal if seen else 0.0, weight if seen else 0.0
+        shown = weight > UNSEEN
+        room.signal[c], room.weight[c] = signal if shown else 0.0, weight if shown else 0.0
         room.given[0] += given
 
 
@@ -380,7 +380,7 @@ def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
             sums = sum_shaped(left, weights, room.profiles, c, row, column, room.window, light[c])
         for k in range(SUMS):
             room.sums[c, k] = sums[k]
-        seen = sums[WEIGHT] > UNSEEN
-        room.weight[c] = sums[WEIGHT] if seen else 0.0
-        room.signal[c] = sums[PULL] + light[c] * sums[WEIGHT] if seen else 0.0
+        shown = sums[WEIGHT] > UNSEEN
+        room.weight[c] = sums[WEIGHT] if shown else 0.0
+        room.signal[c] = sums[PULL] + light[c] * sums[WEIGHT] if shown else 0.0
         room.given[0] += sums[GIVEN]

@@ -360,7 +360,7 @@ def penalty(model: Any, room: Any, position: Any, light: Any) -> float:
         room.bend[c, c] += light[c] * light[c] * room.sums[c, WEIGHT]
         _add_to_matrix(room.matrix, room.slope[c], room.sums[c], light[c])
     factorise_cholesky(room.bend)
-    known = 0.5 * (log_determinant(room.bend) - model.log_precision)
+    information = 0.5 * (log_determinant(room.bend) - model.log_precision)
     determinant = solve_three(room.matrix, room.right, room.trial)
-    known += 0.5 * math.log(max(determinant, 1e-300)) - 1.5 * math.log(2.0 * math.pi)
-    return float(known - model.log_rate)
+    information += 0.5 * math.log(max(determinant, 1e-300)) - 1.5 * math.log(2.0 * math.pi)
+    return float(information - model.log_rate)

@@ -164,15 +164,15 @@ def _gain_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light
     gained = 0.0
     for i in range(len(share)):
         for j in range(len(share)):
-            row, column, own = corner[1] + i, corner[0] + j, light * share[i, j]
-            if image[row, column] - left[row, column] - own <= _SHARED * own:
-                gained += _saved(weights[row, column], left[row, column], own)
+            row, column, amount = corner[1] + i, corner[0] + j, light * share[i, j]
+            if image[row, column] - left[row, column] - amount <= _SHARED * amount:
+                gained += _saved(weights[row, column], left[row, column], amount)
     return gained
 
 
 @numba.njit(cache=True)
-def _saved(weight: Any, left: Any, own: float) -> float:
-    without, rest = left + own, left
+def _saved(weight: Any, left: Any, amount: float) -> float:
+    without, rest = left + amount, left
     if weight < 0.0:  # saturated: light beyond what it shows costs nothing
         weight, without, rest = -weight, max(without, 0.0), max(left, 0.0)
     return float(0.5 * weight * (without * without - rest * rest))
@@ -277,13 +277,13 @@ def _match_bends(
         for j in range(room.window):
             off = left[row + i, column + j]
             each = counting(weights[row + i, column + j], off)
-            own = image[i, j]
+            pixel = image[i, j]
             bends[0], bends[2] = y[i] * bent[0, j], bent[1, i] * x[j]
             bends[1] = by_y[i] * by_x[j]
-            whole, rest = whole + each * own * own, rest + each * off * own
+            whole, rest = whole + each * pixel * pixel, rest + each * off * pixel
             for k in range(3):
                 pull[k] += each * off * bends[k]
-                shares[k] += each * own * bends[k]
+                shares[k] += each * pixel * bends[k]
                 for m in range(k + 1):
                     square[k, m] += each * bends[k] * bends[m]
     for k in range(3):
@@ -321,7 +321,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
     steps : (k, 3) half distances of the two, in the box's coordinates, that are tried.
     """
     cameras = particles.light.shape[1]
-    middle, own, places, lights = (
+    middle, light, places, lights = (
         np.zeros(3),
         np.zeros(cameras),
         np.zeros((2, 3)),
@@ -329,7 +329,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
     )
     for n in order:
         count = spare[n]
-        middle[:], own[:] = particles.position[n], particles.light[n]
+        middle[:], light[:] = particles.position[n], particles.light[n]
         best = 0.0
         for s in range(len(steps)):
             cost = _try_split(model, room, particles, n, count, steps[s])
@@ -339,10 +339,10 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
                 lights[0], lights[1] = particles.light[n], particles.light[count]
             take_out(model, room, particles.position[n], particles.light[n])
             take_out(model, room, particles.position[count], particles.light[count])
-            particles.position[n], particles.light[n] = middle, own
-            put_in(model, room, middle, own)
+            particles.position[n], particles.light[n] = middle, light
+            put_in(model, room, middle, light)
         if best < 0.0 and _are_apart(model, room, places):
-            take_out(model, room, middle, own)
+            take_out(model, room, middle, light)
             for k in range(2):
                 put_in(model, room, places[k], lights[k])
             larger = max(
@@ -356,7 +356,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
             else:
                 for k in range(2):
                     take_out(model, room, places[k], lights[k])
-                put_in(model, room, middle, own)
+                put_in(model, room, middle, light)
 
 
 @numba.njit(cache=True)

@@ -106,13 +106,13 @@ def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
     blank = model._replace(left=np.zeros_like(model.left))
     paint_particles(blank, search.widest, particles, 1.0)
     expected = without_margins(blank.left)
-    seen = np.ones(len(dark))
-    for own, camera in enumerate(np.flatnonzero(search.shown)):
+    shares = np.ones(len(dark))
+    for row, camera in enumerate(np.flatnonzero(search.shown)):
         area = dark[camera]
-        light = expected[own][area].astype(np.float64)
+        light = expected[row][area].astype(np.float64)
         if light.any():
-            seen[camera] = light @ search.images[own][area] / (light @ light)
-    return seen
+            shares[camera] = light @ search.images[row][area] / (light @ light)
+    return shares
 
 
 def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bool:
@@ -129,13 +129,13 @@ def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bo
         edge = math.ceil(math.sqrt(_EXPECTED / _THIN * lit.sum() / max(number, 1.0)))
         if not 0 < 2 * edge <= min(lit.shape):
             continue
-        known = lit & ~flaws.unknown[camera]
-        expected = np.where(known, number / share.sum() * share, 0.0)
-        light = np.where(known, images[camera], 0.0)
+        valid = lit & ~flaws.unknown[camera]
+        expected = np.where(valid, number / share.sum() * share, 0.0)
+        light = np.where(valid, images[camera], 0.0)
         each = float(light.sum()) / max(float(expected.sum()), 1.0)
         sums, counts = (
-            cv2.boxFilter(one.astype(np.float32), -1, (edge, edge), normalize=False)
-            for one in (light, expected)
+            cv2.boxFilter(image.astype(np.float32), -1, (edge, edge), normalize=False)
+            for image in (light, expected)
         )
         empty = lit & (sums < _DARK * each * np.maximum(counts, 1.0))
         window = np.ones((edge, edge), np.uint8)
@@ -152,7 +152,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
     They are found in what a search leaves of the images, or among its particles, and subtracted
     from its images. Returns a search for each set of cameras that sees some.
     """
-    found: list[ParticleSearch] = []
+    parts: list[ParticleSearch] = []
     hidden: dict[_Cameras, int] = {(): 1}  # how many particles sets of cameras hide
     number = len(search.typical)
     cameras = np.arange(number)
@@ -164,7 +164,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
                 break
             part = search.rest(np.setdiff1d(cameras, blind))
             if _find(part):
-                found.append(part)
+                parts.append(part)
                 _subtract(search, part)
             if len(part.position) > _SOME * search.number:
                 hidden[blind] = len(part.position)
@@ -182,10 +182,10 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
         part.refine(part.fits)
         part.remove(lone=True)
         if len(part.position):
-            found.append(part)
+            parts.append(part)
             _subtract(search, part)
     search.refine(search.fits)
-    return found
+    return parts
 
 
 def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
@@ -287,7 +287,7 @@ def left_of_images(search: ParticleSearch) -> F64:
     noise is the scatter of all pixels about their median, as a background may look like light.
     """
     if not len(search.position):
-        lights = [image[known] for image, known in zip(search.images, search.known, strict=True)]
+        lights = [image[valid] for image, valid in zip(search.images, search.known, strict=True)]
         away = [light - np.median(light) for light in lights]
         return np.array(
             [float((off > 1.4826 * _CLEAR * np.median(np.abs(off))).any()) for off in away]
@@ -301,11 +301,11 @@ def left_of_images(search: ParticleSearch) -> F64:
 
 def _left_where(search: ParticleSearch, counts: Bool) -> F64:
     shares = []
-    for camera, (image, known, noise) in enumerate(
+    for camera, (image, valid, noise) in enumerate(
         zip(search.images, counts, search.noise, strict=True)
     ):
         both = search.miss(camera), image
-        rest, whole = (_squares(np.where(known, one, 0.0), _CLEAR * noise) for one in both)
+        rest, whole = (_squares(np.where(valid, values, 0.0), _CLEAR * noise) for values in both)
         shares.append(rest / max(whole, rest, 1e-6))
     return np.array(shares)
 

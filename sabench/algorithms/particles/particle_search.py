@@ -68,10 +68,10 @@ def no_particles(cameras: int) -> FoundParticles:
     )
 
 
-def joined(one: FoundParticles, other: FoundParticles) -> FoundParticles:
+def joined(first: FoundParticles, other: FoundParticles) -> FoundParticles:
     """Join particles of which the same is known."""
     more = {declared.name: value for declared, value in other.arrays()}
-    pairs = {declared.name: (value, more[declared.name]) for declared, value in one.arrays()}
+    pairs = {declared.name: (value, more[declared.name]) for declared, value in first.arrays()}
     return FoundParticles(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
@@ -230,8 +230,8 @@ class ParticleSearch:
         weight = np.zeros_like(self.framed)
 
         def fill(camera: int) -> None:
-            known, saturated = self.known[camera], self.saturated[camera]
-            fill_weights(known, saturated, self.variance[camera], weight[camera])
+            valid, saturated = self.known[camera], self.saturated[camera]
+            fill_weights(valid, saturated, self.variance[camera], weight[camera])
 
         for_each(fill, len(weight))
         cameras = self.maps, self.shapes, self.typical, precision
@@ -248,16 +248,16 @@ class ParticleSearch:
     def squares_left(self) -> F64:
         """Sum up the squares (camera,) of what is left of the images, over the variance."""
         sums = []
-        for camera, known in enumerate(self.known):
-            squares = self.miss(camera)[known] ** 2 / self.variance[camera][known]
+        for camera, valid in enumerate(self.known):
+            squares = self.miss(camera)[valid] ** 2 / self.variance[camera][valid]
             sums.append(float(squares.sum()))
         return np.array(sums)
 
     def unexplained(self) -> float:
         """Compute the share of the light that is left; the median over the cameras."""
         shares = [
-            float(self.miss(camera)[known].sum() / max(image[known].sum(), 1e-6))
-            for camera, (image, known) in enumerate(zip(self.images, self.known, strict=True))
+            float(self.miss(camera)[valid].sum() / max(image[valid].sum(), 1e-6))
+            for camera, (image, valid) in enumerate(zip(self.images, self.known, strict=True))
         ]
         return float(np.median(shares))
 
@@ -276,7 +276,7 @@ class ParticleSearch:
     def peaks(self, sigma: F64 | None = None) -> F64:
         """Compute the brightest pixel (camera,) of a typical particle, of given widths."""
         widths = self.sigma if sigma is None else sigma
-        erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in widths])
+        erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * w)) for w in row] for row in widths])
         return np.asarray(self.typical * erf.prod(axis=1) * self._lowered())
 
     def _lowered(self) -> F64:
@@ -370,12 +370,12 @@ class ParticleSearch:
         first = len(self.position)
         crowded = self.overlap() > max(_CROWDED, _EACH * cameras)
         taken = int(_TAKEN * cameras) if first and crowded else 0
-        found = candidate_search.find_candidates(self.maps, logs, math.log(least), spread, taken)
+        position = candidate_search.find_candidates(self.maps, logs, math.log(least), spread, taken)
         share = max(_MANY / cameras, _FIRST)  # the more cameras, the fewer meet by chance
         most = _MORE * max(first, self.number) if first else share * self.number
-        found = found[: int(most)]
-        self.append(len(found), 0.0)
-        self.position[first:] = found
+        position = position[: int(most)]
+        self.append(len(position), 0.0)
+        self.position[first:] = position
         model, particles = self.model(), self.particles()
 
         def start(rows: I64) -> None:

@@ -171,13 +171,13 @@ def _fold_four(
             _stretch(x_last - shift_last, column_step, first, columns),
             _stretch(y_last - above_last, row_step, first, columns),
         )
-        seen = (
+        inside = (
             first + shift >= 0
             and end + shift < image.shape[1]
             and above >= 0
             and above + 4 < image.shape[0]
         )
-        if seen and shift == shift_last and above == above_last:
+        if inside and shift == shift_last and above == above_last:
             corner = np.uint32(above * image.shape[1] + shift + first)
             start = np.float32(x - shift + 1.5 * affine[2]), np.float32(y - above)
             step = np.float32(column_step), np.float32(row_step), np.float32(affine[5] - 1.0)
@@ -192,13 +192,13 @@ def _fold_four(
                 end - first,
             )
         else:
-            for one in range(row, row + 4):
-                place = one * TILE_COLUMNS
+            for tile_row in range(row, row + 4):
+                place = tile_row * TILE_COLUMNS
                 _fold_row(
                     image,
                     spline,
                     affine,
-                    one,
+                    tile_row,
                     first,
                     outside,
                     fold,

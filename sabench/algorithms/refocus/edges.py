@@ -90,10 +90,10 @@ def _directions(stack: F32, z: I64, y: I64, x: I64) -> F64:
     """Compute unit vectors (n, 2) along the gradients at some voxels."""
     out = np.zeros((len(z), 2))
     for part in np.array_split(np.arange(len(stack)), _PARTS):
-        own = np.flatnonzero(np.isin(z, part))
-        if len(own):
-            pair = gradient(stack[part])
-            out[own] = np.column_stack([one[z[own] - part[0], y[own], x[own]] for one in pair])
+        inside = np.flatnonzero(np.isin(z, part))
+        if len(inside):
+            index = z[inside] - part[0], y[inside], x[inside]
+            out[inside] = np.column_stack([slope[index] for slope in gradient(stack[part])])
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))
 
 

@@ -71,10 +71,10 @@ def occupancy(case: Observation) -> float:
     good = case.repaired
     shares = []
     for image, covered in zip(good.images, good.flaws.covered, strict=True):
-        mean, known = float(image[~covered].mean()), image.size - int(covered.sum())
+        mean, pixels = float(image[~covered].mean()), image.size - int(covered.sum())
         light = mean - float(case.black_dn)
         products = _products(np.where(covered, mean, image), mean)
-        square, across, down = (product * image.size / known for product in products)
+        square, across, down = (product * image.size / pixels for product in products)
         variance = square / image.size
         if not variance > 0.0:
             shares.append(0.0)

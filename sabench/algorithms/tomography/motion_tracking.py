@@ -116,11 +116,11 @@ def enhanced_guesses(volumes: Sequence[F32], moves: Sequence[Displacement]) -> l
     moves : from each volume to the next.
     """
     guesses = []
-    for number, own in enumerate(volumes):
-        there = [own]
+    for number, volume in enumerate(volumes):
+        aligned = [volume]
         if number + 1 < len(volumes):
-            there.append(moves[number].bring(volumes[number + 1], own, 1))
+            aligned.append(moves[number].bring(volumes[number + 1], volume, 1))
         if number:
-            there.append(moves[number - 1].bring(volumes[number - 1], own, -1))
-        guesses.append(np.asarray(sum(there) / np.float32(len(there)), dtype=np.float32))
+            aligned.append(moves[number - 1].bring(volumes[number - 1], volume, -1))
+        guesses.append(np.asarray(sum(aligned) / np.float32(len(aligned)), dtype=np.float32))
     return guesses

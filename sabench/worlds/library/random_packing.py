@@ -140,7 +140,7 @@ def _fits(
 
 def _grid(centers: F64, tried: F64, width: float) -> tuple[I64, F64]:
     """Make a grid of cells for all candidates. Counts along x, y, z, and origin."""
-    known = np.concatenate([centers[np.isfinite(centers[:, 0])], tried.reshape(-1, 3)])
-    low = known.min(axis=0)
-    cells = np.maximum(1, np.ceil((known.max(axis=0) - low) / width + 1e-9)).astype(np.int64)
+    points = np.concatenate([centers[np.isfinite(centers[:, 0])], tried.reshape(-1, 3)])
+    low = points.min(axis=0)
+    cells = np.maximum(1, np.ceil((points.max(axis=0) - low) / width + 1e-9)).astype(np.int64)
     return cells, low

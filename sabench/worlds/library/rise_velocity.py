@@ -83,10 +83,10 @@ def transition_diameter_mm(largest_mm: float, liquid: Liquid) -> float:
     """
     slow = float(wave_velocity(np.array(min(largest_mm, liquid.slowest_mm)), liquid))
     small = np.linspace(0.2, 2.0, 1801)
-    there = np.flatnonzero(spheroid_velocity(small, liquid) >= slow)
-    if not len(there):
+    reached = np.flatnonzero(spheroid_velocity(small, liquid) >= slow)
+    if not len(reached):
         raise ValueError(f"largest_mm: expected a bubble beyond the fastest, got {largest_mm:g}")
-    return float(small[there[0]])
+    return float(small[reached[0]])
 
 
 def weber(ratio: F64) -> F64:
@@ -114,8 +114,8 @@ def _balance(d: float, liquid: Liquid) -> float:
     numbers = weber(ratios)
 
     def excess(speed: float) -> float:
-        own = liquid.density * speed**2 * d / liquid.tension
-        ratio = np.asarray(np.interp(own, numbers, ratios))
+        number = liquid.density * speed**2 * d / liquid.tension
+        ratio = np.asarray(np.interp(number, numbers, ratios))
         g, h = (float(factor) for factor in drag_factors(ratio))
         re = speed * d / liquid.viscosity
         drag = 48.0 * g / re * (1.0 + h / float(np.sqrt(re)))
