@@ -59,7 +59,7 @@ class PlungingJet(BubbleGenerator):
 
     @cached_property
     def law(self) -> JetLaw:
-        """Law from which the bubbles are drawn."""
+        """Law of the drawn bubbles."""
         chosen: PlungingJetParameters = self.parameters
         return JetLaw(
             chosen.penetration_mm,
@@ -102,7 +102,7 @@ class PlungingJet(BubbleGenerator):
         return bubbles
 
     def _shapes(self, rng: np.random.Generator, domain: Domain) -> tuple[F64, F64, Bool]:
-        """Draw bubbles whose volumes add up to the air above Y_p, and below it."""
+        """Draw bubbles with volumes that add up to the air above Y_p, and below it."""
         chosen: PlungingJetParameters = self.parameters
         top, bottom = self._depths(domain)
         parts = []

@@ -15,7 +15,7 @@ from sabench.worlds.library.implicit_surfaces import (
 _THICK, _THIN = 0.25, 0.07
 _LENGTH = 0.35  # of the longest branches, in the same
 _BLEND = 0.03  # how round joints are, in the same
-_JOINTS = 3.0  # blends by which twenty branches in one place grow: log(20)
+_JOINTS = 3.0  # growth of twenty branches in one place, in blends: log(20)
 Cones = tuple[F64, F64, F64, F64]
 
 

@@ -95,7 +95,7 @@ def file_of(kind: str, name: str) -> Path:
 
 
 def _hint(kind: str, name: str, names: list[str]) -> str:
-    """Say what there is in place of a name, and where one's own would be."""
+    """Suggest names in place of an unknown one, and where to put a plug-in."""
     if not names:  # a folder `sabench` in the current one hides the installed package's
         return f"none are in {bundled_folder(kind)}; is another copy of sabench in {Path.cwd()}?"
     near = difflib.get_close_matches(name, names, 1)
@@ -122,7 +122,7 @@ def _files(kind: str) -> dict[str, list[Path]]:
 def load(kind: str, name: str) -> type[Any]:
     """Import a plug-in.
 
-    It is the one class of its file whose `name` is the stem of the file.
+    It is the one class of its file with the stem of the file as its `name`.
 
     Raises
     ------

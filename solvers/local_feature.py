@@ -30,7 +30,7 @@ from sabench.api import (
     progress_bar,
 )
 
-_FLAT = 0.01  # spread of a window in which nothing is: half as large as for minimum images
+_FLAT = 0.01  # spread of an empty window: half as large as for minimum images
 _NEAR = 5  # planes from a bubble to a peak that confirms it
 _MARGIN = 3  # voxels around what is looked at
 

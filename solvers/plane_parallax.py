@@ -16,7 +16,7 @@ from sabench.algorithms.calibration import (
 from sabench.api import F64, Calibration, CalibrationCase, CalibrationSolver, Camera, CameraModel
 
 _LEVEL = 0.02  # largest range of Z in the reference frame, as a part of its width
-_SMALL_PX = 0.02  # misfit that is not worth a warning
+_SMALL_PX = 0.02  # largest misfit without a warning
 
 
 class PlaneParallax(CalibrationSolver):

@@ -59,7 +59,7 @@ class Array:
         return {"f": "f", "i": "iu", "u": "u", "b": "u"}[np.dtype(self.dtype).kind]
 
     def to_file(self, value: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Convert an array to the type in which files hold it."""
+        """Convert an array to its type in files."""
         kind = np.uint8 if value.dtype == np.bool_ else self.file_dtype
         return value if kind is None else value.astype(kind)
 
@@ -83,7 +83,7 @@ class Array:
     def check_values(self, value: npt.NDArray[Any], where: str) -> None:
         """Check that values are finite, not too large and, where declared, unique.
 
-        Raises an InputError, whose sentence `where` opens.
+        Raises an InputError; its sentence begins with `where`.
         """
         if value.dtype.kind == "f":
             bad = int(value.size - np.count_nonzero(np.isfinite(value))) if self.finite else 0

@@ -52,7 +52,7 @@ class Solver(PlugIn):
 class IterativeSolver(Solver):
     """Base of a reconstruction algorithm that improves one estimate again and again.
 
-    It hands control back after each iteration, so that one run tells accuracy over time.
+    It hands control back after each iteration, so that one run gives accuracy over time.
     """
 
     def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
@@ -220,7 +220,7 @@ class SeeThroughSolver(PlugIn):
         return None
 
     def solve(self, case: Observation) -> Reconstruction:
-        """Compute planes whose bright voxels are those that let light through."""
+        """Compute planes where voxels that let light through are bright."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 

@@ -7,7 +7,7 @@ tests that tie them to it: docs/developing/copies-of-the-projection.md.
 `project`, one of these copies, projects many points in vector registers. Points come as separate
 x, y and z, block by block, and no loop over points branches. The path's unknown is q = t / R, the
 tangent in the rarest medium (as in `refraction`) over the lateral distance: only R^2 is needed, and
-the axis is no special case. Halley's step from the paraxial path costs one square root and one
+the axis is no special case. Halley's step from the paraxial path takes one square root and one
 division per medium, as Newton's does, and triples the right digits. A block is finished when its
 last step was so small that the next one would be lost in rounding. Where that takes too long
 (grazing rays in thin rare layers), the block starts again with Newton's steps, which converge to
@@ -239,7 +239,7 @@ class Camera(SensorCamera):
 
     @property
     def focus_mm(self) -> float:
-        """Distance in the camera's medium at which points are sharp.
+        """Distance of sharp points in the camera's medium.
 
         The thin lens's conjugate of the principal distance; it may be infinite. With a tilted
         sensor it is the distance along the optical axis.
@@ -425,7 +425,7 @@ def _ideal_lattice(camera: Camera, column: npt.ArrayLike, row: npt.ArrayLike) ->
 def aimed_rotation(
     forward: F64, down: npt.ArrayLike = (0.0, 1.0, 0.0)
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """Make the world-to-camera rotation whose Z axis is `forward`.
+    """Make the world-to-camera rotation with `forward` as its Z axis.
 
     Its Y axis is as near to `down` as it can be.
     """

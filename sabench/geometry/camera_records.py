@@ -53,7 +53,7 @@ def _without_model(value: Any) -> Any:
 
 
 def _any_model() -> Any:
-    """Make the union of all models, told apart by the key `model`."""
+    """Make the union of all models, distinguished by the key `model`."""
     members = [
         Annotated[model, BeforeValidator(_without_model), Tag(f"{UNION_TAG}{name}")]
         for name, model in MODELS.items()

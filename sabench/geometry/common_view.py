@@ -16,7 +16,7 @@ from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 
 _NODES = 49  # of the lattice along each axis; an odd number has a middle
-_DELTA_MM = 1e-3  # over which a projection's slope is measured
+_DELTA_MM = 1e-3  # step for a projection's slope
 _MOST_VOXELS = 1_000_000  # along an axis
 
 

@@ -137,7 +137,7 @@ def _aim(
 
     Returns
     -------
-    Distance by which the ray misses the point, and the area that a bundle of rays covers there:
+    Distance of the ray from the point, and the area that a bundle of rays covers there:
     negative behind a caustic. A ray that does not come near has an infinite miss.
     """
     at, along, moved, turned = rays[0], rays[1], rays[2:4], rays[4:6]
@@ -361,7 +361,7 @@ class CylinderWall:
 
 
 def _shape(value: Any) -> str:
-    """Tell a list, a cylinder (it has an axis) and a plane wall apart."""
+    """Distinguish a list, a cylinder (it has an axis) and a plane wall."""
     if isinstance(value, list | tuple):
         return f"{UNION_TAG}faces"
     axis = "axis" in value if isinstance(value, dict) else isinstance(value, CylinderWall)

@@ -14,7 +14,7 @@ from sabench.utils import machine_limits
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.errors import InputError
 
-_AT_ONCE = 4096  # particles whose voxels are held at a time
+_AT_ONCE = 4096  # particles with voxels in memory at a time
 _REACH = 4.0  # standard deviations after which a particle's field is cut: 3e-4 of its peak
 
 
@@ -196,7 +196,7 @@ def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:
 
 
 def inner(shape: tuple[int, int, int]) -> Bool:
-    """Mark the nodes (z, y, x) of a lattice whose differences are central ones.
+    """Mark the nodes (z, y, x) of a lattice that have central differences.
 
     Axes of a single node do not count.
     """

@@ -8,7 +8,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.utils.arrays import F64
 
 _STEPS = 5
-_DELTA_MM = 1e-3  # over which a projection's slope is measured
+_DELTA_MM = 1e-3  # step for a projection's slope
 
 
 def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:

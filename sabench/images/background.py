@@ -3,7 +3,7 @@
 Images may be brighter than black between particles, differently from place to place: scattered
 light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by
 clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 393, 1996). Patches
-with sharp edges, in which hardly any pixel is dark, are brighter on top of it: a sliding minimum
+with sharp edges and hardly any dark pixel are brighter on top of it: a sliding minimum
 leaves them around dead pixels, and bodies are lit.
 """
 
@@ -20,7 +20,7 @@ from sabench.utils.compiled import numba
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
 _BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles
 _CLIP, _CLIPS = 3.0, 12  # standard deviations, and the most rounds
-_FEW = 20  # values that tell nothing
+_FEW = 20  # too few values
 _DENSE = 0.04  # scatter of the background over the image's bright pixels: above, it is particles
 _EVEN = 0.08  # mean less median over the scatter, after clipping: below, it is all background
 _BRIGHT = 99.0  # percentile that stands for bright particles' pixels
@@ -30,7 +30,7 @@ _MANY, _CHANCE = 8.0, 6.0  # typical particles, and standard deviations of overl
 _LIT = 0.5  # typical particles in a square: less is noise
 _SEARCHES = 4  # for bright spots, as each makes typical light a little too large
 _HALO = 6  # px around bright spots
-_PATCH = 12  # px: edge of a square that tells a patch
+_PATCH = 12  # px: edge of a square that detects a patch
 _DIMMEST, _BELOW = 0.1, 1.2816  # share of its pixels, and how far dark noise has them below zero
 _RAISED = 4.0  # standard deviations: a patch is that much brighter than the background
 _UNUSUAL = 6.0  # standard deviations below the middle level: a patch is that far above it

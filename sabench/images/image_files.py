@@ -17,7 +17,7 @@ RAW = (".raw", ".bin")
 READABLE = (*STILLS, *MOVIES, *RAW)
 _DIGITS = re.compile(r"(\d+)")
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
-_UNNAMED = "camera"  # of a camera whose files do not give it a name
+_UNNAMED = "camera"  # of a camera without a name in its files
 _FIELDS = {"{camera}": r"(?P<camera>[^/]+?)", "{frame}": r"(?P<frame>\d+)", "*": r"[^/]*?"}
 
 Files = dict[str, tuple[Path, ...]]
@@ -29,7 +29,7 @@ def find_image_files(folder: Path, cameras: Sequence[str], pattern: str | None =
     Without a pattern, each folder inside it with images is a camera; where these folders hold one
     file for each of the cameras, by their names, each is a frame. Of files in the folder itself,
     one with a camera's name is all of that camera's, and so is each file where there are as many
-    as cameras, or a movie; else files whose names differ in the last number alone are one camera's.
+    as cameras, or a movie; else files that differ in the last number alone are one camera's.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
 
 
 def _is_numbered(path: Path) -> bool:
-    """Say whether the suffix is a frame's number, as OpenPTV names images."""
+    """Return whether the suffix is a frame's number, as OpenPTV names images."""
     return path.suffix[1:].isdigit()
 
 

@@ -82,7 +82,7 @@ def read_images(
 def read_page(path: Path, page: int, shape: tuple[int, int], raw: RawLayout | None = None) -> U16:
     """Read one image (row, column) of a file; pages count from 0.
 
-    Movies, whose images cannot be read alone, missing pages, and anything that `read_images`
+    Movies (their images cannot be read alone), missing pages, and anything that `read_images`
     refuses are an InputError.
     """
     kind = _kind(path)
@@ -182,7 +182,7 @@ def _store_photographs(_: Path, paths: Sequence[Path], folder: Path) -> None:
 
 
 def _is_negative(path: Path, image: Any) -> bool:
-    """Say whether 0 is white in a TIFF of 16 bits.
+    """Return whether 0 is white in a TIFF of 16 bits.
 
     OpenCV inverts only those of 8 bits.
     """

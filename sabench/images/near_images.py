@@ -1,4 +1,4 @@
-"""Search for particles whose images are near each other."""
+"""Search for particles with images near each other."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ _FEW = 1.0  # percent of images on each side that may be far from all others
 
 
 def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
-    """Find particles whose images are near each other in at least one camera.
+    """Find particles with images near each other in at least one camera.
 
     Returns where each particle's neighbours start in a list (n + 1,), and the list: in ascending
     order, without the particle itself.
@@ -21,7 +21,7 @@ def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
     Parameters
     ----------
     pixels : (camera, n, 2) centres of images; NaN where there is none.
-    reach : (camera,) distance, px, up to which images are near.
+    reach : (camera,) largest distance of near images, px.
     """
     count = pixels.shape[1]
     if not count:

@@ -14,10 +14,10 @@ from sabench.utils.arrays import F32, F64, I64, U16, Bool
 from sabench.utils.compiled import numba
 
 _CELL_PX = 4.0  # edge of the square cells into which peaks are sorted
-_CLEAR = 10.0  # standard deviations of noise above which a pixel's surroundings say what it is
+_CLEAR = 10.0  # standard deviations of noise: brighter pixels are judged by their surroundings
 # light of a pixel's eight neighbours over its own; particle images of 0.4 px have 0.6 or more
 _LONE = 0.3
-_BESIDE = 5.0  # standard deviations of noise: light beside a peak that noise hardly makes
+_BESIDE = 5.0  # standard deviations of noise: light next to a peak that is hardly noise
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.uint8)
 _SHARP = 1.0  # the same of usual peaks, where images are 0.35 px wide or less
 
@@ -112,7 +112,7 @@ def sort_peaks(pixels: F64, shape: tuple[int, ...]) -> Peaks:
 def find_near(peaks: Any, pixel: Any, radius: float, numbers: Any) -> int:
     """Fill in numbers of peaks within a radius of a pixel; count them.
 
-    Peaks for which there is no room are left out.
+    Peaks beyond the size of the array are left out.
     """
     count = 0
     left = max(int((pixel[0] - radius) // _CELL_PX), 0)

@@ -1,8 +1,8 @@
 """Cramer-Rao bounds of particles' positions: how exactly the images fix them.
 
 A particle has four unknowns: its position, and one factor of its light in all cameras. Its image in
-a camera is a Gaussian, averaged over pixels. Particles whose images overlap share unknowns, so that
-each bound is that of a fit in which the neighbours are unknown, too. The neighbours' own
+a camera is a Gaussian, averaged over pixels. Particles with overlapping images share unknowns, so
+each bound is that of a fit with unknown neighbours, too. The neighbours' own
 neighbours are taken as known: a bound with fewer unknowns is lower, and so remains a bound.
 """
 
@@ -24,7 +24,7 @@ _REACH = 4.0  # standard deviations from the centre of an image to its window's 
 _OVERLAP = 2.0  # standard deviations of both: distance of images that overlap
 _WIDEST = 32  # px: half a window
 _UNKNOWNS = 4  # logarithm of the light, and position
-# share of its information by which each unknown of a neighbour is known before, so that neighbours
+# share of its information that is added to each unknown of a neighbour, so that neighbours
 # that one camera alone sees make no matrix singular
 _KNOWN = 1e-9
 _SINGULAR = 1e-9  # least eigenvalue of information in units of each unknown's own
@@ -42,7 +42,7 @@ class ParticleSpots:
     light : (n,) integral of the image; 0 where the camera does not see the particle.
     sigma_px : (n,) standard deviation.
     variance : (row, column) of the pixels' noise, in the square of the unit of the light; infinite
-        where a pixel tells nothing.
+        where a pixel is unknown.
     """
 
     pixel: F64
@@ -204,7 +204,7 @@ def _overlap(
 def _invert(
     starts: Any, near: Any, single: Any, damped: Any, inverse: Any, both: Any, rows: Any, out: Any
 ) -> None:  # pragma: no cover
-    """Invert the information of positions whose partners are fitted, too."""
+    """Invert the information of positions with partners that are fitted, too."""
     slot = np.full(len(single), -1)  # of a particle among the partners of the present one
     for k in range(len(rows)):
         i = rows[k]

@@ -40,7 +40,7 @@ class Flaws(NamedTuple):
 
 
 class Repaired(NamedTuple):
-    """Images in which flaws have been replaced.
+    """Images with replaced flaws.
 
     Attributes
     ----------
@@ -53,14 +53,14 @@ class Repaired(NamedTuple):
     flaws: Flaws
 
 
-_WINDOW = 9  # px: edge of the square whose darkest part is the background
-_CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
+_WINDOW = 9  # px: edge of the square; its darkest part is the background
+_CLEAR = 8.0  # least height of a peak above the background, standard deviations of noise
 _LEAST_NOISE = 0.5  # grey values: of rounding
 _NARROW = 0.25  # of the typical peak's sharpness: the neighbours of hot pixels are darker
 _SHARPEST = 0.1  # sharpness of images that are as narrow as pixels, as those of 0.35 px
 _DARK, _HOLE = 0.15, 0.4  # of the light on both sides: the limit for dead pixels, and by sharpness
 _FAINT = 0.5  # of the median peak: the light of dimmer flaws does no harm
-_MARGIN = 1.5  # standard deviations by which both are certain
+_MARGIN = 1.5  # standard deviations that make both certain
 _WIDE = 7  # px: edge of a square that no particle fills with light
 _BRIGHT, _SKIRT = 4.0, 0.5  # of a typical peak: a reflection, and the light around it
 _GLARE = 10.0  # of a typical peak: brighter than particles are
@@ -120,7 +120,7 @@ def find_points(grey: U16, black_dn: float) -> Bool:
     points = np.zeros(light.shape, dtype=np.bool_)
     row, column = maxima(light, np.float32(_CLEAR * noise))
     if len(row):
-        # light beside typical peaks, which must be particles', over theirs: 0.2 for Gaussians of
+        # light next to typical peaks, which must be particles', over theirs: 0.2 for Gaussians of
         # 0.5 px, 0.45 for those of 0.75 px
         ratios = np.empty(len(row))
         _measure_ratios(light, row, column, ratios)

@@ -46,7 +46,7 @@ class Recording:
 def list_cameras(folder: Path) -> dict[str, list[Path]]:
     """List the image files of each camera in a folder, in the order of their numbers.
 
-    Each folder inside it with images is a camera. Of images in the folder itself, those whose names
+    Each folder inside it with images is a camera. Images in the folder itself with names that
     differ in the last number alone are one camera's. No folder or no images is an InputError.
     """
     if not folder.is_dir():
@@ -123,16 +123,16 @@ def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
 
 
 # Light and noise:
-SCALED_WHITE = 255.0  # grey value to which a saturated pixel is scaled
+SCALED_WHITE = 255.0  # scaled grey value of a saturated pixel
 NOISE_FRAMES = 3  # for the noise of a stack
 _DIM = 50.0  # percentile of the pixels' medians below which they are dim
 _MIDDLE = 1.2  # variance of the mean of the middle half of n normal numbers, times n
-_FAR, _ROUNDS = 4.0, 3  # standard deviations at which values are clipped, and how often
+_FAR, _ROUNDS = 4.0, 3  # standard deviations for clipping, and rounds of it
 _FROM_MAD = 1.4826  # standard deviation of normal numbers, over their median absolute deviation
 
 # Fits of particle images:
-_CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
-_HALF = 2  # px: half the window in which a particle image is fitted
+_CLEAR = 8.0  # least height of a peak above the background, standard deviations of noise
+_HALF = 2  # px: half the window of a particle image's fit
 _NARROW_PX, _WIDEST_PX = 1.0, 10.0  # widths of fits by 3 x 3 pixels, and of those that fail
 _MOST = 50.0  # ln of light; only of fits that fail
 
@@ -141,7 +141,7 @@ _MOST = 50.0  # ln of light; only of fits that fail
 class CameraStatistics:
     """Statistics of a camera's images.
 
-    Grey values are of 255. NaN where images do not tell.
+    Grey values are of 255. NaN where images do not determine them.
 
     Attributes
     ----------

@@ -4,8 +4,8 @@
 no harm: for particles at random, products of pixels some distance apart follow from one particle's
 image (Campbell's theorem: N. R. Campbell, The study of discontinuous phenomena, Proc. Camb. Phil.
 Soc. 15, 117-136, 1909). Where few particles make an image hardly brighter than its background, or a
-glint outshines them all, peaks tell more. Images of particles out of focus are discs, whose
-products fall with distance in another way than a Gaussian's.
+glint is brighter than all, peaks are used. Images of particles out of focus are discs: their
+products fall with distance differently from a Gaussian's.
 
 `image_widths` is faster and coarser: three pixels across each peak. `images.statistics` fits a
 Gaussian to each peak, and `particles.learned_model` all cameras' images of the particles found.
@@ -21,15 +21,15 @@ from sabench.utils.arrays import F32, F64, Bool
 
 # Statistics of all pixels:
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
-_LEAST_TILT, LEAST_TILTED = 0.1, 0.45  # less is chance; px: width of images whose tilt shows
+_LEAST_TILT, LEAST_TILTED = 0.1, 0.45  # less is chance; px: least width of images for a tilt
 _MOST_TILT = 0.95  # of long streaks
 _NEAR = range(1, 6)  # px: distances of pixels that share particles
 _FAR = range(6, 8)  # px: so far apart, pixels share no particle
 _LOCAL = 31  # px: square of the mean that products are less; many particles' images
 _LEAST_NOISE = 0.5  # grey values: of rounding
-_FEW, _FEW_PEAKS = 50, 10  # values below black, and peaks, that tell
-_CLEAR = 6.0  # standard deviations by which neighbours' products, and peaks, exceed those of noise
-_PEAK, _AROUND = 5, 7  # px: squares of which a peak is the brightest pixel, and that hold its light
+_FEW, _FEW_PEAKS = 50, 10  # least numbers of values below black, and of peaks
+_CLEAR = 6.0  # standard deviations of neighbours' products, and of peaks, above those of noise
+_PEAK, _AROUND = 5, 7  # px: squares with a peak as brightest pixel, and with its light
 _BLOB, _OUTSHINES = 15, 0.1  # px: a square around a glint; share of an image's squared light
 _OVER_PEAKS = 3.0  # of the light around a middle peak: the most that is typical
 PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
@@ -41,7 +41,7 @@ _LEAST = 0.012  # as little does not
 
 
 def image_widths(images: F32, pixels: list[F64]) -> F64:
-    """Estimate standard deviations (camera,) of lone particles' images, px.
+    """Estimate standard deviations (camera,) of isolated particles' images, px.
 
     Three values along either axis, about pixels not on the border, give each estimate; a peak half
     a pixel from one is rounded away from it. The lower quartile counts: overlaps widen images.
@@ -77,7 +77,7 @@ class ImageStatistics:
     ----------
     sigma : (camera, 2) standard deviations of particle images along columns and rows, px.
     tilt : (camera,) correlation of columns and rows within particle images, between -1 and 1: that
-        of an ellipse whose axes are neither.
+        of an oblique ellipse.
     flat : (camera, 3) widths and flatness, as `measure_flatness` says, of images that are flatter
         than Gaussians, such as discs out of focus; 0 of others.
     light : (camera,) sum of the grey values of a typical particle's image; particles of different
@@ -223,7 +223,7 @@ def measure_flatness(products: F64, near: Iterable[int], far: Iterable[int]) -> 
     """Measure (3,) the widths, px, and the flatness of images.
 
     They are those of `image_model`, and 0 where images are no flatter than Gaussians, or too
-    narrow to tell. Those found have the least squared error of the products.
+    narrow. Those found have the least squared error of the products.
 
     Parameters
     ----------

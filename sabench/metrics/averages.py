@@ -1,4 +1,4 @@
-"""Averages of figures, some of which may be missing."""
+"""Averages of figures; some figures may be missing."""
 
 from collections.abc import Iterable, Mapping, Sequence
 

@@ -219,7 +219,7 @@ def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> 
     ----------
     estimate, truth : (frame, point, 3), world frame; NaN where the estimate has none.
     seen : (frame, point) which points count.
-    motion : from the world to the frame of the wall, in which errors are counted.
+    motion : from the world to the frame of the wall, that of the errors.
     """
     used = seen & np.isfinite(estimate).all(axis=-1)
     estimated, true = motion(estimate[used]), motion(truth[used])
@@ -281,7 +281,7 @@ def target_alignment(estimate: F64, truth: F64, motion: RigidMotion) -> RigidMot
 
     Parameters
     ----------
-    motion : from the world to the frame of the wall, in which the alignment applies.
+    motion : from the world to the frame of the wall, that of the alignment.
     """
     finite = np.isfinite(estimate).all(axis=-1) & np.isfinite(truth).all(axis=-1)
     if finite.sum() < 3:

@@ -25,7 +25,7 @@ def true_spots(
     """Make the images of particles (n, 3) in electrons.
 
     The noise of a pixel is that of the electrons which its recorded grey value stands for, of
-    reading and of rounding. Pixels that are full or white tell nothing.
+    reading and of rounding. Pixels that are full or white give none.
     """
     spots = []
     for number, (view, camera, grey) in enumerate(zip(views, cameras, recorded, strict=True)):

@@ -311,7 +311,7 @@ def ghost_ratio(ppp: float, cameras: int, area_px: float, depth_voxels: float) -
     Equation 3.14 of the thesis.
 
     A voxel is lit by chance in N independent images that particles of area A_p cover to the share
-    ppp A_p: (ppp A_p)^N of all voxels, of which there are l_z / ppp for each particle. It counts
+    ppp A_p: (ppp A_p)^N of all voxels, with l_z / ppp voxels for each particle. It counts
     voxels, where a ghost has several, and any overlap of lines of sight.
 
     Parameters

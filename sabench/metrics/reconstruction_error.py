@@ -56,7 +56,7 @@ def brightness(views: Sequence[View]) -> F64:
 
 
 FACE = 4.0  # voxels from the volume's faces, which cut blobs
-APART = 3.0  # voxels along some axis between particles whose blobs are told apart
+APART = 3.0  # voxels along some axis between particles with separate blobs
 _HERE = 13  # of the numbers of 27 neighbours
 
 
@@ -113,7 +113,7 @@ def intensity_error(
 
 
 def _alone(truth: F64, lit: Bool, shape: tuple[int, ...]) -> Bool:
-    """Mark the lit particles (n, 3) whose blobs neither a face nor another one cuts."""
+    """Mark the lit particles (n, 3) with blobs that neither a face nor another one cuts."""
     last = np.asarray(shape[::-1]) - 1.0
     alone = np.asarray(lit & ((truth >= FACE) & (truth <= last - FACE)).all(axis=1))
     distance, _ = cKDTree(truth[lit]).query(truth[alone], k=2, p=np.inf)

@@ -36,7 +36,7 @@ def accelerations(frames: Sequence[tuple[I64, F64]], duration: float) -> tuple[I
 
     Returns
     -------
-    Rows (k,) of the middle frame whose numbers are in all three, and accelerations (k, 3).
+    Rows (k,) of the middle frame with numbers in all three, and accelerations (k, 3).
     """
     (first, before), (middle, now), (last, after) = frames
     _, i, j = np.intersect1d(first, middle, return_indices=True)

@@ -24,7 +24,7 @@ _ON_NODE = 1e-9  # of a step, within which a point lies on a node
 
 
 def evaluation_lattice(grid: Grid) -> Velocity:
-    """Make the lattice of nodes at which velocities are scored, all of them at rest.
+    """Make the lattice of nodes for scored velocities, all of them at rest.
 
     It fills the scored part of the grid and is centred in it.
     """
@@ -49,7 +49,7 @@ def _spread(voxels: F64, least: float) -> tuple[F64, I64]:
 
 
 def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
-    """Make the lattice at which velocities in a light sheet are scored.
+    """Make the lattice for scored velocities in a light sheet.
 
     It is centred in the rectangle around the part of the plane in the scored box; the nodes in the
     box are valid. Its `plane_axes` are as near to the grid's axes as the plane allows.
@@ -57,7 +57,7 @@ def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
     Raises
     ------
     InputError
-        A plane beside the scored part of the grid.
+        A plane outside the scored part of the grid.
     """
     low, high = grid.scored_box_mm
     outline = cut_box(low, high, point_mm, normal)
@@ -143,7 +143,7 @@ def velocity_scores(
 ) -> dict[str, float]:
     """Score a velocity field on a lattice; NaN where nothing was measured.
 
-    Derivatives are compared at nodes whose neighbours along all axes were measured, too. In a
+    Derivatives are compared at nodes with measured neighbours along all axes. In a
     lattice of one plane these are four, and the vorticity is the one about the plane's normal.
 
     Parameters
@@ -153,7 +153,7 @@ def velocity_scores(
     fluid : (z, y, x) where there is fluid; what was measured in bodies does not count.
     step_mm : spacing of the nodes, as (x, y, z).
     interval_s : time between the two frames, which turns velocities into displacements.
-    voxel_mm : spacing of the voxels in which displacements are counted, as (x, y, z).
+    voxel_mm : spacing of the voxels, the unit of displacements, as (x, y, z).
     """
     valid = valid & fluid
     errors = ((estimate - truth) * interval_s / np.asarray(voxel_mm))[valid]

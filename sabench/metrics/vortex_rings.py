@@ -14,7 +14,7 @@ from sabench.utils.arrays import F64
 Vector = tuple[float, float, float]
 Sampled = Callable[[F64], F64]  # values (n, ...) at points (n, 3), NaN where unknown
 _SIDE = 200  # points along each side of a contour
-_FINE = 121  # points along each side of the square in which a core is searched
+_FINE = 121  # points along each side of the square that is searched for a core
 
 
 def sample(field: Velocity, values: F64) -> Sampled:

@@ -173,7 +173,7 @@ def _picture(axes: Any, picture: charts.Picture) -> None:
 
 
 def _space(axes: Any, space: charts.Space) -> None:
-    """Draw balls as discs, whose areas are in points squared.
+    """Draw balls as discs, with areas in points squared.
 
     The longest edge of the box is about half as long as the panel is high.
     """

@@ -91,9 +91,9 @@ def tilt_sensor(camera: Camera, target_mm: F64, normal: F64) -> Camera:
 def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:
     """Perturb the true cameras by the scene's calibration error.
 
-    A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4,
-    the error eps_RP of figure 2-7b, whose length is the same for all cameras and whose direction is
-    random.
+    A shift on the image moves the projections of all points equally. Source: thesis section 2.2.4,
+    the error eps_RP of figure 2-7b, with the same length for all cameras and a random
+    direction.
     """
     spec = scene.calibration
     if spec is None:

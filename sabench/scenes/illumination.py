@@ -16,7 +16,7 @@ from sabench.utils.validation import Direction, Index, Positive, Table, Vector, 
 
 
 class EntrySpec(Table):
-    """Window through which the laser enters the tank, from air."""
+    """Window between the laser, in air, and the tank."""
 
     point_mm: Vector = Field(
         description="a point on the window's outer face", examples=[[-100.0, 0.0, 0.0]]

@@ -1,6 +1,6 @@
 """Refractive indices of named materials by wavelength, and the inertia of particles.
 
-Indices are relative to air at 15 degrees Celsius. Cameras and lasers stand in air, whose index is 1
+Indices are relative to air at 15 degrees Celsius. Cameras and lasers stand in air, of index 1
 in a scene; glass catalogues state indices relative to air, too.
 """
 

@@ -86,7 +86,7 @@ def idle_keys(
         yield "illumination.polarisation", 'expected none with scattering = "isotropic"'
 
 
-WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator` is a plug-in
+WORLDS = ("particles", "targets", "flow", "bubbles")  # tables with a plug-in as `generator`
 
 
 class Scene(Table):

@@ -38,7 +38,7 @@ def build_walls(wall: WallTable | None) -> tuple[TankWall, ...]:
     Raises
     ------
     InputError
-        Walls with different fluids behind them, or of which one of several mirrors.
+        Walls with different fluids behind them, or a mirroring wall among several.
     """
     specs = wall_tables(wall)
     for number, spec in enumerate(specs):
@@ -67,7 +67,7 @@ def is_outside(walls: Sequence[TankWall], center_mm: F64) -> bool:
 
 
 def wall_towards(walls: Sequence[TankWall], center_mm: F64, target_mm: F64) -> TankWall | None:
-    """Choose the wall through which a camera looks at a point; None in plain air.
+    """Choose the wall between a camera and a point; None in plain air.
 
     It is the last wall that the straight line from the camera to the point enters.
     """

@@ -63,7 +63,7 @@ class Draw(Table):
 
 
 class Vary(Table):
-    """Keys of a scene whose values every sample draws anew."""
+    """Keys of a scene with values that every sample draws anew."""
 
     draw: dict[str, Draw] = Field(
         min_length=1,

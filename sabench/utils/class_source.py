@@ -86,7 +86,7 @@ def _constants(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
 
 
 def find_class(source: Source, name: str) -> Class | None:
-    """Find the class whose attribute `name` is this string.
+    """Find the class with this string as its attribute `name`.
 
     Returns None unless there is exactly one.
     """

@@ -46,7 +46,7 @@ class Deadline:
 
     @property
     def over(self) -> bool:
-        """Say whether the budget is spent."""
+        """Return whether the budget is spent."""
         return time.monotonic() >= self._end_s
 
 

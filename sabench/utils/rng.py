@@ -40,7 +40,7 @@ def block(key: Any, c0: Any, c1: Any, c2: Any, c3: Any) -> Any:
 
 @numba.njit(cache=True)
 def fill_blocks(key: Any, first: Any, c1: Any, c2: Any, c3: Any, words: Any) -> None:
-    """Fill in blocks (4, n) of counters whose first word counts up from `first`."""
+    """Fill in blocks (4, n) of counters; the first word counts up from `first`."""
     for n in range(words.shape[1]):
         words[0, n], words[1, n], words[2, n], words[3, n] = block(
             key, first + np.uint64(n), c1, c2, c3

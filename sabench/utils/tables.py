@@ -277,7 +277,7 @@ def _value(where: str, word: str, mark: str | None, *, missing: bool) -> float:
 
 
 def numbered_files(folder: Path, pattern: str) -> Iterator[tuple[int, Path]]:
-    """Yield the files whose names match, with the number in the group `frame`."""
+    """Yield the files with matching names, with the number in the group `frame`."""
     compiled = re.compile(pattern)
     matches = ((compiled.fullmatch(path.name), path) for path in folder.iterdir())
     files = [(int(match["frame"]), path) for match, path in matches if match]

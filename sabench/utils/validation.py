@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from sabench.utils.errors import InputError
 
-UNION_TAG = "union:"  # opens the tags of unions whose members a function tells apart
+UNION_TAG = "union:"  # start of the tags of unions with members that a function distinguishes
 _SHOWN = 80  # characters of a value that a sentence quotes
 _WORDS = (  # pydantic's words and ours, tried one after the other
     (r"^input should be a valid (\w+), .*", r"expected a valid \1"),

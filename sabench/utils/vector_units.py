@@ -20,7 +20,7 @@ from numpy.polynomial import chebyshev
 
 from sabench.utils.compiled import numba
 
-LANES = 8  # pixels of a row, in kernels that take several at once
+LANES = 8  # pixels of a row, in kernels that take several simultaneously
 _INT = ir.IntType(32)
 
 
@@ -317,7 +317,7 @@ PROFILES = 14
 
 Pairs = Sequence[tuple[int, int]]
 
-# of profiles whose products make up an image, and its derivatives by the centre's column and row
+# of profiles that multiply to an image, and its derivatives by the centre's column and row
 PLAIN, PLAIN_BY_X, PLAIN_BY_Y = ((OWN_X, OWN_Y),), ((SLOPE_X, OWN_Y),), ((OWN_X, SLOPE_Y),)
 SHAPED = ((FLAT_X, OWN_Y), (OWN_X, WHOLE_Y), (SLOPE_X, TILT_Y), (CURVE_X, CURVE_Y))
 SHAPED_BY_X = ((SLOPE_X, WHOLE_Y), (CURVE_X, TILT_Y), (THIRD_X, CURVE_Y), (FLAT_SLOPE_X, OWN_Y))

@@ -11,8 +11,8 @@ from sabench.utils.errors import InputError
 
 _RELATIVE = 1e-13  # next to nothing: the least that scipy takes is 100 roundings
 _MOST = 20_000  # velocities of a particle's path between two frames
-_TRIED, _HOPELESS = 2_000, 4.0  # velocities until its pace tells, and how much too slow it may be
-# particles whose paths share their steps: one fast particle costs these no more than its own steps
+_TRIED, _HOPELESS = 2_000, 4.0  # velocities before a check of the pace, and how slow it may be
+# particles that share their steps: one fast particle adds no more to these than its own steps
 AT_ONCE = 20_000
 
 

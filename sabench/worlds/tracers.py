@@ -131,7 +131,7 @@ class Motion:
         Raises
         ------
         InputError
-            Particles that move by themselves, beside a flow.
+            Particles that move by themselves, in addition to a flow.
         """
         domain, time, flow = domain_of(self.scene), self.scene.time_s(frame), self._flow
         if flow is None:
@@ -167,7 +167,7 @@ class Motion:
         Raises
         ------
         InputError
-            Diameters for which Mie's series is not summed.
+            Diameters outside the range of Mie's series.
         """
         particles = self._generator.particles(domain, seed, frame, time_s)
         light = self.scene.light

@@ -28,8 +28,8 @@ from sabench.utils.compiled import numba
 
 WINDOW = 7  # voxels: l_x = l_y
 STACK = 50  # planes of a minimum image
-_SHARP = 2.0  # v of equation 5.15 for a window whose variance is one
-_FLAT = 0.02  # spread of a window in which nothing is
+_SHARP = 2.0  # v of equation 5.15 for a window of unit variance
+_FLAT = 0.02  # spread of an empty window
 _CAP = 60.0  # of the exponent: single precision ends at 88
 _FLOOR = 0.02
 
@@ -38,7 +38,7 @@ def darkness(case: Observation) -> F32:
     """Refocus darkness by the multiplicative stack of equation 5.7 with n = 1/3.
 
     The result is (z, y, x), from 0 to 1. The factors are the images' darkness. A product of bright
-    images is dark wherever any one of them is. In the thesis, a camera whose view is blocked must
+    images is dark wherever any one of them is. In the thesis, a camera with a blocked view must
     not prevent an object from coming into focus.
     """
     images = np.clip(1.0 - transmission(case), _FLOOR, 1.0)
@@ -138,7 +138,7 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
         shapes = []
         if 2.0 * np.sqrt(binary_fill_holes(feature).sum() / np.pi) >= small:
             shapes = find_circles(right[box], down[box], feature)
-        # a circle that nothing votes for is too small for votes
+        # a circle without votes is too small for them
         for x, y, a, b in shapes or _threshold(dark[box]):
             ellipses.append((x + box[1].start, y + box[0].start, a, b))
     outlines = np.array(ellipses, dtype=np.float64).reshape(-1, 4)
@@ -284,7 +284,7 @@ def merge_overlaps(shapes: F64, grid: Grid) -> F64:
 STEP = WINDOW // 2  # voxels between windows that overlap by half
 PLANES = 10  # from a group's strongest peak to the others
 _NEAR = 5  # planes on both sides of the darkest one that make a depth
-_OVERLAP = 0.8  # of the larger one's semi-axis: bubbles whose centres are nearer are one
+_OVERLAP = 0.8  # of the larger one's semi-axis: bubbles with nearer centres are one
 _LARGER = 1.5  # times: the smaller one of two is a part of the other
 
 
@@ -344,7 +344,7 @@ class FeaturePeaks:
 
 
 def find_depth(volume: F32, outline: F64, plane: int) -> float:
-    """Find the plane, to a fraction, in which the rim of an outline is darkest.
+    """Find the plane, to a fraction, where the rim of an outline is darkest.
 
     The rim is the part inside the outline within a voxel of it. The plane is the mean of those
     around the darkest one, weighted with the square of their mean darkness.
@@ -353,7 +353,7 @@ def find_depth(volume: F32, outline: F64, plane: int) -> float:
     ----------
     volume : darkness (z, y, x).
     outline : column, row, semi-axes, angle in voxels.
-    plane : from which at most `PLANES` are gone.
+    plane : middle of the search; it covers `PLANES` on both sides.
     """
     rows, columns, inside = _inside(volume.shape[1:], outline)
     first = max(plane - PLANES, 0)

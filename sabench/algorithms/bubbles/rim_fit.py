@@ -170,7 +170,7 @@ def linearise(cameras: Sequence[Camera], position: F64) -> tuple[F64, F64, F64]:
 
 _STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # differences of the parameters
 _PRIOR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.15])  # weight of the tilts: a ball has none
-_ROBUST = 0.12  # transmission by which a pixel may be off before it counts less
+_ROBUST = 0.12  # transmission: pixels with larger errors count less
 
 
 @dataclass

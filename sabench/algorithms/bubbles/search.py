@@ -94,12 +94,12 @@ class Hypotheses:
 def find_hypotheses(
     cameras: Sequence[Camera], votes: Sequence[Votes], grid: Grid, least_2d: float, least_3d: float
 ) -> Hypotheses:
-    """Find balls whose outlines are voted for in most views.
+    """Find balls with outlines that most views vote for.
 
     Parameters
     ----------
-    least_2d, least_3d : votes in one view that make it worth to look in the others; mean votes that
-        make a hypothesis.
+    least_2d, least_3d : least votes in one view for a search in the others; least mean votes
+        of a hypothesis.
     """
     maps = np.empty((len(votes), *votes[0].maps.shape), dtype=np.float32)
     for smoothed, view in zip(maps, votes, strict=True):

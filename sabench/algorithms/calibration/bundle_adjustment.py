@@ -1,7 +1,7 @@
 """Bundle adjustment of cameras, boards and shared unknowns.
 
 The method is Levenberg and Marquardt's. The boards' blocks are eliminated first (Schur's
-complement), so that a step costs a Cholesky factor of the cameras' unknowns only. Source: Triggs et
+complement), so that a step needs a Cholesky factor of the cameras' unknowns only. Source: Triggs et
 al. (2000), Bundle adjustment - a modern synthesis.
 """
 
@@ -46,7 +46,7 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
 
 
 _STEPS = 200
-_GAIN = 1e-9  # a step that promises to lower the cost by less than this fraction is the last
+_GAIN = 1e-9  # a step with a smaller predicted relative decrease of the cost is the last
 _HARDLY = 1e-9  # damping that changes no step of what the images determine
 _EXACT = 1e-18  # square pixels per observation: nothing is left to gain below
 
@@ -87,7 +87,7 @@ class BoardImages:
 
 @dataclass(frozen=True)
 class Anchor:
-    """Point whose position in the world was measured.
+    """Point with a measured position in the world.
 
     Attributes
     ----------
@@ -242,7 +242,7 @@ def refine(
 
 
 def promised_gain(normal: Normal) -> float:
-    """Compute by how much a step lowers the cost, if that is quadratic."""
+    """Compute the decrease of the cost by a step, if the cost is quadratic."""
     return _step(normal, _HARDLY, "all")[2]
 
 

@@ -22,7 +22,7 @@ from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 
-_CELL_PX = 1.0  # in which sets are counted
+_CELL_PX = 1.0  # edge of the cells that count sets
 _SPOT_PX = 0.6  # radius of what belongs together
 _AROUND_PX = 1.5  # as far as a search for the middle of a spot goes
 _TRIED, _SHIFTS = 20, 10
@@ -64,7 +64,7 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
 def correct(maps: VolumePolynomials, sets: Sets, cameras: range) -> tuple[VolumePolynomials, float]:
     """Move the cameras' polynomials by their disparity; return the largest, px.
 
-    All cameras' errors together are one vector, from which the part that a change of position
+    All cameras' errors together are one vector. The part that a change of position
     explains is projected out. In the few dimensions that are left, the right sets lie in one spot
     and the wrong ones scatter. Every part of the box with enough sets near that spot has a
     disparity of its own; a plane is fitted to these.
@@ -200,11 +200,11 @@ def match(
     Parameters
     ----------
     peaks : one `Peaks` of each camera.
-    order : numbers of the first camera's images, in the order in which they are taken.
+    order : numbers of the first camera's images, in the order of the search.
     along, steps : axis and number of positions on a line of sight, from `follow_lines`.
     positions : (sets, 3) filled with the positions, x, y, z from -1 to 1.
     hits : (sets, cameras) filled with the numbers of the images.
-    errors : (sets, cameras, 2) filled with where the images lie against where the cameras see the
+    errors : (sets, cameras, 2) filled with the images' offsets from the projections of the
         position, px.
     """
     cameras = len(peaks)

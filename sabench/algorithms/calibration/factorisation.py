@@ -18,7 +18,7 @@ _ROUNDS = 50
 _STEPS = 100
 _NOTHING = 1e-24
 _FOCAL = 0.01  # weight of focal lengths against principal points and square pixels
-_SETTLED = 1e-10  # change of the depths in a round, relative, at which they are final
+_SETTLED = 1e-10  # relative change of the depths in the last round
 
 
 @dataclass(frozen=True)
@@ -142,19 +142,19 @@ def _projective_step(
 
 
 def upgrade_to_euclidean(factors: Factors) -> Factors:
-    """Find the frame, up to a similarity, in which cameras have square pixels.
+    """Find the frame, up to a similarity, that gives the cameras square pixels.
 
     Their principal point is at zero there and their focal length about 1.
 
-    Sources: the dual absolute quadric (Hartley and Zisserman, section 19.3.1), with rough focal
-    lengths as M. Pollefeys et al. (IJCV 59, 2004) use them: cameras whose axes all meet in one
-    point, as arrays do that look at a volume, leave a family of quadrics open otherwise.
+    Sources: the dual absolute quadric (Hartley and Zisserman, section 19.3.1), with guessed focal
+    lengths as M. Pollefeys et al. (IJCV 59, 2004) use them: cameras with axes that meet in one
+    point, as in arrays around a volume, leave a family of quadrics open otherwise.
 
     Raises
     ------
     InputError
-        Images from which no such frame follows: of refraction or noise too strong, or of cameras
-        too much alike.
+        Images that determine no such frame: refraction or noise is too strong, or the cameras
+        are too similar.
     """
     rows = []
     for matrix in factors.matrices:

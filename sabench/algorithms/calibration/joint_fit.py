@@ -30,11 +30,11 @@ from sabench.algorithms.calibration.problem import CalibrationProblem, make_anch
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.utils.arrays import F64, I64, Bool
 
-_NOTHING_ODD = 6.0  # standard deviations that no error of honest points exceeds: 3e-8 of them do
+_NOTHING_ODD = 6.0  # standard deviations: of normal errors, 3e-8 exceed it
 _REJECT = 4.0  # standard deviations beyond which a point counts as an outlier
 _REWEIGHTINGS = 10
 _RAYLEIGH_MEDIAN = 1.17741  # median length of a pair of standard normal numbers
-_CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
+_CAUCHY = 2.4  # scale of Cauchy's loss, standard deviations
 
 Held = Literal["richer model", "initial guess"]
 
@@ -89,7 +89,7 @@ def adjust(
 
 
 def _fit_cauchy(state: State, views: BoardImages, free: FreeParameters, moving: Moving) -> Fit:
-    """Fit with Cauchy's loss, whose scale follows the errors down."""
+    """Fit with Cauchy's loss; its scale falls with the errors."""
     used = np.asarray(views.weights > 0.0)
     scale = np.inf
     for _ in range(_REWEIGHTINGS):
@@ -113,7 +113,7 @@ def median_noise(lengths: F64) -> float:
     return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
 
 
-_LEAST_NOISE_PX = 1e-3  # with which known places are weighed
+_LEAST_NOISE_PX = 1e-3  # least noise for the weights of known positions
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
 _SAME_NOISE = 0.1  # relative change of the noise below which weights stay
 THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
@@ -197,7 +197,7 @@ def _fit_richly(
     problem: CalibrationProblem, views: BoardImages, free: FreeParameters, robust: Robust
 ) -> State | None:
     """Fit with more unknowns; None if the end state is impossible, too."""
-    # a bent board that is taken for flat seems to be at another depth
+    # a bent board modelled as flat appears at another depth
     if problem.frame.wall is None or not np.isfinite(robust.noise_px):
         return None
     rich = replace(free, distortion=_RICH, tilt=True, bend=True)
@@ -265,7 +265,7 @@ class Rounds:
 def alternate(
     state: State, seen: BoardImages, free: FreeParameters, tolerance_px: float, most: int
 ) -> Rounds:
-    """Adjust cameras and boards in turn until the error settles."""
+    """Adjust cameras and boards in turn until the error converges."""
     errors = [_largest(state, seen)]
     while len(errors) <= most:
         state = _boards(_cameras(state, seen, free), seen, free)

@@ -4,8 +4,8 @@ A copy of `geometry.camera` and `geometry.refraction` for the sake of the deriva
 by test_bundle_adjustment.py::test_the_kernel_projects_as_cameras_do.
 
 Everything is computed in the wall's own frame: its outer face is Z = 0, its normal +Z, media are
-numbered along the path of light from a camera. For a pinhole C and a point P the direction in which
-light leaves the pinhole is w = (G L, 1), where L is the lateral part of P - C and G the tangent of
+numbered along the path of light from a camera. For a pinhole C and a point P, light leaves the
+pinhole in the direction w = (G L, 1), where L is the lateral part of P - C and G the tangent of
 its angle divided by |L|. G follows from the invariant p = n sin(angle) of the path, for which sum
 d_i p / sqrt(n_i^2 - p^2) = |L|; the derivatives of p are those of an implicit function.
 """

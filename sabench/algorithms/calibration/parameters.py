@@ -243,7 +243,7 @@ class Frame:
 
     @classmethod
     def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
-        """Make the frame in which the outer face of the cameras' wall is Z = 0.
+        """Make the frame with the outer face of the cameras' wall at Z = 0.
 
         The normal is +Z. Without a common plane wall a plane without meaning, between the cameras
         and the points, replaces the face.

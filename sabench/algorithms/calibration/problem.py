@@ -108,7 +108,7 @@ def check_fit(
     """Refuse a fit that contradicts the input.
 
     Such a fit is impossible (see `fit_checks.list_faults`), contradicts the nominal positions,
-    leaves out an image because of its order, or rests on one plane. Images through a wall show
+    leaves out an image because of its order, or has one plane only. Images through a wall show
     neither the first corner of a board nor the names of cameras: only the nominal positions show
     that a board's corners are counted from another corner in all cameras, or that two cameras are
     swapped.
@@ -163,7 +163,7 @@ def _check_views(
 
 
 def list_relabellings(target: Target) -> list[tuple[int, I64]]:
-    """List rotations, in degrees, under which a target's grid maps onto itself.
+    """List rotations, in degrees, that map a target's grid onto itself.
 
     Each comes with the order of the points under it. Points in any places have none.
     """
@@ -287,8 +287,8 @@ class CalibrationProblem:
         Raises
         ------
         InputError
-            What `input_checks.check_case` refuses, fewer points than unknowns, or a frame of which
-            nothing is known beforehand.
+            What `input_checks.check_case` refuses, fewer points than unknowns, or a frame
+            without an initial guess.
         """
         check_case(case)
         _check_count(case, free.per_camera if free.cameras else 0)

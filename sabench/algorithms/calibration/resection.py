@@ -1,4 +1,4 @@
-"""Positions of a target's points, to which each camera is fitted.
+"""Positions of a target's points, for the fit of each camera.
 
 Classical calibrations take the nominal positions as known; `place_boards` fits them to the images.
 No axis of the world is preferred: a board starts upright in the cameras' images.
@@ -44,9 +44,9 @@ def upright_axes(cameras: tuple[Camera, ...]) -> F64:
 def place_boards(case: CalibrationCase) -> F64:
     """Find initial positions (frame, point, 3) of a target's points, world frame, mm.
 
-    A frame with enough known points is where they say. The pose of any other is fitted to its
+    A frame with enough known points is placed by these. The pose of any other is fitted to its
     images by the nominal cameras, from the case's initial positions at four rotations about the
-    line of sight, and from the mirrored tilt, which looks alike from afar.
+    line of sight, and from the mirrored tilt, which looks similar from afar.
     """
     board = case.target.points_mm
     places = known_places(case)

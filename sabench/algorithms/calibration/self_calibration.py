@@ -33,13 +33,13 @@ _SETTLED_PX = 0.03
 # times reach_px: the core's common errors move all positions, so that another camera's disparity
 # may be larger than its own error
 _FARTHER = 3.0
-_CORE = 4  # cameras whose particle images are matched all with all
+_CORE = 4  # cameras that are matched all with all
 _PAIRS = 1_000_000
 _MOST = 3000  # particles that the cameras are adjusted to
 _LATTICE = (5, 5, 3)
 _NOMINAL_PX = 2.0  # standard deviation of the nominal cameras' pixels
 _REJECT = 4.0
-# standard deviations by which right sets exceed chance: the most crowded of many spots of wrong
+# standard deviations of right sets above chance: the most crowded of many spots of wrong
 # ones has a dozen
 _SURE = 20.0
 
@@ -129,8 +129,8 @@ def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> 
 
     maps = _reduce(tracking.maps, core, find_in_core, reach_px, least_px)
     sure = find_sets(maps, peaks, least_px)
-    # sets that agree by chance grow in number with the radius to the power of the dimensions in
-    # which they could disagree
+    # the number of sets that agree by chance grows as the radius to the power of the dimensions of
+    # their errors
     wider = find_sets(maps, peaks, 2.0 * least_px)
     chance = (len(wider.positions) - len(sure.positions)) / (2.0 ** (2 * len(core) - 3) - 1.0)
     if len(sure.positions) - chance < _SURE * np.sqrt(max(chance, 1.0)):

@@ -10,10 +10,10 @@ from sabench.utils.arrays import F64, U8, U16
 
 _BLUR_PX = 1.5  # against noise, where lights are few
 _FAINT = 0.1  # of a blob's peak: below there is none
-# the same for a ball, and the part of its peak at which its light is cut: its shading would shift
+# the same for a ball, and the part of its peak that cuts its light: its shading would shift
 # the centroid to the lit side
 _BALL = (0.05, 0.15)
-_LIT = 0.35  # of the brightest ball: what belongs to one
+_LIT = 0.35  # of the brightest ball: least light of a ball's pixel
 _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for the detectors
 
 
@@ -98,7 +98,7 @@ def _balls(grey: U8, target: Target) -> F64 | None:
 
 
 def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0) -> F64:
-    """Compute centroids of blobs, whose light above `full` of the peak is cut."""
+    """Compute centroids of blobs; light above `full` of the peak is cut."""
     gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2)
     np.fill_diagonal(gaps, np.inf)
     out = centers.copy()

@@ -27,10 +27,10 @@ _GROUPS: tuple[tuple[Unknown, ...], ...] = (
 # fmt: on
 _FIRST = {"k2": "k1", "k3": "k2"}  # what an unknown presupposes
 _FOLDS = 5
-_SURE = 2.0  # standard errors by which held-out boards must fit better
-_LEAST_GAIN = 0.001  # part of the held-out error below which a gain is not worth an unknown
+_SURE = 2.0  # standard errors: least improvement of held-out boards
+_LEAST_GAIN = 0.001  # least gain of an unknown, part of the held-out error
 _TRIES = 3  # unknowns tried in a row without success before the search ends
-_BEND = 3.0  # noise at which the loss of held-out residuals bends
+_BEND = 3.0  # scale of the loss of held-out residuals, over the noise
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Nested:
 def split_frames(case: CalibrationCase, seed: int = 1) -> list[I64]:
     """Split the frames into folds by chance.
 
-    Frames with the only known points belong to none: without them the world would be another. There
+    No fold has the frames with the only known points: they define the world. There
     are no folds for fewer than three frames.
     """
     detected = case.found.any(axis=(0, 2))
@@ -135,7 +135,7 @@ class _HeldOut:
     Attributes
     ----------
     layers : of the wall.
-    noise_px : of the first fit, by which known places and losses are weighed.
+    noise_px : of the first fit; it weights known positions and losses.
     """
 
     problem: CalibrationProblem
@@ -159,7 +159,7 @@ class _HeldOut:
     def most_promising(
         self, state: State, chosen: tuple[Unknown, ...], left: list[tuple[Unknown, ...]]
     ) -> tuple[Unknown, ...] | None:
-        """Find the group by which one step lowers the cost most."""
+        """Find the group with the largest decrease of the cost in one step."""
         ready = [names for names in left if _FIRST.get(names[0], names[0]) in (names[0], *chosen)]
         views, scale, gains = self.views, _BEND * self.noise_px, []
         for group in ready:

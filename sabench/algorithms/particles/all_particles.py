@@ -3,7 +3,7 @@
 The results are the same for any number of cores. Painting particles in one camera does not change
 another camera's images, and measuring particles changes nothing. A fit of a particle reads and
 changes the pixels of its images, and those of its neighbours if they are fitted, too: threads fit
-particles of cells whose images share no pixel in any camera. The order of rows counts, as the first
+particles of cells that share no pixel in any camera. The order of rows counts, as the first
 take most light, so that rows of one portion are fitted before those of the next.
 
 The leverage of a fit is how much of each pixel it takes for itself.
@@ -38,8 +38,8 @@ from sabench.utils.compiled import numba
 from sabench.utils.machine_limits import for_each, share_rows
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
-_FEW = 20_000  # rows: fewer are fitted in their order, whose effect is larger than the time saved
-_MOVE_PX = 3.0  # by which fits move images, at most
+_FEW = 20_000  # rows: fewer are fitted in their order, which matters more than the time saved
+_MOVE_PX = 3.0  # largest shift of images by fits
 
 Groups = Sequence[I64]
 
@@ -187,13 +187,13 @@ def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
 
 
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
-    """Measure (n,) the cost that a split along the best of steps (k, 3) may save."""
+    """Predict (n,) the decrease of the cost by a split along the best of steps (k, 3)."""
     gains = np.zeros(len(particles.position))
     return _measure(model_moves.measure_split_gains, model, sigma, particles, gains, steps)
 
 
 def light_gains(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure (n, camera) how much cost particles' light saves in each camera."""
+    """Compute (n, camera) the decrease of the cost by particles' light in each camera."""
     return _measure(
         model_moves.measure_light_gains, model, sigma, particles, np.zeros(particles.light.shape)
     )

@@ -38,7 +38,7 @@ _FEWER = 0.998  # of the candidates: more that are left share the light as befor
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
-_NOTABLE = 0.001  # of the particles: fewer that are added are not worth another round
+_NOTABLE = 0.001  # of the particles: fewer new ones end the rounds
 _FLATTER = 0.9  # of squares left, where images are flat (0.4 to 0.8); by chance few look so (0.97)
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
@@ -51,7 +51,7 @@ class BayesianIprSettings:
     ----------
     rounds : the most of search and removal, after the first.
     splits : the most rounds of splits, search and removal after those.
-    fits : the most times that all particles are fitted at each step; it ends when they are settled.
+    fits : largest number of fits of all particles at each step; fewer once they converge.
     widening : of the particles' images while candidates share the light, over their width, with
         four cameras; less with more.
     budget_s : seconds after which a frame's search ends with the particles so far; None is no end.
@@ -85,7 +85,7 @@ def dark_images(case: Observation) -> ClearImages:
 
 
 class Known(NamedTuple):
-    """Particles taken for real: positions (n, 3) mm, light (n, all cameras)."""
+    """Confirmed particles: positions (n, 3) mm, light (n, all cameras)."""
 
     position: F64
     light: F64
@@ -99,7 +99,7 @@ def search_frame(
 ) -> ParticleSearch | None:
     """Search for a frame's particles; None if too few cameras show any.
 
-    The first candidates share the light that known particles leave. Areas in which something hides
+    The first candidates share the light that known particles leave. Areas where something hides
     particles from a camera do not count. Cameras that contradict the others are left out, with a
     warning.
     """
@@ -127,7 +127,7 @@ def search_frame(
 def _flatten(search: ParticleSearch) -> None:
     """Use the measured flatness of images if that leaves less of them.
 
-    All particles are tried again: halves of a particle whose image was taken for a Gaussian gain
+    All particles are tried again: halves of a particle with a non-Gaussian image gain
     nothing now.
     """
     plain, before = search.shapes.copy(), search.squares_left()
@@ -228,9 +228,9 @@ def split_and_find(search: ParticleSearch) -> int:
 def _share_the_light(base: ParticleSearch, settings: BayesianIprSettings) -> ParticleSearch:
     """Fit the first candidates jointly, and drop the darkest, slowly.
 
-    Known particles keep their light. Images are wider than they are, which keeps candidates
-    together whose images meet by chance. In many cameras few do, but then two particles whose
-    images are wide become one.
+    Known particles keep their light. The modelled images are wider than the real ones, which
+    keeps chance candidates together. In many cameras these are few, but then two particles with
+    wide images become one.
     """
     search = base.rest(np.arange(len(base.typical)))
     # saturated pixels have no more light than they show, or candidates would not share it

@@ -41,7 +41,7 @@ _FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too o
 # Axes of the rig, shares of the volume, and faults of cameras:
 _VECTORS = {"position_mm", "velocity_mm_s", "acceleration_mm_s2"}
 _SQUARES = {"covariance_mm2", "velocity_covariance", "acceleration_covariance"}
-# points that tell shares, and which cameras see a pixel's part of the box, and those in a block of
+# points for shares, and for cameras that see a pixel's part of the box, and those in a block of
 # pixels on average
 _FOR_SHARES, _FOR_VIEWS, _EACH = 140_000, 400_000, 16
 _LONELY = 0.05  # of a pixel's part of the box, which few cameras see
@@ -91,7 +91,7 @@ def mean_spacing(maps: VolumePolynomials, count: float) -> float:
 
 
 def split_directions(maps: VolumePolynomials) -> F64:
-    """Make nine steps (n, 3) mm by which two particles may differ.
+    """Make nine steps (n, 3) mm, trial differences of two particles.
 
     Depth is the direction that moves images the least. Steps across it are one pixel of the best
     camera, steps along it longer, as the cameras resolve it less.
@@ -257,7 +257,7 @@ def _mark_maxima(means: Any, places: Any) -> int:
 
 @numba.njit(cache=True)
 def _is_maximum(means: Any, z: int, y: int, x: int) -> bool:
-    """Say whether no neighbour is brighter, and no earlier one as bright."""
+    """Return whether no neighbour is brighter, and no earlier one as bright."""
     slices, rows, columns = means.shape
     here, number = means[z, y, x], (z * rows + y) * columns + x
     for k in range(max(z - 1, 0), min(z + 2, slices)):
@@ -325,7 +325,7 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
 
 
 def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
-    """Mark pixels whose part of the box at least `fewest` cameras see nearly all of.
+    """Mark pixels of parts of the box that `fewest` cameras or more see almost in full.
 
     Pixels that show no part of the box are marked, too.
     """

@@ -27,8 +27,8 @@ from sabench.utils.arrays import F64, I64
 
 _PARALLEL_DEGREES = 1.0  # between an optical axis and the normal of the apertures' plane
 _EQUAL = 0.02  # relative difference of the sides of an equilateral triangle
-_MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
-_SEARCHED = 1.5  # times the reach: radius in which the third image is looked for
+_MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
+_SEARCHED = 1.5  # times the reach: search radius of the third image
 _THIRD = 4  # nearest images of the third camera that are tried
 _BATCH = 2000  # of the first camera's images at a time, for bounded memory
 
@@ -127,7 +127,7 @@ def find_by_defocusing(
     false_alarms: float = FALSE_ALARMS,
     reach_px: float = 0.8,
 ) -> FoundParticles:
-    """Find the particles whose three images form a triangle, each image used once.
+    """Find particles with three images that form a triangle; each image is used once.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ images is searched again, in each of the first frames, until no more of them are
 
 A ghost does not move as particles around it do, and not for several frames. Each track starts with
 the velocity of the flow there, and a Kalman filter predicts it from frame to frame. The velocity
-comes from links of which many are wrong: wrong ones scatter over all displacements, right ones
+comes from links, many of them wrong: wrong ones scatter over all displacements, right ones
 gather where neighbours move. The densest place among the velocities of the nearest links (mean
 shift, D. Comaniciu and P. Meer, IEEE Trans. Pattern Anal. Mach. Intell. 24, 603-619, 2002) is that
 of the flow. A weighted fit takes out the velocity gradient.
@@ -42,7 +42,7 @@ _GAP = 1  # frames in a row that a track may miss
 _NEAR = 9.0  # sum of squared misses over the expected ones of what continues a track
 _FEW = 6  # particles that may continue a track
 _LEAST = 0.1  # of a position's error: the least that accelerations move a particle in an interval
-_KNOWN = 2.0  # error of a position that is worth taking, over that of one found
+_KNOWN = 2.0  # largest error of a position, over that of a detected one
 
 # Velocity of the flow:
 _NEAREST = 60  # links that vote
@@ -50,7 +50,7 @@ _FRAMES = 2.6  # longest time between a link and where its vote counts, over tha
 _WIDTH = 0.15  # scatter of right votes in an interval, over the distance between particles
 _LEAST_SPREAD = 0.2  # of that scatter: the least of a velocity
 _SHIFTS, _FITS = 5, 3
-_EVEN = 1e-3, 0.5  # what is known of velocity and its gradient beforehand, in votes
+_EVEN = 1e-3, 0.5  # weights of the prior of velocity and its gradient, in votes
 _PORTION = 4096  # positions in one step, for the memory
 
 

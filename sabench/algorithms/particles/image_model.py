@@ -1,7 +1,7 @@
-"""Images as sums of particles' images, and what they say of one particle.
+"""Images as sums of particles' images, and the sums over one particle's windows.
 
 All cameras' windows of a particle are placed first, and then looked at, so that kernels pass few
-arrays to each other: a call that hands on the whole model and room costs more than a window's sums.
+arrays to each other: a call that passes the whole model and room takes longer than a window's sums.
 
 Sums over windows are taken on vector units (`vector_units`): images have margins that windows
 outside lie in, rows of a window are a whole number of lanes, and what must not count is multiplied
@@ -86,14 +86,14 @@ class ImageModel(NamedTuple):
     maps : cameras.
     shapes : (camera, SHAPES, 4) of particle images: widths along columns and rows, px, covariance
         of both, px2, and flatness, in the box's middle, and their change along each of its
-        coordinates. The last two are 0 in the middle for a camera whose images are plain: Gaussians
+        coordinates. The last two are 0 in the middle for a camera with plain images: Gaussians
         that have columns and rows as axes. Flat ones are like discs.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light.
     log_precision, least_precision : logarithm of its determinant, and least eigenvalue.
     images : (camera, row, column) float32, less black, with margins.
     weight : the same shape, 1 / variance of a pixel; 0 in margins and where it is unknown, and less
-        than 0 where it is saturated: such a pixel asks for as much light as it has, or more.
+        than 0 where it is saturated: such a pixel may have that much light or more.
     left : the same shape, the images less all particles; kept up to date.
     log_rate : logarithm of the number of particles in a unit cube of the box's coordinates.
     """
@@ -211,7 +211,7 @@ def place_windows(model: Any, room: Any, position: Any) -> None:
 
 @numba.njit(cache=True, inline="always")
 def is_plain(shapes: Any, c: int) -> bool:
-    """Tell whether a camera's images are Gaussians with columns and rows as axes."""
+    """Return whether a camera's images are Gaussians with columns and rows as axes."""
     return bool((shapes[c, 2, 0] == 0.0) & (shapes[c, 3, 0] == 0.0))  # `and` is slower
 
 
@@ -335,7 +335,7 @@ def paint_all(model: Any, room: Any, particles: Any, sign: float) -> None:
 
 @numba.njit(cache=True)
 def look(model: Any, room: Any, position: Any, light: Any) -> None:
-    """Sum up what the images say of a particle of this light at a position.
+    """Sum over the windows of a particle of this light at a position.
 
     The images are those less all other particles.
     """

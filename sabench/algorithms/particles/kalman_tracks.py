@@ -7,7 +7,7 @@ much particles accelerate at first, come from the misses of the predictions them
 
 The motion in a frame follows from a track's positions before and after by generalised least
 squares, as a fixed-lag smoother would find it (sections 6.2 and 8.6 there): the positions are those
-of a body whose jerk is white noise, each with an error of its own.
+of a body with white-noise jerk, each with an error of its own.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
-_NEIGHBOURS = 8  # whose velocities a new track is expected to have
-_NEAREST = 5  # particles whose velocities tell their gradient
+_NEIGHBOURS = 8  # that give a new track's expected velocity
+_NEAREST = 5  # particles that give the velocities' gradient
 _WITHIN = 0.6827  # share of a normal variable's values within one standard deviation
-_ENOUGH, _FASTEST = 30, 4.0  # predictions that tell the jerk's strength, and its change at once
+_ENOUGH, _FASTEST = 30, 4.0  # predictions for the jerk's strength, and its change in one update
 _SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
 _LEAST = 1e-6  # of the first strength
 _BY_TRACK = ("number", "state", "covariance", "light", "sightings", "missed")
@@ -37,7 +37,7 @@ ANY_SPEED = 1e6  # mm/s
 # and the most that an acceleration changes from frame to frame
 _ACCELERATION, _CHANGE, _MOST_CHANGE = 1.4, 3.5, 1.4
 _MAD = 1.4826  # standard deviation over the median of distances from the median
-_ABSENT = 1e12  # variance of a position that is not there, over the largest other one
+_ABSENT = 1e12  # variance of a missing position, over the largest other one
 
 
 @dataclass

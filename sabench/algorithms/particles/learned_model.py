@@ -36,11 +36,11 @@ from sabench.utils.compiled import numba
 from sabench.utils.machine_limits import for_each, share_rows
 from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, TILT_SLOPE_Y
 
-_FEW = 30  # particles that tell nothing of all
+_FEW = 30  # too few particles to represent all
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _TILT_CHANGE = 0.2  # of tilts, at first and over the box
-_TILTED = 0.2  # correlation somewhere in the box that costs particles
+_TILTED = 0.2  # correlation somewhere in the box that loses particles
 _FLAT_CHANGE = 0.02  # of flatness, at first and over the box
 _SHAPE_ERRORS = np.array(
     [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]] * 2 + [[_TILT_CHANGE] * 4, [_FLAT_CHANGE] * 4]
@@ -49,15 +49,15 @@ _SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE], [_FLA
 _WIDTH_STEPS = 2
 
 # Variance of pixels:
-_CLIP = 30.0  # mean squares: more of one pixel says nothing of the others
+_CLIP = 30.0  # mean squares: largest contribution of a pixel
 _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
-# Lone particles:
+# Isolated particles:
 _OVERLAP = 4.8  # widths of images: distance of those that overlap
-_ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
+_ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of isolated particles
 _BORDER = 4.8  # widths: distance from the border where images are not complete
-_PARTS = 16  # of the particles, whose sums are added up, whatever the number of cores
+_PARTS = 16  # of the particles, summed apart: the number of cores does not matter
 
 
 def weigh_pixels(search: ParticleSearch, cap: float) -> None:
@@ -88,7 +88,7 @@ def learn_light(search: ParticleSearch) -> None:
 
 
 def learn_widths(search: ParticleSearch) -> None:
-    """Learn the shapes of images, and how they change, from lone particles.
+    """Learn the shapes of images, and how they change, from isolated particles.
 
     The half of them count that leave least of their images: others may be two. Few particles must
     be missing, because what they leave makes others wider.
@@ -172,8 +172,8 @@ def fill_variance(
 ) -> None:
     """Fill in the variance of a camera's pixels for the fit of particles.
 
-    A line over the model's light, of which the part above the dark noise is at most `most`, and
-    shares of the model and of what is left. All arrays are (row, column), `dark` is a variance.
+    It is a line over the model's light, at most `most` above the dark noise, plus shares of the
+    model and of what is left. All arrays are (row, column), `dark` is a variance.
     """
     rows, columns = image.shape
     squares, count = 0.0, 0
@@ -200,7 +200,7 @@ def fill_variance(
 
 
 def _find_lone(search: ParticleSearch) -> I64:
-    """Find particles whose images overlap with others' the least, and are complete."""
+    """Find particles with complete images that overlap least with others'."""
     maps, position, light, sigma = search.maps, search.position, search.light, search.sigma
     if len(position) < _FEW:
         return np.zeros(0, dtype=np.int64)
@@ -265,7 +265,7 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
 def add_shape_misses(
     model: Any, room: Any, particles: Any, rows: Any, matrices: Any, right: Any
 ) -> None:
-    """Add up what some particles say of images' shapes, with light as it fits best.
+    """Add some particles' equations for images' shapes, with light as it fits best.
 
     The unknowns of a camera are those of `ImageModel.shapes`.
 

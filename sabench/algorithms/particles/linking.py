@@ -26,7 +26,7 @@ from sabench.utils.arrays import F64, I64, Bool
 # largest cost of a link, and cost of none: four normal errors have a larger square sum once in 2000
 # times
 GATE = 20.0
-# farthest displacement of a trajectory whose velocity is not known, in distances between neighbours
+# farthest displacement of a trajectory of unknown velocity, in distances between neighbours
 REACH = 3.0
 # difference of neighbours' displacements, in the same unit, beyond which they say nothing of each
 # other
@@ -37,7 +37,7 @@ _NEIGHBOURS = 8
 _MOST = 100
 # least and largest errors of predictions: in the same unit, and of the logarithm of radii
 _POSITION_ERROR, _SIZE_ERROR = (0.05, 0.2), (0.03, 0.15)
-_ENOUGH = 8  # links by which these errors are measured
+_ENOUGH = 8  # links for a measurement of these errors
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ def link(
 ) -> list[I64]:
     """Link the detections of some frames to trajectories.
 
-    Returns numbers (n,) of each frame's trajectories, counted from 0 in the order in which they
-    begin. A detection that joins no other is a trajectory. Times that do not increase are a
+    Returns numbers (n,) of each frame's trajectories, counted from 0 in the order of their
+    beginnings. A detection that joins no other is a trajectory. Times that do not increase are a
     ValueError.
 
     Parameters
@@ -212,7 +212,7 @@ def _by_neighbours(
     duration = time - live.time[young[row]]
     velocity = shift / duration[:, None]
     if len(live.position) - len(young) >= _NEIGHBOURS:
-        # the nearest trajectories whose velocities are known
+        # the nearest trajectories of known velocity
         old = np.flatnonzero(~live.young)
         _, near = cKDTree(live.position[old]).query(live.position[young[row]], _NEIGHBOURS)
         apart = np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2)
@@ -243,7 +243,7 @@ def _position_errors(
     cores = numba.get_num_threads()
     near = cKDTree(live.position).query(live.position, count + 1, workers=cores)[1][which, 1:]
     ahead = live.position[near] + velocity[:, None] * (time - live.time[near])[..., None]
-    # three standard errors are as bad as positions that say nothing
+    # three standard errors are as bad as no position
     size = _ALIKE * scale.spacing / (3.0 * scale.size)
     tree = cKDTree(np.column_stack([points.position, size * points.size]))
     moved = np.concatenate([ahead, size * live.size[near][..., None]], axis=2)

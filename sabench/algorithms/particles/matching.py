@@ -31,13 +31,13 @@ from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.machine_limits import Deadline
 
-_MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
+_MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
 _MOST_BY_CHANCE = 5.0  # sets of particle images with each one: beyond, nearly all are ghosts
 _NEAR = 64  # particle images looked at around one position
-_ROOM = 50  # sets of each of the first camera's images for which memory is allocated
+_ROOM = 50  # sets of each of the first camera's images that have memory
 _STEPS = 2  # of the least-squares fit of a position
 _BATCH = 64  # of the first camera's images between two looks at the clock
-_SEARCHED = 1.5  # times the reach: radius in which images are looked for
+_SEARCHED = 1.5  # times the reach: search radius of images
 
 
 class PeakParameters(Parameters):
@@ -207,7 +207,7 @@ def find_peak_sets(
     ----------
     peaks : of each camera.
     covered : (camera, row, column) pixels where a camera can show nothing.
-    order : numbers of the first camera's peaks in the order in which they are searched; by default
+    order : numbers of the first camera's peaks in the order of the search; by default
         all of them.
     deadline : by default none.
     """
@@ -327,7 +327,7 @@ def _follow(
 
 @numba.njit(cache=True)
 def _has(values: Any, count: int, value: int) -> bool:
-    """Say whether a value is among the first ones.
+    """Return whether a value is among the first ones.
 
     This is faster to compile than array expressions.
     """

@@ -37,12 +37,12 @@ _BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
 MOST_TILT = 0.7  # correlation of columns and rows in images: more is not two terms' Gaussian
 _CERTAIN = 30.0  # logarithm of the highest odds
-_PORTIONS = 8  # of many rows whose order counts: the first are fitted before the next
+_PORTIONS = 8  # of many rows, in their order: the first are fitted before the next
 # standard deviations of noise: the least floor of candidates; of faint particles, which would all
 # be below it, just above the noise, or this share of a typical particle's light
 _FLOOR, _LEAST_FLOOR, _FAINT = 2.0, 1.1, 0.2
 _MANY, _FIRST = 16.0, 2.5  # of the estimated number: first candidates, times cameras, and least
-_MORE = 0.5  # of the particles so far: candidates beside them
+_MORE = 0.5  # of the particles so far: new candidates
 # images that share a pixel, at least and for each camera; where more do, the share of cameras in
 # which neighbours take all light of a particle that is not found yet
 _CROWDED, _EACH, _TAKEN = 1.25, 0.095, 0.2
@@ -50,14 +50,14 @@ _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
 _CONTESTED = 0.25  # of the cameras: meetings with others that have just gained their penalty
 _TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
-# units of the cost, and times what the median particle promises (images that are a little wider
-# than the model's promise something everywhere): particles of which a split promises more are tried
+# units of the cost, and times the median particle's predicted gain (images that are a little wider
+# than the model's predict one everywhere): particles with a larger predicted gain are tried
 _PROMISING, _TYPICAL = 3.0, 2.0
 _APART = 1.1  # widths: distance of the two of a split from their middle
 
 
 def no_particles(cameras: int) -> FoundParticles:
-    """Return no particles, with all that a search tells of them."""
+    """Return no particles, with all arrays of a search."""
     none, light = np.zeros(0), np.zeros((0, cameras))
     return FoundParticles(
         np.zeros((0, 3)),
@@ -69,7 +69,7 @@ def no_particles(cameras: int) -> FoundParticles:
 
 
 def joined(first: FoundParticles, other: FoundParticles) -> FoundParticles:
-    """Join particles of which the same is known."""
+    """Join particles that have the same arrays."""
     more = {declared.name: value for declared, value in other.arrays()}
     pairs = {declared.name: (value, more[declared.name]) for declared, value in first.arrays()}
     return FoundParticles(**{name: np.concatenate(pair) for name, pair in pairs.items()})
@@ -95,12 +95,12 @@ class ParticleSearch:
     Attributes
     ----------
     images, known, covered, saturated : (camera, row, column) less black; which pixels count; which
-        tell nothing of what is behind them; which show less light than there is.
+        hide what is behind them; which show less light than there is.
     left, variance : the images less all particles, and the variance of each pixel.
     position, light : (n, 3) in the box of the maps, (n, camera).
     hidden : (all cameras, row, column) areas that something hides from a camera in every frame.
     sure : (n,) whether a particle gained several times its penalty.
-    trusted : (n,) whether a caller has other reasons to take a particle for real: it is not tried.
+    trusted : (n,) whether a caller confirms a particle: it is not tried.
     odds : (n,) logarithm of the odds that it is real.
     tag : (n,) numbers that a caller gave particles, -1 for those found here.
     deadline : after it, particles are no longer found, fitted, removed or split.
@@ -416,7 +416,7 @@ class ParticleSearch:
     def split(self) -> None:
         """Replace particles by two if that is more probable.
 
-        What is left in the images tells which ones to try.
+        What is left in the images selects those to try.
         """
         count, model = len(self.position), self.model()
         width = float(self.sigma.max())

@@ -37,14 +37,14 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.machine_limits import Deadline
 
 _SHAKES = 3  # rounds of fits of the predicted particles before others are looked for
-_SLACK = 0.04  # of the distance between particles: misses, beside those expected, of the same one
-_KNOWN_PX = 1.0  # standard deviation up to which a prediction is worth a fit
+_SLACK = 0.04  # of the distance between particles: misses of the same one, added to those expected
+_KNOWN_PX = 1.0  # largest standard deviation of a prediction that is fitted
 _FADED = 0.5  # light over the last light below which a particle may be a ghost
-_LEAST_ERROR_PX = 0.02  # of positions, beside what the images tell
-_LAG = 3  # frames before and after one that tell how its particles move
+_LEAST_ERROR_PX = 0.02  # of positions, added to those from the images
+_LAG = 3  # frames before and after one for its particles' motion
 _NEAR = 3.0  # standard deviations from the box's faces within which a particle may come or go
 _NEIGHBOURS = 5  # particles that a lost track is compared with
-_FEWEST = 16  # links that tell how particles move
+_FEWEST = 16  # links for a measurement of the motion
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from sabench.utils.compiled import numba
 
 # a tile's accumulators and the pixels that it reads stay in the first two caches
 TILE_ROWS, TILE_COLUMNS = 16, 512
-# columns per row: four rows whose columns drift by less are taken for in line, which misses by 1.5
+# columns per row: four rows that drift by less are treated as aligned, which misses by 1.5
 # times this at most
 _SHEAR = 3e-4
 _DECADES = 30.0  # a product's range before its logarithm is taken: inside float32's
@@ -30,7 +30,7 @@ _LOG2_REST = tuple(_REST.astype(np.float32))
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
-    """Find the voxel at which a position enters another pixel.
+    """Find the voxel where a position enters another pixel.
 
     The position moves by `step` per voxel.
     """

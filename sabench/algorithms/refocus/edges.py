@@ -1,4 +1,4 @@
-"""Edges in refocused planes, and the depths at which they are sharpest.
+"""Edges in refocused planes, and the depths where they are sharpest.
 
 On the plane of an opaque object's depth the images of all cameras coincide: its edge is in focus.
 On other planes they are displaced against each other and the edge is blurred. Source: J. Belden's
@@ -13,9 +13,9 @@ from scipy.ndimage import convolve1d, map_coordinates, maximum_filter1d
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, I64, Bool
 
-_WIDTH = 1.0  # standard deviation of the Gaussian whose derivative is the gradient, voxels
-_REACH = 4  # standard deviations to which it is sampled
-_PARTS = 8  # of the planes, of which one at a time is differentiated
+_WIDTH = 1.0  # standard deviation of the gradient's Gaussian, voxels
+_REACH = 4  # standard deviations that are sampled
+_PARTS = 8  # of the planes, differentiated one at a time
 _LEAST_PART = 0.5  # of the largest gradient, above which planes take part in the fit of the depth
 
 
@@ -49,8 +49,8 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
     Parameters
     ----------
     stack : (z, y, x) refocused images, voxels as wide as long.
-    least : height of a step from which it is an edge.
-    reach_mm : depth before and behind an edge within which none is sharper; the planes there are
+    least : least height of a step that is an edge.
+    reach_mm : depth before and behind an edge without a sharper one; the planes there are
         fitted.
     """
     planes = max(1, round(reach_mm / grid.voxel_mm[2]))

@@ -20,9 +20,9 @@ from sabench.utils.arrays import F64, I64
 # largest distance, in a camera's pixels, between the tiles' affine maps and the exact lines of
 # sight
 DEVIATION_PX = 0.01
-_MARGIN = 2.0  # voxels that a rectified image reaches beyond what is asked for
-_PROBES = 2000  # positions at which the deviation is measured
-_NODES = 7  # depths at which displacements are computed; between them they are interpolated
+_MARGIN = 2.0  # voxels of a rectified image around the requested ones
+_PROBES = 2000  # positions for a measurement of the deviation
+_NODES = 7  # depths of computed displacements; between them they are interpolated
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Slab:
     first, count : planes.
     z_mm : the plane of the rectified images.
     corners : (camera, 2) x, y of the rectified images' first pixel, in voxels of the grid.
-    shape : (height, width) of the rectified images, whose pixels are as far apart as voxels.
+    shape : (height, width) of the rectified images, with pixels as far apart as voxels.
     displacement : (camera, plane, 2, terms) polynomials in u, v across the grid: the displacement
         in x, y from a voxel to its image on `z_mm`, in voxels.
     degree : of these polynomials.

@@ -31,7 +31,7 @@ def find_edge_on(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
     for camera in cameras:
         pixels, valid = camera.project(ends)
         if not valid.all():
-            continue  # what asks for light paths says so
+            continue  # the search for light paths raises the error
         least, most = np.sort(np.linalg.svd(pixels[:2] - pixels[2:], compute_uv=False))
         angle = float(np.rad2deg(np.arcsin(min(least / max(most, 1e-300), 1.0))))
         if angle < _FLATTEST_DEGREES:

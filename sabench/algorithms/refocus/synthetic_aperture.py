@@ -104,7 +104,7 @@ def _sample(
 
 
 def _polynomial(dr: Any, types: Any, table: Any, start: Any, degree: int, u: Any, v: Any) -> Any:
-    """Evaluate bivariate polynomials whose terms start at places (n,) of a table."""
+    """Evaluate bivariate polynomials with terms that start at positions (n,) of a table."""
     result, place = None, (degree + 1) * (degree + 2) // 2
     for power_v in range(degree, -1, -1):
         line = None
@@ -240,7 +240,7 @@ class _View:
     Attributes
     ----------
     maps, degree : from `rectifying_maps`.
-    tiles : from `Slab.tiles`. They come from a matrix product, whose threads would go on spinning
+    tiles : from `Slab.tiles`. They come from a matrix product: its threads would go on spinning
         next to the kernels.
     """
 

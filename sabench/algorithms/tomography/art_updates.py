@@ -1,4 +1,4 @@
-"""Corrections of the voxels by comparing recorded and projected light: all at once, or by pixels.
+"""Corrections of the voxels by comparing recorded and projected light: jointly, or by pixels.
 
 Every step corrects the values in place and returns the squared norm of the residual P - W I before
 the correction.
@@ -241,7 +241,7 @@ def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
 
 @numba.njit(cache=True)
 def _stretch(buckets: Any, row: int, column: int) -> Any:
-    """List rows, columns and light of the voxels whose footprints reach a pixel."""
+    """List rows, columns and light of the voxels with footprints that reach a pixel."""
     left, line = max(column - buckets.taps + 1, 0), row * buckets.columns
     here = slice(buckets.first[line + left], buckets.first[line + column + 1])
     return buckets.down[here], buckets.across[here], buckets.light[here]

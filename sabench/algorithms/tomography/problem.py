@@ -21,8 +21,8 @@ from sabench.utils.arrays import F32, I64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
-_SLAB = 8_000_000  # voxels whose memory is taken at a time
-# of voxels, in which one camera after the other is looked up: its part of the image stays in the
+_SLAB = 8_000_000  # voxels that are allocated at a time
+# of voxels: one camera after the other is looked up, and its part of the image stays in the
 # cache
 _ROWS = 32
 
@@ -228,7 +228,7 @@ class TomographyProblem:
     Attributes
     ----------
     measured : images as fractions of a bright particle's peak.
-    grid, splits : the grid that is asked for, and into how many fine voxels its voxels are split.
+    grid, splits : the requested grid, and into how many fine voxels its voxels are split.
     sigma_mm : of the blobs; 0 for points.
     geometry, footprint : cameras and fine grid, and what a fine voxel casts.
     """
@@ -265,14 +265,14 @@ class TomographyProblem:
         return self._start(*product_guess(nearest, self.measured.possible(), threshold))
 
     def uniform(self) -> Iterate:
-        """Make all voxels alike, as bright as the images on the mean."""
+        """Make all voxels equal, as bright as the images on average."""
         state = self._start(*every_voxel(self.geometry))
         projected = float(state.lines.forward(state.values).sum())
         state.values[:] *= self.measured.light.sum() / max(projected, 1e-30)
         return state
 
     def volume(self, state: Iterate, floor: float) -> F32:
-        """Return the volume (z, y, x) on the grid that was asked for."""
+        """Return the volume (z, y, x) on the requested grid."""
         light = state.lines.support, state.values
         volume = supersampling.gather(*light, self.grid, self.splits, self.sigma_mm)
         return supersampling.clear_dark(volume, floor)

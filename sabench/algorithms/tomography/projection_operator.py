@@ -39,7 +39,7 @@ class Footprint:
 
     @property
     def margin(self) -> int:
-        """Pixels by which it reaches beyond the four."""
+        """Pixels that it reaches beyond the four."""
         return 1 if self.spread else 0
 
     def smooth(self, images: F32) -> F32:
@@ -84,7 +84,7 @@ def image_sigma_px(images: F32) -> float | None:
     return float(np.percentile(widths, 25.0)) if len(widths) else None
 
 
-# voxels whose values stay in the cache while one camera after the other is looked up
+# voxels with values that stay in the cache while one camera after the other is looked up
 _BLOCK = 1 << 16
 # images that are added up by themselves; a fixed number, so that sums do not depend on how many
 # threads there are

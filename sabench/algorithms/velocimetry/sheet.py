@@ -81,7 +81,7 @@ def find_sheet(
     Raises
     ------
     InputError
-        A plane beside the grid, a grid without a shortest edge, or an unknown camera.
+        A plane outside the grid, a grid without a shortest edge, or an unknown camera.
     DeclinedError
         No camera, or not the named one, sees the plane, or only edge-on.
     """

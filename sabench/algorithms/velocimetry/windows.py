@@ -1,6 +1,6 @@
 """Windows of a volume, their correlation, and its peaks, on the CPU.
 
-Overlapping windows share their voxels. A volume is cut into blocks whose edges are the windows'
+Overlapping windows share their voxels. A volume is cut into blocks with edges of the windows'
 spacing. The products of one volume with the other, shifted, are summed over each block once, and a
 window is a sum of blocks: the time does not depend on the overlap.
 """

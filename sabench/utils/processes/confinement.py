@@ -30,7 +30,7 @@ from pathlib import Path
 # linux/sched.h: new namespaces of mounts, hosts' names, IPC, users, processes, network
 _NAMESPACES = 0x00020000 | 0x04000000 | 0x08000000 | 0x10000000 | 0x20000000 | 0x40000000
 _BIND, _RECURSIVE, _PRIVATE, _NO_SUID, _NO_DEV = 4096, 1 << 14, 1 << 18, 2, 4  # linux/mount.h
-_DETACH = 2  # for umount2: at once, in use or not
+_DETACH = 2  # for umount2: immediately, in use or not
 _PIVOT_ROOT = {"x86_64": 155, "aarch64": 41}
 _MOUNT_SETATTR, _HERE, _BELOW, _READ_ONLY = 442, -100, 0x8000, 1 | _NO_SUID
 _DEATH_SIGNAL, _DROP_CAPABILITY, _NO_NEW_PRIVILEGES = 1, 24, 38  # for prctl
@@ -119,7 +119,7 @@ def die_with_parent() -> None:
 
 
 def _drop_privileges() -> None:
-    """Give up all capabilities for good, with which mounts could be undone."""
+    """Give up all capabilities, since these could undo mounts."""
     _call("prctl", _NO_NEW_PRIVILEGES, 1, 0, 0, 0)
     for number in range(int(Path("/proc/sys/kernel/cap_last_cap").read_text()) + 1):
         _call("prctl", _DROP_CAPABILITY, number, 0, 0, 0)

@@ -36,7 +36,7 @@ Names = Sequence[str] | None
 def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[str, Array]:
     """Read arrays of a file, or of a series joined to one, by their names.
 
-    A path whose last part has a * names a series; `file_number` is then the last number in the name
+    A path with a * in its last part is a series; `file_number` is then the last number in the name
     of each value's file.
 
     CSV and other text (txt, dat): columns under a header line, or by their numbers from 1 without
@@ -289,7 +289,7 @@ def length_mm(given: Unit, array: Array, where: str, key: str) -> float:
     Raises
     ------
     InputError
-        Nothing says it, or a name that is not known.
+        A unit that is missing, or an unknown name.
     """
     return _factor(given, array, _LENGTHS, where, key, "mm")
 

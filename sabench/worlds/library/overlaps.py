@@ -59,7 +59,7 @@ _STEPS = 40  # of the golden section: to 4e-9
 
 
 def shapes_of(semi_axes_mm: F64, rotation: F64) -> F64:
-    """Compute matrices whose inverses are the ellipsoids' quadratic forms. (n, 3, 3)."""
+    """Compute the inverses (n, 3, 3) of the ellipsoids' quadratic forms."""
     return np.asarray(np.einsum("nki,nk,nkj->nij", rotation, semi_axes_mm**2, rotation))
 
 
@@ -152,7 +152,7 @@ def _nearest(t: Any) -> Any:
 
 
 def contact(center: F64, first: F64, other: F64, second: F64) -> F64:
-    """Compute the squared factor (n,) by which two ellipsoids must grow to touch.
+    """Compute the squared factor (n,) that makes two ellipsoids touch.
 
     They grow about their centres; below 1 they overlap.
 

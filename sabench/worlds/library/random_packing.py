@@ -1,7 +1,7 @@
 """Random packing of ellipsoids without overlap.
 
-A grid whose cells are as wide as the largest bubble holds the bubbles that are already there; a new
-one is tried against those of 27 cells.
+A grid with cells as wide as the largest bubble holds the bubbles that are already there; a new
+one is compared with those of 27 cells.
 """
 
 from collections.abc import Callable

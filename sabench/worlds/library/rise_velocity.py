@@ -66,7 +66,7 @@ def spheroid_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
 
 
 def terminal_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
-    """Compute the velocity (n,) in m/s at which bubbles of equivalent diameters rise."""
+    """Compute the rise velocity (n,) in m/s of bubbles of equivalent diameters."""
     return np.fmin(spheroid_velocity(diameter_mm, liquid), wave_velocity(diameter_mm, liquid))
 
 
@@ -109,7 +109,7 @@ def drag_factors(ratio: F64) -> tuple[F64, F64]:
 
 
 def _balance(d: float, liquid: Liquid) -> float:
-    """Find the velocity at which drag and buoyancy of a bubble agree; d in m."""
+    """Find the velocity that balances drag and buoyancy of a bubble; d in m."""
     ratios = np.geomspace(_ROUND, _FLATTEST, _AXIS_RATIOS)
     numbers = weber(ratios)
 
