@@ -150,7 +150,7 @@ def detect_particle_peaks(
 
 
 def find_above(grey: U16, dark: DarkNoise, least_dn: F32) -> Peaks:
-    """Find peaks that reach grey values (row, column), but no lone pixels."""
+    """Find peaks that reach grey values (row, column), but no single pixels."""
     light = grey - dark.level
     light[find_lone_pixels(light, dark.noise)] = 0.0
     return find_peaks(light, least_dn - dark.level)

@@ -51,7 +51,7 @@ class Phases:
         ------
         InputError
             One that a wall cuts, that reaches into a body, or into another one although the scene
-            does not ask for that.
+            does not allow that.
         """
         if self._bubbles is None:
             none = np.zeros((0, 3))

@@ -24,7 +24,7 @@ from sabench.utils.compiled import numba
 _BIN = 0.5  # px: of minor axes in the accumulator
 _OFF = 0.75  # px: of an edge from the outline that it belongs to
 _ALONG = np.cos(np.deg2rad(25.0))  # of an edge's direction and the outline's normal
-_FLANK = 0.9  # of the major semi-axis: edges nearer to its ends say nothing about the minor one
+_FLANK = 0.9  # of the major semi-axis: edges nearer to its ends do not determine the minor one
 _LEAST_PX = 1.2  # semi-axis
 _FEWEST = 6  # edges of an outline
 _FITS = 2

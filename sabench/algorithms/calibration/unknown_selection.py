@@ -44,7 +44,7 @@ class Nested:
     change_px, sigma_px : its change against the fit with the unknowns chosen before, and the
         standard error of that change.
     chosen : whether the group stays free.
-    remark : why it was not tried or not chosen, where figures do not say it.
+    remark : reason why it was not tried or not chosen, if figures do not show it.
     """
 
     added: tuple[Unknown, ...]

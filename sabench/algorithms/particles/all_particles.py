@@ -251,10 +251,10 @@ def some_rows(particles: ModelParticles, rows: slice) -> ModelParticles:
 def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
     """Fill in what the fit of particles takes of each camera's pixels (n, camera, 2).
 
-    The first is the factor of the image's square: the light takes as much of one pixel as the image
-    tells more of it than its prior and the other cameras. The second is that of the squares of the
-    image's derivatives: the position takes as much of three as the camera has a share in. Both are
-    0 where a camera does not see the particle. Neighbours count as known.
+    The first is the factor of the image's square, from the camera's share in the information about
+    the light. The second is that of the squares of the image's derivatives, from its share in the
+    information about the position. Both are 0 where a camera does not see the particle. Neighbours
+    count as known.
     """
     cameras = len(model.typical)
     for n in range(len(particles.position)):

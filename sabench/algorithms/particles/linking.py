@@ -28,8 +28,7 @@ from sabench.utils.arrays import F64, I64, Bool
 GATE = 20.0
 # farthest displacement of a trajectory of unknown velocity, in distances between neighbours
 REACH = 3.0
-# difference of neighbours' displacements, in the same unit, beyond which they say nothing of each
-# other
+# largest difference of related neighbours' displacements, in the same unit
 _ALIKE = 0.4
 _NEIGHBOURS = 8
 # candidates of one trajectory: several times what is within the radius where bubbles are evenly

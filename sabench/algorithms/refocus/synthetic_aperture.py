@@ -23,7 +23,7 @@ from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
-_GPU_PLANES = 1 << 24  # voxels computed at once: bounds the device's memory
+_GPU_PLANES = 1 << 24  # voxels computed simultaneously: bounds the device's memory
 # (drjit, one array of samples per camera) -> the plane's voxels
 Fold = Callable[[Any, Sequence[Any]], Any]
 

@@ -145,7 +145,7 @@ class _View:
     ----------
     points_mm : (n, 3) points of the plane that it sees.
     slopes : (2, 3) derivatives of column and row by directions in the plane, px / mm.
-    angle : between line of sight and plane, degrees; negative where it sees nothing.
+    angle : between line of sight and plane, degrees; negative for a camera that does not see it.
     """
 
     camera: int

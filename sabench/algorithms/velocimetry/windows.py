@@ -246,7 +246,7 @@ def _to_displacement(position: int, count: int) -> int:
 
 
 Size = tuple[int, int, int]
-_AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms at once
+_AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms simultaneously
 # of the windows' mean square: one with less has no signal; what a spline's ringing leaves of bright
 # neighbours is less
 _EMPTY = 1e-3
