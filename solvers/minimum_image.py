@@ -56,5 +56,5 @@ class MinimumImage(BubbleSolver):
         voxel, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
         shapes[:, :3] = shapes[:, :3] * voxel + low
         shapes[:, 3:5] *= voxel[:2]
-        merged = merge_overlaps(shapes, grid)
-        return Detections.balls(merged[:, :3].copy(), np.sqrt(merged[:, 3] * merged[:, 4]))
+        kept = merge_overlaps(shapes, grid)
+        return Detections.balls(kept[:, :3].copy(), np.sqrt(kept[:, 3] * kept[:, 4]))

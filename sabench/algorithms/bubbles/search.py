@@ -98,8 +98,7 @@ def find_hypotheses(
 
     Parameters
     ----------
-    least_2d, least_3d : least votes in one view for a search in the others; least mean votes
-        of a hypothesis.
+    least_2d, least_3d : least votes in one view, and least mean votes of a hypothesis.
     """
     maps = np.empty((len(votes), *votes[0].maps.shape), dtype=np.float32)
     for smoothed, view in zip(maps, votes, strict=True):

@@ -129,8 +129,7 @@ def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> 
 
     maps = _reduce(tracking.maps, core, find_in_core, reach_px, least_px)
     sure = find_sets(maps, peaks, least_px)
-    # the number of sets that agree by chance grows as the radius to the power of the dimensions of
-    # their errors
+    # the number of chance sets grows as the radius to the power of the dimensions of their errors
     wider = find_sets(maps, peaks, 2.0 * least_px)
     chance = (len(wider.positions) - len(sure.positions)) / (2.0 ** (2 * len(core) - 3) - 1.0)
     if len(sure.positions) - chance < _SURE * np.sqrt(max(chance, 1.0)):

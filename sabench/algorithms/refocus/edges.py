@@ -50,8 +50,7 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
     ----------
     stack : (z, y, x) refocused images, voxels as wide as long.
     least : least height of a step that is an edge.
-    reach_mm : depth before and behind an edge without a sharper one; the planes there are
-        fitted.
+    reach_mm : depth around an edge without a sharper one; the planes there are fitted.
     """
     planes = max(1, round(reach_mm / grid.voxel_mm[2]))
     height = np.empty_like(stack)
