@@ -176,7 +176,7 @@ def _leave_out_bright(images: U16, counts: Bool, step: float, noise: DarkNoise) 
 
 
 def _show_particles(images: U16, around: F32, bright: Bool, step: float) -> bool:
-    """Return whether bright pixels look like dense particles, and not like a background.
+    """Return whether bright pixels look like dense particles, not a background.
 
     Compared with their surroundings, those of particles are skewed (by quartiles: A. L. Bowley,
     Elements of Statistics, 1901), and neighbours often have the same sign (N. Blomqvist, Ann. Math.

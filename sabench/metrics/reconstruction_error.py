@@ -113,7 +113,7 @@ def intensity_error(
 
 
 def _alone(truth: F64, lit: Bool, shape: tuple[int, ...]) -> Bool:
-    """Mark the lit particles (n, 3) with blobs that neither a face nor another one cuts."""
+    """Mark the lit particles (n, 3) with blobs that no face or other blob cuts."""
     last = np.asarray(shape[::-1]) - 1.0
     alone = np.asarray(lit & ((truth >= FACE) & (truth <= last - FACE)).all(axis=1))
     distance, _ = cKDTree(truth[lit]).query(truth[alone], k=2, p=np.inf)

@@ -1,4 +1,4 @@
-"""Refractive indices of named materials by wavelength, and the inertia of particles.
+"""Refractive indices of named materials by wavelength; inertia of particles.
 
 Indices are relative to air at 15 degrees Celsius. Cameras and lasers stand in air, of index 1
 in a scene; glass catalogues state indices relative to air, too.

@@ -1,4 +1,4 @@
-"""Memory and threads: the process's peak, the available rest, and work on all cores."""
+"""Memory and threads: peak and available memory, and work on all cores."""
 
 import contextlib
 import ctypes

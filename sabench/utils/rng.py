@@ -1,4 +1,4 @@
-"""Independent random streams, one for each purpose, frame and camera, and numbers for kernels.
+"""Independent random streams by purpose, frame and camera; numbers for kernels.
 
 Kernels take words of Philox4x32-10. A block of four words depends on a key and a counter alone,
 whatever is drawn elsewhere and on whatever thread. Source: Salmon, Moraes, Dror and Shaw, "Parallel

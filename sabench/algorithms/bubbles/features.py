@@ -1,4 +1,4 @@
-"""Feature potentials of refocused stacks, their peaks over depth, and depths of outlines.
+"""Feature potentials of refocused stacks, their peaks, and depths of outlines.
 
 Source: J. Belden's thesis, sections 5.3 and 5.4. All steps work on darkness, one less the images'
 transmission: the thesis's minimum images are images of the largest darkness here.

@@ -187,13 +187,13 @@ def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
 
 
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
-    """Predict (n,) the decrease of the cost by a split along the best of steps (k, 3)."""
+    """Predict (n,) the decrease of the cost by a split along the best step (k, 3)."""
     gains = np.zeros(len(particles.position))
     return _measure(model_moves.measure_split_gains, model, sigma, particles, gains, steps)
 
 
 def light_gains(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Compute (n, camera) the decrease of the cost by particles' light in each camera."""
+    """Compute (n, camera) the decrease of the cost by light in each camera."""
     return _measure(
         model_moves.measure_light_gains, model, sigma, particles, np.zeros(particles.light.shape)
     )

@@ -325,7 +325,7 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
 
 
 def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
-    """Mark pixels of parts of the box that `fewest` cameras or more see almost in full.
+    """Mark pixels of parts of the box that `fewest` cameras see almost in full.
 
     Pixels that show no part of the box are marked, too.
     """

@@ -219,7 +219,7 @@ def best_light(model: Any, room: Any, light: Any) -> float:
 
 @numba.njit(cache=True)
 def _add_to_matrix(matrix: Any, slope: Any, sums: Any, light: float) -> None:
-    """Add a camera's information on the position to the normal matrix, after `sum_up`."""
+    """Add a camera's share of the position's normal matrix, after `sum_up`."""
     square, xx, xy, yy = light * light, sums[XX], sums[XY], sums[YY]
     for p in range(3):
         for q in range(3):

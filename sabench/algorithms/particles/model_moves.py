@@ -228,7 +228,7 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> None:
-    """Fill in (n, camera) the decrease of the cost by light; negative if a camera shows none."""
+    """Fill in (n, camera) the gain of light; negative if a camera shows none."""
     for n in range(len(gained)):
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
@@ -238,7 +238,7 @@ def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> N
 
 @numba.njit(cache=True, nogil=True)
 def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains: Any) -> None:
-    """Fill in (n,) the predicted decrease of the cost by the best split along steps (k, 3).
+    """Fill in (n,) the predicted gain of the best split along steps (k, 3).
 
     The light is free.
     """

@@ -273,7 +273,7 @@ def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
 
 
 def explains(search: ParticleSearch) -> bool:
-    """Return whether the particles explain the images, with light as particles have it."""
+    """Return whether the particles explain the images, with plausible light."""
     left = float(left_of_images(search).max())
     most = _LEFT + _CHANCE / math.sqrt(max(len(search.position), 1))
     return left < _LITTLE or (left < most and scatter_between(search.covariance) < _SCATTER)

@@ -104,7 +104,7 @@ def _sample(
 
 
 def _polynomial(dr: Any, types: Any, table: Any, start: Any, degree: int, u: Any, v: Any) -> Any:
-    """Evaluate bivariate polynomials with terms that start at positions (n,) of a table."""
+    """Evaluate bivariate polynomials; their terms start at entries (n,) of a table."""
     result, place = None, (degree + 1) * (degree + 2) // 2
     for power_v in range(degree, -1, -1):
         line = None

@@ -1,4 +1,4 @@
-"""Corrections of the voxels by comparing recorded and projected light: jointly, or by pixels.
+"""Corrections of voxels by recorded and projected light: jointly, or by pixels.
 
 Every step corrects the values in place and returns the squared norm of the residual P - W I before
 the correction.
