@@ -87,19 +87,19 @@ class BubbleField(BubbleGenerator):
             margin = np.maximum(period - 2.0 * extent[which], 0.0)[:, None]
             return np.asarray((period - margin) / 2.0 + margin * rng.random((len(which), tries, 3)))
 
-        there = (
+        start = (
             propose(np.arange(len(semi_axes)), 1)[:, 0]
             if chosen.overlap
             else place(semi_axes, rotation, propose, "bubble_field")
         )
-        travelled = there + velocity * time_s
+        travelled = start + velocity * time_s
         turns = np.floor(travelled / period).astype(np.int64)
-        identity = np.arange(len(there)) + len(there) * np.abs(turns).sum(axis=1)
+        identity = np.arange(len(start)) + len(start) * np.abs(turns).sum(axis=1)
         center = domain.low_mm - beyond / 2.0 + travelled - turns * period
-        made = Bubbles(
-            identity, center, semi_axes, rotation, np.tile(velocity, (len(there), 1)), chosen.index
+        bubbles = Bubbles(
+            identity, center, semi_axes, rotation, np.tile(velocity, (len(start), 1)), chosen.index
         )
-        return made[within(domain, made)]
+        return bubbles[within(domain, bubbles)]
 
     def _shapes(self, rng: np.random.Generator, room_mm3: float) -> tuple[F64, F64]:
         chosen: BubbleFieldParameters = self.parameters

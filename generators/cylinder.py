@@ -25,8 +25,8 @@ class Cylinder(SolidGenerator):
         import trimesh
 
         chosen: CylinderParameters = self.parameters
-        made = trimesh.creation.cylinder(
+        mesh = trimesh.creation.cylinder(
             chosen.radius_mm, chosen.length_mm, sections=chosen.sections
         )
-        upright = np.asarray(made.vertices)[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
-        return Solid(upright, np.asarray(made.faces, dtype=np.int64))
+        upright = np.asarray(mesh.vertices)[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+        return Solid(upright, np.asarray(mesh.faces, dtype=np.int64))

@@ -139,7 +139,7 @@ class _Spline:
         self._spline = NdBSpline(tuple(knots), np.ascontiguousarray(values), _DEGREE)
 
     def box_mm(self) -> tuple[F64, F64]:
-        """Return corners (x, y, z) of the box in which the field is defined."""
+        """Return corners (x, y, z) of the field's box."""
         endless = np.array([axis in self._periodic for axis in "xyz"])
         ends = np.array([(line[0], line[-1]) for line in self._lines[-3:]])[::-1]
         return np.where(endless, -np.inf, ends[:, 0]), np.where(endless, np.inf, ends[:, 1])

@@ -107,7 +107,7 @@ class FromTracks(Generator):
         Raises
         ------
         InputError
-            A time at which no trajectory has a particle in the volume.
+            A time without a trajectory in the volume.
         """
         chosen: FromTracksParameters = self.parameters
         tracks = _read(chosen.model_dump_json())
@@ -144,8 +144,8 @@ class _Tracks:
     def chosen(self, seed: int, share: float) -> Bool:
         """Mark the points (n,) of a share of the trajectories, the same in all frames."""
         number, which = np.unique(self.id, return_inverse=True)
-        kept: Bool = stream(seed, "from_tracks").random(len(number)) < share
-        return kept[which]
+        drawn: Bool = stream(seed, "from_tracks").random(len(number)) < share
+        return drawn[which]
 
     def at(self, now: float) -> tuple[F64, F64, I64]:
         """Interpolate all trajectories that have begun and not ended.
@@ -287,7 +287,7 @@ def _slopes(identity: I64, time: F64, position: F64) -> F64:
     """Estimate velocities at points.
 
     They are slopes of the parabola through each point and its neighbours, or of the last three or
-    two points at ends. Lone points have zero velocity.
+    two points at ends. Single points have zero velocity.
     """
     out = np.zeros_like(position)
     # whether the next point is of the same trajectory

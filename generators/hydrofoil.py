@@ -67,11 +67,11 @@ def _faces(around: int) -> I64:
     First the sides, then strips between the upper and the lower side at both ends.
     """
     here = np.arange(around)
-    there = (here + 1) % around
+    after = (here + 1) % around
     sides = np.concatenate(
         [
-            np.column_stack([here, there, there + around]),
-            np.column_stack([here, there + around, here + around]),
+            np.column_stack([here, after, after + around]),
+            np.column_stack([here, after + around, here + around]),
         ]
     )
     upper = np.arange(around // 2 + 1)

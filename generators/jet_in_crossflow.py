@@ -72,14 +72,14 @@ class JetInCrossflow(BubbleGenerator):
         )
         age, line = spray.ages_and_lines(first)
         rounds, age = np.divmod(age + time_s, spray.ages[0][-1])
-        there = spray.positions(age, line)
+        position = spray.positions(age, line)
         identity = np.arange(chosen.count) + chosen.count * rounds.astype(np.int64)
-        center, velocity = there + np.asarray(chosen.nozzle_mm), spray.velocities(age, there)
-        made = Bubbles(identity, center, semi_axes, rotation, velocity, chosen.index)
-        made = made[within(domain, made) & self._off(there, extent, cones)]
+        center, velocity = position + np.asarray(chosen.nozzle_mm), spray.velocities(age, position)
+        bubbles = Bubbles(identity, center, semi_axes, rotation, velocity, chosen.index)
+        bubbles = bubbles[within(domain, bubbles) & self._off(position, extent, cones)]
         if not chosen.overlap and time_s:
-            made = made[np.setdiff1d(np.arange(len(made)), overlapping(made)[:, 1])]
-        return made
+            bubbles = bubbles[np.setdiff1d(np.arange(len(bubbles)), overlapping(bubbles)[:, 1])]
+        return bubbles
 
     def _spray(self, domain: Domain) -> Spray:
         chosen: JetInCrossflowParameters = self.parameters

@@ -50,8 +50,8 @@ class LiquidColumn(SolidGenerator):
 
         extent = chosen.diameter_mm
         low, high = (end(np.concatenate(cones[:2]), axis=0) for end in (np.min, np.max))
-        made = largest_part(surface_of(body, low - extent, high + extent, chosen.step_mm))
-        return Solid(made.vertices_mm + np.asarray(chosen.nozzle_mm), made.faces)
+        mesh = largest_part(surface_of(body, low - extent, high + extent, chosen.step_mm))
+        return Solid(mesh.vertices_mm + np.asarray(chosen.nozzle_mm), mesh.faces)
 
     def _ripples(self, seed: int) -> Callable[[F64], F64]:
         """Sum plane waves of all directions, a third to one nozzle diameter long."""

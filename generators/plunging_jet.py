@@ -59,7 +59,7 @@ class PlungingJet(BubbleGenerator):
 
     @cached_property
     def law(self) -> JetLaw:
-        """Law from which the bubbles are drawn."""
+        """Law of the drawn bubbles."""
         chosen: PlungingJetParameters = self.parameters
         return JetLaw(
             chosen.penetration_mm,
@@ -94,15 +94,15 @@ class PlungingJet(BubbleGenerator):
             else place(semi_axes, rotation, propose, "plunging_jet")
         )
         velocity = self._velocities(center - impact)
-        moved = center + velocity * time_s
-        made = Bubbles(np.arange(len(center)), moved, semi_axes, rotation, velocity, chosen.index)
-        made = made[within(domain, made)]
+        now = center + velocity * time_s
+        bubbles = Bubbles(np.arange(len(center)), now, semi_axes, rotation, velocity, chosen.index)
+        bubbles = bubbles[within(domain, bubbles)]
         if not chosen.overlap and time_s:
-            made = made[np.setdiff1d(np.arange(len(made)), overlapping(made)[:, 1])]
-        return made
+            bubbles = bubbles[np.setdiff1d(np.arange(len(bubbles)), overlapping(bubbles)[:, 1])]
+        return bubbles
 
     def _shapes(self, rng: np.random.Generator, domain: Domain) -> tuple[F64, F64, Bool]:
-        """Draw bubbles whose volumes add up to the air above Y_p, and below it."""
+        """Draw bubbles with volumes that add up to the air above Y_p, and below it."""
         chosen: PlungingJetParameters = self.parameters
         top, bottom = self._depths(domain)
         parts = []
@@ -174,8 +174,8 @@ class PlungingJet(BubbleGenerator):
                 x, z = spread * rng.standard_normal((2, len(number)))
                 along_jet = np.column_stack([x, depth, z])
                 position_mm = along_jet @ self.rotation.T + np.asarray(chosen.impact_mm)
-                own = extent[number // tries]
-                good = ((position_mm - own >= low) & (position_mm + own <= high)).all(axis=1)
+                reach = extent[number // tries]
+                good = ((position_mm - reach >= low) & (position_mm + reach <= high)).all(axis=1)
                 out.reshape(-1, 3)[number[good]] = position_mm[good]
                 number = number[~good]
         return out

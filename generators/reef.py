@@ -15,7 +15,7 @@ from sabench.worlds.library.implicit_surfaces import (
 _THICK, _THIN = 0.25, 0.07
 _LENGTH = 0.35  # of the longest branches, in the same
 _BLEND = 0.03  # how round joints are, in the same
-_JOINTS = 3.0  # blends by which twenty branches in one place grow: log(20)
+_JOINTS = 3.0  # growth of twenty branches in one place, in blends: log(20)
 Cones = tuple[F64, F64, F64, F64]
 
 
@@ -94,10 +94,10 @@ class Reef(SolidGenerator):
             parents[n] = np.argmin(np.linalg.norm(ends[: n + 1] - target, axis=1))
             start = ends[parents[n]]
             radii[n + 1] = max(_THIN * least, radii[parents[n]] * rng.uniform(0.7, 0.98))
-            there = start + (target - start) * min(
+            tip = start + (target - start) * min(
                 1.0, _LENGTH * least / float(np.linalg.norm(target - start))
             )
-            ends[n + 1] = there / max(1.0, float(np.linalg.norm(there / (room - radii[n + 1]))))
+            ends[n + 1] = tip / max(1.0, float(np.linalg.norm(tip / (room - radii[n + 1]))))
         return ends[parents], ends[1:], radii[parents], radii[1:]
 
     def _tunnels(self, half: F64, rng: np.random.Generator) -> Cones:

@@ -14,7 +14,7 @@ from sabench.api import F64, Flow, Parameters, stream
 _WATER = 1.0  # mm^2/s
 _DIRECTIONS = 6  # of waves in a shell: the axes of an icosahedron, isotropic to fourth order
 _RATIOS = (1e-5, 1e3)  # Kolmogorov length over the outer length of the spectrum
-_SMOOTH = 400  # shells for the limits of what can be asked
+_SMOOTH = 400  # shells for the limits of the parameters
 
 
 class TurbulenceParameters(Parameters):

@@ -63,11 +63,11 @@ def folders(kind: str) -> list[Path]:
     """List all folders that are searched for plug-ins of a kind, each once."""
     variable = os.environ.get("SABENCH_PLUGINS", "")
     extra = [(Path(entry) / kind).absolute() for entry in variable.split(os.pathsep) if entry]
-    found: dict[Path, Path] = {}  # one folder by two names is one
+    by_path: dict[Path, Path] = {}  # one folder by two names is one
     for folder in (bundled_folder(kind), *extra):
         if folder.is_dir():
-            found.setdefault(folder.resolve(), folder)
-    return list(found.values())
+            by_path.setdefault(folder.resolve(), folder)
+    return list(by_path.values())
 
 
 def names(kind: str) -> list[str]:
@@ -94,16 +94,16 @@ def file_of(kind: str, name: str) -> Path:
     return files[name][0]
 
 
-def _hint(kind: str, name: str, known: list[str]) -> str:
-    """Say what there is in place of a name, and where one's own would be."""
-    if not known:  # a folder `sabench` in the current one hides the installed package's
+def _hint(kind: str, name: str, names: list[str]) -> str:
+    """Suggest names in place of an unknown one, and where to put a plug-in."""
+    if not names:  # a folder `sabench` in the current one hides the installed package's
         return f"none are in {bundled_folder(kind)}; is another copy of sabench in {Path.cwd()}?"
-    near = difflib.get_close_matches(name, known, 1)
-    what = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
-    own = f"for one of your own, SABENCH_PLUGINS is the folder that holds {kind}/{name}.py"
+    near = difflib.get_close_matches(name, names, 1)
+    what = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
+    hint = f"for one of your own, SABENCH_PLUGINS is the folder that holds {kind}/{name}.py"
     entries = filter(None, os.environ.get("SABENCH_PLUGINS", "").split(os.pathsep))
     missing = [entry for entry in entries if not (Path(entry) / kind).is_dir()]
-    return f"{what}; {own}" + "".join(f"; there is no folder {entry}/{kind}" for entry in missing)
+    return f"{what}; {hint}" + "".join(f"; there is no folder {entry}/{kind}" for entry in missing)
 
 
 def is_bundled(kind: str, name: str) -> bool:
@@ -112,17 +112,17 @@ def is_bundled(kind: str, name: str) -> bool:
 
 
 def _files(kind: str) -> dict[str, list[Path]]:
-    found: dict[str, list[Path]] = {}
+    files: dict[str, list[Path]] = {}
     for folder in folders(kind):
         for file in sorted(folder.glob("[a-z]*.py")):
-            found.setdefault(file.stem, []).append(file)
-    return found
+            files.setdefault(file.stem, []).append(file)
+    return files
 
 
 def load(kind: str, name: str) -> type[Any]:
     """Import a plug-in.
 
-    It is the one class of its file whose `name` is the stem of the file.
+    It is the one class of its file with the stem of the file as its `name`.
 
     Raises
     ------

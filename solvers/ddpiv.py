@@ -19,7 +19,7 @@ class DefocusingParameters(PeakParameters):
 class Ddpiv(ParticleSolver):
     """Particles from triangles of their images in three parallel pinholes.
 
-    Defocusing digital PIV: the triangle's size tells the depth, its middle the place across.
+    Defocusing digital PIV: the triangle's size gives the depth, its middle the position across.
     """
 
     name = "ddpiv"

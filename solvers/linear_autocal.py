@@ -38,8 +38,8 @@ class LinearAutocal(CalibrationSolver):
 
     def solve(self, case: CalibrationCase) -> Calibration:
         """Reconstruct the points that two cameras found, then all the cameras."""
-        seen = case.found.reshape(len(case.cameras), -1)
-        chosen = (seen.sum(axis=0) >= 2) & np.isfinite(case.initial_mm.reshape(-1, 3)).all(axis=1)
+        valid = case.found.reshape(len(case.cameras), -1)
+        chosen = (valid.sum(axis=0) >= 2) & np.isfinite(case.initial_mm.reshape(-1, 3)).all(axis=1)
         if len(case.cameras) < 3:
             raise InputError(f"expected 3 cameras or more, got {len(case.cameras)}")
         scales = np.array(
@@ -49,7 +49,7 @@ class LinearAutocal(CalibrationSolver):
             case.pixels.reshape(len(scales), -1, 2)[:, chosen] - scales[:, None, :2]
         ) / scales[:, None, 2:]
         factors = upgrade_to_euclidean(
-            adjust_factors(factorise(images, seen[:, chosen]), images, seen[:, chosen])
+            adjust_factors(factorise(images, valid[:, chosen]), images, valid[:, chosen])
         )
         points = factors.points[:, :3] / factors.points[:, 3:]
         world = fit_similarity(points, case.initial_mm.reshape(-1, 3)[chosen])

@@ -30,7 +30,7 @@ from sabench.api import (
     progress_bar,
 )
 
-_FLAT = 0.01  # spread of a window in which nothing is: half as large as for minimum images
+_FLAT = 0.01  # spread of an empty window: half as large as for minimum images
 _NEAR = 5  # planes from a bubble to a peak that confirms it
 _MARGIN = 3  # voxels around what is looked at
 
@@ -95,17 +95,17 @@ class LocalFeature(BubbleSolver):
         """
         largest = self.parameters.largest_mm / grid.voxel_mm[0]
         free = np.ones(len(peaks.weight), dtype=np.bool_)
-        found = []
+        bubbles = []
         for first in progress_bar(range(len(free)), "peaks"):
             if not free[first]:
                 continue
             group = peaks.group(first, free, int(np.ceil(largest / STEP)))
             free[group] = False
-            for one in self._features(volume, peaks, group, largest):
-                if peaks.within(one, _NEAR).any():
-                    free &= ~peaks.within(one, PLANES)
-                    found.append(one)
-        return np.array(found, dtype=np.float64).reshape(-1, 7)
+            for bubble in self._features(volume, peaks, group, largest):
+                if peaks.within(bubble, _NEAR).any():
+                    free &= ~peaks.within(bubble, PLANES)
+                    bubbles.append(bubble)
+        return np.array(bubbles, dtype=np.float64).reshape(-1, 7)
 
     def _features(self, volume: F32, peaks: FeaturePeaks, group: I64, largest: float) -> list[F64]:
         """Find ellipses of a group in its mean plane, each then in its own.
@@ -119,8 +119,8 @@ class LocalFeature(BubbleSolver):
         )
         bubbles = [
             bubble
-            for one in shapes
-            if (bubble := self._refocus(volume, one, plane, largest)) is not None
+            for shape in shapes
+            if (bubble := self._refocus(volume, shape, plane, largest)) is not None
         ]
         return bubbles or self._small(volume, peaks.position[group[0]])
 
@@ -136,23 +136,23 @@ class LocalFeature(BubbleSolver):
         out[:, :2] += left, top
         return out
 
-    def _refocus(self, volume: F32, one: F64, plane: int, largest: float) -> F64 | None:
+    def _refocus(self, volume: F32, shape: F64, plane: int, largest: float) -> F64 | None:
         """Refocus an outline: find the plane where it is darkest, and the outline there.
 
         None if it is not there any more.
         """
         depth = float(plane)
         for _ in range(2):
-            depth = find_depth(volume, one, round(depth))
+            depth = find_depth(volume, shape, round(depth))
             low, high = (
-                np.floor(one[1::-1] + side * one[2]).astype(np.int64) for side in (-1.0, 1.0)
+                np.floor(shape[1::-1] + side * shape[2]).astype(np.int64) for side in (-1.0, 1.0)
             )
             again = self._ellipses(volume, round(depth), low, high + 1, largest)
-            apart = np.hypot(*(again[:, :2] - one[:2]).T)
-            if not len(again) or apart.min() > 0.5 * one[3]:
+            apart = np.hypot(*(again[:, :2] - shape[:2]).T)
+            if not len(again) or apart.min() > 0.5 * shape[3]:
                 return None
-            one = again[apart.argmin()]
-        return np.append(one, depth)
+            shape = again[apart.argmin()]
+        return np.append(shape, depth)
 
     def _small(self, volume: F32, peak: I64) -> list[F64]:
         """Find features around a peak that are too small for votes.
@@ -167,7 +167,7 @@ class LocalFeature(BubbleSolver):
             np.array([x + left, y + top, r, r, 0.0, 0.0])
             for x, y, r in find_blots(dark, chosen.least_edge, chosen.small_px)
         ]
-        return [np.append(one, find_depth(volume, one, plane)) for one in circles]
+        return [np.append(circle, find_depth(volume, circle, plane)) for circle in circles]
 
 
 def _detections(bubbles: F64, grid: Grid) -> Detections:

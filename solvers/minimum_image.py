@@ -47,12 +47,12 @@ class MinimumImage(BubbleSolver):
         """Detect bubbles by steps 1 to 5 of the section."""
         volume, grid = darkness(case), case.grid
         attenuate(volume, compute_potential(volume, WINDOW), WINDOW)
-        found = []
+        ellipses = []
         for dark, depth in progress_bar(minimum_images(volume), "minimum images"):
-            made = find_outlines(dark, depth, self.parameters.least_edge, self.parameters.small_px)
-            for (x, y, a, b), z in zip(made.shapes, made.depth, strict=True):
-                found.append((x, y, z, a, b, a * b))
-        shapes = np.array(found, dtype=np.float64).reshape(-1, 6)
+            rims = find_outlines(dark, depth, self.parameters.least_edge, self.parameters.small_px)
+            for (x, y, a, b), z in zip(rims.shapes, rims.depth, strict=True):
+                ellipses.append((x, y, z, a, b, a * b))
+        shapes = np.array(ellipses, dtype=np.float64).reshape(-1, 6)
         voxel, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
         shapes[:, :3] = shapes[:, :3] * voxel + low
         shapes[:, 3:5] *= voxel[:2]

@@ -58,23 +58,24 @@ class MteMart(SequenceSolver):
         """Reconstruct exposures of the same particles."""
         chosen: MteMartParameters = self.parameters
         exposures = [Exposure.from_case(frame, chosen) for frame in frames]
-        for one in exposures:
-            one.correct(chosen, chosen.iterations, self.name)
+        for exposure in exposures:
+            exposure.correct(chosen, chosen.iterations, self.name)
         for _ in range(chosen.repeats):
             exposures = self._enhance(exposures)
-        return [Reconstruction(one.volume(chosen.floor)) for one in exposures]
+        return [Reconstruction(exposure.volume(chosen.floor)) for exposure in exposures]
 
     def _enhance(self, exposures: list[Exposure]) -> list[Exposure]:
         """Measure displacements, and correct the guesses that follow from them."""
         chosen: MteMartParameters = self.parameters
         plan = chosen.volume_plan(exposures[0].problem.grid.shape)
-        seen = [one.volume(chosen.floor) for one in exposures]
+        volumes = [exposure.volume(chosen.floor) for exposure in exposures]
         moves = [
             Displacement.of(evaluate(first, second, plan), exposures[0].problem.splits)
-            for first, second in itertools.pairwise(seen)
+            for first, second in itertools.pairwise(volumes)
         ]
-        guesses = enhanced_guesses([one.problem.blobs(one.state) for one in exposures], moves)
-        again = [one.restart(guess) for one, guess in zip(exposures, guesses, strict=True)]
-        for one in again:
-            one.correct(chosen, chosen.later_iterations, self.name)
-        return again
+        blobs = [exposure.problem.blobs(exposure.state) for exposure in exposures]
+        guesses = enhanced_guesses(blobs, moves)
+        new = [exposure.restart(guess) for exposure, guess in zip(exposures, guesses, strict=True)]
+        for exposure in new:
+            exposure.correct(chosen, chosen.later_iterations, self.name)
+        return new

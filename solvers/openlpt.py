@@ -97,17 +97,17 @@ class OpenLpt(ParticleSolver):
             folder = Path(name)
             for number, frame in enumerate(progress_bar(case, "images for OpenLPT")):
                 write_frame(folder, number, frame.normalised_images())
-            seen = measure_frame(case[0])
-            if not seen.particles:
+            measured = measure_frame(case[0])
+            if not measured.particles:
                 return [FoundParticles(np.zeros((0, 3))) for _ in range(len(case))]
-            write_project(folder, cameras, case.grid, len(case), self._settings(seen))
+            write_project(folder, cameras, case.grid, len(case), self._settings(measured))
             return solve(folder, len(case))
 
-    def _settings(self, seen: FrameStatistics) -> Settings:
+    def _settings(self, measured: FrameStatistics) -> Settings:
         """Derive settings from the first frame."""
         chosen = self.parameters
         return replace(
-            derive_settings(seen, chosen.displacement_px, chosen.tolerance_px, chosen.floor),
+            derive_settings(measured, chosen.displacement_px, chosen.tolerance_px, chosen.floor),
             shake_px=chosen.shake_px,
             ghost=chosen.ghost,
             rounds=chosen.rounds,

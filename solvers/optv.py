@@ -85,9 +85,9 @@ class Optv(ParticleSolver):
         """Write its files, run it, read what it found."""
         chosen = self.parameters
         cameras = tuple(camera for camera in case.cameras if isinstance(camera, Camera))
-        seen = measure_frame(case[0])
+        measured = measure_frame(case[0])
         settings = derive_settings(
-            seen,
+            measured,
             chosen.displacement_px,
             chosen.tolerance_px,
             chosen.discontinuity,

@@ -16,7 +16,7 @@ from sabench.algorithms.calibration import (
 from sabench.api import F64, Calibration, CalibrationCase, CalibrationSolver, Camera, CameraModel
 
 _LEVEL = 0.02  # largest range of Z in the reference frame, as a part of its width
-_SMALL_PX = 0.02  # misfit that is not worth a warning
+_SMALL_PX = 0.02  # largest misfit without a warning
 
 
 class PlaneParallax(CalibrationSolver):
@@ -60,16 +60,16 @@ class PlaneParallax(CalibrationSolver):
         )
         aligned = np.stack(
             [
-                align(homography, own.reshape(-1, 2))
-                for homography, own in zip(homographies, case.pixels, strict=True)
+                align(homography, camera_pixels.reshape(-1, 2))
+                for homography, camera_pixels in zip(homographies, case.pixels, strict=True)
             ]
         )
-        seen = case.found.reshape(count, -1)
-        used = (seen.sum(axis=0) >= 2) & np.isfinite(places).all(axis=1)
-        found = factorise_parallax(aligned[:, used], seen[:, used])
-        scale = fit_depth_scale(found, places[used] - [0.0, 0.0, plane_z])
+        detected = case.found.reshape(count, -1)
+        used = (detected.sum(axis=0) >= 2) & np.isfinite(places).all(axis=1)
+        factors = factorise_parallax(aligned[:, used], detected[:, used])
+        scale = fit_depth_scale(factors, places[used] - [0.0, 0.0, plane_z])
         sizes = [(camera.name, camera.rows, camera.columns) for camera in case.cameras]
-        cameras = make_cameras(sizes, homographies, found, scale, plane_z)
+        cameras = make_cameras(sizes, homographies, factors, scale, plane_z)
         _warn_of_misfit(cameras, case)
         return Calibration(cameras)
 
@@ -85,8 +85,8 @@ def _reference(case: CalibrationCase) -> int:
 
 
 def _homography(camera: Camera, places: F64, pixels: F64) -> F64:
-    there = np.isfinite(places).all(axis=1) & np.isfinite(pixels).all(axis=1)
-    return plane_homography(camera.name, places[there, :2], pixels[there])
+    finite = np.isfinite(places).all(axis=1) & np.isfinite(pixels).all(axis=1)
+    return plane_homography(camera.name, places[finite, :2], pixels[finite])
 
 
 def _warn_of_misfit(cameras: tuple[CameraModel, ...], case: CalibrationCase) -> None:

@@ -68,11 +68,11 @@ class RefractiveAutocal(CalibrationSolver):
         """Adjust, then again with what is known, weighed against the measured noise."""
         free = self._unknowns(case)
         problem = CalibrationProblem.from_case(case, free)
-        found = fit_jointly(problem, free)
-        state = problem.align_to_nominal(found.fit.state)
-        check_fit(case, state, problem.frame, problem.seen, found.used, found.noise_px)
-        answer = problem.answer(state, found.used)
-        return replace(answer, remarks=(REMARKS[found.held],)) if found.held else answer
+        robust = fit_jointly(problem, free)
+        state = problem.align_to_nominal(robust.fit.state)
+        check_fit(case, state, problem.frame, problem.seen, robust.used, robust.noise_px)
+        answer = problem.answer(state, robust.used)
+        return replace(answer, remarks=(REMARKS[robust.held],)) if robust.held else answer
 
     def _unknowns(self, case: CalibrationCase) -> FreeParameters:
         """Join the unknowns of the case and of the parameters."""

@@ -87,9 +87,9 @@ class RefractiveAutocalRandomised(CalibrationSolver):
         """Calibrate one subset from the boards as they are known so far."""
         chosen: RandomisedParameters = self.parameters
         cameras = np.sort(rng.permutation(len(state.rotations))[: chosen.subset])
-        part, seen = select_cameras(state, problem.seen, cameras)
+        part, views = select_cameras(state, problem.seen, cameras)
         return problem.align_to_nominal(
-            alternate(part, seen, free, chosen.tolerance_px, chosen.rounds).state
+            alternate(part, views, free, chosen.tolerance_px, chosen.rounds).state
         )
 
 

@@ -23,5 +23,5 @@ class RefractiveResection(CalibrationSolver):
         """Adjust the cameras to the nominal positions."""
         free = lens_unknowns(case)
         problem = CalibrationProblem.from_case(case, free)
-        found = adjust(problem.start, problem.seen, free, moving="cameras")
-        return problem.answer(found.fit.state, found.used)
+        robust = adjust(problem.start, problem.seen, free, moving="cameras")
+        return problem.answer(robust.fit.state, robust.used)

@@ -97,7 +97,7 @@ class RimFit(BubbleSolver):
         fluid = cameras[0].wall.fluid_index if cameras[0].wall else 1.0
         angle = None if chosen.diffuser_deg is None else float(np.deg2rad(chosen.diffuser_deg))
         profile = partial(Profile.tabulate, chosen.index / fluid, blur_px=chosen.blur_px)
-        found = search_bubbles(
+        bubbles = search_bubbles(
             images,
             cameras,
             profile,
@@ -106,4 +106,4 @@ class RimFit(BubbleSolver):
             Limits(*chosen.radius_mm, chosen.least_gain),
             chosen.sweeps,
         )
-        return Detections(found.center_mm @ axes, found.semi_axes_mm, found.turn @ axes)
+        return Detections(bubbles.center_mm @ axes, bubbles.semi_axes_mm, bubbles.turn @ axes)

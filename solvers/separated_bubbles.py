@@ -30,8 +30,8 @@ class SeparatedBubbles(BubbleSolver):
     def solve(self, case: Observation) -> Detections:
         """Separate the phases and find the bubbles."""
         widest = image_diameter_px(case, self.parameters.largest_mm)
-        found: Detections = self._solver().solve(separate_phases(case, widest).bubbles)
-        return found
+        detections: Detections = self._solver().solve(separate_phases(case, widest).bubbles)
+        return detections
 
     def _solver(self) -> Any:
         return make_algorithm(self.parameters.solver, {})

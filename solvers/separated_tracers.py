@@ -38,10 +38,10 @@ class SeparatedTracers(ParticleSolver):
 
     def solve(self, case: ImageSequence) -> Iterable[FoundParticles]:
         """Separate the phases of each frame and find the tracers."""
-        found: Iterable[FoundParticles] = self._solver().solve(
+        particles: Iterable[FoundParticles] = self._solver().solve(
             replace(case, load=lambda number: self._tracers(case[number]))
         )
-        return found
+        return particles
 
     def _tracers(self, frame: Observation) -> Observation:
         widest = image_diameter_px(frame, self.parameters.largest_mm)

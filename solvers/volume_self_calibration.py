@@ -40,7 +40,7 @@ class VolumeSelfCalibration(SelfCalibrationSolver):
     """Correction of cameras that are a few pixels off, from the particles they share.
 
     Disparities of particle images between the cameras are removed first. The disparities of a set
-    of images in all cameras form a vector, from which the part that a shift of the particle
+    of images in all cameras form a vector. The part that a shift of the particle
     explains is projected out: in the dimensions that are left (five for four cameras) right sets
     agree and wrong ones scatter, even where these far outnumber the right ones. Particles do not
     show a common motion of all cameras: it stays uncorrected, and so do errors that resemble one.

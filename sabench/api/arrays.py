@@ -59,7 +59,7 @@ class Array:
         return {"f": "f", "i": "iu", "u": "u", "b": "u"}[np.dtype(self.dtype).kind]
 
     def to_file(self, value: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Convert an array to the type in which files hold it."""
+        """Convert an array to its type in files."""
         kind = np.uint8 if value.dtype == np.bool_ else self.file_dtype
         return value if kind is None else value.astype(kind)
 
@@ -71,19 +71,19 @@ class Array:
             else stored.astype(self.dtype, copy=False)
         )
 
-    def sizes(self, known: dict[str, int]) -> tuple[int | None, ...]:
+    def sizes(self, by_name: dict[str, int]) -> tuple[int | None, ...]:
         """List the sizes along the axes; None where a size is not known yet."""
-        return tuple(size if isinstance(size, int) else known.get(size) for size in self.shape)
+        return tuple(size if isinstance(size, int) else by_name.get(size) for size in self.shape)
 
-    def learn(self, shape: tuple[int, ...], known: dict[str, int]) -> None:
+    def learn(self, shape: tuple[int, ...], by_name: dict[str, int]) -> None:
         """Add the sizes of an array of this declaration to the known ones."""
         pairs = zip(self.shape, shape, strict=True)
-        known.update({name: size for name, size in pairs if isinstance(name, str)})
+        by_name.update({name: size for name, size in pairs if isinstance(name, str)})
 
     def check_values(self, value: npt.NDArray[Any], where: str) -> None:
         """Check that values are finite, not too large and, where declared, unique.
 
-        Raises an InputError, whose sentence `where` opens.
+        Raises an InputError; its sentence begins with `where`.
         """
         if value.dtype.kind == "f":
             bad = int(value.size - np.count_nonzero(np.isfinite(value))) if self.finite else 0
@@ -129,10 +129,10 @@ class Arrays:
 
     def arrays(self) -> Iterator[tuple[Array, npt.NDArray[Any]]]:
         """Pair the declarations with the arrays of all attributes that are not None."""
-        for one in self.ARRAYS:
-            value = getattr(self, one.name)
-            if value is not None or not one.optional:
-                yield one, one.encode(value) if one.encode else value
+        for array in self.ARRAYS:
+            value = getattr(self, array.name)
+            if value is not None or not array.optional:
+                yield array, array.encode(value) if array.encode else value
 
     def check(self, **known: int) -> None:
         """Check that every array is as declared; `known` are sizes by their names.
@@ -140,10 +140,10 @@ class Arrays:
         Raises an InputError if one is not.
         """
         sizes = dict(known)
-        for one, value in self.arrays():
-            expected = one.sizes(sizes)
-            kind = np.dtype(one.dtype)
-            text = f"{one.name}: expected {kind} of shape {_shape_text(one, sizes)}"
+        for array, value in self.arrays():
+            expected = array.sizes(sizes)
+            kind = np.dtype(array.dtype)
+            text = f"{array.name}: expected {kind} of shape {_shape_text(array, sizes)}"
             if not isinstance(value, np.ndarray):
                 raise InputError(f"{text}, got {type(value).__name__}")
             fits = len(value.shape) == len(expected) and all(
@@ -151,14 +151,14 @@ class Arrays:
             )
             if not fits or (self.EXACT and value.dtype != kind):
                 raise InputError(f"{text}, got {value.dtype} of shape {value.shape}")
-            one.check_values(value, one.name)
-            one.learn(value.shape, sizes)
+            array.check_values(value, array.name)
+            array.learn(value.shape, sizes)
 
 
-def _shape_text(declared: Array, known: dict[str, int]) -> str:
+def _shape_text(declared: Array, by_name: dict[str, int]) -> str:
     """Format a shape as a tuple, with the names of sizes that are not known."""
     sizes = [
-        str(known.get(size, size)) if isinstance(size, str) else str(size)
+        str(by_name.get(size, size)) if isinstance(size, str) else str(size)
         for size in declared.shape
     ]
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"

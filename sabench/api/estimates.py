@@ -99,7 +99,7 @@ class FoundParticles(Estimate):
 
     def rows(self, chosen: Bool | I64) -> FoundParticles:
         """Return some of the particles, with all that is known of them."""
-        return FoundParticles(**{one.name: value[chosen] for one, value in self.arrays()})
+        return FoundParticles(**{array.name: value[chosen] for array, value in self.arrays()})
 
 
 def _check_covariances(name: str, value: F64) -> None:
@@ -154,8 +154,8 @@ class Velocity(Estimate):
     valid : (z, y, x) where it was measured.
     plane_axes : (2, 3) unit vectors of the lattice's x and y, if the field lies in a plane and only
         its components in this plane were measured (planar PIV). The lattice then has a single plane
-        of nodes, `low_mm` is a point of the world, and `step_mm[2]` the depth for which a node
-        stands. None: the lattice lies along the world's axes, and all components were measured.
+        of nodes, `low_mm` is a point of the world, and `step_mm[2]` the depth that a node
+        represents. None: the lattice lies along the world's axes, and all components were measured.
 
     Raises
     ------
@@ -230,8 +230,8 @@ class Detections(Estimate):
     Attributes
     ----------
     center_mm, semi_axes_mm : (n, 3).
-    turn : (n, 3, 3) rotations from the world to the bubbles' own axes, along whose rows the
-        semi-axes lie.
+    turn : (n, 3, 3) rotations from the world to the bubbles' own axes: the rows are the
+        directions of the semi-axes.
     trajectory : (n,) numbers of trajectories, different within a frame. None: sabench links them.
 
     Raises

@@ -27,25 +27,25 @@ def generator_of(given: dict[str, Any]) -> Any:
 def make_algorithm(name: str, parameters: dict[str, Any]) -> AnySolver:
     """Make a solver of any task, with checked parameters."""
     plugin = plugins.load("solvers", name)
-    made: AnySolver = plugin(validate(plugin.Parameters, parameters, f"solver {name}"))
-    return made
+    solver: AnySolver = plugin(validate(plugin.Parameters, parameters, f"solver {name}"))
+    return solver
 
 
 def make_solver(name: str, parameters: dict[str, Any]) -> Solver:
     """Make a reconstruction solver of single frames with checked parameters."""
-    made = make_reconstruction_solver(name, parameters)
-    if isinstance(made, SequenceSolver):
+    solver = make_reconstruction_solver(name, parameters)
+    if isinstance(solver, SequenceSolver):
         raise InputError(
             f"solver {name}: expected a solver of single frames, got one of image sequences"
         )
-    return made
+    return solver
 
 
 def make_reconstruction_solver(name: str, parameters: dict[str, Any]) -> Solver | SequenceSolver:
     """Make a reconstruction solver, of single frames or of image sequences."""
-    made = make_algorithm(name, parameters)
-    if not isinstance(made, Solver | SequenceSolver):
+    solver = make_algorithm(name, parameters)
+    if not isinstance(solver, Solver | SequenceSolver):
         raise InputError(
-            f"solver {name}: expected a solver of the task reconstruction, got one of {made.task}"
+            f"solver {name}: expected a solver of the task reconstruction, got one of {solver.task}"
         )
-    return made
+    return solver

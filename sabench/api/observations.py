@@ -212,8 +212,8 @@ class CalibrationCase:
                 raise InputError(
                     f"{name}: expected the shape {expected}, got {getattr(self, name).shape}"
                 )
-        for camera, found in zip(self.cameras, self.found, strict=True):
-            if not found.any():
+        for camera, detected in zip(self.cameras, self.found, strict=True):
+            if not detected.any():
                 raise InputError(
                     f"{camera.name}: expected it to see some of the target, but not one of its "
                     "points was found"

@@ -52,7 +52,7 @@ class Solver(PlugIn):
 class IterativeSolver(Solver):
     """Base of a reconstruction algorithm that improves one estimate again and again.
 
-    It hands control back after each iteration, so that one run tells accuracy over time.
+    It hands control back after each iteration, so that one run gives accuracy over time.
     """
 
     def iterations(self, case: Observation) -> Iterator[Callable[[], Reconstruction]]:
@@ -61,10 +61,10 @@ class IterativeSolver(Solver):
 
     def solve(self, case: Observation) -> Reconstruction:
         """Return the estimate after the last iteration."""
-        made = deque(self.iterations(case), maxlen=1)
-        if not made:
+        last = deque(self.iterations(case), maxlen=1)
+        if not last:
             raise InputError("expected an iteration at least, got none")
-        return made[0]()
+        return last[0]()
 
 
 class SequenceSolver(PlugIn):
@@ -220,7 +220,7 @@ class SeeThroughSolver(PlugIn):
         return None
 
     def solve(self, case: Observation) -> Reconstruction:
-        """Compute planes whose bright voxels are those that let light through."""
+        """Compute planes where voxels that let light through are bright."""
         raise NotImplementedError(f"solver {type(self).__name__} must implement solve()")
 
 

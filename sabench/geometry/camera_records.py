@@ -53,18 +53,18 @@ def _without_model(value: Any) -> Any:
 
 
 def _any_model() -> Any:
-    """Make the union of all models, told apart by the key `model`."""
+    """Make the union of all models, distinguished by the key `model`."""
     members = [
         Annotated[model, BeforeValidator(_without_model), Tag(f"{UNION_TAG}{name}")]
         for name, model in MODELS.items()
     ]
-    known = ", ".join(MODELS)
+    models = ", ".join(MODELS)
     return Annotated[
         Union[tuple(members)],  # noqa: UP007  # its members are known at run time only
         Discriminator(
             _model_of,
             custom_error_type="camera_model",
-            custom_error_message=f"Input should be a camera with a model of {known}",
+            custom_error_message=f"Input should be a camera with a model of {models}",
         ),
     ]
 
@@ -95,8 +95,8 @@ def read_camera(record: Any, where: str) -> CameraModel:
     """
     model = record.get("model") if isinstance(record, dict) else record
     if not isinstance(model, str) or model not in MODELS:
-        known = ", ".join(sorted(MODELS))
-        raise InputError(f"{where}: model: expected one of {known}, got {model!r}")
+        models = ", ".join(sorted(MODELS))
+        raise InputError(f"{where}: model: expected one of {models}, got {model!r}")
     fields = _without_model(record)
     if bad := _extreme(fields):
         raise InputError(
@@ -140,4 +140,4 @@ def decode_cameras(code: U8) -> tuple[CameraModel, ...]:
         raise InputError(f"cameras: expected JSON, got {error}") from error
     if not isinstance(records, list):
         raise InputError(f"cameras: expected a list, got {type(records).__name__}")
-    return tuple(read_camera(one, f"cameras: {number}") for number, one in enumerate(records))
+    return tuple(read_camera(record, f"cameras: {number}") for number, record in enumerate(records))

@@ -191,13 +191,13 @@ def fit_central_camera(
     InputError
         A map that no polynomial of degree 13 fits to 1e-7 px.
     """
-    there: Bool = np.asarray(np.isfinite(np.hstack([ideal, pixels])).all(axis=1))
-    if there.sum() < 100:
+    finite: Bool = np.asarray(np.isfinite(np.hstack([ideal, pixels])).all(axis=1))
+    if finite.sum() < 100:
         raise InputError(
             f"{name}: expected a lens that maps the image one to one, got one that maps "
-            f"{there.sum()} of {len(there)} of its pixels"
+            f"{finite.sum()} of {len(finite)} of its pixels"
         )
-    ideal, pixels = ideal[there], pixels[there]
+    ideal, pixels = ideal[finite], pixels[finite]
     low, high = ideal.min(axis=0), ideal.max(axis=0)
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     degree, coefficients = _fit((ideal - middle) / half, pixels, name)
@@ -213,9 +213,9 @@ def _fit(unit: F64, pixels: F64, name: str) -> tuple[int, F64]:
     best: tuple[float, int, F64] = (np.inf, 0, np.zeros((1, 2)))
     for degree in _DEGREES:
         columns = terms(unit, degree)
-        found = np.asarray(np.linalg.lstsq(columns, pixels, rcond=None)[0], dtype=np.float64)
-        worst = float(np.abs(columns @ found - pixels).max())
-        best = min(best, (worst, degree, found), key=lambda one: one[0])
+        coefficients = np.asarray(np.linalg.lstsq(columns, pixels, rcond=None)[0], dtype=np.float64)
+        worst = float(np.abs(columns @ coefficients - pixels).max())
+        best = min(best, (worst, degree, coefficients), key=lambda candidate: candidate[0])
         if worst < _EXACT_PX:
             break
     if best[0] > _ENOUGH_PX:

@@ -16,7 +16,7 @@ from sabench.utils.arrays import F64, Bool, triple
 from sabench.utils.errors import InputError
 
 _NODES = 49  # of the lattice along each axis; an odd number has a middle
-_DELTA_MM = 1e-3  # over which a projection's slope is measured
+_DELTA_MM = 1e-3  # step for a projection's slope
 _MOST_VOXELS = 1_000_000  # along an axis
 
 
@@ -65,35 +65,35 @@ def propose_box(cameras: Sequence[CameraModel]) -> tuple[F64, F64]:
     reach = pixel_size_mm(cameras, middle) * max(max(c.rows, c.columns) for c in cameras)
     steps = reach * np.linspace(-1.0, 1.0, _NODES)
     points = np.stack(np.meshgrid(*(steps + at for at in middle), indexing="ij"), axis=-1)
-    seen = seen_by_all(cameras, points.reshape(-1, 3)).reshape((_NODES,) * 3)
-    if not seen[(_NODES // 2,) * 3]:
+    visible = seen_by_all(cameras, points.reshape(-1, 3)).reshape((_NODES,) * 3)
+    if not visible[(_NODES // 2,) * 3]:
         raise InputError(
             f"volume: expected all cameras to see {_words(middle)} mm, where the middles of their "
             "images meet, but some do not; give the volume, or check the calibration"
         )
-    first, last = _grow(seen)
+    first, last = _grow(visible)
     return points[tuple(first)], points[tuple(last)]
 
 
 def seen_by_all(cameras: Sequence[CameraModel], points_mm: F64) -> Bool:
     """Mark the points (n, 3) that lie on every camera's image."""
-    seen = np.ones(len(points_mm), dtype=np.bool_)
+    visible = np.ones(len(points_mm), dtype=np.bool_)
     for camera in cameras:
-        seen &= seen_by(camera, points_mm)
-    return seen
+        visible &= seen_by(camera, points_mm)
+    return visible
 
 
 def seen_by(camera: CameraModel, points_mm: F64) -> Bool:
     """Mark the points (n, 3) that lie on a camera's image, and in the box of its fit."""
     pixels, valid = camera.project(points_mm)
-    seen = np.asarray(valid & camera.contains(pixels))
+    visible = np.asarray(valid & camera.contains(pixels))
     box = fitted_box(camera)
     if box is not None:
-        seen &= ((points_mm >= box[0]) & (points_mm <= box[1])).all(axis=1)
-    return seen
+        visible &= ((points_mm >= box[0]) & (points_mm <= box[1])).all(axis=1)
+    return visible
 
 
-def _grow(seen: Bool) -> tuple[list[int], list[int]]:
+def _grow(visible: Bool) -> tuple[list[int], list[int]]:
     first, last = [_NODES // 2] * 3, [_NODES // 2] * 3
     growing = list(itertools.product(range(3), (False, True)))
     while growing:
@@ -102,7 +102,7 @@ def _grow(seen: Bool) -> tuple[list[int], list[int]]:
             at = (last[axis] + 1) if upwards else (first[axis] - 1)
             low[axis] = high[axis] = at
             face = tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))
-            if not 0 <= at < _NODES or not seen[face].all():
+            if not 0 <= at < _NODES or not visible[face].all():
                 growing.remove((axis, upwards))
             elif upwards:
                 last[axis] = at

@@ -14,7 +14,7 @@ from sabench.utils import memory
 from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.errors import InputError
 
-_AT_ONCE = 4096  # particles whose voxels are held at a time
+_AT_ONCE = 4096  # particles with voxels in memory at a time
 _REACH = 4.0  # standard deviations after which a particle's field is cut: 3e-4 of its peak
 
 
@@ -165,11 +165,11 @@ def cut_box(low_mm: F64, high_mm: F64, point_mm: F64, normal: F64) -> F64:
     corners = np.array(list(itertools.product(*zip(low_mm, high_mm, strict=True))))
     away = (corners - point_mm) @ normal
     cuts = []
-    for one, other in itertools.combinations(range(8), 2):
-        if (one ^ other).bit_count() == 1 and away[one] * away[other] <= 0.0:
-            length = away[one] - away[other]
-            share = away[one] / length if length else 0.0
-            cuts.append(corners[one] + share * (corners[other] - corners[one]))
+    for first, second in itertools.combinations(range(8), 2):
+        if (first ^ second).bit_count() == 1 and away[first] * away[second] <= 0.0:
+            length = away[first] - away[second]
+            share = away[first] / length if length else 0.0
+            cuts.append(corners[first] + share * (corners[second] - corners[first]))
     return np.array(cuts).reshape(-1, 3)
 
 
@@ -196,7 +196,7 @@ def gradient(velocity: F64, step_mm: tuple[float, float, float]) -> F64:
 
 
 def inner(shape: tuple[int, int, int]) -> Bool:
-    """Mark the nodes (z, y, x) of a lattice whose differences are central ones.
+    """Mark the nodes (z, y, x) of a lattice that have central differences.
 
     Axes of a single node do not count.
     """

@@ -35,7 +35,7 @@ class Distortion:
 
 @functools.cache
 def _fold_square(lens: Distortion) -> float:
-    """Find the squared ideal radius at which the radial part stops growing.
+    """Find the squared ideal radius where the radial part stops growing.
 
     Beyond it, two points share a pixel.
     """
@@ -106,7 +106,7 @@ def onto_sensor(tilt_deg: Tilt, image: F64, lens: F64 | None = None) -> tuple[F6
     Parameters
     ----------
     image : (n, 2) image coordinates, where the light crosses the upright plane.
-    lens : (2,) point of the aperture through which it comes; by default its middle.
+    lens : (2,) point of the aperture on its path; by default the middle.
 
     Returns
     -------
@@ -132,8 +132,8 @@ def from_sensor(tilt_deg: Tilt, sensor: F64) -> tuple[F64, Bool]:
 def focus_slope(tilt_deg: Tilt) -> F64:
     """Compute how the inverse of the sharp depth falls with image coordinates (2,).
 
-    In units of the inverse principal distance. A plane behind a thin lens is the image of the plane
-    in which both, and the plane of the lens, meet in one line (Scheimpflug's rule).
+    In units of the inverse principal distance. A plane behind a thin lens is the image of another;
+    both, and the plane of the lens, meet in one line (Scheimpflug's rule).
     """
     axes = sensor_axes(tilt_deg)
     return np.asarray(axes[2, :2] / axes[2, 2])

@@ -80,11 +80,11 @@ def fit(function: Smooth, degree: int) -> tuple[F64, F64]:
     """
     nodes = np.cos(np.pi * (np.arange(degree + 3) + 0.5) / (degree + 3))
     between = np.linspace(-1.0, 1.0, 2 * degree + 5)
-    known, check = (
+    samples, check = (
         np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) for axis in (nodes, between)
     )
     coefficients = np.asarray(
-        np.linalg.lstsq(terms(known, degree), function(known), rcond=None)[0], dtype=np.float64
+        np.linalg.lstsq(terms(samples, degree), function(samples), rcond=None)[0], dtype=np.float64
     )
     errors = np.abs(terms(check, degree) @ coefficients - function(check)).max(axis=0)
     return np.ascontiguousarray(coefficients.T), np.asarray(errors)

@@ -188,7 +188,7 @@ def fit_planes(
     Raises
     ------
     InputError
-        Fewer than two planes, or a plane whose points do not determine its 6 terms.
+        Fewer than two planes, or a plane with points that do not determine its 6 terms.
     """
     if len(points_mm) < 2:
         raise InputError(f"{name}: expected points on two planes at least, got {len(points_mm)}")

@@ -216,7 +216,7 @@ class AnyWall(Protocol):
 
     @property
     def layers(self) -> tuple[Layer, ...]:
-        """Solid layers, in the order in which light from a camera meets them."""
+        """Solid layers, in the order along light from a camera."""
 
     @property
     def thickness_mm(self) -> float:
@@ -254,7 +254,7 @@ class Wall:
     point_mm : a point on the outer face (the face that the cameras see), world frame.
     normal : unit vector from the cameras into the tank, world frame.
     air_index, fluid_index : refractive indices on the cameras' side and in the tank.
-    layers : the solid layers, in the order in which light from a camera meets them; may be empty (a
+    layers : the solid layers, in the order along light from a camera; may be empty (a
         bare surface).
     depth_mm : free distance from the inner face to the back wall, or None where there is none.
     """

@@ -13,7 +13,7 @@ def rotation_matrices(vectors: F64) -> F64:
     """Compute rotation matrices of rotation vectors (..., 3) by Rodrigues' formula.
 
     The matrices are (..., 3, 3). scipy's `Rotation.from_rotvec` goes by quaternions and differs in
-    the last digit, by which every data set with a rotation in it would change.
+    the last digit, which would change every data set with a rotation in it.
     """
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
     cross = skew(vectors)
@@ -34,7 +34,7 @@ def skew(vectors: F64) -> F64:
 
 
 def frame_along(axis: tuple[float, float, float]) -> F64:
-    """Make a right-handed frame (3, 3) whose third row points along an axis.
+    """Make a right-handed frame (3, 3) with a third row along an axis.
 
     The axis may be of any length. The first row is as near to X as it can be.
     """
@@ -43,7 +43,7 @@ def frame_along(axis: tuple[float, float, float]) -> F64:
 
 
 def frame_of_normal(normal: F64) -> F64:
-    """Make a right-handed frame (3, 3) whose third row is a unit vector.
+    """Make a right-handed frame (3, 3) with a unit vector as its third row.
 
     The first row is as near to X as it can be.
     """
@@ -53,13 +53,13 @@ def frame_of_normal(normal: F64) -> F64:
     return np.stack([cross(second, normal), second, normal])
 
 
-def cross(one: F64, other: F64) -> F64:
+def cross(first: F64, second: F64) -> F64:
     """Compute the cross product of two vectors (3,).
 
     numpy.cross, which takes any shapes, needs ten times as long for so little, to the same bits.
     """
-    a, b, c = one.tolist()
-    d, e, f = other.tolist()
+    a, b, c = first.tolist()
+    d, e, f = second.tolist()
     return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
 
 

@@ -8,7 +8,7 @@ from sabench.geometry.camera_model import CameraModel
 from sabench.utils.arrays import F64
 
 _STEPS = 5
-_DELTA_MM = 1e-3  # over which a projection's slope is measured
+_DELTA_MM = 1e-3  # step for a projection's slope
 
 
 def triangulate(cameras: Sequence[CameraModel], pixels: F64) -> F64:
@@ -34,18 +34,18 @@ def intersect(cameras: Sequence[CameraModel], pixels: F64) -> F64:
     NaN where fewer than two cameras see one.
     """
     count = pixels.shape[1]
-    matrix, right, seen = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count)
-    for camera, own in zip(cameras, pixels, strict=True):
-        there = np.isfinite(own).all(axis=1)
-        rays = camera.back_project(own[there])
-        there[there] = rays.valid
+    matrix, right, views = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros(count)
+    for camera, camera_pixels in zip(cameras, pixels, strict=True):
+        usable = np.isfinite(camera_pixels).all(axis=1)
+        rays = camera.back_project(camera_pixels[usable])
+        usable[usable] = rays.valid
         direction = rays.directions[rays.valid]
         across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
-        matrix[there] += across
-        right[there] += np.einsum("nij,nj->ni", across, rays.origins_mm[rays.valid])
-        seen[there] += 1.0
+        matrix[usable] += across
+        right[usable] += np.einsum("nij,nj->ni", across, rays.origins_mm[rays.valid])
+        views[usable] += 1.0
     points = np.full((count, 3), np.nan)
-    enough = (seen >= 2.0) & (np.abs(np.linalg.det(matrix)) > 1e-12)
+    enough = (views >= 2.0) & (np.abs(np.linalg.det(matrix)) > 1e-12)
     points[enough] = np.linalg.solve(matrix[enough], right[enough][:, :, None])[:, :, 0]
     return points
 
@@ -53,14 +53,14 @@ def intersect(cameras: Sequence[CameraModel], pixels: F64) -> F64:
 def _step(cameras: Sequence[CameraModel], pixels: F64, points: F64) -> F64:
     """Compute a Gauss-Newton step of every point; zero where it cannot be made."""
     matrix, right = np.zeros((len(points), 3, 3)), np.zeros((len(points), 3))
-    for camera, own in zip(cameras, pixels, strict=True):
+    for camera, camera_pixels in zip(cameras, pixels, strict=True):
         here, valid = camera.project(points)
         ends = ((points + axis, points - axis) for axis in _DELTA_MM * np.eye(3))
         moves = [camera.project(end)[0] - camera.project(start)[0] for end, start in ends]
         slope = np.stack([move / (2.0 * _DELTA_MM) for move in moves], -1)
-        good = valid & np.isfinite(own).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
+        good = valid & np.isfinite(camera_pixels).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))
         matrix[good] += np.einsum("nki,nkj->nij", slope[good], slope[good])
-        right[good] += np.einsum("nki,nk->ni", slope[good], own[good] - here[good])
+        right[good] += np.einsum("nki,nk->ni", slope[good], camera_pixels[good] - here[good])
     step = np.zeros_like(points)
     enough = np.abs(np.linalg.det(matrix)) > 1e-12
     step[enough] = np.linalg.solve(matrix[enough], right[enough][:, :, None])[:, :, 0]

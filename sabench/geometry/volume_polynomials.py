@@ -1,6 +1,6 @@
 """Polynomials that replace cameras in a box: fast to evaluate, with derivatives.
 
-They are fitted to the exact projection (`camera.project`, the reference), from which they differ
+They are fitted to the exact projection (`camera.project`, the reference) and differ from it
 by less than `TOLERANCE_PX`; tests/unit/test_self_calibration.py measures the difference.
 """
 
@@ -90,7 +90,7 @@ def _project_exactly(cameras: Sequence[CameraModel], points_mm: F64) -> F64:
 
 
 def _powers(degree: int) -> I64:
-    """List exponents (terms, 3) of x, y and z whose sum is at most a degree."""
+    """List exponents (terms, 3) of x, y and z with a sum of at most a degree."""
     every = itertools.product(range(degree + 1), repeat=3)
     return np.array([(i, j, k) for k, j, i in every if i + j + k <= degree])
 

@@ -3,7 +3,7 @@
 Images may be brighter than black between particles, differently from place to place: scattered
 light, or what a sliding minimum leaves of noise. The background of a tile is its mode, estimated by
 clipping (E. Bertin and S. Arnouts, SExtractor, Astron. Astrophys. Suppl. 117, 393, 1996). Patches
-with sharp edges, in which hardly any pixel is dark, are brighter on top of it: a sliding minimum
+with sharp edges and hardly any dark pixel are brighter on top of it: a sliding minimum
 leaves them around dead pixels, and bodies are lit.
 """
 
@@ -20,7 +20,7 @@ from sabench.utils.compiled import numba
 _TILE = 24  # px: many particles' spacings, and few of them in the background's changes
 _BLACK = 0.02  # share of a tile's values at or below black: there it is dark between particles
 _CLIP, _CLIPS = 3.0, 12  # standard deviations, and the most rounds
-_FEW = 20  # values that tell nothing
+_FEW = 20  # too few values
 _DENSE = 0.04  # scatter of the background over the image's bright pixels: above, it is particles
 _EVEN = 0.08  # mean less median over the scatter, after clipping: below, it is all background
 _BRIGHT = 99.0  # percentile that stands for bright particles' pixels
@@ -30,7 +30,7 @@ _MANY, _CHANCE = 8.0, 6.0  # typical particles, and standard deviations of overl
 _LIT = 0.5  # typical particles in a square: less is noise
 _SEARCHES = 4  # for bright spots, as each makes typical light a little too large
 _HALO = 6  # px around bright spots
-_PATCH = 12  # px: edge of a square that tells a patch
+_PATCH = 12  # px: edge of a square that detects a patch
 _DIMMEST, _BELOW = 0.1, 1.2816  # share of its pixels, and how far dark noise has them below zero
 _RAISED = 4.0  # standard deviations: a patch is that much brighter than the background
 _UNUSUAL = 6.0  # standard deviations below the middle level: a patch is that far above it
@@ -60,15 +60,15 @@ def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
     """Subtract the background of images (camera, row, column); cover bright spots."""
     cleared, covered = images.copy(), flaws.covered.copy()
     for camera, image in enumerate(cleared):
-        known = ~flaws.unknown[camera]
-        spots = find_bright_spots(image, known)
-        background = estimate_background(image, known & ~spots)
+        valid = ~flaws.unknown[camera]
+        spots = find_bright_spots(image, valid)
+        background = estimate_background(image, valid & ~spots)
         if background is not None:
             image -= background
-        image -= find_patches(image, known & ~spots)
+        image -= find_patches(image, valid & ~spots)
         for _ in range(_SEARCHES):
-            light = float(measure_images(image[None], (known & ~spots)[None]).light[0])
-            more = find_bright_spots(image, known & ~spots, light) & ~spots
+            light = float(measure_images(image[None], (valid & ~spots)[None]).light[0])
+            more = find_bright_spots(image, valid & ~spots, light) & ~spots
             if not more.any():
                 break
             spots |= more
@@ -76,7 +76,7 @@ def clear_images(images: F32, flaws: Flaws) -> tuple[F32, Flaws]:
     return cleared, Flaws(flaws.points, covered)
 
 
-def estimate_background(image: F32, known: Bool) -> F32 | None:
+def estimate_background(image: F32, valid: Bool) -> F32 | None:
     """Estimate the background (row, column) of an image less black.
 
     It is None if none shows.
@@ -84,9 +84,9 @@ def estimate_background(image: F32, known: Bool) -> F32 | None:
     rows, columns = (max(size // _TILE, 1) for size in image.shape)
     tiles = _ends(image.shape[0], rows), _ends(image.shape[1], columns)
     modes = np.full((rows * columns, 4), np.nan)
-    _measure_modes(image, known, *tiles, modes)
+    _measure_modes(image, valid, *tiles, modes)
     levels, scatter, skew, black = modes.T
-    bright = float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0
+    bright = float(np.percentile(image[valid], _BRIGHT)) if valid.any() else 0.0
     clear = scatter < _DENSE * bright
     told = np.isfinite(skew)
     if told.any() and np.median(skew[told]) < _EVEN:  # few particles: bright pixels may be noise
@@ -100,27 +100,27 @@ def estimate_background(image: F32, known: Bool) -> F32 | None:
     return np.asarray(np.maximum(smooth, np.float32(0.0)))
 
 
-def find_patches(image: F32, known: Bool) -> F32:
+def find_patches(image: F32, valid: Bool) -> F32:
     """Measure patches that are brighter than the background around them.
 
     The result (row, column) is by how much, and 0 elsewhere. Particles that leave few pixels dark
     are less even than a patch, and where they leave none, no dimmer elsewhere.
     """
-    noise = noise_below_black(image[known])
-    dark = known & (image <= (_RAISED - _BELOW) * noise)
+    noise = noise_below_black(image[valid])
+    dark = valid & (image <= (_RAISED - _BELOW) * noise)
     if min(image.shape) < _PATCH:
         return np.zeros_like(image)
     size = (_PATCH, _PATCH)
     sums = (
-        cv2.boxFilter(one.astype(np.float32), -1, size, anchor=(0, 0), normalize=False)
-        for one in (dark, known)
+        cv2.boxFilter(mask.astype(np.float32), -1, size, anchor=(0, 0), normalize=False)
+        for mask in (dark, valid)
     )
-    few, all_known = (one[: 1 - _PATCH, : 1 - _PATCH] for one in sums)
-    lit = (few < _DIMMEST * all_known) & (all_known > 0.5 * _PATCH**2)
+    few, all_valid = (counts[: 1 - _PATCH, : 1 - _PATCH] for counts in sums)
+    lit = (few < _DIMMEST * all_valid) & (all_valid > 0.5 * _PATCH**2)
     total, count = np.zeros_like(image), np.zeros_like(image)
-    _add_patches(image, known, lit, _BELOW * noise, total, count)
+    _add_patches(image, valid, lit, _BELOW * noise, total, count)
     raised = total / np.maximum(count, np.float32(1.0)) + np.float32(_BELOW * noise)
-    levels = _levels(image, known)
+    levels = _levels(image, valid)
     levels, usual = levels[np.isfinite(levels)], 0.0
     if len(levels):  # the highest level by chance, some standard deviations above the middle one
         low, middle = np.percentile(levels, [_ONE_SIGMA, 50.0])
@@ -141,19 +141,19 @@ def find_patches(image: F32, known: Bool) -> F32:
 
 
 @numba.njit(cache=True)
-def _levels(image: Any, known: Any) -> Any:
+def _levels(image: Any, valid: Any) -> Any:
     """Return low percentiles of squares side by side, NaN if few pixels are known."""
     rows, columns = image.shape[0] // _PATCH, image.shape[1] // _PATCH
     levels, values = np.full(rows * columns, np.nan), np.zeros(_PATCH * _PATCH)
     for square in range(rows * columns):
         top, left = square // columns * _PATCH, square % columns * _PATCH
-        level, _ = _percentiles(image, known, top, left, values)
+        level, _ = _percentiles(image, valid, top, left, values)
         levels[square] = level
     return levels
 
 
 @numba.njit(cache=True)
-def _add_patches(image: Any, known: Any, lit: Any, below: float, total: Any, count: Any) -> None:
+def _add_patches(image: Any, valid: Any, lit: Any, below: float, total: Any, count: Any) -> None:
     """Add up, and count, the dimmest values of even squares.
 
     Squares of every second row and column are tried first, then all near the even ones of these.
@@ -161,10 +161,10 @@ def _add_patches(image: Any, known: Any, lit: Any, below: float, total: Any, cou
     near = np.zeros(lit.shape, dtype=np.bool_)
     values = np.zeros(_PATCH * _PATCH)
     for i, j in np.argwhere(lit):
-        if i % 2 == 0 and j % 2 == 0 and _level(image, known, i, j, below, values) > -np.inf:
+        if i % 2 == 0 and j % 2 == 0 and _level(image, valid, i, j, below, values) > -np.inf:
             near[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = True
     for i, j in np.argwhere(lit & near):
-        level = _level(image, known, i, j, below, values)
+        level = _level(image, valid, i, j, below, values)
         if level > -np.inf:
             for row in range(i, i + _PATCH):
                 for column in range(j, j + _PATCH):
@@ -173,19 +173,19 @@ def _add_patches(image: Any, known: Any, lit: Any, below: float, total: Any, cou
 
 
 @numba.njit(cache=True)
-def _level(image: Any, known: Any, i: int, j: int, below: float, values: Any) -> float:
+def _level(image: Any, valid: Any, i: int, j: int, below: float, values: Any) -> float:
     """Return a low percentile of a square; minus infinity if it is not even."""
-    level, middle = _percentiles(image, known, i, j, values)
+    level, middle = _percentiles(image, valid, i, j, values)
     return level if middle - level < _ROUGH * (level + below) else -np.inf
 
 
 @numba.njit(cache=True)
-def _percentiles(image: Any, known: Any, i: int, j: int, values: Any) -> tuple[float, float]:
+def _percentiles(image: Any, valid: Any, i: int, j: int, values: Any) -> tuple[float, float]:
     """Return a low percentile and the median of a square's known pixels; NaN if few."""
     number = 0
     for row in range(i, i + _PATCH):
         for column in range(j, j + _PATCH):
-            if known[row, column]:
+            if valid[row, column]:
                 values[number] = image[row, column]
                 number += 1
     if number <= _PATCH**2 // 2:
@@ -200,7 +200,7 @@ def _ends(size: int, tiles: int) -> I64:
 
 
 @numba.njit(cache=True, parallel=True)
-def _measure_modes(image: Any, known: Any, downs: Any, acrosses: Any, modes: Any) -> None:
+def _measure_modes(image: Any, valid: Any, downs: Any, acrosses: Any, modes: Any) -> None:
     """Fill in each tile's mode, scatter and skew after clipping, and share of black.
 
     Tiles of few values keep what they have in the first three, those without any in all.
@@ -213,7 +213,7 @@ def _measure_modes(image: Any, known: Any, downs: Any, acrosses: Any, modes: Any
         values, count = np.zeros((bottom - top) * (right - left)), 0
         for i in range(top, bottom):
             for j in range(left, right):
-                if known[i, j] and np.isfinite(image[i, j]):
+                if valid[i, j] and np.isfinite(image[i, j]):
                     values[count] = image[i, j]
                     count += 1
         if count:
@@ -238,13 +238,13 @@ def _mode(values: Any) -> tuple[float, float, float]:
     return middle - 1.5 * off, scatter, off / scatter if scatter > 0.0 else 0.0
 
 
-def find_bright_spots(image: F32, known: Bool, light: float = 0.0) -> Bool:
+def find_bright_spots(image: F32, valid: Bool, light: float = 0.0) -> Bool:
     """Mark glints (row, column): wider or many times as bright as a particle.
 
     Brightness counts only if the light of a particle is known.
     """
-    shown = np.where(known, image, np.float32(0.0))
-    bright = max(float(np.percentile(image[known], _BRIGHT)) if known.any() else 0.0, 1e-6)
+    shown = np.where(valid, image, np.float32(0.0))
+    bright = max(float(np.percentile(image[valid], _BRIGHT)) if valid.any() else 0.0, 1e-6)
     square = np.ones((_SPOT, _SPOT), np.uint8)
     spots = cv2.morphologyEx(shown, cv2.MORPH_OPEN, square) > _SPOT_LIGHT * bright
     if light:

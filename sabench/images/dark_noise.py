@@ -5,8 +5,8 @@ distribution of grey values in a tile is compared with a normal one, quantile by
 Wilk and R. Gnanadesikan, Biometrika 55, 1-17, 1968), at the borders between whole grey values: it
 may so be rounded, and cut at black. Its skewness, that of few photons, comes from all tiles.
 
-Other modules measure one noise of an image, faster and coarser, and with other digits, on which
-thresholds rest: `repair.above_background` (median distance to the median of 3 x 3 pixels),
+Other modules measure one noise of an image, faster and coarser, and thresholds depend on
+their digits: `repair.above_background` (median distance to the median of 3 x 3 pixels),
 `statistics.image_noise` (the same of the darker half, to fractions of a grey value),
 `widths.noise_below_black` (values below black, where the background is subtracted), and
 `interop.image_statistics.background_noise` (median distance of dark pixels to the median).
@@ -22,11 +22,11 @@ from sabench.utils.errors import InputError
 
 FALSE_ALARMS = 1e-5  # per pixel
 
-_TILE_PX = 32  # edge of tiles for the dark level: many pixels, in which it hardly changes
+_TILE_PX = 32  # edge of tiles for the dark level: many pixels, without much change of it
 _GROUP = 2  # tiles for the noise have so many times that edge
-_FEW = 64  # pixels of a tile that tell nothing
+_FEW = 64  # too few pixels of a tile
 _LOW = 0.02  # share of a tile's pixels, the darkest ones, that does not count
-_HIGH_Z = 0.25  # normal deviate up to which pixels count
+_HIGH_Z = 0.25  # largest normal deviate of pixels that count
 # how many normal deviates they span at least: few while there are particles among them
 _NARROW_Z, _WIDE_Z = 0.5, 1.3
 _OUTLIER = 1.5  # times the noise around a tile: what it shows is something else
@@ -38,14 +38,14 @@ _AROUND_PX = 5  # edge of a pixel's surroundings
 _CALM = 0.3  # of a tile's pixels, those with the darkest surroundings
 # where light covers most of an image, fewer of them, among which are fewer particles
 _CALMER = (0.1, 0.03, 0.01)
-_FEW_CALM = 500  # pixels of all images that tell too little
+_FEW_CALM = 500  # too few pixels of all images
 _COVERED = 0.5  # of the pixels are above the threshold of the calmest ones
 # of particles, in pixels less their surroundings: skewness, and share of neighbours with one sign
 _SKEWED, _SAME_SIGN = 0.05, 0.55
 _LIGHT = 1.3  # times the distance of threshold and level of the calmest: light of particles
 _SETTLED = 0.98  # of the pixels remain: those left out change nothing
-_LEAST_SHARE = 0.05  # of the pixels, without which the darkest ones remain
-_SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles from which skewness comes, as normal deviates
+_LEAST_SHARE = 0.05  # of the pixels: if fewer remain, the search for darker ones ends
+_SKEW_Z = np.linspace(-2.6, 0.4, 31)  # quantiles for the skewness, as normal deviates
 _BRIGHT_Z = np.linspace(0.3, 1.2, 10)  # those that hold where the darker ones are cut
 _ODD_SKEW = 0.6  # of fewer than three photons a pixel: the darker part has been cut
 _TOP_SHARE, _TOP_Z = 0.97725, 2.0  # a quantile beyond them
@@ -95,7 +95,7 @@ class DarkNoise:
         return np.asarray(self.level + away + np.float32(0.5 * self.step), dtype=np.float32)
 
 
-def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
+def measure_dark_noise(images: U16, valid: Bool | None = None) -> DarkNoise:
     """Measure the dark level and noise of images (frame, row, column) of one camera.
 
     Bright pixels and their surroundings are left out, again and again, as long as darker ones
@@ -107,15 +107,15 @@ def measure_dark_noise(images: U16, known: Bool | None = None) -> DarkNoise:
 
     if images.ndim != 3 or not images.size:
         raise InputError(f"images: expected the shape (frame, row, column), got {images.shape}")
-    counts = np.array(np.broadcast_to(True if known is None else known, images.shape))
+    counts = np.array(np.broadcast_to(True if valid is None else valid, images.shape))
     step = _grey_step(images[counts])
     # each pixel's surroundings without itself, so that independent noise of pixels with dark
     # surroundings is distributed as that of all
     grey, size = images.astype(np.float32), (_AROUND_PX, _AROUND_PX)
-    around = np.stack([cv2.boxFilter(one, -1, size, normalize=False) - one for one in grey])
-    found = _measure_calm(images, counts, around, step, _CALM)
-    dense = _measure_dense(images, counts, around, step, found)
-    return _leave_out_bright(images, counts, step, found) if dense is None else dense
+    around = np.stack([cv2.boxFilter(frame, -1, size, normalize=False) - frame for frame in grey])
+    calm = _measure_calm(images, counts, around, step, _CALM)
+    dense = _measure_dense(images, counts, around, step, calm)
+    return _leave_out_bright(images, counts, step, calm) if dense is None else dense
 
 
 def _measure_calm(images: U16, counts: Bool, around: F32, step: float, share: float) -> DarkNoise:
@@ -154,29 +154,29 @@ def _measure_dense(
     return least
 
 
-def _leave_out_bright(images: U16, counts: Bool, step: float, found: DarkNoise) -> DarkNoise:
+def _leave_out_bright(images: U16, counts: Bool, step: float, noise: DarkNoise) -> DarkNoise:
     """Measure pixels far from bright ones, which are left out again and again."""
     import cv2  # takes long to load
 
     dark, halo = counts, np.ones((_HALO_PX, _HALO_PX), np.uint8)
     for round_ in range(_ROUNDS):
-        limit = found.level + np.float32(_BRIGHT) * (found.threshold() - found.level)
+        limit = noise.level + np.float32(_BRIGHT) * (noise.threshold() - noise.level)
         bright = (images >= limit).astype(np.uint8)
-        darker = dark & ~np.stack([cv2.dilate(one, halo) > 0 for one in bright])
+        darker = dark & ~np.stack([cv2.dilate(frame, halo) > 0 for frame in bright])
         if darker.sum() < _LEAST_SHARE * counts.sum():
             break
         now = _measure(images, darker, step, _WIDE_Z)
-        if round_ and np.median(now.threshold()) >= np.median(found.threshold()):
+        if round_ and np.median(now.threshold()) >= np.median(noise.threshold()):
             break
-        found = now
+        noise = now
         if darker.sum() > _SETTLED * dark.sum():
             break
         dark = darker
-    return found
+    return noise
 
 
 def _show_particles(images: U16, around: F32, bright: Bool, step: float) -> bool:
-    """Say whether bright pixels look like dense particles, and not like a background.
+    """Return whether bright pixels look like dense particles, not a background.
 
     Compared with their surroundings, those of particles are skewed (by quartiles: A. L. Bowley,
     Elements of Statistics, 1901), and neighbours often have the same sign (N. Blomqvist, Ann. Math.
@@ -242,12 +242,12 @@ def _by_tile(
     tiles = _tiles(values.shape[1:], edge)
     mean, deviation = (np.full(np.add(max(tiles), 1), np.nan) for _ in range(2))
     for number, where in tiles.items():
-        own = values[:, *where][counts[:, *where]]
-        if len(own) >= _FEW:
-            mean[number], deviation[number] = _fit_quantiles(own, int(black[where].max()), span)
+        sample = values[:, *where][counts[:, *where]]
+        if len(sample) >= _FEW:
+            mean[number], deviation[number] = _fit_quantiles(sample, int(black[where].max()), span)
     if np.isnan(mean).all():
-        own = values[counts] if counts.any() else values.ravel()
-        mean[:], deviation[:] = _fit_quantiles(own, int(black.max()), span)
+        sample = values[counts] if counts.any() else values.ravel()
+        mean[:], deviation[:] = _fit_quantiles(sample, int(black.max()), span)
     mean, deviation = _fill(mean), _fill(deviation)
     around = median_filter(deviation, 3, mode="nearest")
     far = np.maximum(deviation, around) > _OUTLIER * np.minimum(deviation, around)
@@ -291,7 +291,7 @@ def _fit_quantiles(values: I64 | U16, black: int, span: float) -> tuple[float, f
         return float(least), 0.0
     share = np.cumsum(counts[levels])[:-1] / len(values)
     border, z = least + 0.5 * (levels[1:] + levels[:-1]), ndtri(share)
-    if len(z) == 1:  # the more frequent value is taken for the mean
+    if len(z) == 1:  # the more frequent value is the mean
         middle = least + levels[0 if share[0] > 0.5 else 1]
         return float(middle), abs(float((border[0] - middle) / (z[0] or 1.0)))
     first = max(int(np.searchsorted(share, _LOW)), int(np.searchsorted(border, black)))
@@ -331,7 +331,7 @@ def _shape(
     options = [(0.0, 1.0, 0.0)] if cut else [(fit[0], max(fit[1], 0.1), min(skewness, _MOST_SKEW))]
     if straight and line[1] < _PARTICLES:
         options.append((line[0], line[1], 0.0))
-    # the one whose noise reaches farthest at the usual probability
+    # the one with the noise that reaches farthest at the usual probability
     far = _deviates(np.array([skew for *_, skew in options], dtype=np.float32), FALSE_ALARMS)
     reach = [shift + scale * float(z) for (shift, scale, _), z in zip(options, far, strict=True)]
     return options[int(np.argmax(reach))]
@@ -346,7 +346,7 @@ def _fit_parabola(values: F64, z: F64, degree: int) -> list[float]:
     terms = np.stack([np.ones_like(z), z, z**2 - 1.0][: degree + 1], axis=1)
     quantiles = np.quantile(values, share)
     fit = np.linalg.lstsq(weight[:, None] * terms, weight * quantiles, rcond=None)[0]
-    return [float(one) for one in fit]
+    return [float(coefficient) for coefficient in fit]
 
 
 def _deviates(skewness: F32, probability: float) -> F64:

@@ -17,7 +17,7 @@ RAW = (".raw", ".bin")
 READABLE = (*STILLS, *MOVIES, *RAW)
 _DIGITS = re.compile(r"(\d+)")
 _LAST_NUMBER = re.compile(r"\d+(?=\D*$)")
-_UNNAMED = "camera"  # of a camera whose files do not give it a name
+_UNNAMED = "camera"  # of a camera without a name in its files
 _FIELDS = {"{camera}": r"(?P<camera>[^/]+?)", "{frame}": r"(?P<frame>\d+)", "*": r"[^/]*?"}
 
 Files = dict[str, tuple[Path, ...]]
@@ -29,7 +29,7 @@ def find_image_files(folder: Path, cameras: Sequence[str], pattern: str | None =
     Without a pattern, each folder inside it with images is a camera; where these folders hold one
     file for each of the cameras, by their names, each is a frame. Of files in the folder itself,
     one with a camera's name is all of that camera's, and so is each file where there are as many
-    as cameras, or a movie; else files whose names differ in the last number alone are one camera's.
+    as cameras, or a movie; else files that differ in the last number alone are one camera's.
 
     Parameters
     ----------
@@ -47,20 +47,20 @@ def find_image_files(folder: Path, cameras: Sequence[str], pattern: str | None =
         raise InputError(f"{folder}: expected a folder of images, got no folder")
     if pattern is not None:
         return _by_pattern(folder, pattern)
-    found = _by_folder(folder, cameras) | _in_one_folder(_images_in(folder), cameras)
-    if not found:
+    files = _by_folder(folder, cameras) | _in_one_folder(_images_in(folder), cameras)
+    if not files:
         others = Counter(path.suffix.lower() for path in folder.rglob("*") if path.is_file())
         got = ", ".join(f"{count} x {kind or 'no suffix'}" for kind, count in others.most_common(3))
         raise InputError(
             f"{folder}: expected images ({', '.join(READABLE)}) in it or its folders, got "
             f"{got or 'no files'}"
         )
-    return {name: found[name] for name in sorted(found, key=natural_order)}
+    return {name: files[name] for name in sorted(files, key=natural_order)}
 
 
 def natural_order(name: str) -> list[tuple[int, str]]:
     """Give a key that sorts names with their numbers as numbers."""
-    return [(int(one), "") if one.isdigit() else (0, one) for one in _DIGITS.split(name.lower())]
+    return [(int(run), "") if run.isdigit() else (0, run) for run in _DIGITS.split(name.lower())]
 
 
 def camera_name(path: Path) -> str:
@@ -76,13 +76,13 @@ def last_number_order(path: Path) -> tuple[str, int, str]:
 
 def _by_pattern(folder: Path, pattern: str) -> Files:
     matcher = _compile(pattern)
-    found: dict[str, dict[int, Path]] = {}
+    numbered: dict[str, dict[int, Path]] = {}
     for path in sorted(folder.rglob("*")):
         match = matcher.fullmatch(path.relative_to(folder).as_posix())
         if match is None or not path.is_file():
             continue
         fields = match.groupdict()
-        frames = found.setdefault(fields.get("camera") or _UNNAMED, {})
+        frames = numbered.setdefault(fields.get("camera") or _UNNAMED, {})
         number = int(fields.get("frame") or 0)
         if number in frames:
             raise InputError(
@@ -90,11 +90,11 @@ def _by_pattern(folder: Path, pattern: str) -> Files:
                 f"is frame {number} of the same camera"
             )
         frames[number] = path
-    if not found:
+    if not numbered:
         raise InputError(f"{folder}: expected files like {pattern}, got none")
     return {
-        name: tuple(path for _, path in sorted(found[name].items()))
-        for name in sorted(found, key=natural_order)
+        name: tuple(path for _, path in sorted(numbered[name].items()))
+        for name in sorted(numbered, key=natural_order)
     }
 
 
@@ -116,22 +116,22 @@ def _by_folder(folder: Path, cameras: Sequence[str]) -> Files:
     stems = {path.stem for files in held.values() for path in files}
     if not held or not stems <= set(cameras) or set(held) & set(cameras):
         return held
-    found: dict[str, list[Path]] = {name: [] for name in cameras}
+    by_camera: dict[str, list[Path]] = {name: [] for name in cameras}
     for files in held.values():
         for path in files:
-            found[path.stem].append(path)
-    return {name: tuple(files) for name, files in found.items()}
+            by_camera[path.stem].append(path)
+    return {name: tuple(files) for name, files in by_camera.items()}
 
 
 def _in_one_folder(files: Sequence[Path], cameras: Sequence[str]) -> Files:
     stems = Counter(path.stem for path in files)
     each = len(files) == len(cameras) and len(stems) == len(files)
-    found: dict[str, list[Path]] = {}
+    by_camera: dict[str, list[Path]] = {}
     for path in files:
-        own = each or path.stem in cameras or path.suffix.lower() in MOVIES or _is_numbered(path)
-        name = path.stem if own else camera_name(path)
-        found.setdefault(name, []).append(path)
-    return {name: tuple(paths) for name, paths in found.items()}
+        whole = each or path.stem in cameras or path.suffix.lower() in MOVIES or _is_numbered(path)
+        name = path.stem if whole else camera_name(path)
+        by_camera.setdefault(name, []).append(path)
+    return {name: tuple(paths) for name, paths in by_camera.items()}
 
 
 def _images_in(folder: Path) -> tuple[Path, ...]:
@@ -141,7 +141,7 @@ def _images_in(folder: Path) -> tuple[Path, ...]:
 
 
 def _is_numbered(path: Path) -> bool:
-    """Say whether the suffix is a frame's number, as OpenPTV names images."""
+    """Return whether the suffix is a frame's number, as OpenPTV names images."""
     return path.suffix[1:].isdigit()
 
 

@@ -38,9 +38,9 @@ class RawLayout:
     def __post_init__(self) -> None:
         """Check the type of a pixel."""
         if self.dtype not in _RAW_TYPES or self.header_bytes < 0:
-            known = ", ".join(_RAW_TYPES)
+            types = ", ".join(_RAW_TYPES)
             raise InputError(
-                f"raw: expected one of {known} and a header of 0 bytes or more, got "
+                f"raw: expected one of {types} and a header of 0 bytes or more, got "
                 f"{self.dtype!r} and {self.header_bytes}"
             )
 
@@ -82,7 +82,7 @@ def read_images(
 def read_page(path: Path, page: int, shape: tuple[int, int], raw: RawLayout | None = None) -> U16:
     """Read one image (row, column) of a file; pages count from 0.
 
-    Movies, whose images cannot be read alone, missing pages, and anything that `read_images`
+    Movies (their images cannot be read alone), missing pages, and anything that `read_images`
     refuses are an InputError.
     """
     kind = _kind(path)
@@ -182,7 +182,7 @@ def _store_photographs(_: Path, paths: Sequence[Path], folder: Path) -> None:
 
 
 def _is_negative(path: Path, image: Any) -> bool:
-    """Say whether 0 is white in a TIFF of 16 bits.
+    """Return whether 0 is white in a TIFF of 16 bits.
 
     OpenCV inverts only those of 8 bits.
     """
@@ -233,8 +233,8 @@ def _read_raw(
     path: Path, shape: tuple[int, int], raw: RawLayout | None
 ) -> Iterator[tuple[Path, U16]]:
     if raw is None:
-        known = ", ".join(_RAW_TYPES)
-        raise InputError(f"{path}: expected the type of raw pixels to be given ({known}), got none")
+        types = ", ".join(_RAW_TYPES)
+        raise InputError(f"{path}: expected the type of raw pixels to be given ({types}), got none")
     dtype = np.dtype(_RAW_TYPES[raw.dtype])
     size = shape[0] * shape[1] * dtype.itemsize
     count, rest = divmod(path.stat().st_size - raw.header_bytes, size)

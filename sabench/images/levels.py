@@ -131,8 +131,8 @@ def bright_dn(grey: U16, black_dn: float, unknown: Bool | None = None) -> float:
     from sabench.images.repair import above_background, peak_light  # loads numba
 
     peak = peak_light(*above_background(grey))
-    known = grey.ravel() if unknown is None else grey[~unknown]
-    counts = np.bincount(known, minlength=1)
+    pixels = grey.ravel() if unknown is None else grey[~unknown]
+    counts = np.bincount(pixels, minlength=1)
     levels = np.maximum(np.arange(len(counts)) - black_dn, 0.0)
     brightest = min(levels[-1], _PEAKS * peak) if peak else levels[-1]
     counts[levels <= _ILLUMINATED * brightest] = 0

@@ -1,4 +1,4 @@
-"""Search for particles whose images are near each other."""
+"""Search for particles with images near each other."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ _FEW = 1.0  # percent of images on each side that may be far from all others
 
 
 def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
-    """Find particles whose images are near each other in at least one camera.
+    """Find particles with images near each other in at least one camera.
 
     Returns where each particle's neighbours start in a list (n + 1,), and the list: in ascending
     order, without the particle itself.
@@ -21,12 +21,12 @@ def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
     Parameters
     ----------
     pixels : (camera, n, 2) centres of images; NaN where there is none.
-    reach : (camera,) distance, px, up to which images are near.
+    reach : (camera,) largest distance of near images, px.
     """
     count = pixels.shape[1]
     if not count:
         return np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    grids = [_grid(one, float(far)) for one, far in zip(pixels, reach, strict=True)]
+    grids = [_grid(image, float(far)) for image, far in zip(pixels, reach, strict=True)]
     cells = np.stack([cell for cell, _, _ in grids])
     columns = np.array([width for _, width, _ in grids])
     rows = np.array([height for _, _, height in grids])
@@ -34,9 +34,9 @@ def near_images(pixels: F64, reach: F64) -> tuple[I64, I64]:
     order = np.zeros(cells.shape, dtype=np.int64)
     _sort(cells, starts, order)
     grid = cells, columns, rows, starts, order
-    found = share_rows(lambda part: _gather(part.start, part.stop, pixels, reach, *grid), count)
-    first = np.concatenate([[0], *(counts for counts, _ in found)])
-    return np.cumsum(first).astype(np.int64), np.concatenate([near for _, near in found])
+    parts = share_rows(lambda part: _gather(part.start, part.stop, pixels, reach, *grid), count)
+    first = np.concatenate([[0], *(counts for counts, _ in parts)])
+    return np.cumsum(first).astype(np.int64), np.concatenate([near for _, near in parts])
 
 
 def _grid(pixels: F64, reach: float) -> tuple[I64, int, int]:
@@ -44,17 +44,17 @@ def _grid(pixels: F64, reach: float) -> tuple[I64, int, int]:
 
     The cell of an image is -1 if it has none.
     """
-    there = np.isfinite(pixels).all(axis=1)
-    if not there.any():
+    finite = np.isfinite(pixels).all(axis=1)
+    if not finite.any():
         return np.full(len(pixels), -1), 1, 1
-    low, high = np.percentile(pixels[there], [_FEW, 100.0 - _FEW], axis=0)
+    low, high = np.percentile(pixels[finite], [_FEW, 100.0 - _FEW], axis=0)
     edge = max(reach, float(np.sqrt(np.prod(high - low) / (_CELLS * len(pixels)))))
     last = np.minimum((high - low) / edge, _CELLS * len(pixels)).astype(np.int64)
     # those beyond the grid are in its last cells: what is near stays in the next cell or nearer
-    column, row = np.clip((pixels[there] - low) / edge, 0, last).astype(np.int64).T
+    column, row = np.clip((pixels[finite] - low) / edge, 0, last).astype(np.int64).T
     width, height = last + 1
     cell = np.full(len(pixels), -1)
-    cell[there] = row * width + column
+    cell[finite] = row * width + column
     return cell, int(width), int(height)
 
 
@@ -89,10 +89,10 @@ def _gather(
 ) -> Any:
     """Return the numbers of neighbours of some particles, and the neighbours."""
     counts, near, total = np.zeros(last - first, dtype=np.int64), np.zeros(64, dtype=np.int64), 0
-    seen = np.full(cells.shape[1], -1)
+    listed = np.full(cells.shape[1], -1)
     for n in range(first, last):
         begun = total
-        seen[n] = n
+        listed[n] = n
         for c in range(len(cells)):
             if cells[c, n] < 0:
                 continue
@@ -104,8 +104,8 @@ def _gather(
                     other = order[c, place]
                     x = pixels[c, other, 0] - pixels[c, n, 0]
                     y = pixels[c, other, 1] - pixels[c, n, 1]
-                    if seen[other] != n and x * x + y * y <= reach[c] * reach[c]:
-                        seen[other] = n
+                    if listed[other] != n and x * x + y * y <= reach[c] * reach[c]:
+                        listed[other] = n
                         if total == len(near):
                             near = np.concatenate((near, np.zeros_like(near)))
                         near[total] = other

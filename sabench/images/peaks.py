@@ -14,10 +14,10 @@ from sabench.utils.arrays import F32, F64, I64, U16, Bool
 from sabench.utils.compiled import numba
 
 _CELL_PX = 4.0  # edge of the square cells into which peaks are sorted
-_CLEAR = 10.0  # standard deviations of noise above which a pixel's surroundings say what it is
+_CLEAR = 10.0  # standard deviations of noise: brighter pixels are judged by their surroundings
 # light of a pixel's eight neighbours over its own; particle images of 0.4 px have 0.6 or more
 _LONE = 0.3
-_BESIDE = 5.0  # standard deviations of noise: light beside a peak that noise hardly makes
+_BESIDE = 5.0  # standard deviations of noise: light next to a peak that is hardly noise
 _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], dtype=np.uint8)
 _SHARP = 1.0  # the same of usual peaks, where images are 0.35 px wide or less
 
@@ -69,7 +69,7 @@ def keep_peaks(peaks: Peaks, numbers: I64) -> Peaks:
 def maxima(light: Any, least: Any) -> Any:
     """Find inner pixels (rows, columns) of `least` or more that no neighbour exceeds."""
     rows, columns = light.shape
-    found = []
+    pixels = []
     for r in range(1, rows - 1):
         for c in range(1, columns - 1):
             value = light[r, c]
@@ -82,10 +82,10 @@ def maxima(light: Any, least: Any) -> Any:
                     if other > value or (other == value and (i < 0 or (i == 0 and j < 0))):
                         top = False
             if top:
-                found.append((r, c))
-    out = np.empty((2, len(found)), dtype=np.int64)
-    for n in range(len(found)):
-        out[0, n], out[1, n] = found[n]
+                pixels.append((r, c))
+    out = np.empty((2, len(pixels)), dtype=np.int64)
+    for n in range(len(pixels)):
+        out[0, n], out[1, n] = pixels[n]
     return out
 
 
@@ -109,10 +109,10 @@ def sort_peaks(pixels: F64, shape: tuple[int, ...]) -> Peaks:
 
 
 @numba.njit(cache=True)
-def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
+def find_near(peaks: Any, pixel: Any, radius: float, numbers: Any) -> int:
     """Fill in numbers of peaks within a radius of a pixel; count them.
 
-    Peaks for which there is no room are left out.
+    Peaks beyond the size of the array are left out.
     """
     count = 0
     left = max(int((pixel[0] - radius) // _CELL_PX), 0)
@@ -124,8 +124,8 @@ def find_near(peaks: Any, pixel: Any, radius: float, found: Any) -> int:
             cell = r * peaks.columns + c
             for n in range(peaks.starts[cell], peaks.starts[cell + 1]):
                 across, down = peaks.pixels[n, 0] - pixel[0], peaks.pixels[n, 1] - pixel[1]
-                if math.hypot(across, down) <= radius and count < len(found):
-                    found[count] = n
+                if math.hypot(across, down) <= radius and count < len(numbers):
+                    numbers[count] = n
                     count += 1
     return count
 
@@ -150,7 +150,7 @@ def detect_particle_peaks(
 
 
 def find_above(grey: U16, dark: DarkNoise, least_dn: F32) -> Peaks:
-    """Find peaks that reach grey values (row, column), but no lone pixels."""
+    """Find peaks that reach grey values (row, column), but no single pixels."""
     light = grey - dark.level
     light[find_lone_pixels(light, dark.noise)] = 0.0
     return find_peaks(light, least_dn - dark.level)

@@ -114,7 +114,7 @@ def read_steps(tables: Sequence[dict[str, Any]], source: str) -> tuple[Step, ...
 
 
 def takes_all_frames(steps: Sequence[Step]) -> bool:
-    """Say whether steps need each pixel's least value over all frames."""
+    """Return whether steps need each pixel's least value over all frames."""
     return any(isinstance(step, TemporalMinimum) for step in steps)
 
 

@@ -46,7 +46,7 @@ class Recording:
 def list_cameras(folder: Path) -> dict[str, list[Path]]:
     """List the image files of each camera in a folder, in the order of their numbers.
 
-    Each folder inside it with images is a camera. Of images in the folder itself, those whose names
+    Each folder inside it with images is a camera. Images in the folder itself with names that
     differ in the last number alone are one camera's. No folder or no images is an InputError.
     """
     if not folder.is_dir():
@@ -90,7 +90,7 @@ def guess_white(frames: Sequence[U16]) -> float:
     Values that are all multiples of 4, 16 or 64 fill the upper bits of 16.
     """
     highest = max(int(frame.max()) for frame in frames)
-    step = int(np.bitwise_or.reduce([np.bitwise_or.reduce(one, axis=None) for one in frames]))
+    step = int(np.bitwise_or.reduce([np.bitwise_or.reduce(frame, axis=None) for frame in frames]))
     low_bits = (step & -step).bit_length() - 1 if step else 0
     if highest >= 1 << 12 and low_bits in (2, 4, 6, 8):
         return float((1 << 16) - (1 << low_bits))
@@ -123,16 +123,16 @@ def read_frames(paths: Sequence[Path], most: int) -> tuple[U16, ...]:
 
 
 # Light and noise:
-SCALED_WHITE = 255.0  # grey value to which a saturated pixel is scaled
+SCALED_WHITE = 255.0  # scaled grey value of a saturated pixel
 NOISE_FRAMES = 3  # for the noise of a stack
 _DIM = 50.0  # percentile of the pixels' medians below which they are dim
 _MIDDLE = 1.2  # variance of the mean of the middle half of n normal numbers, times n
-_FAR, _ROUNDS = 4.0, 3  # standard deviations at which values are clipped, and how often
+_FAR, _ROUNDS = 4.0, 3  # standard deviations for clipping, and rounds of it
 _FROM_MAD = 1.4826  # standard deviation of normal numbers, over their median absolute deviation
 
 # Fits of particle images:
-_CLEAR = 8.0  # standard deviations of noise by which a peak exceeds the background
-_HALF = 2  # px: half the window in which a particle image is fitted
+_CLEAR = 8.0  # least height of a peak above the background, standard deviations of noise
+_HALF = 2  # px: half the window of a particle image's fit
 _NARROW_PX, _WIDEST_PX = 1.0, 10.0  # widths of fits by 3 x 3 pixels, and of those that fail
 _MOST = 50.0  # ln of light; only of fits that fail
 
@@ -141,7 +141,7 @@ _MOST = 50.0  # ln of light; only of fits that fail
 class CameraStatistics:
     """Statistics of a camera's images.
 
-    Grey values are of 255. NaN where images do not tell.
+    Grey values are of 255. NaN where images do not determine them.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
     fixed, near, temporal = measure_noise(stack) if len(stack) >= NOISE_FRAMES else [np.nan] * 3
     fits = [fit_particle_images(frame, white_dn) for frame in frames]
     width, flux, height = (
-        np.concatenate([getattr(one, name) for one in fits])
+        np.concatenate([getattr(fit, name) for fit in fits])
         for name in ("width_px", "flux", "height")
     )
     background = (scale * np.percentile(low, [5.0, 50.0, 95.0])).tolist()
@@ -194,13 +194,13 @@ def measure_camera(frames: Sequence[U16], white_dn: float) -> CameraStatistics:
     widths = np.percentile(width, [10.0, 50.0, 90.0]).tolist() if len(width) else [np.nan] * 3
     return CameraStatistics(
         saturated=float((stack >= white_dn).mean()),
-        **{f"background_p{p}": one for p, one in zip((5, 50, 95), background, strict=True)},
+        **{f"background_p{p}": level for p, level in zip((5, 50, 95), background, strict=True)},
         fixed=scale * fixed,
         fixed_near=scale * near,
         temporal=scale * temporal,
-        **{f"width_p{p}": one for p, one in zip((10, 50, 90), widths, strict=True)},
+        **{f"width_p{p}": value for p, value in zip((10, 50, 90), widths, strict=True)},
         ln_flux=float(np.std(np.log(flux))) if len(flux) > 1 else np.nan,
-        per_pixel=sum(one.found for one in fits) / stack.size,
+        per_pixel=sum(fit.found for fit in fits) / stack.size,
         contrast=median / (median + 2.0 * background[1]),
     )
 
@@ -220,7 +220,7 @@ def measure_noise(stack: U16) -> tuple[float, float, float]:
     rest = _MIDDLE / len(stack) * temporal**2
     spread = float(middle[dim].std(dtype=np.float64))
     deviations = spread, _clipped_deviation((middle - around)[dim])
-    fixed, fixed_near = (float(np.sqrt(max(one**2 - rest, 0.0))) for one in deviations)
+    fixed, fixed_near = (float(np.sqrt(max(deviation**2 - rest, 0.0))) for deviation in deviations)
     return fixed, fixed_near, temporal
 
 
@@ -256,9 +256,9 @@ def flux_ratio_spread(flux: F64) -> RatioSpread:
     not count: cameras differ in gain and in angle.
     """
     logs, ratios = np.log(flux), []
-    for one in range(len(flux)):
-        for other in range(one):
-            ratio = logs[one] - logs[other]
+    for first in range(len(flux)):
+        for second in range(first):
+            ratio = logs[first] - logs[second]
             ratio = ratio[np.isfinite(ratio)]
             if len(ratio) > 1:
                 ratios.append(ratio - np.median(ratio))
@@ -340,7 +340,7 @@ def _fit_gaussians(windows: F64) -> F64:
     no ellipse, or its centre is more than a pixel away.
     """
     half = windows.shape[1] // 2
-    y, x = (one.ravel().astype(float) for one in np.mgrid[-half : half + 1, -half : half + 1])
+    y, x = (axis.ravel().astype(float) for axis in np.mgrid[-half : half + 1, -half : half + 1])
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     light = windows.reshape(len(windows), len(x))
     floor = 1e-3 * light.max(axis=1, initial=1e-9, keepdims=True)
@@ -371,13 +371,13 @@ def flux_near(images: FittedImages, pixels: F64, reach_px: float, apart_px: floa
     from scipy.spatial import cKDTree
 
     out = np.full(len(pixels), np.nan)
-    known = np.flatnonzero(np.isfinite(pixels).all(axis=1))
-    if not len(known) or not len(images.pixel):
+    finite = np.flatnonzero(np.isfinite(pixels).all(axis=1))
+    if not len(finite) or not len(images.pixel):
         return out
-    asked, shown = cKDTree(pixels[known]), cKDTree(images.pixel)
-    distance, nearest = shown.query(pixels[known])
-    near = [len(one) for one in shown.query_ball_point(pixels[known], apart_px)]
-    lone = [len(one) for one in asked.query_ball_point(pixels[known], apart_px)]
+    asked, shown = cKDTree(pixels[finite]), cKDTree(images.pixel)
+    distance, nearest = shown.query(pixels[finite])
+    near = [len(neighbours) for neighbours in shown.query_ball_point(pixels[finite], apart_px)]
+    lone = [len(neighbours) for neighbours in asked.query_ball_point(pixels[finite], apart_px)]
     good = (distance <= reach_px) & (np.array(near) == 1) & (np.array(lone) == 1)
-    out[known[good]] = images.flux[nearest[good]]
+    out[finite[good]] = images.flux[nearest[good]]
     return out

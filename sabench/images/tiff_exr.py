@@ -92,7 +92,7 @@ def write_exr_channels(path: Path, channels: Mapping[str, npt.ArrayLike]) -> Non
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    arrays = {key: np.ascontiguousarray(one, dtype=np.float32) for key, one in channels.items()}
+    arrays = {key: np.ascontiguousarray(image, dtype=np.float32) for key, image in channels.items()}
     try:
         with OpenEXR.File(header, arrays) as file:
             file.write(str(path))

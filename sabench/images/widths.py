@@ -4,8 +4,8 @@
 no harm: for particles at random, products of pixels some distance apart follow from one particle's
 image (Campbell's theorem: N. R. Campbell, The study of discontinuous phenomena, Proc. Camb. Phil.
 Soc. 15, 117-136, 1909). Where few particles make an image hardly brighter than its background, or a
-glint outshines them all, peaks tell more. Images of particles out of focus are discs, whose
-products fall with distance in another way than a Gaussian's.
+glint is brighter than all, peaks are used. Images of particles out of focus are discs: their
+products fall with distance differently from a Gaussian's.
 
 `image_widths` is faster and coarser: three pixels across each peak. `images.statistics` fits a
 Gaussian to each peak, and `particles.learned_model` all cameras' images of the particles found.
@@ -21,15 +21,15 @@ from sabench.utils.arrays import F32, F64, Bool
 
 # Statistics of all pixels:
 _LEAST_SIGMA, _MOST_SIGMA = 0.3, 2.5  # px
-_LEAST_TILT, LEAST_TILTED = 0.1, 0.45  # less is chance; px: width of images whose tilt shows
+_LEAST_TILT, LEAST_TILTED = 0.1, 0.45  # less is chance; px: least width of images for a tilt
 _MOST_TILT = 0.95  # of long streaks
 _NEAR = range(1, 6)  # px: distances of pixels that share particles
 _FAR = range(6, 8)  # px: so far apart, pixels share no particle
 _LOCAL = 31  # px: square of the mean that products are less; many particles' images
 _LEAST_NOISE = 0.5  # grey values: of rounding
-_FEW, _FEW_PEAKS = 50, 10  # values below black, and peaks, that tell
-_CLEAR = 6.0  # standard deviations by which neighbours' products, and peaks, exceed those of noise
-_PEAK, _AROUND = 5, 7  # px: squares of which a peak is the brightest pixel, and that hold its light
+_FEW, _FEW_PEAKS = 50, 10  # least numbers of values below black, and of peaks
+_CLEAR = 6.0  # standard deviations of neighbours' products, and of peaks, above those of noise
+_PEAK, _AROUND = 5, 7  # px: squares with a peak as brightest pixel, and with its light
 _BLOB, _OUTSHINES = 15, 0.1  # px: a square around a glint; share of an image's squared light
 _OVER_PEAKS = 3.0  # of the light around a middle peak: the most that is typical
 PIXEL = 1.0 / 12.0  # variance of a pixel's extent, px2
@@ -41,7 +41,7 @@ _LEAST = 0.012  # as little does not
 
 
 def image_widths(images: F32, pixels: list[F64]) -> F64:
-    """Estimate standard deviations (camera,) of lone particles' images, px.
+    """Estimate standard deviations (camera,) of isolated particles' images, px.
 
     Three values along either axis, about pixels not on the border, give each estimate; a peak half
     a pixel from one is rounded away from it. The lower quartile counts: overlaps widen images.
@@ -65,7 +65,7 @@ def image_widths(images: F32, pixels: list[F64]) -> F64:
 
 def peak_brightness(light: F64, sigma: F64) -> F64:
     """Compute the brightest pixel (n, camera) of particles centred on a pixel."""
-    share = np.array([math.erf(0.5 / (math.sqrt(2.0) * one)) ** 2 for one in sigma])
+    share = np.array([math.erf(0.5 / (math.sqrt(2.0) * width)) ** 2 for width in sigma])
     return np.asarray(light * share)
 
 
@@ -77,7 +77,7 @@ class ImageStatistics:
     ----------
     sigma : (camera, 2) standard deviations of particle images along columns and rows, px.
     tilt : (camera,) correlation of columns and rows within particle images, between -1 and 1: that
-        of an ellipse whose axes are neither.
+        of an oblique ellipse.
     flat : (camera, 3) widths and flatness, as `measure_flatness` says, of images that are flatter
         than Gaussians, such as discs out of focus; 0 of others.
     light : (camera,) sum of the grey values of a typical particle's image; particles of different
@@ -96,17 +96,17 @@ class ImageStatistics:
     number: float
 
 
-def measure_images(images: F64, known: Bool) -> ImageStatistics:
+def measure_images(images: F64, valid: Bool) -> ImageStatistics:
     """Measure images (camera, row, column) less black.
 
     Parameters
     ----------
-    known : the same shape, pixels that count.
+    valid : the same shape, pixels that count.
     """
-    pixels = [image[used] for image, used in zip(images, known, strict=True)]
+    pixels = [image[used] for image, used in zip(images, valid, strict=True)]
     measured = [
         _measure_image(image, _without_brightest(image, used))
-        for image, used in zip(images, known, strict=True)
+        for image, used in zip(images, valid, strict=True)
     ]
     sigma, tilt, flat, light, shown = map(np.array, zip(*measured, strict=True))
     noise = np.array([noise_below_black(values) for values in pixels])
@@ -122,21 +122,21 @@ def noise_below_black(values: F64 | F32) -> float:
     return max(float(np.sqrt(np.mean(below**2))) if len(below) > _FEW else 0.0, _LEAST_NOISE)
 
 
-def _without_brightest(image: F64, known: Bool) -> Bool:
+def _without_brightest(image: F64, valid: Bool) -> Bool:
     """Leave out squares with over a tenth of the squared light.
 
     They are kept if few peaks would be left.
     """
     import cv2  # takes long to load
 
-    squares = np.where(known, image, 0.0) ** 2
+    squares = np.where(valid, image, 0.0) ** 2
     inside = cv2.boxFilter(squares, -1, (_BLOB, _BLOB), normalize=False)
-    rest: Bool = known & (inside <= _OUTSHINES * squares.sum())
-    left = _peaks(np.where(rest, image, 0.0), noise_below_black(image[known])).sum()
-    return known if left < _FEW_PEAKS else rest
+    rest: Bool = valid & (inside <= _OUTSHINES * squares.sum())
+    left = _peaks(np.where(rest, image, 0.0), noise_below_black(image[valid])).sum()
+    return valid if left < _FEW_PEAKS else rest
 
 
-def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float, F64, float, bool]:
+def _measure_image(image: F64, valid: Bool) -> tuple[tuple[float, float], float, F64, float, bool]:
     """Measure widths (columns, rows), tilt, `flat`, light, and if particles show.
 
     Products of pixels d apart, less the local mean, fall as exp(-d2 / (4 s2)), s2 = sigma2 + 1/12:
@@ -146,7 +146,7 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     """
     import cv2  # takes long to load
 
-    light, count = np.where(known, image, 0.0), known.astype(np.float64)
+    light, count = np.where(valid, image, 0.0), valid.astype(np.float64)
     # less the mean of the known pixels around: where more particles are in the middle than at the
     # borders, products of pixels far apart, which leave out borders, would be larger than others
     sums, counts = (
@@ -161,32 +161,32 @@ def _measure_image(image: F64, known: Bool) -> tuple[tuple[float, float], float,
     near = np.array([[_product(over, count, d * i, d * j) for d in _NEAR] for i, j in steps]) - far
     squares: list[float] = []
     at_zero: list[float] = []
-    for one, two in near[:, :2].tolist():
-        square = 0.75 / math.log(one / two) if one > two > 0.0 else 0.0
+    for first, second in near[:, :2].tolist():
+        square = 0.75 / math.log(first / second) if first > second > 0.0 else 0.0
         square = min(max(square, _LEAST_SIGMA**2 + PIXEL), widest)
         squares.append(square)
-        at_zero.append(max(one, 0.0) * math.exp(0.25 / square))
+        at_zero.append(max(first, 0.0) * math.exp(0.25 / square))
     # products along one diagonal over those along the other: they fall as exp(-d C^-1 d / 4), and
     # minus the logarithm of their ratio is the element of C^-1 outside its diagonal
     along = _product(over, count, 1, 1) - far
     against = _product(over[:, ::-1], count[:, ::-1], 1, 1) - far
     tilt = math.log(along / against) if min(along, against) > 0.0 else 0.0
     tilt *= math.sqrt(squares[0] * squares[1])
-    seen = abs(tilt) > _LEAST_TILT and min(squares) > LEAST_TILTED**2 + PIXEL
-    tilt = min(max(tilt, -_MOST_TILT), _MOST_TILT) if seen else 0.0
+    tilted = abs(tilt) > _LEAST_TILT and min(squares) > LEAST_TILTED**2 + PIXEL
+    tilt = min(max(tilt, -_MOST_TILT), _MOST_TILT) if tilted else 0.0
     area = 4.0 * math.pi * math.sqrt(squares[0] * squares[1] / (1.0 - tilt * tilt))
     squares = [min(square / (1.0 - tilt * tilt), widest) for square in squares]
     mean = float(light.sum() / max(count.sum(), 1.0))
-    own = 0.5 * sum(at_zero) * area
-    own = own / mean if mean > 0.0 else math.inf
-    own = min(own, _OVER_PEAKS * _light_of_peaks(light, noise_below_black(image[known])))
+    flux = 0.5 * sum(at_zero) * area
+    flux = flux / mean if mean > 0.0 else math.inf
+    flux = min(flux, _OVER_PEAKS * _light_of_peaks(light, noise_below_black(image[valid])))
     widths = math.sqrt(squares[0] - PIXEL), math.sqrt(squares[1] - PIXEL)
-    values = image[known]
+    values = image[valid]
     chance = float(values.var()) / math.sqrt(len(values)) if len(values) else 0.0
-    clear = float(near[:, 0].mean()) > _CLEAR * chance and 1e-6 < own < math.inf
+    clear = float(near[:, 0].mean()) > _CLEAR * chance and 1e-6 < flux < math.inf
     tilt *= math.sqrt(squares[0] * squares[1]) / (widths[0] * widths[1])
     flat = measure_flatness(near, _NEAR, _FAR)
-    return widths, tilt, flat, own if clear else 0.0, clear
+    return widths, tilt, flat, flux if clear else 0.0, clear
 
 
 def _light_of_peaks(light: F64, noise: float) -> float:
@@ -214,16 +214,16 @@ def _peaks(light: F64, noise: float) -> Bool:
 def _product(light: F64, count: F64, rows: int, columns: int) -> float:
     """Average the products of known pixels that are some rows and columns apart."""
     here = slice(0, light.shape[0] - rows), slice(0, light.shape[1] - columns)
-    there = slice(rows, None), slice(columns, None)
-    pairs = float((count[here] * count[there]).sum())
-    return float((light[here] * light[there]).sum()) / max(pairs, 1.0)
+    shifted = slice(rows, None), slice(columns, None)
+    pairs = float((count[here] * count[shifted]).sum())
+    return float((light[here] * light[shifted]).sum()) / max(pairs, 1.0)
 
 
 def measure_flatness(products: F64, near: Iterable[int], far: Iterable[int]) -> F64:
     """Measure (3,) the widths, px, and the flatness of images.
 
     They are those of `image_model`, and 0 where images are no flatter than Gaussians, or too
-    narrow to tell. Those found have the least squared error of the products.
+    narrow. Those found have the least squared error of the products.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def measure_flatness(products: F64, near: Iterable[int], far: Iterable[int]) -> 
     if not np.isfinite(products).all():
         return np.zeros(3)
     shape = _FLATNESS[:, None, None], _SQUARES[:, None]
-    apart = [_falloff(*shape, np.array(list(one), dtype=float)) for one in (near, far)]
+    apart = [_falloff(*shape, np.array(list(lags), dtype=float)) for lags in (near, far)]
     shown = apart[0] - apart[1].mean(axis=2, keepdims=True)
     # of each flatness (first), axis and width
     height = products @ shown.transpose(0, 2, 1) / (shown**2).sum(axis=2)[:, None]

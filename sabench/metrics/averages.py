@@ -1,4 +1,4 @@
-"""Averages of figures, some of which may be missing."""
+"""Averages of figures; some figures may be missing."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -20,7 +20,7 @@ def mean_of_finite(values: Iterable[float | None]) -> float | None:
 
 def mean_of_each(figures: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
     """Average each figure of several frames with `mean_of_finite`."""
-    return {key: mean_of_finite(one[key] for one in figures) for key in figures[0]}
+    return {key: mean_of_finite(frame[key] for frame in figures) for key in figures[0]}
 
 
 def root_mean_square(values: F64) -> float:

@@ -71,8 +71,8 @@ def counts_per_frame(radii_mm: Sequence[F64], edges_mm: F64) -> list[Mean]:
 
 LARGE_MM = 0.5  # radius of what counts as a large bubble
 HIDDEN = 0.9  # visible fraction of a bubble, mean over the cameras, below which it is hidden
-AROUND_MM = 6.0  # radius around a bubble in which the volume of others is counted
-DENSE = 0.01  # void fraction of the others from which a bubble counts as being in a dense place
+AROUND_MM = 6.0  # radius around a bubble for the volume of others
+DENSE = 0.01  # least void fraction of the others around a bubble in a dense place
 FLAT = 0.9  # short over long axis below which the direction of the short axis has a meaning
 _NEAR = 0.5  # of a true bubble's radius
 
@@ -170,9 +170,9 @@ def _counts(
 
 
 def nearest(bubbles: AnyBubbles, points_mm: F64) -> I64:
-    """Find the bubble (n,) in whose cell of the power diagram each point lies.
+    """Find the bubble (n,) with the cell of the power diagram around each point.
 
-    The answer is empty if there is no bubble. The cell of a bubble holds the points at which
+    The answer is empty if there is no bubble. The cell of a bubble holds the points where
     distance^2 - radius^2 is smallest: all points inside it, if it overlaps no other one. With the
     heights below, that is the nearest neighbour in four dimensions. Source: Aurenhammer, "Power
     diagrams", SIAM J. Comput. 16 (1987).

@@ -61,17 +61,17 @@ def calibration_scores(
     frame = Frame.from_cameras(true_cameras, truth_mm)
     noise_px = detection_noise(case.pixels, true_pixels, good)
     bound = lower_bound(case, frame, truth_mm, good, noise_px)
-    points, seen = target_points(estimate, case), np.asarray(good.any(axis=0))
+    points, visible = target_points(estimate, case), np.asarray(good.any(axis=0))
     pinholes = [camera for camera in estimate.cameras if isinstance(camera, Camera)]
     wall = common_plane(pinholes) if pinholes else None
     scores = _reprojection_scores(estimate, points, case, true_cameras, true_pixels, good, bound)
-    scores |= point_scores(points, truth_mm, seen, frame.motion)
+    scores |= point_scores(points, truth_mm, visible, frame.motion)
     for number, axis in enumerate("xyz"):
         std = scores[f"{axis}_std_mm"]
         ratio = std / float(bound.point_std_mm[number]) if bound and std is not None else None
         scores[f"{axis}_std_ratio"] = ratio
     scores["bound_z_mean_mm"] = float(bound.point_mean_mm[2]) if bound else None
-    scores["spacing_mm"] = spacing_error(points, truth_mm, seen, frame.motion)
+    scores["spacing_mm"] = spacing_error(points, truth_mm, visible, frame.motion)
     scores |= detection_scores(case.pixels, true_pixels, good)
     return scores | wall_scores(wall, common_plane(true_cameras))
 
@@ -157,9 +157,9 @@ def lower_bound(
     board = case.target.points_mm
     anchors = make_anchors(case, frame, noise_px)
     pixels, weights = np.nan_to_num(case.pixels), good.astype(np.float64)
-    seen = BoardImages(board, pixels, weights, anchors, frame.beyond_kernels)
+    views = BoardImages(board, pixels, weights, anchors, frame.beyond_kernels)
     try:
-        return limit(frame.state(board, truth_mm), seen, FreeParameters.from_case(case), noise_px)
+        return limit(frame.state(board, truth_mm), views, FreeParameters.from_case(case), noise_px)
     except np.linalg.LinAlgError:  # positions and cameras far from anything real
         return None
 
@@ -175,11 +175,11 @@ def _reprojection_scores(
 ) -> Scores:
     """Compute distances of reprojected points from detected and true pixels."""
     pixels, used = reproject(estimate.cameras, points_mm), _used(estimate, case)
-    known = (case.found.sum(axis=0) >= 2) | np.isfinite(points_mm).all(axis=-1)
+    placed = (case.found.sum(axis=0) >= 2) | np.isfinite(points_mm).all(axis=-1)
     lengths = np.linalg.norm((pixels - case.pixels)[used], axis=-1)
     lengths = lengths[np.isfinite(lengths)]
     measured = float(lengths.mean()) if len(lengths) else None
-    true = mean_distance(pixels, true_pixels, good & known, true_cameras)
+    true = mean_distance(pixels, true_pixels, good & placed, true_cameras)
     return {
         "true_px": true,
         "measured_px": measured,
@@ -205,7 +205,7 @@ def wall_scores(estimate: Wall | None, truth: Wall | None) -> Scores:
     turn = np.clip(np.linalg.norm(np.cross(estimate.normal, truth.normal)), 0.0, 1.0)
     figures = (
         float(np.abs(estimate.indices - truth.indices).max()),
-        max((abs(one.thickness_mm - true.thickness_mm) for one, true in layers), default=0.0),
+        max((abs(layer.thickness_mm - true.thickness_mm) for layer, true in layers), default=0.0),
         abs(float(truth.depth_of(np.asarray(estimate.point_mm)))),
         float(np.rad2deg(np.arcsin(turn))),
     )
@@ -219,15 +219,15 @@ def point_scores(estimate: F64, truth: F64, seen: Bool, motion: RigidMotion) -> 
     ----------
     estimate, truth : (frame, point, 3), world frame; NaN where the estimate has none.
     seen : (frame, point) which points count.
-    motion : from the world to the frame of the wall, in which errors are counted.
+    motion : from the world to the frame of the wall, that of the errors.
     """
-    there = seen & np.isfinite(estimate).all(axis=-1)
-    own, true = motion(estimate[there]), motion(truth[there])
+    used = seen & np.isfinite(estimate).all(axis=-1)
+    estimated, true = motion(estimate[used]), motion(truth[used])
     scores: Scores = {}
     for how in ALIGNMENTS:
         errors = np.full((1, 3), np.nan)
-        if len(own) >= 3:
-            errors = fit_alignment(how, own, true)(own) - true
+        if len(estimated) >= 3:
+            errors = fit_alignment(how, estimated, true)(estimated) - true
         prefix = "" if how == "lateral" else f"{how}_"
         for axis, mean, std in zip("xyz", errors.mean(axis=0), errors.std(axis=0), strict=True):
             scores[f"{prefix}{axis}_mean_mm"] = finite_or_none(mean)
@@ -267,9 +267,9 @@ def held_out_scores(
     aligned : alignment of the estimate in that frame, None: the estimate has no score.
     """
     goal = motion(points_mm)
-    own = motion(triangulate(cameras, pixels))
+    points = motion(triangulate(cameras, pixels))
     return {
-        "held_out_mm": scatter(aligned(own) - goal) if aligned else None,
+        "held_out_mm": scatter(aligned(points) - goal) if aligned else None,
         "held_out_exact_mm": scatter(motion(triangulate(true_cameras, pixels)) - goal),
     }
 
@@ -281,12 +281,12 @@ def target_alignment(estimate: F64, truth: F64, motion: RigidMotion) -> RigidMot
 
     Parameters
     ----------
-    motion : from the world to the frame of the wall, in which the alignment applies.
+    motion : from the world to the frame of the wall, that of the alignment.
     """
-    known = np.isfinite(estimate).all(axis=-1) & np.isfinite(truth).all(axis=-1)
-    if known.sum() < 3:
+    finite = np.isfinite(estimate).all(axis=-1) & np.isfinite(truth).all(axis=-1)
+    if finite.sum() < 3:
         return None
-    return fit_alignment("lateral", motion(estimate[known]), motion(truth[known]))
+    return fit_alignment("lateral", motion(estimate[finite]), motion(truth[finite]))
 
 
 def self_calibration_scores(
@@ -304,10 +304,10 @@ def self_calibration_scores(
     truth_mm : (n, 3) true positions of particles.
     true_pixels : (camera, n, 2) their exact images; NaN outside of an image.
     """
-    moved, pixels, own = align_particles(cameras, truth_mm, true_pixels)
-    seen = np.asarray(np.isfinite(true_pixels).all(axis=-1))
-    true = mean_distance(pixels, true_pixels, seen, true_cameras)
-    return {"true_px": true, "held_out_mm": scatter(own - moved)}
+    moved, pixels, triangulated = align_particles(cameras, truth_mm, true_pixels)
+    visible = np.asarray(np.isfinite(true_pixels).all(axis=-1))
+    true = mean_distance(pixels, true_pixels, visible, true_cameras)
+    return {"true_px": true, "held_out_mm": scatter(triangulated - moved)}
 
 
 def align_particles(
@@ -321,9 +321,9 @@ def align_particles(
     positions (n, 3) where these cameras triangulate the exact images. With fewer than three
     triangulated particles nothing is moved and the images are NaN.
     """
-    own = triangulate(cameras, true_pixels)
-    known = np.isfinite(own).all(axis=1)
-    if known.sum() < 3:
-        return truth_mm, np.full_like(true_pixels, np.nan), own
-    moved = fit_rigid_motion(truth_mm[known], own[known])(truth_mm)
-    return moved, reproject(cameras, moved), own
+    triangulated = triangulate(cameras, true_pixels)
+    finite = np.isfinite(triangulated).all(axis=1)
+    if finite.sum() < 3:
+        return truth_mm, np.full_like(true_pixels, np.nan), triangulated
+    moved = fit_rigid_motion(truth_mm[finite], triangulated[finite])(truth_mm)
+    return moved, reproject(cameras, moved), triangulated

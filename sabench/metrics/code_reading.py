@@ -55,12 +55,12 @@ def compare_with_single_views(cells: F64, single_cells: F64, dark: Bool) -> dict
     The figures of `reading`, and single_percent, best_single_percent, single_separation: mean and
     largest part that one image shows, and the mean separation.
     """
-    single = [reading(one, dark) for one in single_cells]
-    percent = [one["read_percent"] for one in single]
+    single = [reading(view, dark) for view in single_cells]
+    percent = [view["read_percent"] for view in single]
     return reading(cells, dark) | {
         "single_percent": float(np.mean(percent)),
         "best_single_percent": max(percent),
-        "single_separation": float(np.nanmean([one["separation"] for one in single])),
+        "single_separation": float(np.nanmean([view["separation"] for view in single])),
     }
 
 

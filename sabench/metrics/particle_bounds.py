@@ -25,7 +25,7 @@ def true_spots(
     """Make the images of particles (n, 3) in electrons.
 
     The noise of a pixel is that of the electrons which its recorded grey value stands for, of
-    reading and of rounding. Pixels that are full or white tell nothing.
+    reading and of rounding. Pixels that are full or white give none.
     """
     spots = []
     for number, (view, camera, grey) in enumerate(zip(views, cameras, recorded, strict=True)):
@@ -35,12 +35,12 @@ def true_spots(
         electrons /= sensor.gain_dn_e
         variance = sensor.read_noise_e**2 + sensor.gain_dn_e**-2.0 / 12.0
         full = (grey >= sensor.white_dn) | (electrons >= sensor.full_well_e)
-        there = np.isfinite(view.pixel).all(axis=1)
+        visible = np.isfinite(view.pixel).all(axis=1)
         spots.append(
             ParticleSpots(
                 view.pixel,
                 _slopes(camera, position_mm),
-                sensor.quantum_efficiency * exposure * np.where(there, view.photons, 0.0),
+                sensor.quantum_efficiency * exposure * np.where(visible, view.photons, 0.0),
                 view.sigma_px,
                 np.where(full, np.inf, variance + (electrons if sensor.shot_noise else 0.0)),
             )
@@ -70,10 +70,10 @@ def rms_over_bound(error: F64, bound: F64) -> float:
     It is 1 at the bound. Errors of particles without a bound (NaN) are left out; NaN without
     others.
     """
-    known = np.isfinite(bound).all(axis=(1, 2))
-    if not known.any():
+    finite = np.isfinite(bound).all(axis=(1, 2))
+    if not finite.any():
         return math.nan
-    return math.sqrt(float(squared_distance(error[known], bound[known]).mean()) / 3.0)
+    return math.sqrt(float(squared_distance(error[finite], bound[finite]).mean()) / 3.0)
 
 
 def coverage(error: F64, covariance: F64, nominal: float) -> float:

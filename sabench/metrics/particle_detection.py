@@ -22,9 +22,9 @@ def component_sums(volume: F32, floor: float) -> F64:
     """Sum E, E x, E y, E z (n, 4) over the voxels of each component of E >= floor."""
     numbers, count = label(volume >= floor, np.ones((3, 3, 3), dtype=np.bool_))
     sums = np.zeros((4, count))
-    for z, (plane, own) in enumerate(zip(volume, numbers, strict=True)):
-        y, x = np.nonzero(own)
-        component, weight = own[y, x] - 1, plane[y, x].astype(np.float64)
+    for z, (plane, labels) in enumerate(zip(volume, numbers, strict=True)):
+        y, x = np.nonzero(labels)
+        component, weight = labels[y, x] - 1, plane[y, x].astype(np.float64)
         for total, place in zip(sums, (1.0, x, y, float(z)), strict=True):
             total += np.bincount(component, weights=weight * place, minlength=count)
     return np.ascontiguousarray(sums.T)
@@ -79,8 +79,8 @@ def _plateaus(volume: F32, tied: I64) -> tuple[I64, F64]:
         among: Bool = tied[place] == near
         lower[rows[~among]] = True  # a voxel of the same value has a higher neighbour
         pairs.append(np.stack([rows[among], place[among]]))
-    one, other = np.concatenate(pairs, axis=1)
-    links = csr_array((np.ones(len(one), dtype=np.bool_), (one, other)), shape=(len(tied),) * 2)
+    left, right = np.concatenate(pairs, axis=1)
+    links = csr_array((np.ones(len(left), dtype=np.bool_), (left, right)), shape=(len(tied),) * 2)
     count, label = connected_components(links, directed=False)
     places = np.stack(np.unravel_index(tied, volume.shape)[::-1], axis=1).reshape(-1, 3)
     size = np.bincount(label, minlength=count)
@@ -284,12 +284,12 @@ def challenge_pairs(estimate: F64, truth: F64, radius: float = CHALLENGE_RADIUS)
     order = np.argsort(np.linalg.norm(offset[close], axis=1), kind="stable")
     left, right = left[close][order], right[close][order]
     free_left, free_right = [True] * len(estimate), [True] * len(truth)
-    kept = []
+    rows = []
     for i, (a, b) in enumerate(zip(left.tolist(), right.tolist(), strict=True)):
         if free_left[a] and free_right[b]:
             free_left[a] = free_right[b] = False
-            kept.append(i)
-    return left[kept], right[kept]
+            rows.append(i)
+    return left[rows], right[rows]
 
 
 def _counts(
@@ -311,7 +311,7 @@ def ghost_ratio(ppp: float, cameras: int, area_px: float, depth_voxels: float) -
     Equation 3.14 of the thesis.
 
     A voxel is lit by chance in N independent images that particles of area A_p cover to the share
-    ppp A_p: (ppp A_p)^N of all voxels, of which there are l_z / ppp for each particle. It counts
+    ppp A_p: (ppp A_p)^N of all voxels, with l_z / ppp voxels for each particle. It counts
     voxels, where a ghost has several, and any overlap of lines of sight.
 
     Parameters

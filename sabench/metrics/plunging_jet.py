@@ -65,7 +65,7 @@ def analyse(
     ----------
     center_mm, radius_mm : (n, 3) and (n,) bubbles of all frames together.
     impact_mm : (3,) point where the jet meets the surface.
-    depth_mm : depth below it down to which bubbles are counted.
+    depth_mm : largest depth of counted bubbles below it.
     edge : fraction of the largest concentration at a depth where the cloud ends.
     frames : number of frames that the bubbles are from.
     """

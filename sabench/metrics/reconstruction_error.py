@@ -56,7 +56,7 @@ def brightness(views: Sequence[View]) -> F64:
 
 
 FACE = 4.0  # voxels from the volume's faces, which cut blobs
-APART = 3.0  # voxels along some axis between particles whose blobs are told apart
+APART = 3.0  # voxels along some axis between particles with separate blobs
 _HERE = 13  # of the numbers of 27 neighbours
 
 
@@ -100,20 +100,20 @@ def intensity_error(
     brightness, scored_truth : (m,) of the true particles, and which of them are in the scored part.
         Those within `FACE` of the volume's faces, or of `APART` of another one, are left out.
     """
-    kept = scored_truth & _alone(truth, brightness > 0.0, volume.shape)
-    if not kept.any():
+    scored = scored_truth & _alone(truth, brightness > 0.0, volume.shape)
+    if not scored.any():
         return None
     a, b = detection.challenge_pairs(estimate, truth)
     light = np.zeros(len(truth))
     light[b] = blob_intensities(volume, estimate)[a]
-    found, true = light[kept], brightness[kept]
-    own, other = np.linalg.norm(found), np.linalg.norm(true)
-    cosine = np.vdot(found / own, true / other) if own > 0.0 else 0.0
+    estimated, true = light[scored], brightness[scored]
+    norm, true_norm = np.linalg.norm(estimated), np.linalg.norm(true)
+    cosine = np.vdot(estimated / norm, true / true_norm) if norm > 0.0 else 0.0
     return float(np.sqrt(max(0.0, 1.0 - cosine**2)))
 
 
 def _alone(truth: F64, lit: Bool, shape: tuple[int, ...]) -> Bool:
-    """Mark the lit particles (n, 3) whose blobs neither a face nor another one cuts."""
+    """Mark the lit particles (n, 3) with blobs that no face or other blob cuts."""
     last = np.asarray(shape[::-1]) - 1.0
     alone = np.asarray(lit & ((truth >= FACE) & (truth <= last - FACE)).all(axis=1))
     distance, _ = cKDTree(truth[lit]).query(truth[alone], k=2, p=np.inf)
@@ -194,8 +194,8 @@ def score_frame(
     # an estimate that lists particles replaces both ways of detection
     detected = detection.detect(estimate.volume) if estimate.particles_mm is None else peaks
     counts: dict[str, float | None] = {}
-    for prefix, found in (("", detected), ("peak_", peaks)):
-        arguments = found, truth, grid.in_scored(found), scored
+    for prefix, points in (("", detected), ("peak_", peaks)):
+        arguments = points, truth, grid.in_scored(points), scored
         thesis = detection.count_thesis(*arguments)
         challenge = detection.count_challenge(*arguments)
         figures = thesis.true_percent, thesis.ghost_percent, challenge.precision

@@ -51,7 +51,7 @@ class LightFit(NamedTuple):
     shift_px: F64
 
 
-def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool) -> Patches:
+def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, valid: Bool) -> Patches:
     """Cut the windows of particles at pixels (n, 2) out of an image.
 
     Parameters
@@ -59,7 +59,7 @@ def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool)
     shape : rows and columns.
     pixels : column and row; NaN for a particle without a pixel.
     sigma_px : (2,) standard deviations of images along columns and rows.
-    known : (row, column) pixels that count.
+    valid : (row, column) pixels that count.
     """
     size = np.array(shape[::-1])
     with np.errstate(invalid="ignore"):
@@ -74,7 +74,7 @@ def cut_patches(shape: tuple[int, int], pixels: F64, sigma_px: F64, known: Bool)
     row = first[:, 1, None, None] + np.arange(y.shape[1])[:, None]
     inside = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
     at = np.where(inside, row * size[0] + column, 0)
-    counts = inside & known.ravel()[at]
+    counts = inside & valid.ravel()[at]
     image = np.where(counts, y[:, :, None] * x[:, None], 0.0)
     slope = np.stack([y[:, :, None] * by_x[:, None], by_y[:, :, None] * x[:, None]], axis=-1)
     slope *= counts[..., None]
@@ -135,7 +135,7 @@ def draw(shape: tuple[int, ...], patches: Patches, light: F64) -> F64:
     return total.reshape(shape).astype(np.float64)
 
 
-def explained_share(image: F64, left: F64, known: Bool, noise: float) -> float:
+def explained_share(image: F64, left: F64, valid: Bool, noise: float) -> float:
     """Compute the share of an image's light that is explained.
 
     It is 1 - sum(left^2) / sum(image^2), both without what noise adds; NaN for an image that shows
@@ -146,9 +146,9 @@ def explained_share(image: F64, left: F64, known: Bool, noise: float) -> float:
     image, left : (row, column) less black and background; what particles leave of it.
     noise : standard deviation of a pixel.
     """
-    added = noise**2 * known.sum()
-    there, rest = (float((one[known] ** 2).sum()) - added for one in (image, left))
-    return 1.0 - max(rest, 0.0) / there if there > 0.0 else float("nan")
+    added = noise**2 * valid.sum()
+    total, rest = (float((light[valid] ** 2).sum()) - added for light in (image, left))
+    return 1.0 - max(rest, 0.0) / total if total > 0.0 else float("nan")
 
 
 def _read(image: F64, patches: Patches) -> F64:

@@ -36,7 +36,7 @@ def accelerations(frames: Sequence[tuple[I64, F64]], duration: float) -> tuple[I
 
     Returns
     -------
-    Rows (k,) of the middle frame whose numbers are in all three, and accelerations (k, 3).
+    Rows (k,) of the middle frame with numbers in all three, and accelerations (k, 3).
     """
     (first, before), (middle, now), (last, after) = frames
     _, i, j = np.intersect1d(first, middle, return_indices=True)
@@ -48,7 +48,7 @@ def accelerations(frames: Sequence[tuple[I64, F64]], duration: float) -> tuple[I
 def claimed_errors(pairs: Sequence[tuple[F64, F64]]) -> tuple[F64, F64]:
     """Compute the lengths of the errors of all vectors (n, 3), and true lengths."""
     none = np.zeros((0, 3))
-    estimate = np.concatenate([none, *(one for one, _ in pairs)])
+    estimate = np.concatenate([none, *(vectors for vectors, _ in pairs)])
     true = np.concatenate([none, *(other for _, other in pairs)])
     return np.linalg.norm(estimate - true, axis=1), np.linalg.norm(true, axis=1)
 
@@ -103,12 +103,12 @@ def identity_scores(sequences: Sequence[Sequence[Sightings]]) -> dict[str, float
         for numbers in followers.values():
             if len(numbers) < 2:
                 continue
-            found = [number for number in numbers if number is not None]
+            matched = [number for number in numbers if number is not None]
             links += len(numbers) - 1
-            switches += sum(before != after for before, after in itertools.pairwise(found))
+            switches += sum(before != after for before, after in itertools.pairwise(matched))
             runs = [run for run, _ in itertools.groupby(numbers, lambda number: number is not None)]
             fragments += max(sum(runs) - 1, 0)
-            complete.append(len(found) == len(numbers) and len(set(found)) == 1)
+            complete.append(len(matched) == len(numbers) and len(set(matched)) == 1)
     return {
         "hota": float(np.mean(quality)) if quality else math.nan,
         "complete": float(np.mean(complete)) if complete else math.nan,
@@ -125,7 +125,7 @@ def _hota(frames: Sequence[Sightings]) -> float:
         return math.nan
     estimates, of_estimate = np.unique(trajectory, return_counts=True)
     truths, of_truth = np.unique(identity, return_counts=True)
-    pairs = [(one.trajectory[one.pairs[0]], one.identity[one.pairs[1]]) for one in frames]
+    pairs = [(frame.trajectory[frame.pairs[0]], frame.identity[frame.pairs[1]]) for frame in frames]
     both = np.concatenate(pairs, axis=1).T
     near = 1.0 - np.concatenate([frame.apart for frame in frames])
     levels = []
@@ -160,11 +160,11 @@ def trajectory_scores(
     sequences : frames that follow each other; trajectories from one to the next do not count.
     """
     matched = [
-        match(one.center_mm, true.center_mm, true.radius_mm)
-        for one, true in zip(estimate, truth, strict=True)
+        match(frame.center_mm, true.center_mm, true.radius_mm)
+        for frame, true in zip(estimate, truth, strict=True)
     ]
-    centers, true_centers = ([one.center_mm for one in part] for part in (estimate, truth))
-    identity = [one.id for one in truth]
+    centers, true_centers = ([frame.center_mm for frame in part] for part in (estimate, truth))
+    identity = [frame.id for frame in truth]
     return link_scores(centers, trajectory, true_centers, identity, matched, times_s, sequences)
 
 
@@ -186,23 +186,23 @@ def link_scores(
     matched : for each frame, rows of the estimated and of the true ones that form pairs.
     times_s, sequences : as in `trajectory_scores`.
     """
-    there, right, links = 0, 0, 0
+    total, right, links = 0, 0, 0
     off, speed, cover = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for frames in sequences:
-        for one, other in itertools.pairwise(frames):
-            i, j, k, m = _in_both(identity, matched, one, other)
-            good = trajectory[one][i] == trajectory[other][k]
-            there, right = there + len(good), right + int(good.sum())
-            links += len(np.intersect1d(trajectory[one], trajectory[other]))
-            duration = times_s[other] - times_s[one]
-            velocity = (truth_mm[other][m] - truth_mm[one][j])[good] / duration
-            estimated = (estimate_mm[other][k] - estimate_mm[one][i])[good] / duration
+        for old, new in itertools.pairwise(frames):
+            i, j, k, m = _in_both(identity, matched, old, new)
+            good = trajectory[old][i] == trajectory[new][k]
+            total, right = total + len(good), right + int(good.sum())
+            links += len(np.intersect1d(trajectory[old], trajectory[new]))
+            duration = times_s[new] - times_s[old]
+            velocity = (truth_mm[new][m] - truth_mm[old][j])[good] / duration
+            estimated = (estimate_mm[new][k] - estimate_mm[old][i])[good] / duration
             off.append(np.linalg.norm(estimated - velocity, axis=1))
             speed.append(np.linalg.norm(velocity, axis=1))
         pairs = [(identity[f][matched[f][1]], trajectory[f][matched[f][0]]) for f in frames]
         cover.append(_coverage(pairs, [identity[f] for f in frames]))
     figures = (
-        ratio(right, there),
+        ratio(right, total),
         ratio(right, links),
         _mean(np.concatenate(cover)),
         *median_errors(np.concatenate(off), np.concatenate(speed)),
@@ -224,26 +224,26 @@ def vector_scores(
     consecutive frames that a trajectory has, so that particles that were not found count as missed;
     displacement_mm, the root mean square error of these displacements. NaN without any.
     """
-    right, there, squares = 0, 0, [np.zeros(0)]
-    for one, other in (pair for frames in sequences for pair in itertools.pairwise(frames)):
-        i, j, k, m = _in_both(identity, matched, one, other)
-        good = trajectory[one][i] == trajectory[other][k]
-        found = estimate_mm[other][k] - estimate_mm[one][i]
-        off = (found - truth_mm[other][m] + truth_mm[one][j])[good]
-        right, there = right + len(off), there + len(np.intersect1d(identity[one], identity[other]))
+    right, total, squares = 0, 0, [np.zeros(0)]
+    for old, new in (pair for frames in sequences for pair in itertools.pairwise(frames)):
+        i, j, k, m = _in_both(identity, matched, old, new)
+        good = trajectory[old][i] == trajectory[new][k]
+        shift = estimate_mm[new][k] - estimate_mm[old][i]
+        off = (shift - truth_mm[new][m] + truth_mm[old][j])[good]
+        right, total = right + len(off), total + len(np.intersect1d(identity[old], identity[new]))
         squares.append(np.square(off).sum(axis=1))
     return {
-        "vector_recall": ratio(right, there),
+        "vector_recall": ratio(right, total),
         "displacement_mm": float(np.sqrt(_mean(np.concatenate(squares)))),
     }
 
 
 def _in_both(
-    identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], one: int, other: int
+    identity: Sequence[I64], matched: Sequence[tuple[I64, I64]], old: int, new: int
 ) -> tuple[I64, I64, I64, I64]:
     """Find rows of estimated and true objects in two frames for the same ones."""
-    (i, j), (k, m) = matched[one], matched[other]
-    _, first, second = np.intersect1d(identity[one][j], identity[other][m], return_indices=True)
+    (i, j), (k, m) = matched[old], matched[new]
+    _, first, second = np.intersect1d(identity[old][j], identity[new][m], return_indices=True)
     return i[first], j[first], k[second], m[second]
 
 
@@ -280,7 +280,7 @@ def differences(numbers: Sequence[I64], positions: Sequence[F64], order: int) ->
     order : 2 or 3, of differences over 3 or 4 frames.
     """
     factors = _FACTORS[order + 1]
-    found = [np.zeros((0, 3))]
+    parts = [np.zeros((0, 3))]
     for first in range(len(numbers) - order):
         window = range(first, first + order + 1)
         common = functools.reduce(np.intersect1d, numbers[first : first + order + 1])
@@ -289,8 +289,8 @@ def differences(numbers: Sequence[I64], positions: Sequence[F64], order: int) ->
             sorter = np.argsort(numbers[frame])
             rows = sorter[np.searchsorted(numbers[frame], common, sorter=sorter)]
             total += factor * positions[frame][rows]
-        found.append(total)
-    return np.concatenate(found)
+        parts.append(total)
+    return np.concatenate(parts)
 
 
 def jitter_mm(numbers: Sequence[I64], positions: Sequence[F64]) -> float:

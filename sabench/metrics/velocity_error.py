@@ -24,7 +24,7 @@ _ON_NODE = 1e-9  # of a step, within which a point lies on a node
 
 
 def evaluation_lattice(grid: Grid) -> Velocity:
-    """Make the lattice of nodes at which velocities are scored, all of them at rest.
+    """Make the lattice of nodes for scored velocities, all of them at rest.
 
     It fills the scored part of the grid and is centred in it.
     """
@@ -49,7 +49,7 @@ def _spread(voxels: F64, least: float) -> tuple[F64, I64]:
 
 
 def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
-    """Make the lattice at which velocities in a light sheet are scored.
+    """Make the lattice for scored velocities in a light sheet.
 
     It is centred in the rectangle around the part of the plane in the scored box; the nodes in the
     box are valid. Its `plane_axes` are as near to the grid's axes as the plane allows.
@@ -57,7 +57,7 @@ def planar_lattice(grid: Grid, point_mm: F64, normal: F64) -> Velocity:
     Raises
     ------
     InputError
-        A plane beside the scored part of the grid.
+        A plane outside the scored part of the grid.
     """
     low, high = grid.scored_box_mm
     outline = cut_box(low, high, point_mm, normal)
@@ -143,7 +143,7 @@ def velocity_scores(
 ) -> dict[str, float]:
     """Score a velocity field on a lattice; NaN where nothing was measured.
 
-    Derivatives are compared at nodes whose neighbours along all axes were measured, too. In a
+    Derivatives are compared at nodes with measured neighbours along all axes. In a
     lattice of one plane these are four, and the vorticity is the one about the plane's normal.
 
     Parameters
@@ -153,7 +153,7 @@ def velocity_scores(
     fluid : (z, y, x) where there is fluid; what was measured in bodies does not count.
     step_mm : spacing of the nodes, as (x, y, z).
     interval_s : time between the two frames, which turns velocities into displacements.
-    voxel_mm : spacing of the voxels in which displacements are counted, as (x, y, z).
+    voxel_mm : spacing of the voxels, the unit of displacements, as (x, y, z).
     """
     valid = valid & fluid
     errors = ((estimate - truth) * interval_s / np.asarray(voxel_mm))[valid]
@@ -181,11 +181,11 @@ def _derivative_figures(
     estimate: F64, truth: F64, valid: Bool, step_mm: tuple[float, float, float]
 ) -> dict[str, float]:
     """Compute rms errors of divergence, and of vorticity in percent."""
-    known = valid & inner(valid.shape)  # with neighbours that were measured
+    inside = valid & inner(valid.shape)  # with neighbours that were measured
     for axis in np.flatnonzero(np.asarray(valid.shape) > 1):
         for shift in (1, -1):
-            known &= np.roll(valid, shift, axis=axis)
-    slopes, true = (gradient(field, step_mm)[known] for field in (estimate, truth))
+            inside &= np.roll(valid, shift, axis=axis)
+    slopes, true = (gradient(field, step_mm)[inside] for field in (estimate, truth))
     several = np.asarray(valid.shape[::-1]) > 1
     about = [axis for axis in range(3) if np.delete(several, axis).all()]
     spin, true_spin = vorticity(slopes)[..., about], vorticity(true)[..., about]
@@ -212,6 +212,6 @@ def response(estimate: F64, truth: F64) -> float:
     """
     if not len(truth):
         return float("nan")
-    own, true = (values - values.mean(axis=0) for values in (estimate, truth))
+    estimated, true = (values - values.mean(axis=0) for values in (estimate, truth))
     power = float(np.sum(true**2))
-    return float(np.sum(own * true)) / power if power > 0.0 else float("nan")
+    return float(np.sum(estimated * true)) / power if power > 0.0 else float("nan")

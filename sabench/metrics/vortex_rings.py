@@ -14,7 +14,7 @@ from sabench.utils.arrays import F64
 Vector = tuple[float, float, float]
 Sampled = Callable[[F64], F64]  # values (n, ...) at points (n, 3), NaN where unknown
 _SIDE = 200  # points along each side of a contour
-_FINE = 121  # points along each side of the square in which a core is searched
+_FINE = 121  # points along each side of the square that is searched for a core
 
 
 def sample(field: Velocity, values: F64) -> Sampled:
@@ -33,18 +33,18 @@ def sample(field: Velocity, values: F64) -> Sampled:
 
     def at(points: F64) -> F64:
         places = (points - np.asarray(low)) @ field.axes.T / step
-        found = np.asarray(inner(places[:, along]))
+        sampled = np.asarray(inner(places[:, along]))
         if field.plane_axes is not None:
-            found[np.abs(places[:, 2]) > 0.5] = np.nan
-        return found
+            sampled[np.abs(places[:, 2]) > 0.5] = np.nan
+        return sampled
 
     return at
 
 
 def spin_of(field: Velocity) -> Sampled:
     """Interpolate a field's vorticity linearly, or its part about a plane's normal."""
-    own = field.in_own_axes()
-    spin = vorticity(gradient(own.velocity_mm_s, own.step_mm))
+    aligned = field.in_own_axes()
+    spin = vorticity(gradient(aligned.velocity_mm_s, aligned.step_mm))
     if field.plane_axes is not None:
         spin[..., :2] = 0.0
     return sample(field, spin @ field.axes)

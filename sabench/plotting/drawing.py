@@ -82,7 +82,7 @@ def _add_legends(sheet: Any, places: Sequence[Any], panels: Sequence[Panel]) -> 
     """Add one legend below the figure where panels share all labels, or one to each."""
     handles, labels = places[0].get_legend_handles_labels()
     others = [axes.get_legend_handles_labels()[1] for axes in places[1:]]
-    if others and len(labels) > 1 and all(own == labels for own in others):
+    if others and len(labels) > 1 and all(names == labels for names in others):
         columns = int(sheet.get_figwidth() / (_HANDLE_INCH + _LETTER_INCH * max(map(len, labels))))
         place = {"loc": "outside lower center", "ncols": max(columns, 1)}
         sheet.legend(handles, labels, fontsize=_SMALL, **place)
@@ -104,87 +104,87 @@ def _add_ellipses(
     return shown
 
 
-def _slice(axes: Any, one: charts.Slice) -> None:
-    top = float(np.nanmax(np.abs(one.values))) or 1.0
-    colours, low = ("RdBu_r", -top) if one.signed else ("viridis", float(np.nanmin(one.values)))
-    scale = {"cmap": colours, "vmin": low, "vmax": top if one.signed else None}
-    shown = axes.pcolormesh(one.x, one.y, one.values, shading="nearest", rasterized=True, **scale)
-    flat = abs(one.x[-1] - one.x[0]) > _FLAT * abs(one.y[-1] - one.y[0])
+def _slice(axes: Any, cut: charts.Slice) -> None:
+    top = float(np.nanmax(np.abs(cut.values))) or 1.0
+    colours, low = ("RdBu_r", -top) if cut.signed else ("viridis", float(np.nanmin(cut.values)))
+    scale = {"cmap": colours, "vmin": low, "vmax": top if cut.signed else None}
+    shown = axes.pcolormesh(cut.x, cut.y, cut.values, shading="nearest", rasterized=True, **scale)
+    flat = abs(cut.x[-1] - cut.x[0]) > _FLAT * abs(cut.y[-1] - cut.y[0])
     bar = axes.figure.colorbar(shown, ax=axes, orientation="horizontal" if flat else "vertical")
-    bar.set_label(one.label, fontsize=8)
-    if one.arrows is not None:
-        every = max(1, -(-max(one.values.shape) // _ARROWS))
-        u, v = np.moveaxis(one.arrows[::every, ::every], -1, 0)
-        x, y = np.meshgrid(one.x[::every], one.y[::every])
-        known = np.isfinite(u) & np.isfinite(v)
-        if known.any():
-            vectors = (values[known] for values in (x, y, u, v))
+    bar.set_label(cut.label, fontsize=8)
+    if cut.arrows is not None:
+        every = max(1, -(-max(cut.values.shape) // _ARROWS))
+        u, v = np.moveaxis(cut.arrows[::every, ::every], -1, 0)
+        x, y = np.meshgrid(cut.x[::every], cut.y[::every])
+        finite = np.isfinite(u) & np.isfinite(v)
+        if finite.any():
+            vectors = (values[finite] for values in (x, y, u, v))
             axes.quiver(*vectors, angles="xy", width=0.003, color="#000000")
     axes.set_aspect("equal")
-    axes.set_ylim(one.y[-1], one.y[0])
+    axes.set_ylim(cut.y[-1], cut.y[0])
     axes.grid(visible=False)
 
 
-def _discs(axes: Any, one: charts.Discs) -> None:
-    order = np.argsort(-one.radius)  # small ones on top
-    widths, centers = 2.0 * one.radius[order], np.column_stack([one.x, one.y])[order]
+def _discs(axes: Any, discs: charts.Discs) -> None:
+    order = np.argsort(-discs.radius)  # small ones on top
+    widths, centers = 2.0 * discs.radius[order], np.column_stack([discs.x, discs.y])[order]
     style = {"cmap": "viridis", "edgecolors": "#00000066", "linewidths": 0.3}
-    shown = _add_ellipses(axes, centers, widths, array=one.radius[order], **style)
-    axes.figure.colorbar(shown, ax=axes).set_label(one.label, fontsize=8)
+    shown = _add_ellipses(axes, centers, widths, array=discs.radius[order], **style)
+    axes.figure.colorbar(shown, ax=axes).set_label(discs.label, fontsize=8)
     axes.set_aspect("equal")
     if len(widths):
-        margin = float(one.radius.max())
-        axes.set_xlim(one.x.min() - margin, one.x.max() + margin)
-        axes.set_ylim(one.y.max() + margin, one.y.min() - margin)
+        margin = float(discs.radius.max())
+        axes.set_xlim(discs.x.min() - margin, discs.x.max() + margin)
+        axes.set_ylim(discs.y.max() + margin, discs.y.min() - margin)
     axes.grid(visible=False)
 
 
-def _circles(axes: Any, one: charts.Circles, colour: str) -> None:
-    widths, positions = 2.0 * one.radius, np.column_stack([one.x, one.y])
+def _circles(axes: Any, circles: charts.Circles, colour: str) -> None:
+    widths, positions = 2.0 * circles.radius, np.column_stack([circles.x, circles.y])
     style = {"facecolors": f"{colour}55", "edgecolors": colour, "linewidths": 0.8}
     _add_ellipses(axes, positions, widths, **style)
     # the legend's entry
     handle = {"linestyle": "", "marker": "o", "markersize": 5, "color": colour}
-    axes.plot([], [], label=f"{one.label}: {len(widths)}", **handle)
+    axes.plot([], [], label=f"{circles.label}: {len(widths)}", **handle)
     if len(widths):
-        reach = one.radius[:, None]
+        reach = circles.radius[:, None]
         axes.update_datalim(np.concatenate([positions - reach, positions + reach]))
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.yaxis.set_inverted(True)
 
 
-def _picture(axes: Any, one: charts.Picture) -> None:
-    rows, columns = one.values.shape
-    (left, top), (right, bottom) = one.low, one.high
+def _picture(axes: Any, picture: charts.Picture) -> None:
+    rows, columns = picture.values.shape
+    (left, top), (right, bottom) = picture.low, picture.high
     half_x, half_y = (
         (right - left) / max(columns - 1, 1) / 2.0,
         (bottom - top) / max(rows - 1, 1) / 2.0,
     )
     extent = (left - half_x, right + half_x, bottom + half_y, top - half_y)
-    dark, bright = np.percentile(one.values, [0.0, 99.9])
+    dark, bright = np.percentile(picture.values, [0.0, 99.9])
     scale = {"cmap": "gray", "vmin": dark, "vmax": max(bright, dark + 1e-12)}
-    axes.imshow(one.values, extent=extent, interpolation="nearest", **scale)
-    if one.rings is not None:
+    axes.imshow(picture.values, extent=extent, interpolation="nearest", **scale)
+    if picture.rings is not None:
         style = {"facecolors": "none", "edgecolors": _COLOURS[1], "linewidths": 0.7}
-        _add_ellipses(axes, one.rings[:, :2], 2.0 * one.rings[:, 2], **style)
+        _add_ellipses(axes, picture.rings[:, :2], 2.0 * picture.rings[:, 2], **style)
         axes.set(xlim=extent[:2], ylim=extent[2:])
     axes.grid(visible=False)
 
 
-def _space(axes: Any, one: charts.Space) -> None:
-    """Draw balls as discs, whose areas are in points squared.
+def _space(axes: Any, space: charts.Space) -> None:
+    """Draw balls as discs, with areas in points squared.
 
     The longest edge of the box is about half as long as the panel is high.
     """
     from matplotlib.ticker import MaxNLocator
 
-    x, y, z = one.center.T
-    spans = np.maximum(np.ptp(one.center, axis=0), 1e-9) if len(one.center) else np.ones(3)
-    points = 2.0 * one.radius / spans.max() * 0.5 * 72.0 * axes.figure.get_figheight()
+    x, y, z = space.center.T
+    spans = np.maximum(np.ptp(space.center, axis=0), 1e-9) if len(space.center) else np.ones(3)
+    points = 2.0 * space.radius / spans.max() * 0.5 * 72.0 * axes.figure.get_figheight()
     style = {"cmap": "viridis", "edgecolors": "#00000066", "linewidths": 0.3}
-    shown = axes.scatter(x, z, y, s=points**2, c=one.radius, depthshade=False, **style)
-    axes.figure.colorbar(shown, ax=axes, shrink=0.5).set_label(one.label, fontsize=8)
+    shown = axes.scatter(x, z, y, s=points**2, c=space.radius, depthshade=False, **style)
+    axes.figure.colorbar(shown, ax=axes, shrink=0.5).set_label(space.label, fontsize=8)
     axes.set_box_aspect(spans[[0, 2, 1]], zoom=1.3)
     axes.invert_zaxis()
     for axis in (axes.xaxis, axes.yaxis):

@@ -31,7 +31,7 @@ def inline_code(
     """Return `style`, `script` and `library` for a template, and their `hashes`.
 
     Hashes are written as a content security policy names them. The scripts of a page are one
-    function, whose names are separate from those of a library on the page.
+    function, with names separate from those of a library on the page.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def inline_code(
 
 
 def inline_json(value: Any) -> Markup:
-    """Write a value as JSON in which no markup can begin."""
+    """Write a value as JSON that cannot contain markup."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))
 

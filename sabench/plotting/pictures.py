@@ -96,7 +96,7 @@ def error_slice(volume: F32, truth: F32, scored: tuple[slice, slice, slice]) -> 
     least, as its scale is arbitrary. Colours follow the square root of the difference, up to the
     99.9th percentile of the truth's window: all errors on one truth have one scale.
     """
-    guess, true = (one[scored].astype(np.float64) for one in (volume, truth))
+    guess, true = (values[scored].astype(np.float64) for values in (volume, truth))
     window, power = _window(truth[scored]), float(np.vdot(guess, guess))
     off = (float(np.vdot(guess, true)) / power if power else 0.0) * _window(volume[scored]) - window
     strength = np.sqrt(np.clip(np.abs(off) / (_top(window) or 1.0), 0.0, 1.0))[..., None]
@@ -225,9 +225,9 @@ def arrows(positions: F64, errors: F64, rows: int, columns: int) -> bytes:
     median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
     longer = round_down(columns / 30.0 / median) if median > 1e-12 else 1.0
     for sheet, at, off in zip(sheets, positions, errors, strict=True):
-        known = np.isfinite(at).all(axis=-1)
-        good = known & np.isfinite(off).all(axis=-1)
-        alone = at[known & ~good] * scale
+        finite = np.isfinite(at).all(axis=-1)
+        good = finite & np.isfinite(off).all(axis=-1)
+        alone = at[finite & ~good] * scale
         _lines(sheet, alone, alone, 90, 2)
         points = at[good] * scale
         _lines(sheet, points, points + off[good] * scale * longer, 170, 1)
@@ -251,14 +251,14 @@ def with_cell_means(positions: F64, errors: F64, rows: int, columns: int) -> tup
     Positions and errors (2, 1, n, 2), in cells of a twelfth of the longer side.
     """
     side = max(rows, columns) / _CELLS
-    there = np.isfinite(positions).all(axis=1) & np.isfinite(errors).all(axis=1)
-    cells, member = np.unique(np.floor(positions[there] / side), axis=0, return_inverse=True)
+    finite = np.isfinite(positions).all(axis=1) & np.isfinite(errors).all(axis=1)
+    cells, member = np.unique(np.floor(positions[finite] / side), axis=0, return_inverse=True)
     both = np.full((2, 2, 1, len(positions), 2), np.nan)
     both[0, 0, 0], both[1, 0, 0] = positions, errors
     counts = np.bincount(member.ravel(), minlength=len(cells))
     both[0, 1, 0, : len(cells)] = (cells + 0.5) * side
     for axis in range(2):
-        sums = np.bincount(member.ravel(), errors[there, axis], len(cells))
+        sums = np.bincount(member.ravel(), errors[finite, axis], len(cells))
         both[1, 1, 0, : len(cells), axis] = sums / counts
     return both[0], both[1]
 

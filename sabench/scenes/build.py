@@ -298,7 +298,7 @@ def _name_camera(number: int) -> str:
 
 
 def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: Place) -> Camera:
-    (spec, own), center = scene.cameras.of_camera(name), np.asarray(place.center_mm)
+    (spec, camera_spec), center = scene.cameras.of_camera(name), np.asarray(place.center_mm)
     if not is_outside(walls, center):
         raise InputError(
             f"cameras: {name} at {list(place.center_mm)} mm: expected it in front of the wall, "
@@ -313,13 +313,13 @@ def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: P
         rotation=place.rotation or aimed_rotation(np.array([0.0, 0.0, 1.0])),
         principal_distance_mm=spec.focal_length_mm,
         pixel_mm=spec.pixel_mm,
-        principal_point_px=own.principal_point_px
+        principal_point_px=camera_spec.principal_point_px
         or ((spec.columns - 1) / 2.0, (spec.rows - 1) / 2.0),
         distortion=Distortion(**spec.distortion.model_dump()),
         focal_length_mm=spec.focal_length_mm,
         f_number=spec.f_number,
         wall=wall_towards(walls, center, target),
-        tilt_deg=own.tilt_deg or UPRIGHT,
+        tilt_deg=camera_spec.tilt_deg or UPRIGHT,
     )
     if place.rotation is None:
         try:
@@ -333,6 +333,6 @@ def _build_camera(scene: Scene, walls: tuple[TankWall, ...], name: str, place: P
         if np.linalg.det(matrix) < 0.0:
             raise InputError(f"{where}: expected a right-handed matrix, got a mirrored one")
     camera = focus(camera, target, spec.focus_mm)
-    if own.tilt_deg is None and spec.focus_normal is not None:
+    if camera_spec.tilt_deg is None and spec.focus_normal is not None:
         return tilt_sensor(camera, target, _unit(spec.focus_normal))
     return camera

@@ -13,7 +13,7 @@ from sabench.utils.validation import LensNumber, Positive, Table, WallNumber
 
 
 class KnownPoint(Table):
-    """Point of a target whose position was measured by other means."""
+    """Point of a target with a position measured by other means."""
 
     frame: int = Field(0, ge=0, description="frame that shows the target")
     point: int = Field(ge=0, description="number of the point")

@@ -238,11 +238,11 @@ class Cameras(Table):
 
     def of_camera(self, name: str) -> tuple[Cameras, CameraSpec]:
         """Give the array's table with one camera's numbers, and the camera's own table."""
-        own = next((spec for spec in self.each or () if spec.camera == name), None)
-        own = own or CameraSpec(camera=name)
+        camera_spec = next((spec for spec in self.each or () if spec.camera == name), None)
+        camera_spec = camera_spec or CameraSpec(camera=name)
         shared = type(self).model_fields
-        given = {key: value for key, value in own if key in shared and value is not None}
-        return self.model_copy(update={**given, "each": None}), own
+        given = {key: value for key, value in camera_spec if key in shared and value is not None}
+        return self.model_copy(update={**given, "each": None}), camera_spec
 
     def faults_by_camera(self, names: Sequence[str]) -> Iterator[str]:
         """List the entries of `each` that name no camera, or one camera again."""

@@ -64,12 +64,12 @@ def _other_pulse(timing: Timing, exposure_s: float, skew_s: float) -> float | No
     """Find another pulse in an exposure; gives its time from the own pulse."""
     period, times = 1.0 / timing.rate_hz, timing.pulses_s
     every = [time + shift for shift in (-period, 0.0, period) for time in times]
-    for pulse, own in enumerate(times):
+    for pulse, pulse_time in enumerate(times):
         opens = _opening(timing, exposure_s, pulse) + skew_s
         for time in every:
             early, late = time - timing.duration_s / 2.0, time + timing.duration_s / 2.0
-            if abs(time - own) > 1e-12 and early < opens + exposure_s and late > opens:
-                return time - own
+            if abs(time - pulse_time) > 1e-12 and early < opens + exposure_s and late > opens:
+                return time - pulse_time
     return None
 
 

@@ -45,11 +45,11 @@ def apparent_distance_mm(camera: Camera, target_mm: F64) -> float:
     step = camera.aperture_radius_mm
     moves = []
     for axis, (right, down) in enumerate(((step, 0.0), (0.0, step))):
-        there, valid = plain.shifted(right, down).project(target_mm[None])
+        ahead, valid = plain.shifted(right, down).project(target_mm[None])
         back, valid_back = plain.shifted(-right, -down).project(target_mm[None])
         if not (valid[0] and valid_back[0]):
             return math.nan
-        moves.append(abs(there[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
+        moves.append(abs(ahead[0, axis] - back[0, axis]) / (2.0 * step * plain.focal_px))
     mean = float(np.mean(moves))
     return 1.0 / mean if mean else math.inf
 
@@ -91,9 +91,9 @@ def tilt_sensor(camera: Camera, target_mm: F64, normal: F64) -> Camera:
 def nominal_cameras(scene: Scene, cameras: tuple[Camera, ...], seed: int) -> tuple[Camera, ...]:
     """Perturb the true cameras by the scene's calibration error.
 
-    A shift on the image moves the projections of all points alike. Source: thesis section 2.2.4,
-    the error eps_RP of figure 2-7b, whose length is the same for all cameras and whose direction is
-    random.
+    A shift on the image moves the projections of all points equally. Source: thesis section 2.2.4,
+    the error eps_RP of figure 2-7b, with the same length for all cameras and a random
+    direction.
     """
     spec = scene.calibration
     if spec is None:

@@ -16,7 +16,7 @@ from sabench.utils.validation import Direction, Index, Positive, Table, Vector, 
 
 
 class EntrySpec(Table):
-    """Window through which the laser enters the tank, from air."""
+    """Window between the laser, in air, and the tank."""
 
     point_mm: Vector = Field(
         description="a point on the window's outer face", examples=[[-100.0, 0.0, 0.0]]
@@ -228,7 +228,7 @@ class Tracer(Material):
 
     @model_validator(mode="after")
     def _check_shares(self) -> Tracer:
-        total = sum(one.share for one in self.mixture or ())
+        total = sum(material.share for material in self.mixture or ())
         if total > 1.0 + 1e-9:
             raise ValueError(f"expected shares of mixture that add up to 1 at most, got {total:g}")
         return self

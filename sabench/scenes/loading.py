@@ -40,10 +40,10 @@ def find(name: str | Path, folder: str) -> Path:
     files = {file.stem: file for inside in folders for file in inside.glob("*.toml")}
     if stem in files and direct.parent in (Path(), Path(folder), Path("suites")):
         return files[stem]
-    known = sorted(files)
-    near = difflib.get_close_matches(stem, known, 1)
+    stems = sorted(files)
+    near = difflib.get_close_matches(stem, stems, 1)
     raise InputError(
-        f"{name}: expected a file or one of {', '.join(known)}"
+        f"{name}: expected a file or one of {', '.join(stems)}"
         + (f"; did you mean {near[0]}?" if near else "")
     )
 
@@ -87,21 +87,21 @@ def parse_scene(values: dict[str, Any], source: str, folder: Path | None = None)
         All unknown keys, missing keys and wrong values, also those of the generators.
     """
     check, here = Collector(source), folder or Path()
-    made: dict[str, Any] = {}
+    tables: dict[str, Any] = {}
     with check.collect():
         scene = validate(Scene, values, "")
     for table in WORLDS:
         if isinstance(given := values.get(table), dict):
             with check.collect():
-                made[table] = _resolve(table, table, given, here)
+                tables[table] = _resolve(table, table, given, here)
     if isinstance(solids := values.get("solids"), list | tuple):
-        made["solids"] = ()
+        tables["solids"] = ()
         for number, given in enumerate(solids):
             with check.collect():
                 resolved = _resolve("solids", f"solids.{number}", given, here)
-                made["solids"] = (*made["solids"], resolved)
+                tables["solids"] = (*tables["solids"], resolved)
     check.finish()
-    whole = scene.model_copy(update=made)
+    whole = scene.model_copy(update=tables)
     if whole.vary is not None:
         faults = check_keys(whole.vary, whole.to_dict())
         check.faults += [f"{key}: {text}" for key, text in faults]
@@ -124,17 +124,17 @@ def _resolve(makes: str, table: str, given: Any, folder: Path) -> dict[str, Any]
         expected = f"expected a generator of {makes}"
         raise InputError(f"{table}.generator: {expected}, got {name}, which makes {plugin.makes}")
     parameters = validate(plugin.Parameters, rest, "", f"{table}.")
-    made = {"generator": name, **plain(parameters.model_dump(mode="json", exclude_none=True))}
+    settings = {"generator": name, **plain(parameters.model_dump(mode="json", exclude_none=True))}
     if "file" not in plugin.Parameters.model_fields:
-        return made
-    path = (folder / made["file"]).resolve()
+        return settings
+    path = (folder / settings["file"]).resolve()
     if not file_series(path):
         raise InputError(f"{table}.file: expected a file, but there is none at {path}")
     content = series_hash(path)
-    if made.get("sha256", content) != content:
-        changed = f"{made['sha256'][:12]}... of {path}, got {content[:12]}..."
+    if settings.get("sha256", content) != content:
+        changed = f"{settings['sha256'][:12]}... of {path}, got {content[:12]}..."
         raise InputError(f"{table}.sha256: expected {changed}: the file has changed")
-    rest = {key: value for key, value in made.items() if key not in ("file", "sha256")}
+    rest = {key: value for key, value in settings.items() if key not in ("file", "sha256")}
     return {**rest, "file": str(path), "sha256": content}
 
 

@@ -86,7 +86,7 @@ def idle_keys(
         yield "illumination.polarisation", 'expected none with scattering = "isotropic"'
 
 
-WORLDS = ("particles", "targets", "flow", "bubbles")  # tables whose `generator` is a plug-in
+WORLDS = ("particles", "targets", "flow", "bubbles")  # tables with a plug-in as `generator`
 
 
 class Scene(Table):
@@ -296,9 +296,9 @@ class Scene(Table):
 
 def _name_tables(values: dict[str, Any]) -> set[str]:
     """Name the tables that a file gives; a misspelt one counts as its nearest match."""
-    known = Scene.model_fields
+    tables = Scene.model_fields
     keys = {str(key) for key, value in values.items() if value not in (None, [], ())}
-    return {key if key in known else nearest(key, known) or key for key in keys}
+    return {key if key in tables else nearest(key, tables) or key for key in keys}
 
 
 def plain(value: Any) -> Any:

@@ -110,8 +110,8 @@ class Sensor(Table):
         """
         if self.camera_black_dn is None and self.camera_gain is None:
             return ()
-        own = [self.of_camera(number) for number in range(cameras)]
-        return tuple((sensor.black_level_dn, float(sensor.white_dn)) for sensor in own)
+        sensors = [self.of_camera(number) for number in range(cameras)]
+        return tuple((sensor.black_level_dn, float(sensor.white_dn)) for sensor in sensors)
 
     def faults_by_camera(self, cameras: int) -> Iterator[str]:
         """List the keys by camera that have another number of values."""

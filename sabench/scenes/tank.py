@@ -38,7 +38,7 @@ def build_walls(wall: WallTable | None) -> tuple[TankWall, ...]:
     Raises
     ------
     InputError
-        Walls with different fluids behind them, or of which one of several mirrors.
+        Walls with different fluids behind them, or a mirroring wall among several.
     """
     specs = wall_tables(wall)
     for number, spec in enumerate(specs):
@@ -67,7 +67,7 @@ def is_outside(walls: Sequence[TankWall], center_mm: F64) -> bool:
 
 
 def wall_towards(walls: Sequence[TankWall], center_mm: F64, target_mm: F64) -> TankWall | None:
-    """Choose the wall through which a camera looks at a point; None in plain air.
+    """Choose the wall between a camera and a point; None in plain air.
 
     It is the last wall that the straight line from the camera to the point enters.
     """
@@ -90,11 +90,11 @@ def check_one_face(camera: Camera, walls: Sequence[TankWall], corners: F64) -> N
         A light path that crosses the edge between two walls, or an image of a corner on the sensor
         through another wall.
     """
-    own = next(i for i, wall in enumerate(walls) if wall is camera.wall)
+    facing = next(i for i, wall in enumerate(walls) if wall is camera.wall)
     for number, other in enumerate(walls):
-        if number == own:
+        if number == facing:
             continue
-        beyond = (_beyond(camera, walls[own], other, corners) > 0.0).any()
+        beyond = (_beyond(camera, walls[facing], other, corners) > 0.0).any()
         pixels, valid = replace(camera, wall=other).project(corners)
         visible = valid & camera.contains(pixels)
         for third in walls:
@@ -103,7 +103,7 @@ def check_one_face(camera: Camera, walls: Sequence[TankWall], corners: F64) -> N
         if beyond or visible.any():
             raise InputError(
                 f"cameras: {camera.name} at {list(camera.center_mm)} mm: expected it to see the "
-                f"volume through one wall, but it faces two, wall.{own} and wall.{number}"
+                f"volume through one wall, but it faces two, wall.{facing} and wall.{number}"
             )
 
 

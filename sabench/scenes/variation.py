@@ -56,14 +56,14 @@ class Draw(Table):
         if self.choices is not None:
             return self.choices[int(share * len(self.choices))]
         if self.log_uniform is not None:
-            low, high = (math.log(one) for one in self.log_uniform)
+            low, high = (math.log(bound) for bound in self.log_uniform)
             return math.exp(low + share * (high - low))
         low, high = self.uniform or (0.0, 0.0)
         return low + share * (high - low)
 
 
 class Vary(Table):
-    """Keys of a scene whose values every sample draws anew."""
+    """Keys of a scene with values that every sample draws anew."""
 
     draw: dict[str, Draw] = Field(
         min_length=1,
@@ -95,7 +95,7 @@ def draw_values(vary: Vary, seed: int, sample: int, attempt: int) -> dict[str, A
     rng = stream(seed, "vary", sample, attempt)
     shares = rng.random(len(vary.draw)).tolist()
     return {
-        key: vary.draw[key].value(one) for key, one in zip(sorted(vary.draw), shares, strict=True)
+        key: vary.draw[key].value(draw) for key, draw in zip(sorted(vary.draw), shares, strict=True)
     }
 
 

@@ -67,8 +67,8 @@ class _BeforeFluid(Table):
 class WallSpec(_BeforeFluid):
     """Plane tank wall between the cameras and the fluid.
 
-    A scene without this table is in plain air. A list of these tables describes a tank whose
-    cameras look through several faces.
+    A scene without this table is in plain air. A list of these tables describes a tank with
+    cameras that look through several faces.
     """
 
     shape: Literal["plane"] | None = Field(

@@ -41,7 +41,7 @@ def rows_of(values: npt.ArrayLike, width: int, what: str) -> F64:
 
 
 def all_in_row(flags: Bool) -> Bool:
-    """Tell which rows (n,) of flags (n, 3) are true throughout.
+    """Return which rows (n,) of flags (n, 3) are true throughout.
 
     It is ten times as fast as `all(axis=1)`.
     """

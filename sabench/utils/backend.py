@@ -92,8 +92,8 @@ def _choose_llvm() -> Backend:
                 package = ", which the package libatomic1 has" if _LIBATOMIC in str(error) else ""
                 reason = f"cannot be loaded: {error}{package}"
         refused.append(f"{path} ({reason})")
-    found = f"refused {', '.join(refused)}" if refused else "found none"
-    raise InputError(f"no LLVM library that Dr.Jit can run on: {found}; {REMEDY}")
+    tried = f"refused {', '.join(refused)}" if refused else "found none"
+    raise InputError(f"no LLVM library that Dr.Jit can run on: {tried}; {REMEDY}")
 
 
 def _llvm_candidates() -> Iterator[tuple[str, str]]:

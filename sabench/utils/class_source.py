@@ -77,21 +77,21 @@ def parse(file: Path) -> Source:
 
 
 def _constants(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
-    for one in body:
-        targets = one.targets if isinstance(one, ast.Assign) else []
-        targets = [one.target] if isinstance(one, ast.AnnAssign) else targets
-        value = getattr(one, "value", None)
+    for statement in body:
+        targets = statement.targets if isinstance(statement, ast.Assign) else []
+        targets = [statement.target] if isinstance(statement, ast.AnnAssign) else targets
+        value = getattr(statement, "value", None)
         if isinstance(value, ast.Constant) and isinstance(value.value, str):
             yield from ((item.id, value.value) for item in targets if isinstance(item, ast.Name))
 
 
 def find_class(source: Source, name: str) -> Class | None:
-    """Find the class whose attribute `name` is this string.
+    """Find the class with this string as its attribute `name`.
 
     Returns None unless there is exactly one.
     """
-    found = [one for one in source.classes.values() if one.constants.get("name") == name]
-    return found[0] if len(found) == 1 else None
+    matches = [cls for cls in source.classes.values() if cls.constants.get("name") == name]
+    return matches[0] if len(matches) == 1 else None
 
 
 def constant(source: Source, of: Class, attribute: str) -> str | None:

@@ -17,7 +17,7 @@ numba.config.CACHE_DIR = str(kernel_folder())
 
 
 class _CompileClock(event.Listener):  # type: ignore[misc]
-    """Time in which at least one thread holds or awaits numba's compiler.
+    """Time while at least one thread holds or awaits numba's compiler.
 
     The compiler also loads kernels from their folder. A solver that starts threads waits for the
     kernels that they compile.
@@ -56,7 +56,7 @@ def inner(**options: Any) -> Any:
 
 
 def compile_s() -> float:
-    """Return the seconds in which this process compiled or loaded kernels.
+    """Return the seconds that this process spent compiling or loading kernels.
 
     Those of all threads count once. This happens once for a kernel and a machine, or a process, and
     is no part of a solver's time.

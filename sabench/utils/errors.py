@@ -44,7 +44,7 @@ class InputError(Exception):
 
 
 class DeclinedError(InputError):
-    """A solver cannot take a case, and says why: not a fault of either."""
+    """Refusal of a case that a solver cannot handle, with the reason."""
 
 
 class UncheckedError(InputError):

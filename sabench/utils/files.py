@@ -139,8 +139,8 @@ def file_series(path: Path) -> list[Path]:
     """
     if "*" not in path.name:
         return [path] if is_file(path) else []
-    found = path.parent.glob(path.name) if path.parent.is_dir() else ()
-    return sorted((one for one in found if one.is_file()), key=lambda one: (last_number(one), one))
+    files = filter(Path.is_file, path.parent.glob(path.name)) if path.parent.is_dir() else ()
+    return sorted(files, key=lambda file: (last_number(file), file))
 
 
 def last_number(path: Path) -> int:
@@ -152,7 +152,7 @@ def last_number(path: Path) -> int:
 def series_hash(path: Path) -> str:
     """Hash a file, or the names and contents of a series of files."""
     files = file_series(path)
-    return sha256(path) if files == [path] else digest({one.name: sha256(one) for one in files})
+    return sha256(path) if files == [path] else digest({file.name: sha256(file) for file in files})
 
 
 def is_file(path: Path) -> bool:
@@ -232,7 +232,7 @@ def _short(error: Exception) -> str:
 def zip_folder(folder: Path, out: Path) -> None:
     """Write a folder's files into an archive, without dates and without compression."""
     with zipfile.ZipFile(out, "w") as archive:
-        for file in progress_bar(sorted(one for one in folder.rglob("*") if one.is_file()), "pack"):
+        for file in progress_bar(sorted(filter(Path.is_file, folder.rglob("*"))), "pack"):
             entry = zipfile.ZipInfo(file.relative_to(folder).as_posix())
             with file.open("rb") as source, archive.open(entry, "w", force_zip64=True) as place:
                 shutil.copyfileobj(source, place)

@@ -1,7 +1,7 @@
 """Folder of compiled kernels, named by the hash of their sources.
 
-numba compiles a kernel again when its own file has changed, but not when another file has changed
-whose kernels or constants it uses. Other sources therefore have another folder.
+numba compiles a kernel again when its own file has changed, but not when kernels or constants
+that it uses from other files have. Other sources therefore have another folder.
 """
 
 import functools

@@ -91,14 +91,14 @@ def split_numbers(line: str, where: str, count: int | None = None) -> list[float
     """
     words = [word for word in re.split(r"[,;\s]+", line.strip()) if word]
     try:
-        found = [float(word) for word in words]
+        numbers = [float(word) for word in words]
     except ValueError:
-        found = []
+        numbers = []
     expected = "numbers" if count is None else f"{count} numbers"
-    wrong = len(found) != len(words) or (count is not None and len(found) != count)
-    if wrong or not np.isfinite(found).all():
+    wrong = len(numbers) != len(words) or (count is not None and len(numbers) != count)
+    if wrong or not np.isfinite(numbers).all():
         raise InputError(f"{where}: expected {expected}, got {line[:80]!r}")
-    return found
+    return numbers
 
 
 def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int = 0) -> Table:
@@ -131,10 +131,10 @@ def read_table(path: Path, least: int, *, missing: bool = False, skip_lines: int
             f"{body[0][1][:60]!r}"
         )
     names = _names(heads, columns)
-    kept = [i for i in range(columns) if not names or not _is_text(ends, i)]
-    values = _read_fast(body, mark, kept, columns) if body else np.zeros((0, columns))
+    numeric = [i for i in range(columns) if not names or not _is_text(ends, i)]
+    values = _read_fast(body, mark, numeric, columns) if body else np.zeros((0, columns))
     if values is None or not (missing or np.isfinite(values).all()):
-        values = _read_slowly(path, body, mark, kept, columns, missing=missing)
+        values = _read_slowly(path, body, mark, numeric, columns, missing=missing)
     return Table(tuple(name for name, _ in names), tuple(unit for _, unit in names), values)
 
 
@@ -154,7 +154,7 @@ def read_records(
     mark = _separator(numbered[:1]) or ","
     rows = [(number, words) for number, line in numbered if any(words := _words(line, mark))]
     cells = rows[0][1] if rows else []
-    names = [aliases.get(one, one) for one in (cell.lower() for cell in cells)]
+    names = [aliases.get(head, head) for head in (cell.lower() for cell in cells)]
     wrong = [name for name in names if name not in (*needed, *possible)]
     if wrong or len(set(names)) != len(names) or not set(needed) <= set(names):
         also = f" and possibly {','.join(possible)}" if possible else ""
@@ -230,21 +230,21 @@ def _is_text(rows: Sequence[Sequence[str]], column: int) -> bool:
 
 
 def _read_fast(
-    body: Sequence[tuple[int, str]], mark: str | None, kept: Sequence[int], columns: int
+    body: Sequence[tuple[int, str]], mark: str | None, numeric: Sequence[int], columns: int
 ) -> F64 | None:
     """Read a plain table; None for one that is not."""
     try:
         values = np.loadtxt([line for _, line in body], delimiter=mark, comments=None, ndmin=2)
     except ValueError:
         return None
-    return np.asarray(values) if values.shape[1] == columns == len(kept) else None
+    return np.asarray(values) if values.shape[1] == columns == len(numeric) else None
 
 
 def _read_slowly(
     path: Path,
     body: Sequence[tuple[int, str]],
     mark: str | None,
-    kept: Sequence[int],
+    numeric: Sequence[int],
     columns: int,
     *,
     missing: bool,
@@ -259,9 +259,9 @@ def _read_slowly(
                 f"{line[:60]!r}"
             )
         where = f"{path}: line {number}, column"
-        rows.append([_value(f"{where} {i + 1}", words[i], mark, missing=missing) for i in kept])
+        rows.append([_value(f"{where} {i + 1}", words[i], mark, missing=missing) for i in numeric])
     values = np.full((len(body), columns), np.nan)
-    values[:, kept] = np.array(rows, dtype=np.float64).reshape(len(body), len(kept))
+    values[:, numeric] = np.array(rows, dtype=np.float64).reshape(len(body), len(numeric))
     return values
 
 
@@ -277,8 +277,8 @@ def _value(where: str, word: str, mark: str | None, *, missing: bool) -> float:
 
 
 def numbered_files(folder: Path, pattern: str) -> Iterator[tuple[int, Path]]:
-    """Yield the files whose names match, with the number in the group `frame`."""
+    """Yield the files with matching names, with the number in the group `frame`."""
     compiled = re.compile(pattern)
     matches = ((compiled.fullmatch(path.name), path) for path in folder.iterdir())
-    found = [(int(match["frame"]), path) for match, path in matches if match]
-    return iter(sorted(found))
+    files = [(int(match["frame"]), path) for match, path in matches if match]
+    return iter(sorted(files))

@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from sabench.utils.errors import InputError
 
-UNION_TAG = "union:"  # opens the tags of unions whose members a function tells apart
+UNION_TAG = "union:"  # start of the tags of unions with members that a function distinguishes
 _SHOWN = 80  # characters of a value that a sentence quotes
 _WORDS = (  # pydantic's words and ours, tried one after the other
     (r"^input should be a valid (\w+), .*", r"expected a valid \1"),
@@ -46,8 +46,8 @@ class FaultsError(ValueError):
 
 def refuse(faults: Iterable[tuple[str, str]]) -> None:
     """Raise all faults, pairs of a key and a sentence, if there are some."""
-    if found := list(faults):
-        raise FaultsError(found)
+    if pairs := list(faults):
+        raise FaultsError(pairs)
 
 
 def join_faults(error: ValidationError, faults: Sequence[tuple[str, str]]) -> ValidationError:
@@ -96,8 +96,8 @@ def _texts(
         for key, text in inner.faults:
             yield ([key] if key else []), kind, text
     elif kind == "extra_forbidden":
-        known = ", ".join(_keys_at(model, path))
-        hint = f"did you mean {near}?" if near else f"expected one of {known}"
+        keys = ", ".join(_keys_at(model, path))
+        hint = f"did you mean {near}?" if near else f"expected one of {keys}"
         yield [], kind, f"unknown key; {hint}"
     elif kind == "missing":
         yield [], kind, "this key is missing"
@@ -118,9 +118,9 @@ def _texts(
         yield [], kind, f"{text}, got {printable(repr(fault['input']))}"
 
 
-def nearest(word: str, known: Iterable[str]) -> str | None:
+def nearest(word: str, words: Iterable[str]) -> str | None:
     """Find the known word that a misspelt one most likely stands for."""
-    near = difflib.get_close_matches(word, list(known), 1, 0.4)
+    near = difflib.get_close_matches(word, list(words), 1, 0.4)
     return near[0] if near else None
 
 

@@ -20,7 +20,7 @@ from numpy.polynomial import chebyshev
 
 from sabench.utils.compiled import numba
 
-LANES = 8  # pixels of a row, in kernels that take several at once
+LANES = 8  # pixels of a row, in kernels that take several simultaneously
 _INT = ir.IntType(32)
 
 
@@ -41,8 +41,8 @@ class Vectors:
 
     def splat(self, value: Any) -> Any:
         """Return a vector of one value."""
-        one = self.builder.insert_element(self.zero, value, ir.Constant(_INT, 0))
-        return self.builder.shuffle_vector(one, one, self._mask([0] * self.length))
+        first = self.builder.insert_element(self.zero, value, ir.Constant(_INT, 0))
+        return self.builder.shuffle_vector(first, first, self._mask([0] * self.length))
 
     def load(self, pointer: Any) -> Any:
         """Load numbers that lie one after the other."""
@@ -212,7 +212,7 @@ def _differences(arrays: Sequence[Any]) -> tuple[Any, Any]:
     signature = types.void(*arrays, types.float64, types.float64, types.intp)
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        do, one = (Vectors(builder, ir.DoubleType(), length) for length in (LANES, 1))
+        do, scalar = (Vectors(builder, ir.DoubleType(), length) for length in (LANES, 1))
         start, step, pixels = values[len(arrays) :]
         kinds = signature.args[: len(arrays)]
         structs = [
@@ -227,8 +227,8 @@ def _differences(arrays: Sequence[Any]) -> tuple[Any, Any]:
             away = do.plus(do.splat(builder.sitofp(first, ir.DoubleType())), do.numbers())
             return away, do.fused(away, do.splat(step), do.splat(start))
 
-        last = _at_edges(one, edges(one, size)[1], step)
-        ends = [cgutils.alloca_once_value(builder, one.lane(value, 0)) for value in last]
+        last = _at_edges(scalar, edges(scalar, size)[1], step)
+        ends = [cgutils.alloca_once_value(builder, scalar.lane(value, 0)) for value in last]
         width = do.splat(builder.sitofp(pixels, ir.DoubleType()))
         with cgutils.for_range(builder, builder.sdiv(size, lanes)) as loop:  # the last block first
             behind = builder.mul(
@@ -236,8 +236,8 @@ def _differences(arrays: Sequence[Any]) -> tuple[Any, Any]:
             )
             first = builder.sub(size, behind)
             away, places = edges(do, first)
-            found, inside = _at_edges(do, places, step), do.above_zero(do.minus(width, away))
-            for kind, struct, end, here in zip(kinds, structs, ends, found, strict=False):
+            at_edge, inside = _at_edges(do, places, step), do.above_zero(do.minus(width, away))
+            for kind, struct, end, here in zip(kinds, structs, ends, at_edge, strict=False):
                 change = do.where(inside, do.minus(do.moved(here, builder.load(end)), here))
                 builder.store(do.lane(here, 0), end)
                 place = cgutils.get_item_pointer(context, builder, kind, struct, [first])
@@ -317,7 +317,7 @@ PROFILES = 14
 
 Pairs = Sequence[tuple[int, int]]
 
-# of profiles whose products make up an image, and its derivatives by the centre's column and row
+# of profiles that multiply to an image, and its derivatives by the centre's column and row
 PLAIN, PLAIN_BY_X, PLAIN_BY_Y = ((OWN_X, OWN_Y),), ((SLOPE_X, OWN_Y),), ((OWN_X, SLOPE_Y),)
 SHAPED = ((FLAT_X, OWN_Y), (OWN_X, WHOLE_Y), (SLOPE_X, TILT_Y), (CURVE_X, CURVE_Y))
 SHAPED_BY_X = ((SLOPE_X, WHOLE_Y), (CURVE_X, TILT_Y), (THIRD_X, CURVE_Y), (FLAT_SLOPE_X, OWN_Y))
@@ -339,26 +339,26 @@ class _Row(NamedTuple):
 
     def product(self, do: Vectors, pairs: Pairs) -> Any:
         """Return the sum of products of profiles across and down."""
-        terms = [do.times(self.profiles[one], self.profiles[other]) for one, other in pairs]
+        terms = [do.times(self.profiles[across], self.profiles[down]) for across, down in pairs]
         return functools.reduce(do.plus, terms)
 
 
 def _match(do: Vectors, row: _Row, image: Pairs) -> list[Any]:
     """Return the terms of `match_window`, and of `match_shaped`."""
-    own = row.product(do, image)
-    counts = _counting(do, row.weight, do.minus(row.left, do.times(row.light, own)))
-    each = do.times(counts, own)
+    pixel = row.product(do, image)
+    counts = _counting(do, row.weight, do.minus(row.left, do.times(row.light, pixel)))
+    each = do.times(counts, pixel)
     spared = _spared(do, row.weight, counts, row.left)
-    return [do.times(each, row.left), do.times(each, own), spared]
+    return [do.times(each, row.left), do.times(each, pixel), spared]
 
 
 def _sum(do: Vectors, row: _Row, image: Pairs, by_x: Pairs, by_y: Pairs) -> list[Any]:
     """Return the terms of `sum_window`, and of `sum_shaped`."""
-    own, along_x, along_y = (row.product(do, pairs) for pairs in (image, by_x, by_y))
+    pixel, along_x, along_y = (row.product(do, pairs) for pairs in (image, by_x, by_y))
     left, counts = row.left, _counting(do, row.weight, row.left)
-    share, slope_x, slope_y = (do.times(counts, one) for one in (own, along_x, along_y))
+    share, slope_x, slope_y = (do.times(counts, factor) for factor in (pixel, along_x, along_y))
     products = (
-        (share, own),
+        (share, pixel),
         (share, left),
         (slope_x, along_x),
         (slope_x, along_y),
@@ -366,7 +366,7 @@ def _sum(do: Vectors, row: _Row, image: Pairs, by_x: Pairs, by_y: Pairs) -> list
         (slope_x, left),
         (slope_y, left),
     )
-    shown = do.plus(left, do.times(row.light, own))
+    shown = do.plus(left, do.times(row.light, pixel))
     return [*(do.times(*pair) for pair in products), _spared(do, row.weight, counts, shown)]
 
 

@@ -11,8 +11,8 @@ from sabench.utils.errors import InputError
 
 _RELATIVE = 1e-13  # next to nothing: the least that scipy takes is 100 roundings
 _MOST = 20_000  # velocities of a particle's path between two frames
-_TRIED, _HOPELESS = 2_000, 4.0  # velocities until its pace tells, and how much too slow it may be
-# particles whose paths share their steps: one fast particle costs these no more than its own steps
+_TRIED, _HOPELESS = 2_000, 4.0  # velocities before a check of the pace, and how slow it may be
+# particles that share their steps: one fast particle adds no more to these than its own steps
 AT_ONCE = 20_000
 
 
@@ -54,14 +54,14 @@ def _advect_together(
         )
 
     def velocity(time: float, flat: F64) -> F64:
-        made = flow.velocity(flat.reshape(-1, 3), time).ravel()
+        velocities = flow.velocity(flat.reshape(-1, 3), time).ravel()
         count, covered = next(calls), (time - start_s) / (end_s - start_s)
         if count > _MOST or (count > _TRIED and covered * _MOST * _HOPELESS < count):
-            finite = np.isfinite(made).all()
+            finite = np.isfinite(velocities).all()
             raise complaint(
                 "it is not smooth enough" if finite else "its velocities are not finite"
             )
-        return made
+        return velocities
 
     atol = tolerance_mm / np.sqrt(points.size)
     path = DOP853(velocity, start_s, points.ravel(), end_s, rtol=_RELATIVE, atol=atol)
@@ -138,8 +138,8 @@ def move_particles(
     moved = np.array(points_mm, dtype=np.float64)
     for first in range(0, len(moved), AT_ONCE):
         part = slice(first, first + AT_ONCE)
-        own = InertialFlow(flow, inertia, diameter_mm[part])
-        moved[part] = advect(own, moved[part], start_s, end_s, tolerance_mm)
+        inertial = InertialFlow(flow, inertia, diameter_mm[part])
+        moved[part] = advect(inertial, moved[part], start_s, end_s, tolerance_mm)
     return moved
 
 
@@ -151,8 +151,8 @@ def check_inertia(
         return
     rate = np.linalg.norm(flow.gradient(points_mm, time_s), ord=2, axis=(1, 2))
     stokes = float((inertia.relaxation_s(diameter_mm) * rate).max())
-    own = InertialFlow(flow, inertia, diameter_mm).velocity(points_mm, time_s)
-    slip = np.linalg.norm(own - flow.velocity(points_mm, time_s), axis=1)
+    inertial = InertialFlow(flow, inertia, diameter_mm).velocity(points_mm, time_s)
+    slip = np.linalg.norm(inertial - flow.velocity(points_mm, time_s), axis=1)
     reynolds = float((slip * diameter_mm).max() / inertia.viscosity_mm2_s)
     for what, value, most in (
         ("Stokes number (relaxation time times the gradient)", stokes, _LARGEST),

@@ -51,37 +51,37 @@ class Phases:
         ------
         InputError
             One that a wall cuts, that reaches into a body, or into another one although the scene
-            does not ask for that.
+            does not allow that.
         """
         if self._bubbles is None:
             none = np.zeros((0, 3))
             return Bubbles(np.zeros(0, dtype=np.int64), none, none, np.zeros((0, 3, 3)), none)
-        made = self._bubbles.bubbles(
+        bubbles = self._bubbles.bubbles(
             domain_of(self.scene), self.seed, frame, self.scene.time_s(frame)
         )
         where = f"{self.scene.title}: bubbles of frame {frame}: expected"
         if (wall := _wall_of(self.scene)) is not None:
-            depth, extent = wall.depth_of(made.center_mm), made.reach_mm(wall.normal)
+            depth, extent = wall.depth_of(bubbles.center_mm), bubbles.reach_mm(wall.normal)
             near, far = _depths(wall)
             cut = np.flatnonzero((depth - extent < near) | (depth + extent > far))
             if len(cut):
                 raise InputError(
                     f"{where} all of them in the fluid, but a wall cuts {len(cut)}: "
-                    f"{_describe(made, cut)}"
+                    f"{_describe(bubbles, cut)}"
                 )
-        if not self._bubbles.parameters.overlap and len(pairs := overlapping(made)):
-            first, second = (_describe(made, pairs[:1, side]) for side in (0, 1))
+        if not self._bubbles.parameters.overlap and len(pairs := overlapping(bubbles)):
+            first, second = (_describe(bubbles, pairs[:1, side]) for side in (0, 1))
             raise InputError(
                 f"{where} none to reach into another (overlap = true allows it), but "
                 f"{len(pairs)} pairs do: {first} and {second}"
             )
         for number, (solid, _) in enumerate(self.bodies(frame)):
-            if len(bad := np.flatnonzero(touching(made, solid))):
+            if len(bad := np.flatnonzero(touching(bubbles, solid))):
                 raise InputError(
                     f"{where} none to reach into a body, but {len(bad)} reach into "
-                    f"solids.{number}: {_describe(made, bad)}"
+                    f"solids.{number}: {_describe(bubbles, bad)}"
                 )
-        return made
+        return bubbles
 
     def bodies(self, frame: int) -> list[tuple[Solid, Material]]:
         """Make the bodies of a frame, each at its position.

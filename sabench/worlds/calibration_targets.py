@@ -84,9 +84,9 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
         A known point of a frame or number that the target does not have.
     """
     spec, exact = scene.calibration, placed.points_mm
-    initial, known, sigma = exact.copy(), np.full_like(exact, np.nan), np.full_like(exact, np.nan)
+    initial, given, sigma = exact.copy(), np.full_like(exact, np.nan), np.full_like(exact, np.nan)
     if spec is None:
-        return Prior(initial, known, sigma)
+        return Prior(initial, given, sigma)
     error_mm = spec.points * max(scene.volume.size_mm)
     initial += error_mm * stream(seed, "rough points").standard_normal(exact.shape)
     if spec.blank:
@@ -101,6 +101,6 @@ def prior(scene: Scene, placed: Placed, seed: int) -> Prior:
             )
         axes = ["xyz".index(axis) for axis in point.axes]
         drawn = exact[point.frame, point.point] + point.sigma_mm * rng.standard_normal(3)
-        known[point.frame, point.point, axes] = drawn[axes]
+        given[point.frame, point.point, axes] = drawn[axes]
         sigma[point.frame, point.point, axes] = point.sigma_mm
-    return Prior(initial, known, sigma)
+    return Prior(initial, given, sigma)

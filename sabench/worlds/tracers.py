@@ -39,7 +39,7 @@ def material_numbers(tracer: Tracer, seed: int, ids: I64) -> I64:
         mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(_FIRST)
         mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(_SECOND)
     drawn = ((mixed ^ (mixed >> np.uint64(31))) >> np.uint64(11)) * 2.0**-53
-    bounds = np.cumsum([one.share for one in tracer.mixture])
+    bounds = np.cumsum([material.share for material in tracer.mixture])
     number = np.searchsorted(bounds, drawn, side="right") + 1
     return np.asarray(np.where(number > len(bounds), 0, number), dtype=np.int64)
 
@@ -79,9 +79,9 @@ def flow_of(scene: Scene, seed: int = 0) -> Flow | None:
 def _bodies_flow(text: str, seed: int) -> BodyFlow:
     """Make the flow around a scene's bodies; it is kept for other callers."""
     scene = Scene.model_validate(tomllib.loads(text))
-    made: BodyFlow = generator_of(scene.particle_world.flow or {})
-    made.surround([body for body, _ in Phases(scene, seed).bodies(0)], domain_of(scene))
-    return made
+    flow: BodyFlow = generator_of(scene.particle_world.flow or {})
+    flow.surround([body for body, _ in Phases(scene, seed).bodies(0)], domain_of(scene))
+    return flow
 
 
 def require_flow(scene: Scene, seed: int = 0) -> Flow:
@@ -131,11 +131,11 @@ class Motion:
         Raises
         ------
         InputError
-            Particles that move by themselves, beside a flow.
+            Particles that move by themselves, in addition to a flow.
         """
         domain, time, flow = domain_of(self.scene), self.scene.time_s(frame), self._flow
         if flow is None:
-            return self._made(domain, self.seed, frame, time)
+            return self._generate(domain, self.seed, frame, time)
         if self._last and self._last[0] <= frame:
             number, particles = self._last
         else:
@@ -159,7 +159,7 @@ class Motion:
         inertia = self.scene.inertia
         return move_particles(flow, inertia, position, size, start_s, end_s, tolerance)
 
-    def _made(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
+    def _generate(self, domain: Domain, seed: int, frame: int, time_s: float) -> Particles:
         """Let the generator make particles.
 
         For Mie scattering, their diameters are rounded to the lattice of sizes.
@@ -167,34 +167,34 @@ class Motion:
         Raises
         ------
         InputError
-            Diameters for which Mie's series is not summed.
+            Diameters outside the range of Mie's series.
         """
-        made = self._generator.particles(domain, seed, frame, time_s)
+        particles = self._generator.particles(domain, seed, frame, time_s)
         light = self.scene.light
-        if light.scattering == "isotropic" or not len(made):
-            return made
+        if light.scattering == "isotropic" or not len(particles):
+            return particles
         unit = light.wavelength_nm * 1e-6 / (np.pi * self.scene.fluid_index)  # of a size parameter
-        low, high = made.diameter_mm.min(), made.diameter_mm.max()
+        low, high = particles.diameter_mm.min(), particles.diameter_mm.max()
         if low < _SIZES[0] * unit or high > _SIZES[1] * unit:
             raise InputError(
                 f"{self.scene.title}: particles: expected diameters of {_SIZES[0] * unit:.2g} to "
                 f"{_SIZES[1] * unit:.2g} mm for Mie scattering at {light.wavelength_nm:g} nm, got "
                 f"{low:.3g} to {high:.3g} mm"
             )
-        rounded = lattice_diameters_mm(size_numbers(made.diameter_mm))
-        return replace(made, diameter_mm=rounded)
+        rounded = lattice_diameters_mm(size_numbers(particles.diameter_mm))
+        return replace(particles, diameter_mm=rounded)
 
     def _first(self, flow: Flow, domain: Domain) -> Particles:
-        made = self._made(domain, self.seed, 0, 0.0)
-        if np.any(made.velocity_mm_s):
+        particles = self._generate(domain, self.seed, 0, 0.0)
+        if np.any(particles.velocity_mm_s):
             raise InputError(
                 f"{self.scene.title}: particles: expected some that rest, for the flow to carry "
                 "them, got some that move by themselves"
             )
-        position, size, time = made.position_mm, made.diameter_mm, self.scene.time_s(0)
+        position, size, time = particles.position_mm, particles.diameter_mm, self.scene.time_s(0)
         if (inertia := self.scene.inertia) is not None:
             check_inertia(flow, inertia, position, size, time, self.scene.title)
-        return replace(made, velocity_mm_s=velocity_of(flow, inertia, position, size, time))
+        return replace(particles, velocity_mm_s=velocity_of(flow, inertia, position, size, time))
 
     def _next(self, flow: Flow, domain: Domain, before: Particles, frame: int) -> Particles:
         """Advect particles by one frame, dropping and replacing those that leave.
@@ -207,7 +207,7 @@ class Motion:
         carried = self._carry(flow, before, start, end)
         stay = np.flatnonzero(_inside(domain, carried))
         seed = int(stream(self.seed, "entering", frame).integers(1 << 62))
-        fresh = self._made(domain, seed, 0, 0.0)
+        fresh = self._generate(domain, seed, 0, 0.0)
         enter = np.flatnonzero(~_inside(domain, self._carry(flow, fresh, end, start)))
         # `take` is four times as fast as rows chosen by a mask
         position = np.concatenate([carried.take(stay, 0), fresh.position_mm.take(enter, 0)])

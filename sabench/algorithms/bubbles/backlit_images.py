@@ -24,7 +24,7 @@ from sabench.utils.arrays import F32, F64
 
 _INNER = 3  # reflections inside that are followed
 _SOFT = 0.15  # of the diffuser's half angle: it is not round, and not seen from its axis
-_FINE = 600  # distances at which the sharp profile is taken
+_FINE = 600  # samples of the sharp profile
 _RADII, _DISTANCES = 72, 96  # of the table
 SMALLEST, LARGEST = 0.4, 60.0  # px
 REACH = 4.0  # widths of the blur beyond the rim

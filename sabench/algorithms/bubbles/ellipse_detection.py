@@ -24,7 +24,7 @@ from sabench.utils.compiled import numba
 _BIN = 0.5  # px: of minor axes in the accumulator
 _OFF = 0.75  # px: of an edge from the outline that it belongs to
 _ALONG = np.cos(np.deg2rad(25.0))  # of an edge's direction and the outline's normal
-_FLANK = 0.9  # of the major semi-axis: edges nearer to its ends say nothing about the minor one
+_FLANK = 0.9  # of the major semi-axis: edges nearer to its ends do not determine the minor one
 _LEAST_PX = 1.2  # semi-axis
 _FEWEST = 6  # edges of an outline
 _FITS = 2
@@ -91,18 +91,18 @@ def find_ellipses(points: F64, largest: float, least_aspect: float, least_part: 
     """
     out = []
     while len(points) >= _FEWEST:
-        one, part = _vote_for_ellipse(points, largest, least_aspect)
+        ellipse, part = _vote_for_ellipse(points, largest, least_aspect)
         if part < least_part:
             break
         for _ in range(_FITS):
-            one = _fit_ellipse(points[_belongs(points, one, _OFF)], one)
-        part = _edge_coverage(points, one)
-        if part >= least_part and one[3] >= least_aspect * one[2]:
-            out.append(np.append(one, part))
-        own = _belongs(points, one, 2.0 * _OFF)
-        if not own.any():
+            ellipse = _fit_ellipse(points[_belongs(points, ellipse, _OFF)], ellipse)
+        part = _edge_coverage(points, ellipse)
+        if part >= least_part and ellipse[3] >= least_aspect * ellipse[2]:
+            out.append(np.append(ellipse, part))
+        on_outline = _belongs(points, ellipse, 2.0 * _OFF)
+        if not on_outline.any():
             break
-        points = points[~own]
+        points = points[~on_outline]
     return np.array(out, dtype=np.float64).reshape(-1, 6)
 
 
@@ -149,12 +149,12 @@ def _edge_coverage(points: Any, ellipse: Any) -> float:
     steps = max(
         8, int(np.rint(np.pi * (3.0 * (a + b) - np.sqrt((3.0 * a + b) * (a + 3.0 * b)))))
     )  # Ramanujan's circumference
-    seen = np.zeros(steps, dtype=np.bool_)
+    covered = np.zeros(steps, dtype=np.bool_)
     relation = _relation(points, ellipse)
     for k in range(len(points)):
         if abs(relation[0, k]) <= _OFF and relation[1, k] >= _ALONG:
-            seen[int((relation[2, k] / (2.0 * np.pi) + 0.5) * steps) % steps] = True
-    return float(seen.sum()) / steps
+            covered[int((relation[2, k] / (2.0 * np.pi) + 0.5) * steps) % steps] = True
+    return float(covered.sum()) / steps
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -288,5 +288,5 @@ def peaks(votes: Votes, least: float, margin: int = 1) -> F64:
     around[:-1] = np.maximum(around[:-1], spatial[1:])
     scale, row, column = np.nonzero((maps >= around) & (maps > least))
     image_row = (row + 0.5) * votes.aspect - 0.5
-    found = [column, image_row, votes.radii_px[scale], maps[scale, row, column]]
-    return np.column_stack(found).astype(np.float64)
+    maxima = [column, image_row, votes.radii_px[scale], maps[scale, row, column]]
+    return np.column_stack(maxima).astype(np.float64)

@@ -28,8 +28,8 @@ from sabench.utils.compiled import numba
 
 WINDOW = 7  # voxels: l_x = l_y
 STACK = 50  # planes of a minimum image
-_SHARP = 2.0  # v of equation 5.15 for a window whose variance is one
-_FLAT = 0.02  # spread of a window in which nothing is
+_SHARP = 2.0  # v of equation 5.15 for a window of unit variance
+_FLAT = 0.02  # spread of an empty window
 _CAP = 60.0  # of the exponent: single precision ends at 88
 _FLOOR = 0.02
 
@@ -38,7 +38,7 @@ def darkness(case: Observation) -> F32:
     """Refocus darkness by the multiplicative stack of equation 5.7 with n = 1/3.
 
     The result is (z, y, x), from 0 to 1. The factors are the images' darkness. A product of bright
-    images is dark wherever any one of them is. In the thesis, a camera whose view is blocked must
+    images is dark wherever any one of them is. In the thesis, a camera with a blocked view must
     not prevent an object from coming into focus.
     """
     images = np.clip(1.0 - transmission(case), _FLOOR, 1.0)
@@ -129,7 +129,7 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
     small : equivalent diameter in voxels below which a feature is thresholded.
     """
     right, down, labels, stats = _label_edges(dark, least)
-    found = []
+    ellipses = []
     for number, (left, top, width, height, area) in enumerate(stats[1:], start=1):
         if area <= 3:
             continue
@@ -138,10 +138,10 @@ def find_outlines(dark: F32, depth: F32, least: float, small: float) -> Outlines
         shapes = []
         if 2.0 * np.sqrt(binary_fill_holes(feature).sum() / np.pi) >= small:
             shapes = find_circles(right[box], down[box], feature)
-        # a circle that nothing votes for is too small for votes
+        # a circle without votes is too small for them
         for x, y, a, b in shapes or _threshold(dark[box]):
-            found.append((x + box[1].start, y + box[0].start, a, b))
-    outlines = np.array(found, dtype=np.float64).reshape(-1, 4)
+            ellipses.append((x + box[1].start, y + box[0].start, a, b))
+    outlines = np.array(ellipses, dtype=np.float64).reshape(-1, 4)
     return Outlines(outlines, np.array([_depth_of(shape, dark, depth) for shape in outlines]))
 
 
@@ -185,24 +185,24 @@ def find_blots(dark: F32, least: float, small: float) -> list[tuple[float, float
     return out
 
 
-def find_circles(right: F32, down: F32, own: Any) -> list[tuple[float, float, float, float]]:
+def find_circles(right: F32, down: F32, feature: Any) -> list[tuple[float, float, float, float]]:
     """Find circles of one feature by votes of its edge pixels along their gradients.
 
     Votes go towards the dark side; there are several circles if several are supported.
     """
-    rows, columns = np.nonzero(own)
+    rows, columns = np.nonzero(feature)
     gx, gy = right[rows, columns], down[rows, columns]
     length = np.hypot(gx, gy)
-    largest = int(np.ceil(0.75 * max(own.shape))) + 1
-    votes = np.zeros((largest, own.shape[0], own.shape[1]), dtype=np.float32)
+    largest = int(np.ceil(0.75 * max(feature.shape))) + 1
+    votes = np.zeros((largest, feature.shape[0], feature.shape[1]), dtype=np.float32)
     _vote(rows, columns, gx / length, gy / length, votes)
     out = []
     for _ in range(8):
         smooth = cv2.GaussianBlur(votes.max(axis=0), (0, 0), 0.8)
         row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)
         around = (
-            slice(max(row - 1, 0), min(row + 2, own.shape[0])),
-            slice(max(column - 1, 0), min(column + 2, own.shape[1])),
+            slice(max(row - 1, 0), min(row + 2, feature.shape[0])),
+            slice(max(column - 1, 0), min(column + 2, feature.shape[1])),
         )
         profile = votes[:, *around].sum(axis=(1, 2))
         radii = np.arange(1, largest + 1)
@@ -265,26 +265,26 @@ def merge_overlaps(shapes: F64, grid: Grid) -> F64:
     """
     order = np.argsort(-shapes[:, 3], kind="stable")
     reach = STACK * grid.voxel_mm[2] * 0.5
-    kept: list[F64] = []
-    for one in shapes[order]:
-        for number, other in enumerate(kept):
-            apart = float(np.hypot(one[0] - other[0], one[1] - other[1]))
-            if abs(one[2] - other[2]) > max(other[3], reach) or apart > 0.8 * (one[3] + other[3]):
+    merged: list[F64] = []
+    for disc in shapes[order]:
+        for number, other in enumerate(merged):
+            apart = float(np.hypot(disc[0] - other[0], disc[1] - other[1]))
+            if abs(disc[2] - other[2]) > max(other[3], reach) or apart > 0.8 * (disc[3] + other[3]):
                 continue
-            if apart + one[3] <= 1.1 * other[3] or one[3] < other[3] / 1.5:
+            if apart + disc[3] <= 1.1 * other[3] or disc[3] < other[3] / 1.5:
                 break
-            weight = other[5] + one[5]
-            kept[number] = np.append((other[:5] * other[5] + one[:5] * one[5]) / weight, weight)
+            weight = other[5] + disc[5]
+            merged[number] = np.append((other[:5] * other[5] + disc[:5] * disc[5]) / weight, weight)
             break
         else:
-            kept.append(one)
-    return np.array(kept).reshape(-1, 6)
+            merged.append(disc)
+    return np.array(merged).reshape(-1, 6)
 
 
 STEP = WINDOW // 2  # voxels between windows that overlap by half
 PLANES = 10  # from a group's strongest peak to the others
 _NEAR = 5  # planes on both sides of the darkest one that make a depth
-_OVERLAP = 0.8  # of the larger one's semi-axis: bubbles whose centres are nearer are one
+_OVERLAP = 0.8  # of the larger one's semi-axis: bubbles with nearer centres are one
 _LARGER = 1.5  # times: the smaller one of two is a part of the other
 
 
@@ -344,7 +344,7 @@ class FeaturePeaks:
 
 
 def find_depth(volume: F32, outline: F64, plane: int) -> float:
-    """Find the plane, to a fraction, in which the rim of an outline is darkest.
+    """Find the plane, to a fraction, where the rim of an outline is darkest.
 
     The rim is the part inside the outline within a voxel of it. The plane is the mean of those
     around the darkest one, weighted with the square of their mean darkness.
@@ -353,7 +353,7 @@ def find_depth(volume: F32, outline: F64, plane: int) -> float:
     ----------
     volume : darkness (z, y, x).
     outline : column, row, semi-axes, angle in voxels.
-    plane : from which at most `PLANES` are gone.
+    plane : middle of the search; it covers `PLANES` on both sides.
     """
     rows, columns, inside = _inside(volume.shape[1:], outline)
     first = max(plane - PLANES, 0)
@@ -388,16 +388,16 @@ def drop_duplicates(bubbles: F64, depth: float) -> F64:
     bubbles : column, row, semi-axes, angle, part of the outline that has edges, plane.
     depth : distance of planes in voxels.
     """
-    kept: list[F64] = []
-    for one in bubbles[np.argsort(-bubbles[:, 2], kind="stable")]:
-        for other in kept:
-            if np.linalg.norm((one - other)[[0, 1, 6]] * [1.0, 1.0, depth]) > _OVERLAP * other[2]:
+    merged: list[F64] = []
+    for bubble in bubbles[np.argsort(-bubbles[:, 2], kind="stable")]:
+        for peer in merged:
+            if np.linalg.norm((bubble - peer)[[0, 1, 6]] * [1.0, 1.0, depth]) > _OVERLAP * peer[2]:
                 continue
-            if _LARGER * one[2] >= other[2]:
-                share = one[5] / max(one[5] + other[5], 1e-9)
-                other[[0, 1, 2, 3, 6]] += share * (one - other)[[0, 1, 2, 3, 6]]
-                other[5] = max(one[5], other[5])
+            if _LARGER * bubble[2] >= peer[2]:
+                share = bubble[5] / max(bubble[5] + peer[5], 1e-9)
+                peer[[0, 1, 2, 3, 6]] += share * (bubble - peer)[[0, 1, 2, 3, 6]]
+                peer[5] = max(bubble[5], peer[5])
             break
         else:
-            kept.append(one.copy())
-    return np.array(kept, dtype=np.float64).reshape(-1, 7)
+            merged.append(bubble.copy())
+    return np.array(merged, dtype=np.float64).reshape(-1, 7)

@@ -63,7 +63,7 @@ def image_diameter_px(case: Observation, radius_mm: float) -> float:
     middle = np.asarray(grid.low_mm) + np.asarray(grid.voxel_mm) * grid.shape[::-1] / 2.0
     ends = np.stack([middle, *(middle + radius_mm * np.eye(3))])
     pixels = [camera.project(ends)[0] for camera in case.cameras]
-    return 2.0 * max(float(np.linalg.norm(one[1:] - one[0], axis=1).max()) for one in pixels)
+    return 2.0 * max(float(np.linalg.norm(image[1:] - image[0], axis=1).max()) for image in pixels)
 
 
 def _separate(light: F32, largest_px: float, white: float) -> tuple[F32, F32, Bool]:
@@ -95,9 +95,9 @@ def _diffuser(light: F32) -> tuple[float, float]:
 
 def _filled(light: F32, holes: Bool) -> F32:
     """Fill pixels from those around them."""
-    known = (~holes).astype(np.float32)
-    weight = cv2.GaussianBlur(known, (0, 0), _GROWN_PX / 2.0)
-    mean = cv2.GaussianBlur(light * known, (0, 0), _GROWN_PX / 2.0) / np.maximum(weight, 1e-6)
+    valid = (~holes).astype(np.float32)
+    weight = cv2.GaussianBlur(valid, (0, 0), _GROWN_PX / 2.0)
+    mean = cv2.GaussianBlur(light * valid, (0, 0), _GROWN_PX / 2.0) / np.maximum(weight, 1e-6)
     return np.asarray(np.where(holes, mean, light), dtype=np.float32)
 
 

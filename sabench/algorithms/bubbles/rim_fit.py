@@ -170,7 +170,7 @@ def linearise(cameras: Sequence[Camera], position: F64) -> tuple[F64, F64, F64]:
 
 _STEPS = np.array([1e-3, 1e-3, 5e-3, 1e-3, 1e-3, 2e-3, 2e-3])  # differences of the parameters
 _PRIOR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.15, 0.15])  # weight of the tilts: a ball has none
-_ROBUST = 0.12  # transmission by which a pixel may be off before it counts less
+_ROBUST = 0.12  # transmission: pixels with larger errors count less
 
 
 @dataclass
@@ -211,10 +211,10 @@ def fit(model: Model, parameters: F64, steps: int) -> F64:
         tried[3:5] = np.clip(tried[3:5], np.log(0.02), np.log(20.0))
         tried[4] = min(tried[4], tried[3])
         tried[5:] = np.clip(tried[5:], -1.3, 1.3)
-        there = _normal_equations(model, linear, tried)
-        if there[0] < value:
+        equations = _normal_equations(model, linear, tried)
+        if equations[0] < value:
             moved = float(np.abs(tried - best).max())
-            best, (value, normal, slope), damping = tried, there, damping * 0.2
+            best, (value, normal, slope), damping = tried, equations, damping * 0.2
             if moved < 1e-3:
                 break
         else:
@@ -332,7 +332,7 @@ def _normal(
 ) -> Any:
     """Sum Geman and McClure's function of the residuals, and its normal equations."""
     count = len(steps)
-    change, own, moves = np.empty(count), np.empty(5), np.empty((count, 5))
+    change, partial, moves = np.empty(count), np.empty(5), np.empty((count, 5))
     value = 0.0
     for k in range(len(ellipses)):
         if np.isnan(ellipses[k, 0, 0]):
@@ -344,7 +344,7 @@ def _normal(
         for row in range(top, bottom):
             for column in range(left, right):
                 behind = np.exp(logs[k, row, column])
-                here = behind * slopes_at(ellipses[k, 0], column, row, middle, table, blur, own)
+                here = behind * slopes_at(ellipses[k, 0], column, row, middle, table, blur, partial)
                 off = here - images[k, row, column]
                 scale = 1.0 + (off / _ROBUST) ** 2
                 value += off * off / scale
@@ -352,7 +352,7 @@ def _normal(
                 for i in range(count):
                     change[i] = 0.0
                     for j in range(5):
-                        change[i] += behind * own[j] * moves[i, j]
+                        change[i] += behind * partial[j] * moves[i, j]
                 for i in range(count):
                     slope[i] += weight * change[i] * off
                     for j in range(i + 1):

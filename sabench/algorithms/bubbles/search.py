@@ -94,12 +94,11 @@ class Hypotheses:
 def find_hypotheses(
     cameras: Sequence[Camera], votes: Sequence[Votes], grid: Grid, least_2d: float, least_3d: float
 ) -> Hypotheses:
-    """Find balls whose outlines are voted for in most views.
+    """Find balls with outlines that most views vote for.
 
     Parameters
     ----------
-    least_2d, least_3d : votes in one view that make it worth to look in the others; mean votes that
-        make a hypothesis.
+    least_2d, least_3d : least votes in one view, and least mean votes of a hypothesis.
     """
     maps = np.empty((len(votes), *votes[0].maps.shape), dtype=np.float32)
     for smoothed, view in zip(maps, votes, strict=True):
@@ -175,10 +174,10 @@ def px_per_mm(camera: Camera, points_mm: F64) -> F64:
 
 def _average_agreeing(total: F32) -> F32:
     """Average the votes of the cameras that agree most; two at least."""
-    seen = np.isfinite(total)
-    count = seen.sum(axis=0)
+    visible = np.isfinite(total)
+    count = visible.sum(axis=0)
     used = np.maximum(2, np.round(_AGREE * count)).astype(np.int64)
-    ranked = -np.sort(-np.where(seen, total, -1.0), axis=0)
+    ranked = -np.sort(-np.where(visible, total, -1.0), axis=0)
     sums = np.cumsum(ranked, axis=0)
     mean = np.take_along_axis(sums, np.minimum(used, len(total))[None] - 1, axis=0)[0] / used
     return np.where(count >= 2, mean, 0.0).astype(np.float32)
@@ -302,7 +301,7 @@ def _fit_diffuser(
 def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
     """Fit and judge hypotheses in the order of their gains."""
     order = np.argsort(-start.vote * start.radius_mm, kind="stable")
-    kept: list[F64] = []
+    accepted: list[F64] = []
     # what is sure goes first: a large bubble before the small ones that its rim could be
     for least in (max(_SURE, limits.least_gain), limits.least_gain):
         for n in progress_bar(order.tolist(), "fit bubbles"):
@@ -312,45 +311,45 @@ def _accept(model: Model, start: Hypotheses, limits: Limits) -> list[F64]:
             fitted = fit(model, first, _FIRST)
             if _is_bubble(model, fitted, limits._replace(least_gain=least)):
                 darken(model, fitted, 1.0)
-                kept.append(fitted)
-    return kept
+                accepted.append(fitted)
+    return accepted
 
 
-def _unite(model: Model, kept: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
+def _unite(model: Model, bubbles: list[F64], start: Hypotheses, limits: Limits) -> list[F64]:
     """Replace small bubbles along a rim by one that explains images as well."""
     order = np.argsort(-start.radius_mm * start.aspect, kind="stable")
     for n in progress_bar(order[start.vote[order] >= _VOTED].tolist(), "unite bubbles"):
         first = _start(start, n)
-        parts = _parts(kept, first)
+        parts = _parts(bubbles, first)
         if not parts:
             continue
         ellipses = rim_fit.ellipses_of(model, first)
         most = rim_fit.unexplained(model, ellipses) * (1.0 + _SIMPLER * (len(parts) - 1))
         for part in parts:
-            darken(model, kept[part], -1.0)
+            darken(model, bubbles[part], -1.0)
         whole = fit(model, first, _FIRST)
-        if _is_bubble(model, whole, limits) and set(_parts(kept, whole)) >= set(parts):
+        if _is_bubble(model, whole, limits) and set(_parts(bubbles, whole)) >= set(parts):
             darken(model, whole, 1.0)
             if rim_fit.unexplained(model, ellipses) < most:
-                kept = [bubble for k, bubble in enumerate(kept) if k not in parts] + [whole]
+                bubbles = [bubble for k, bubble in enumerate(bubbles) if k not in parts] + [whole]
                 continue
             darken(model, whole, -1.0)
         for part in parts:
-            darken(model, kept[part], 1.0)
-    return kept
+            darken(model, bubbles[part], 1.0)
+    return bubbles
 
 
-def _parts(kept: list[F64], whole: F64) -> list[int]:
+def _parts(bubbles: list[F64], whole: F64) -> list[int]:
     """List the smaller bubbles within an outline; none if a similar bubble exists."""
-    if not kept:
+    if not bubbles:
         return []
-    every = np.stack(kept)
-    radius, own = np.exp(every[:, 3:5]).max(axis=1), float(np.exp(whole[3]))
+    every = np.stack(bubbles)
+    radius, outer = np.exp(every[:, 3:5]).max(axis=1), float(np.exp(whole[3]))
     across, along = np.linalg.norm(every[:, :2] - whole[:2], axis=1), np.abs(every[:, 2] - whole[2])
-    if ((across < 0.5 * own) & (along < 1.5 * own) & (radius > _SMALLER * own)).any():
+    if ((across < 0.5 * outer) & (along < 1.5 * outer) & (radius > _SMALLER * outer)).any():
         return []
-    inside = (across < 1.05 * own) & (along < 2.0 * own)
-    return np.flatnonzero(inside & (radius <= _SMALLER * own)).tolist()
+    inside = (across < 1.05 * outer) & (along < 2.0 * outer)
+    return np.flatnonzero(inside & (radius <= _SMALLER * outer)).tolist()
 
 
 def _start(start: Hypotheses, n: int) -> F64:
@@ -371,10 +370,10 @@ def _median_gain(model: Model, parameters: F64) -> float:
     return float(np.median(gains)) if len(gains) >= 2 else -1.0
 
 
-def _refine(model: Model, kept: list[F64], limits: Limits) -> list[F64]:
+def _refine(model: Model, bubbles: list[F64], limits: Limits) -> list[F64]:
     """Fit all bubbles again and drop those that the others explain by now."""
     out = []
-    for parameters in progress_bar(kept, "refine bubbles"):
+    for parameters in progress_bar(bubbles, "refine bubbles"):
         darken(model, parameters, -1.0)
         better = fit(model, parameters, _MORE)
         if _is_bubble(model, better, limits):

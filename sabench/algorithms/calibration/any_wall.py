@@ -27,16 +27,16 @@ def project(frame: Frame, state: State, board: F64) -> F64:
     return np.stack(pixels).reshape(len(pixels), *points.shape[:2], 2)
 
 
-def misses(frame: Frame, state: State, board: F64, seen: Seen) -> F64:
+def misses(frame: Frame, state: State, board: F64, views: Seen) -> F64:
     """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
-    return np.asarray(seen[0] - project(frame, state, board))
+    return np.asarray(views[0] - project(frame, state, board))
 
 
 def equations(
-    frame: Frame, state: State, board: F64, seen: Seen, free: FreeParameters, scale: float
+    frame: Frame, state: State, board: F64, views: Seen, free: FreeParameters, scale: float
 ) -> Equations:
     """Sum normal equations of all observations; see `normal_equations.equations`."""
-    error, weights = misses(frame, state, board, seen), seen[1]
+    error, weights = misses(frame, state, board, views), views[1]
     used = weights > 0.0
     cameras, count = weights.shape[:2]
     size = cameras * free.per_camera
@@ -52,9 +52,9 @@ def equations(
     else:
         cost = float(np.sum(weights * square))
     slopes = np.where(used[..., None, None], _slopes(frame, state, board, free), 0.0)
-    for camera, (own, miss, weight) in enumerate(zip(slopes, error, loss, strict=True)):
+    for camera, (slope, miss, weight) in enumerate(zip(slopes, error, loss, strict=True)):
         part = slice(camera * free.per_camera, (camera + 1) * free.per_camera)
-        by_camera, by_board = np.split(own, [free.per_camera], axis=-1)
+        by_camera, by_board = np.split(slope, [free.per_camera], axis=-1)
         heavy = weight[..., None, None] * by_camera
         aa[part, part] = np.einsum("kmxp,kmxq->pq", heavy, by_camera)
         ab[:, part] = np.einsum("kmxp,kmxq->kpq", heavy, by_board)
@@ -69,35 +69,35 @@ def spreads(
     frame: Frame,
     state: State,
     board: F64,
-    seen: Seen,
+    views: Seen,
     free: FreeParameters,
     covariance: F64,
 ) -> F64:
     """Compute covariances (M, K, m, 3) as `normal_equations.spreads` does."""
-    cameras, count = seen[1].shape[:2]
+    cameras, count = views[1].shape[:2]
     slopes, base = _slopes(frame, state, board, free), cameras * free.per_camera
-    out = np.full((*seen[1].shape, 3), math.nan)
+    out = np.full((*views[1].shape, 3), math.nan)
     for camera in range(cameras):
-        own = np.arange(free.per_camera) + camera * free.per_camera
+        camera_columns = np.arange(free.per_camera) + camera * free.per_camera
         for number in range(count):
-            columns = np.concatenate([own, base + number * BOARD + np.arange(BOARD)])
+            columns = np.concatenate([camera_columns, base + number * BOARD + np.arange(BOARD)])
             rows = slopes[camera, number]
             both = rows @ covariance[np.ix_(columns, columns)] @ rows.transpose(0, 2, 1)
             out[camera, number] = np.stack([both[:, 0, 0], both[:, 1, 1], both[:, 0, 1]], axis=1)
-    return np.where(seen[1][..., None] > 0.0, out, math.nan)
+    return np.where(views[1][..., None] > 0.0, out, math.nan)
 
 
 def _slopes(frame: Frame, state: State, board: F64, free: FreeParameters) -> F64:
     """Differentiate pixels (M, K, m, 2) by unknowns (f + BOARD)."""
     columns, none = [], np.zeros(0)
-    own, _ = free.columns(len(state.indices))
-    for number, step in enumerate(np.append(_STEPS[own], _BOARD_STEPS).tolist()):
-        cameras = np.zeros((len(state.rotations), len(own)))
+    camera_columns, _ = free.columns(len(state.indices))
+    for number, step in enumerate(np.append(_STEPS[camera_columns], _BOARD_STEPS).tolist()):
+        cameras = np.zeros((len(state.rotations), len(camera_columns)))
         boards = np.zeros((len(state.board_rotations), BOARD))
-        if number < len(own):
+        if number < len(camera_columns):
             cameras[:, number] = step
         else:
-            boards[:, number - len(own)] = step
+            boards[:, number - len(camera_columns)] = step
         ahead = project(frame, state.apply_steps(cameras, none, boards, free), board)
         back = project(frame, state.apply_steps(-cameras, none, -boards, free), board)
         columns.append((ahead - back) / (2.0 * step))

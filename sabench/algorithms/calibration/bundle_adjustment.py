@@ -1,7 +1,7 @@
 """Bundle adjustment of cameras, boards and shared unknowns.
 
 The method is Levenberg and Marquardt's. The boards' blocks are eliminated first (Schur's
-complement), so that a step costs a Cholesky factor of the cameras' unknowns only. Source: Triggs et
+complement), so that a step needs a Cholesky factor of the cameras' unknowns only. Source: Triggs et
 al. (2000), Bundle adjustment - a modern synthesis.
 """
 
@@ -32,8 +32,8 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
 
     Returns (M f + s, s).
     """
-    own, shared = free.columns(len(state.indices))
-    rows = np.zeros((len(state.rotations), len(own), len(shared)))
+    camera_columns, shared = free.columns(len(state.indices))
+    rows = np.zeros((len(state.rotations), len(camera_columns), len(shared)))
     if free.wall:
         first = int(np.flatnonzero(shared == 2 * len(state.indices) - 2)[0])
         part, back = slice(first, first + parameters.WALL), state.wall.rotation.T
@@ -46,7 +46,7 @@ def follow_wall(state: State, free: FreeParameters) -> F64:
 
 
 _STEPS = 200
-_GAIN = 1e-9  # a step that promises to lower the cost by less than this fraction is the last
+_GAIN = 1e-9  # a step with a smaller predicted relative decrease of the cost is the last
 _HARDLY = 1e-9  # damping that changes no step of what the images determine
 _EXACT = 1e-18  # square pixels per observation: nothing is left to gain below
 
@@ -87,7 +87,7 @@ class BoardImages:
 
 @dataclass(frozen=True)
 class Anchor:
-    """Point whose position in the world was measured.
+    """Point with a measured position in the world.
 
     Attributes
     ----------
@@ -142,24 +142,24 @@ class Fit:
 
 
 def normal_equations(
-    state: State, seen: BoardImages, free: FreeParameters, scale: float = 0.0
+    state: State, views: BoardImages, free: FreeParameters, scale: float = 0.0
 ) -> Normal:
     """Compute the equations of one Gauss-Newton step."""
-    pair, columns = (seen.pixels, seen.weights), free.columns(len(state.indices))
-    if seen.frame is not None:
-        normal = Normal(*any_wall.equations(seen.frame, state, seen.board, pair, free, scale))
+    pair, columns = (views.pixels, views.weights), free.columns(len(state.indices))
+    if views.frame is not None:
+        normal = Normal(*any_wall.equations(views.frame, state, views.board, pair, free, scale))
     else:
-        boards = state.boards(seen.board)
+        boards = state.boards(views.board)
         normal = Normal(*equations(state.array(), boards, pair, columns, scale))
-    if seen.anchors:
-        normal = _with_anchors(normal, state, seen, free)
-    if seen.prior is not None:
+    if views.anchors:
+        normal = _with_anchors(normal, state, views, free)
+    if views.prior is not None:
         shared = columns[1]
-        own = np.arange(len(normal.aa) - len(shared), len(normal.aa))
-        precision = seen.prior.precision[shared]
-        miss = (seen.prior.mean - state.shared)[shared]
-        normal.aa[own, own] += precision
-        normal.a[own] += precision * miss
+        rows = np.arange(len(normal.aa) - len(shared), len(normal.aa))
+        precision = views.prior.precision[shared]
+        miss = (views.prior.mean - state.shared)[shared]
+        normal.aa[rows, rows] += precision
+        normal.a[rows] += precision * miss
         normal = replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
     if free.cameras:
         return normal
@@ -172,10 +172,10 @@ def normal_equations(
     )
 
 
-def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreeParameters) -> Normal:
+def _with_anchors(normal: Normal, state: State, views: BoardImages, free: FreeParameters) -> Normal:
     """Add the known places to the equations."""
-    board, point, position_mm, precision, rotations, shifts = seen.anchored
-    bent = state.bend_board(seen.board)
+    board, point, position_mm, precision, rotations, shifts = views.anchored
+    bent = state.bend_board(views.board)
     arms = np.einsum("nij,nj->ni", state.board_rotations[board], bent[point])
     turned = (arms + state.board_positions[board]) @ state.wall.rotation.T
     nominal = turned + state.wall.shift
@@ -190,21 +190,21 @@ def _with_anchors(normal: Normal, state: State, seen: BoardImages, free: FreePar
             -skew(turned)[:, :, :2],
             np.broadcast_to(np.eye(3)[:, 2:], (len(arms), 3, 1)),
             (state.wall.rotation @ state.board_rotations[board])[:, :, 2:]
-            * parameters.bend_lifts(seen.board)[point][:, None],
+            * parameters.bend_lifts(views.board)[point][:, None],
         ]
         chosen = np.repeat([free.wall, free.wall, free.bend], [2, 1, BEND])
         by_shared = (rotations @ np.concatenate(levers, axis=2))[:, :, chosen]
         heavy = by_shared * precision[:, :, None]
-        own = slice(len(normal.aa) - by_shared.shape[2], None)
-        normal.aa[own, own] += np.einsum("nip,niq->pq", heavy, by_shared)
-        normal.a[own] += np.einsum("nip,ni->p", heavy, miss)
-        np.add.at(normal.ab[:, own], board, heavy.transpose(0, 2, 1) @ slopes)
+        tail = slice(len(normal.aa) - by_shared.shape[2], None)
+        normal.aa[tail, tail] += np.einsum("nip,niq->pq", heavy, by_shared)
+        normal.a[tail] += np.einsum("nip,ni->p", heavy, miss)
+        np.add.at(normal.ab[:, tail], board, heavy.transpose(0, 2, 1) @ slopes)
     return replace(normal, cost=normal.cost + float(np.sum(precision * miss**2)))
 
 
 def refine(
     state: State,
-    seen: BoardImages,
+    views: BoardImages,
     free: FreeParameters,
     scale: float = 0.0,
     *,
@@ -220,8 +220,8 @@ def refine(
     Motions that the observations do not determine stay near the start. For a plane wall these are
     a shift along it and a rotation about its normal.
     """
-    here, damping = normal_equations(state, seen, free, scale), 1e-3
-    enough = _EXACT * max(1.0, float(seen.weights.sum()))
+    here, damping = normal_equations(state, views, free, scale), 1e-3
+    enough = _EXACT * max(1.0, float(views.weights.sum()))
     for step in range(_STEPS):
         if not math.isfinite(here.cost) or here.cost <= enough:
             return Fit(state, here.cost, step, math.isfinite(here.cost))
@@ -231,7 +231,7 @@ def refine(
                 return Fit(state, here.cost, step, True)
             steps = parameters.steps_of(cameras, len(state.rotations), free, len(state.indices))
             tried = state.apply_steps(*steps, boards, free)
-            normal = normal_equations(tried, seen, free, scale)
+            normal = normal_equations(tried, views, free, scale)
             if normal.cost < here.cost:
                 state, here, damping = tried, normal, max(damping * 0.1, 1e-12)
                 break
@@ -242,7 +242,7 @@ def refine(
 
 
 def promised_gain(normal: Normal) -> float:
-    """Compute by how much a step lowers the cost, if that is quadratic."""
+    """Compute the decrease of the cost by a step, if the cost is quadratic."""
     return _step(normal, _HARDLY, "all")[2]
 
 
@@ -280,10 +280,10 @@ def _solve_damped(matrix: F64, right: F64) -> F64:
         return np.asarray(scale * np.linalg.lstsq(scaled, scale * right, rcond=None)[0])
 
 
-def residuals(state: State, seen: BoardImages) -> F64:
+def residuals(state: State, views: BoardImages) -> F64:
     """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
-    pair = seen.pixels, seen.weights
-    if seen.frame is not None:
-        return any_wall.misses(seen.frame, state, seen.board, pair)
-    out: F64 = misses(state.array(), state.boards(seen.board), pair)
+    pair = views.pixels, views.weights
+    if views.frame is not None:
+        return any_wall.misses(views.frame, state, views.board, pair)
+    out: F64 = misses(state.array(), state.boards(views.board), pair)
     return out

@@ -50,37 +50,37 @@ class Limit:
         return float(np.sqrt(self.unknowns / max(self.equations - self.unknowns, 1)))
 
 
-def limit(state: State, seen: BoardImages, free: FreeParameters, noise_px: float) -> Limit:
+def limit(state: State, views: BoardImages, free: FreeParameters, noise_px: float) -> Limit:
     """Compute the bound at the true state for pixel coordinates with normal noise."""
-    information = _whole(state, seen, free)
+    information = _whole(state, views, free)
     covariance, rank, shown = _inverse(information)
     covariance *= noise_px**2
     size = len(covariance) - BOARD * len(state.board_positions)
     shared = np.arange(size - len(free.columns(len(state.indices))[1]), size)
     variances = np.where(shown, np.diagonal(covariance), np.inf)[shared]
-    pairs = _spreads(state, seen, free, covariance)
+    pairs = _spreads(state, views, free, covariance)
     uu, vv, uv = pairs[np.isfinite(pairs[..., 0])].T
     lengths = float(_mean_length(uu, vv, uv).mean()), float(np.sqrt((uu + vv).mean()))
-    points = _points(state, seen, covariance)
+    points = _points(state, views, covariance)
     return Limit(*lengths, *points, np.sqrt(variances), rank, 2 * len(uu))
 
 
-def _spreads(state: State, seen: BoardImages, free: FreeParameters, covariance: F64) -> F64:
+def _spreads(state: State, views: BoardImages, free: FreeParameters, covariance: F64) -> F64:
     """Compute covariances (M, K, m, 3) of computed pixels: column, row and both."""
-    pair = seen.pixels, seen.weights
+    pair = views.pixels, views.weights
     if not free.cameras:
         boards = BOARD * len(state.board_positions)
         slopes = block_diag(bundle.follow_wall(state, free), np.eye(boards))
         covariance = slopes @ covariance @ slopes.T
-    if seen.frame is not None:
-        return any_wall.spreads(seen.frame, state, seen.board, pair, free, covariance)
+    if views.frame is not None:
+        return any_wall.spreads(views.frame, state, views.board, pair, free, covariance)
     columns = free.columns(len(state.indices))
-    return np.asarray(spreads(state.array(), state.boards(seen.board), pair, columns, covariance))
+    return np.asarray(spreads(state.array(), state.boards(views.board), pair, columns, covariance))
 
 
-def _whole(state: State, seen: BoardImages, free: FreeParameters) -> F64:
+def _whole(state: State, views: BoardImages, free: FreeParameters) -> F64:
     """Compute the information of cameras, shared unknowns and boards at 1 px."""
-    normal = bundle.normal_equations(state, seen, free)
+    normal = bundle.normal_equations(state, views, free)
     size, boards = len(normal.aa), len(normal.bb)
     whole = np.zeros((size + BOARD * boards, size + BOARD * boards))
     whole[:size, :size] = normal.aa
@@ -99,32 +99,32 @@ def _inverse(information: F64) -> tuple[F64, int, Bool]:
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     values, vectors = np.linalg.eigh(information * scale * scale[:, None])
-    there = values > _FREE * values[-1]
-    half = scale[:, None] * vectors[:, there] / np.sqrt(values[there])
-    shown = np.sum(vectors[:, ~there] ** 2, axis=1) < _SHOWN
-    return half @ half.T, int(there.sum()), shown
+    nonzero = values > _FREE * values[-1]
+    half = scale[:, None] * vectors[:, nonzero] / np.sqrt(values[nonzero])
+    shown = np.sum(vectors[:, ~nonzero] ** 2, axis=1) < _SHOWN
+    return half @ half.T, int(nonzero.sum()), shown
 
 
-def _points(state: State, seen: BoardImages, covariance: F64) -> tuple[F64, F64]:
+def _points(state: State, views: BoardImages, covariance: F64) -> tuple[F64, F64]:
     """Compute the scatter and mean error of all visible points after alignment."""
-    boards = np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0)
+    boards = np.flatnonzero(views.weights.sum(axis=(0, 2)) > 0.0)
     size = len(covariance) - BOARD * len(state.board_positions)
-    own = (size + BOARD * boards[:, None] + np.arange(BOARD)).ravel()
-    values, vectors = np.linalg.eigh(covariance[np.ix_(own, own)])
+    index = (size + BOARD * boards[:, None] + np.arange(BOARD)).ravel()
+    values, vectors = np.linalg.eigh(covariance[np.ix_(index, index)])
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # R R^T = covariance, in spite of rounding
-    points = state.points(seen.board)[boards]
-    slopes = np.zeros((*points.shape, len(own)))  # of every coordinate by the boards' unknowns
+    points = state.points(views.board)[boards]
+    slopes = np.zeros((*points.shape, len(index)))  # of every coordinate by the boards' unknowns
     arms = points - state.board_positions[boards, None]
     for k in range(len(boards)):
         slopes[k, :, :, BOARD * k : BOARD * k + 3] = -skew(arms[k])
         slopes[k, :, :, BOARD * k + 3 : BOARD * (k + 1)] = np.eye(3)
-    errors = slopes.reshape(-1, len(own)) @ root  # of coordinates, by independent unit variables
+    errors = slopes.reshape(-1, len(index)) @ root  # of coordinates, by independent unit variables
     flat = points.reshape(-1, 3)
     motions = np.zeros((len(flat), 3, 3))
     motions[:, 0, 0] = motions[:, 1, 1] = 1.0
     motions[:, :, 2] = np.column_stack([-flat[:, 1], flat[:, 0], np.zeros(len(flat))])
     basis, _ = np.linalg.qr(motions.reshape(-1, 3))
-    errors = (errors - basis @ (basis.T @ errors)).reshape(-1, 3, len(own))
+    errors = (errors - basis @ (basis.T @ errors)).reshape(-1, 3, len(index))
     mean = errors.mean(axis=0)
     return np.sqrt(((errors - mean) ** 2).sum(axis=2).mean(axis=0)), np.sqrt((mean**2).sum(axis=1))
 

@@ -22,7 +22,7 @@ from sabench.images.peaks import Peaks, find_near
 from sabench.utils.arrays import F64, I64
 from sabench.utils.compiled import numba
 
-_CELL_PX = 1.0  # in which sets are counted
+_CELL_PX = 1.0  # edge of the cells that count sets
 _SPOT_PX = 0.6  # radius of what belongs together
 _AROUND_PX = 1.5  # as far as a search for the middle of a spot goes
 _TRIED, _SHIFTS = 20, 10
@@ -64,7 +64,7 @@ def find_sets(maps: VolumePolynomials, peaks: tuple[Peaks, ...], reach_px: float
 def correct(maps: VolumePolynomials, sets: Sets, cameras: range) -> tuple[VolumePolynomials, float]:
     """Move the cameras' polynomials by their disparity; return the largest, px.
 
-    All cameras' errors together are one vector, from which the part that a change of position
+    All cameras' errors together are one vector. The part that a change of position
     explains is projected out. In the few dimensions that are left, the right sets lie in one spot
     and the wrong ones scatter. Every part of the box with enough sets near that spot has a
     disparity of its own; a plane is fitted to these.
@@ -92,9 +92,9 @@ def densest(values: F64) -> F64:
     cells = np.floor(values / _CELL_PX).astype(np.int64)
     cells -= cells.min(axis=0)
     keys = np.ravel_multi_index(tuple(cells.T), tuple((cells.max(axis=0) + 1).tolist()))
-    found, counts = np.unique(keys, return_counts=True)
+    occupied, counts = np.unique(keys, return_counts=True)
     best, most = np.asarray(values.mean(axis=0), dtype=np.float64), -1
-    for key in found[np.argsort(-counts, kind="stable")[:_TRIED]]:
+    for key in occupied[np.argsort(-counts, kind="stable")[:_TRIED]]:
         start = values[keys == key].mean(axis=0)
         near = values[(np.abs(values - start) <= _AROUND_PX).all(axis=1)]
         middle, count = _shift_mean(near, start)
@@ -132,8 +132,8 @@ def _by_parts(positions: F64, errors: F64, whole: F64) -> tuple[F64, F64]:
     chosen = [np.flatnonzero(near & (part == number)) for number in range(_PARTS**2)]
     if min(map(len, chosen)) < _FEW:
         return np.ones((1, 1)), whole[None]
-    middles = np.array([positions[own, :2].mean(axis=0) for own in chosen])
-    spots = np.stack([_shift_mean(errors[own], whole)[0] for own in chosen])
+    middles = np.array([positions[rows, :2].mean(axis=0) for rows in chosen])
+    spots = np.stack([_shift_mean(errors[rows], whole)[0] for rows in chosen])
     return np.column_stack([np.ones(len(chosen)), middles]), spots
 
 
@@ -200,11 +200,11 @@ def match(
     Parameters
     ----------
     peaks : one `Peaks` of each camera.
-    order : numbers of the first camera's images, in the order in which they are taken.
+    order : numbers of the first camera's images, in the order of the search.
     along, steps : axis and number of positions on a line of sight, from `follow_lines`.
     positions : (sets, 3) filled with the positions, x, y, z from -1 to 1.
     hits : (sets, cameras) filled with the numbers of the images.
-    errors : (sets, cameras, 2) filled with where the images lie against where the cameras see the
+    errors : (sets, cameras, 2) filled with the images' offsets from the projections of the
         position, px.
     """
     cameras = len(peaks)
@@ -252,10 +252,10 @@ def match(
 
 @numba.njit(cache=True)
 def _is_among(numbers: Any, number: int) -> bool:
-    found = False
-    for one in numbers:
-        found |= one == number
-    return found
+    among = False
+    for other in numbers:
+        among |= other == number
+    return among
 
 
 @numba.njit(cache=True)
@@ -302,22 +302,22 @@ def _others(
 ) -> int:
     """Try all images of the other cameras near a position; return the number of sets."""
     cameras = len(peaks)
-    seen, found = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
+    projected, nearby = np.zeros((cameras, 2)), np.zeros((2, _NEAR), dtype=np.int64)
     numbers = np.ones(2, dtype=np.int64)
     for c in range(cameras):
-        project_point(maps, c, start, seen[c], slopes[c])
+        project_point(maps, c, start, projected[c], slopes[c])
         if c >= 2:
-            numbers[c - 2] = find_near(peaks[c], seen[c], radius, found[c - 2])
+            numbers[c - 2] = find_near(peaks[c], projected[c], radius, nearby[c - 2])
     if numbers[0] * numbers[1] == 0 or not _gains(slopes, cameras, gains):
         return count
     for c in range(2):
         for a in range(2):
-            misses[c, a] = peaks[c].pixels[chosen[c], a] - seen[c, a]
+            misses[c, a] = peaks[c].pixels[chosen[c], a] - projected[c, a]
     for both in range(numbers[0] * numbers[1]):
         for c in range(2, cameras):
-            chosen[c] = found[0, both // numbers[1]] if c == 2 else found[1, both % numbers[1]]
-            misses[c, 0] = peaks[c].pixels[chosen[c], 0] - seen[c, 0]
-            misses[c, 1] = peaks[c].pixels[chosen[c], 1] - seen[c, 1]
+            chosen[c] = nearby[0, both // numbers[1]] if c == 2 else nearby[1, both % numbers[1]]
+            misses[c, 0] = peaks[c].pixels[chosen[c], 0] - projected[c, 0]
+            misses[c, 1] = peaks[c].pixels[chosen[c], 1] - projected[c, 1]
         _compute_step(gains, misses, cameras, step)
         if _worst(slopes, misses, step, cameras) <= radius * radius:
             if count == len(positions):
@@ -358,11 +358,11 @@ def _worst(slopes: Any, misses: Any, step: Any, cameras: int) -> float:
 @numba.njit(cache=True)
 def pair_up(peaks: Any, pixels: Any, radius: float, out: Any) -> int:
     """Fill in pairs (pixel, peak) within a radius while they fit; count them."""
-    found, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
+    nearby, count = np.zeros(len(peaks.pixels), dtype=np.int64), 0
     for n in range(len(pixels)):
-        for k in range(find_near(peaks, pixels[n], radius, found)):
+        for k in range(find_near(peaks, pixels[n], radius, nearby)):
             if count == len(out):
                 return count
-            out[count, 0], out[count, 1] = n, found[k]
+            out[count, 0], out[count, 1] = n, nearby[k]
             count += 1
     return count

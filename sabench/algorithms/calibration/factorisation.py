@@ -18,7 +18,7 @@ _ROUNDS = 50
 _STEPS = 100
 _NOTHING = 1e-24
 _FOCAL = 0.01  # weight of focal lengths against principal points and square pixels
-_SETTLED = 1e-10  # change of the depths in a round, relative, at which they are final
+_SETTLED = 1e-10  # relative change of the depths in the last round
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ def factorise(images: F64, seen: Bool) -> Factors:
     start equal and follow from the product of rank 4 that is nearest.
     """
     cameras, count = seen.shape
-    known = np.where(seen[..., None], images, 0.0)
+    filled = np.where(seen[..., None], images, 0.0)
     if not seen.all():
-        known = _guess_unseen(known, seen)
-    homogeneous = np.concatenate([known, np.ones((cameras, count, 1))], axis=2)
+        filled = _guess_unseen(filled, seen)
+    homogeneous = np.concatenate([filled, np.ones((cameras, count, 1))], axis=2)
     depths = np.ones((cameras, count))
     for _ in range(_ROUNDS):
         depths = _balance(depths, homogeneous)
@@ -100,8 +100,9 @@ def _rescale(matrices: F64, points: F64, frame: F64) -> tuple[F64, F64]:
     return changed, (positions - middle) / scale
 
 
-def _cost(matrices: F64, points: F64, images: F64, seen: Bool) -> float:
-    return float(np.sum(np.where(seen[..., None], images - _images(matrices, points)[0], 0.0) ** 2))
+def _cost(matrices: F64, points: F64, images: F64, visible: Bool) -> float:
+    miss = images - _images(matrices, points)[0]
+    return float(np.sum(np.where(visible[..., None], miss, 0.0) ** 2))
 
 
 def _images(matrices: F64, points: F64) -> tuple[F64, F64]:
@@ -111,14 +112,14 @@ def _images(matrices: F64, points: F64) -> tuple[F64, F64]:
 
 
 def _projective_step(
-    matrices: F64, points: F64, images: F64, seen: Bool, damping: float
+    matrices: F64, points: F64, images: F64, visible: Bool, damping: float
 ) -> tuple[F64, F64]:
-    cameras, count = seen.shape
-    found, depth = _images(matrices, points)
-    miss = np.where(seen[..., None], images - found, 0.0)
+    cameras, count = visible.shape
+    computed, depth = _images(matrices, points)
+    miss = np.where(visible[..., None], images - computed, 0.0)
     rows = np.empty((cameras, count, 2, 3))  # derivatives of the image by the projected vector
-    rows[..., :2], rows[..., 2] = np.eye(2), -found
-    rows = np.where(seen[..., None, None], rows / depth[..., None, None], 0.0)
+    rows[..., :2], rows[..., 2] = np.eye(2), -computed
+    rows = np.where(visible[..., None, None], rows / depth[..., None, None], 0.0)
     full = np.column_stack([points, np.ones(count)])
     by_matrix = np.einsum("cnki,nj->cnkij", rows, full).reshape(cameras, count, 2, 12)
     by_point = np.einsum("cnki,cij->cnkj", rows, matrices[:, :, :3])
@@ -141,19 +142,19 @@ def _projective_step(
 
 
 def upgrade_to_euclidean(factors: Factors) -> Factors:
-    """Find the frame, up to a similarity, in which cameras have square pixels.
+    """Find the frame, up to a similarity, that gives the cameras square pixels.
 
     Their principal point is at zero there and their focal length about 1.
 
-    Sources: the dual absolute quadric (Hartley and Zisserman, section 19.3.1), with rough focal
-    lengths as M. Pollefeys et al. (IJCV 59, 2004) use them: cameras whose axes all meet in one
-    point, as arrays do that look at a volume, leave a family of quadrics open otherwise.
+    Sources: the dual absolute quadric (Hartley and Zisserman, section 19.3.1), with guessed focal
+    lengths as M. Pollefeys et al. (IJCV 59, 2004) use them: cameras with axes that meet in one
+    point, as in arrays around a volume, leave a family of quadrics open otherwise.
 
     Raises
     ------
     InputError
-        Images from which no such frame follows: of refraction or noise too strong, or of cameras
-        too much alike.
+        Images that determine no such frame: refraction or noise is too strong, or the cameras
+        are too similar.
     """
     rows = []
     for matrix in factors.matrices:
@@ -176,16 +177,16 @@ def upgrade_to_euclidean(factors: Factors) -> Factors:
     return _forward(factors.transform(frame))
 
 
-def _guess_unseen(images: F64, seen: Bool) -> F64:
+def _guess_unseen(images: F64, visible: Bool) -> F64:
     """Guess unseen images as an affine product of rank 3 about the cameras' means."""
-    count = np.maximum(seen.sum(axis=1), 1)[:, None, None]
-    means = np.nansum(images * seen[..., None], axis=1, keepdims=True) / count
-    filled = np.where(seen[..., None], images, means)
+    count = np.maximum(visible.sum(axis=1), 1)[:, None, None]
+    means = np.nansum(images * visible[..., None], axis=1, keepdims=True) / count
+    filled = np.where(visible[..., None], images, means)
     for _ in range(_ROUNDS):
         table = (filled - means).transpose(0, 2, 1).reshape(-1, filled.shape[1])
         left, values, right = np.linalg.svd(table, full_matrices=False)
         product = ((left[:, :3] * values[:3]) @ right[:3]).reshape(len(filled), 2, -1)
-        filled = np.where(seen[..., None], images, product.transpose(0, 2, 1) + means)
+        filled = np.where(visible[..., None], images, product.transpose(0, 2, 1) + means)
     return np.asarray(filled)
 
 

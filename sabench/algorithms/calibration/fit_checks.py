@@ -19,14 +19,14 @@ _LEAST_INDEX = 0.99  # of any medium
 _MIRROR = np.diag([1.0, 1.0, -1.0])
 
 
-def list_faults(state: State, seen: BoardImages, frame: Frame) -> list[str]:
+def list_faults(state: State, views: BoardImages, frame: Frame) -> list[str]:
     """List the faults of a state in sentences that name the camera or frame.
 
     Numbers must be finite, principal distances, thicknesses and indices positive, cameras in front
     of a plane wall and boards behind it.
     """
     names = [camera.name for camera in frame.cameras]
-    parts = {one.name: getattr(state, one.name) for one in fields(state) if one.name != "wall"}
+    parts = {part.name: getattr(state, part.name) for part in fields(state) if part.name != "wall"}
     parts |= {"wall": np.append(state.wall.rotation, state.wall.shift)}
     for name, values in parts.items():
         if not np.isfinite(values).all():
@@ -36,10 +36,10 @@ def list_faults(state: State, seen: BoardImages, frame: Frame) -> list[str]:
         for name, focal in zip(names, state.lenses[:, 0].tolist(), strict=True)
         if focal <= 0.0
     ]
-    return faults if frame.wall is None else faults + _wall_faults(state, seen, names, frame.wall)
+    return faults if frame.wall is None else faults + _wall_faults(state, views, names, frame.wall)
 
 
-def check_end(state: State, seen: BoardImages, frame: Frame) -> None:
+def check_end(state: State, views: BoardImages, frame: Frame) -> None:
     """Refuse an impossible state.
 
     Raises
@@ -47,11 +47,11 @@ def check_end(state: State, seen: BoardImages, frame: Frame) -> None:
     InputError
         The first sentence of `list_faults`.
     """
-    if faults := list_faults(state, seen, frame):
+    if faults := list_faults(state, views, frame):
         raise InputError(faults[0])
 
 
-def _wall_faults(state: State, seen: BoardImages, names: list[str], wall: Wall) -> list[str]:
+def _wall_faults(state: State, views: BoardImages, names: list[str], wall: Wall) -> list[str]:
     layers = [layer.name for layer in wall.layers]
     media = ["the cameras' medium", *layers, "the fluid"]
     faults = [
@@ -72,23 +72,23 @@ def _wall_faults(state: State, seen: BoardImages, names: list[str], wall: Wall) 
         for name, depth in zip(names, state.centers[:, 2].tolist(), strict=True)
         if depth >= 0.0
     ]
-    depths = depths_of(state, seen)
+    depths = depths_of(state, views)
     return faults + [
-        f"frame {number}: expected its points in the fluid, but the fit puts {np.sum(own <= 0.0)} "
-        f"of {np.isfinite(own).sum()} up to {-np.nanmin(own):.4g} mm in front of the inner face; "
+        f"frame {number}: expected its points in the fluid, but the fit puts {np.sum(deep <= 0.0)} "
+        f"of {np.isfinite(deep).sum()} up to {-np.nanmin(deep):.4g} mm in front of the inner face; "
         "check target_mm, wall and known"
-        for number, own in enumerate(depths)
-        if (own <= 0.0).any()
+        for number, deep in enumerate(depths)
+        if (deep <= 0.0).any()
     ]
 
 
-def depths_of(state: State, seen: BoardImages) -> F64:
+def depths_of(state: State, views: BoardImages) -> F64:
     """Compute depths (K, m) of seen points behind the wall's inner face, mm."""
-    depths = state.points(seen.board)[..., 2] - state.thicknesses.sum()
-    return np.where(seen.weights.sum(axis=0) > 0.0, depths, np.nan)
+    depths = state.points(views.board)[..., 2] - state.thicknesses.sum()
+    return np.where(views.weights.sum(axis=0) > 0.0, depths, np.nan)
 
 
-def mirror_boards(state: State, seen: BoardImages, *, turned: bool) -> State:
+def mirror_boards(state: State, views: BoardImages, *, turned: bool) -> State:
     """Mirror boards that are in front of the wall's inner face at that face.
 
     Parameters
@@ -98,7 +98,7 @@ def mirror_boards(state: State, seen: BoardImages, *, turned: bool) -> State:
     """
     face = state.thicknesses.sum()
     with np.errstate(invalid="ignore"):
-        out = np.nanmin(depths_of(state, seen), axis=1, initial=np.inf) <= 0.0
+        out = np.nanmin(depths_of(state, views), axis=1, initial=np.inf) <= 0.0
     positions, rotations = state.board_positions.copy(), state.board_rotations.copy()
     positions[out, 2] = face + np.abs(positions[out, 2] - face)
     if turned:

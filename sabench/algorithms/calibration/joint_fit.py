@@ -30,11 +30,11 @@ from sabench.algorithms.calibration.problem import CalibrationProblem, make_anch
 from sabench.geometry.rigid_motion import RigidMotion
 from sabench.utils.arrays import F64, I64, Bool
 
-_NOTHING_ODD = 6.0  # standard deviations that no error of honest points exceeds: 3e-8 of them do
+_NOTHING_ODD = 6.0  # standard deviations: of normal errors, 3e-8 exceed it
 _REJECT = 4.0  # standard deviations beyond which a point counts as an outlier
 _REWEIGHTINGS = 10
 _RAYLEIGH_MEDIAN = 1.17741  # median length of a pair of standard normal numbers
-_CAUCHY = 2.4  # standard deviations at which Cauchy's loss bends
+_CAUCHY = 2.4  # scale of Cauchy's loss, standard deviations
 
 Held = Literal["richer model", "initial guess"]
 
@@ -79,32 +79,32 @@ def adjust(
     for _ in range(_REWEIGHTINGS):
         lengths = _lengths(fit.state, seen)
         noise = median_noise(lengths[used])
-        kept = start & (lengths <= _REJECT * max(noise, 1e-9))
-        if np.array_equal(kept, used):
+        accepted = start & (lengths <= _REJECT * max(noise, 1e-9))
+        if np.array_equal(accepted, used):
             break
-        used = kept
+        used = accepted
         kept_only = replace(seen, weights=np.where(used, seen.weights, 0.0))
         fit = refine(fit.state, kept_only, free, moving=moving)
     return Robust(fit, used, noise)
 
 
-def _fit_cauchy(state: State, seen: BoardImages, free: FreeParameters, moving: Moving) -> Fit:
-    """Fit with Cauchy's loss, whose scale follows the errors down."""
-    used = np.asarray(seen.weights > 0.0)
+def _fit_cauchy(state: State, views: BoardImages, free: FreeParameters, moving: Moving) -> Fit:
+    """Fit with Cauchy's loss; its scale falls with the errors."""
+    used = np.asarray(views.weights > 0.0)
     scale = np.inf
     for _ in range(_REWEIGHTINGS):
-        smaller = _CAUCHY * max(median_noise(_lengths(state, seen)[used]), 1e-6)
+        smaller = _CAUCHY * max(median_noise(_lengths(state, views)[used]), 1e-6)
         if smaller > 0.9 * scale:
             break
         scale = smaller
-        fit = refine(state, seen, free, scale, moving=moving)
+        fit = refine(state, views, free, scale, moving=moving)
         state = fit.state
     return fit
 
 
-def _lengths(state: State, seen: BoardImages) -> F64:
+def _lengths(state: State, views: BoardImages) -> F64:
     """Compute reprojection errors (camera, board, point) in px, or infinity."""
-    lengths = np.linalg.norm(residuals(state, seen), axis=-1)
+    lengths = np.linalg.norm(residuals(state, views), axis=-1)
     return np.where(np.isfinite(lengths), lengths, np.inf)
 
 
@@ -113,7 +113,7 @@ def median_noise(lengths: F64) -> float:
     return float(np.median(lengths)) / _RAYLEIGH_MEDIAN
 
 
-_LEAST_NOISE_PX = 1e-3  # with which known places are weighed
+_LEAST_NOISE_PX = 1e-3  # least noise for the weights of known positions
 _ROUNDS = 3  # of weighing what is known against the noise, where it changes much
 _SAME_NOISE = 0.1  # relative change of the noise below which weights stay
 THICKNESS = 0.5  # standard deviation of a nominal thickness, part of it
@@ -138,33 +138,33 @@ def fit_jointly(problem: CalibrationProblem, free: FreeParameters) -> Robust:
         lengths = np.linalg.norm(residuals(fit.state, problem.seen), axis=-1)[used]
         placed = Robust(fit, used, max(median_noise(lengths), _LEAST_NOISE_PX))
         return _weigh(replace(problem, start=fit.state), placed, free)
-    found = _fit_soundly(problem, problem.seen, free.of_lenses)
+    robust = _fit_soundly(problem, problem.seen, free.of_lenses)
     if free == free.of_lenses and not make_anchors(problem.case, problem.frame, 1.0):
-        return found
-    return _weigh(problem, found, free)
+        return robust
+    return _weigh(problem, robust, free)
 
 
 def fixes_world(problem: CalibrationProblem) -> bool:
     """Return whether known places determine the place of every board."""
-    known = np.isfinite(problem.case.known_mm).all(axis=-1)
+    given = np.isfinite(problem.case.known_mm).all(axis=-1)
     used = problem.seen.weights.sum(axis=0) > 0.0
-    enough = min(3, known.shape[1])
-    return bool((known.sum(axis=1) >= enough)[used.any(axis=1)].all() and known.sum() >= 3)
+    enough = min(3, given.shape[1])
+    return bool((given.sum(axis=1) >= enough)[used.any(axis=1)].all() and given.sum() >= 3)
 
 
-def _weigh(problem: CalibrationProblem, found: Robust, free: FreeParameters) -> Robust:
+def _weigh(problem: CalibrationProblem, robust: Robust, free: FreeParameters) -> Robust:
     """Fit with the known places and nominal values, weighed against the noise."""
     for _ in range(_ROUNDS):
-        noise = max(found.noise_px, _LEAST_NOISE_PX)
+        noise = max(robust.noise_px, _LEAST_NOISE_PX)
         anchors = make_anchors(problem.case, problem.frame, noise)
         prior = make_prior(problem.start, noise)
-        seen = replace(problem.seen, anchors=anchors, prior=prior)
-        found = adjust(problem.align_to_nominal(found.fit.state), seen, free)
-        if not _is_sound(found, seen, problem):
-            found = _fit_soundly(problem, seen, free)
-        if free == free.of_lenses or abs(found.noise_px - noise) <= _SAME_NOISE * noise:
+        views = replace(problem.seen, anchors=anchors, prior=prior)
+        robust = adjust(problem.align_to_nominal(robust.fit.state), views, free)
+        if not _is_sound(robust, views, problem):
+            robust = _fit_soundly(problem, views, free)
+        if free == free.of_lenses or abs(robust.noise_px - noise) <= _SAME_NOISE * noise:
             break
-    return found
+    return robust
 
 
 def make_prior(nominal: State, noise_px: float) -> Prior:
@@ -176,59 +176,59 @@ def make_prior(nominal: State, noise_px: float) -> Prior:
     return Prior(nominal.shared, (noise_px / sigma) ** 2)
 
 
-def _fit_soundly(problem: CalibrationProblem, seen: BoardImages, free: FreeParameters) -> Robust:
+def _fit_soundly(problem: CalibrationProblem, views: BoardImages, free: FreeParameters) -> Robust:
     """Fit from the start, and from other states until the end is possible."""
-    found = adjust(problem.start, seen, free)
-    if _is_sound(found, seen, problem):
-        return found
-    ends = [adjust(start, seen, free) for start in _other_starts(problem, found.fit.state, seen)]
-    if sound := [end for end in ends if _is_sound(end, seen, problem)]:
+    robust = adjust(problem.start, views, free)
+    if _is_sound(robust, views, problem):
+        return robust
+    ends = [adjust(start, views, free) for start in _other_starts(problem, robust.fit.state, views)]
+    if sound := [end for end in ends if _is_sound(end, views, problem)]:
         return min(sound, key=lambda end: end.noise_px)
-    start, deep = _staged(problem.start, seen, free), _fit_richly(problem, seen, free, found)
+    start, deep = _staged(problem.start, views, free), _fit_richly(problem, views, free, robust)
     for part in _HELD:
-        held = _hold_depth(deep or problem.start, problem, seen, found.noise_px, part)
-        found = adjust(start, held, free)
-        if _is_sound(found, seen, problem):
+        held = _hold_depth(deep or problem.start, problem, views, robust.noise_px, part)
+        robust = adjust(start, held, free)
+        if _is_sound(robust, views, problem):
             break
-    return replace(found, held="richer model" if deep else "initial guess")
+    return replace(robust, held="richer model" if deep else "initial guess")
 
 
 def _fit_richly(
-    problem: CalibrationProblem, seen: BoardImages, free: FreeParameters, found: Robust
+    problem: CalibrationProblem, views: BoardImages, free: FreeParameters, robust: Robust
 ) -> State | None:
     """Fit with more unknowns; None if the end state is impossible, too."""
-    # a bent board that is taken for flat seems to be at another depth
-    if problem.frame.wall is None or not np.isfinite(found.noise_px):
+    # a bent board modelled as flat appears at another depth
+    if problem.frame.wall is None or not np.isfinite(robust.noise_px):
         return None
     rich = replace(free, distortion=_RICH, tilt=True, bend=True)
-    seen = replace(seen, prior=make_prior(problem.start, max(found.noise_px, _LEAST_NOISE_PX)))
-    first = adjust(problem.start, seen, rich)
-    others = (adjust(start, seen, rich) for start in _other_starts(problem, first.fit.state, seen))
-    ends = itertools.chain([first], others)
-    return next((end.fit.state for end in ends if _is_sound(end, seen, problem)), None)
+    views = replace(views, prior=make_prior(problem.start, max(robust.noise_px, _LEAST_NOISE_PX)))
+    first = adjust(problem.start, views, rich)
+    later = (adjust(start, views, rich) for start in _other_starts(problem, first.fit.state, views))
+    ends = itertools.chain([first], later)
+    return next((end.fit.state for end in ends if _is_sound(end, views, problem)), None)
 
 
-def _is_sound(found: Robust, seen: BoardImages, problem: CalibrationProblem) -> bool:
-    faults = list_faults(found.fit.state, seen, problem.frame)
-    return np.isfinite(found.fit.cost) and not faults
+def _is_sound(robust: Robust, views: BoardImages, problem: CalibrationProblem) -> bool:
+    faults = list_faults(robust.fit.state, views, problem.frame)
+    return np.isfinite(robust.fit.cost) and not faults
 
 
-def _other_starts(problem: CalibrationProblem, end: State, seen: BoardImages) -> Iterator[State]:
+def _other_starts(problem: CalibrationProblem, end: State, views: BoardImages) -> Iterator[State]:
     """Yield the mirrored ends, and the start with boards placed before the cameras."""
     if problem.frame.wall is not None and np.isfinite(end.board_positions).all():
-        yield mirror_boards(end, seen, turned=False)
-        yield mirror_boards(end, seen, turned=True)
-    yield _staged(problem.start, seen, FreeParameters())
+        yield mirror_boards(end, views, turned=False)
+        yield mirror_boards(end, views, turned=True)
+    yield _staged(problem.start, views, FreeParameters())
 
 
-def _staged(start: State, seen: BoardImages, free: FreeParameters) -> State:
+def _staged(start: State, views: BoardImages, free: FreeParameters) -> State:
     """Adjust boards, then cameras: slower than both together, and less prone to leap."""
-    placed = refine(start, seen, free, moving="boards").state
-    return refine(placed, seen, free, moving="cameras").state
+    placed = refine(start, views, free, moving="boards").state
+    return refine(placed, views, free, moving="cameras").state
 
 
 def _hold_depth(
-    start: State, problem: CalibrationProblem, seen: BoardImages, noise_px: float, part: float
+    start: State, problem: CalibrationProblem, views: BoardImages, noise_px: float, part: float
 ) -> BoardImages:
     """Anchor boards to their depths in a state, within a part of the mean.
 
@@ -237,18 +237,18 @@ def _hold_depth(
     to the truth.
     """
     if problem.frame.wall is None or not np.isfinite(noise_px):
-        return seen
-    depths = depths_of(start, seen)
-    there = np.flatnonzero(np.isfinite(depths).any(axis=1))
-    sigma = part * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(there))
+        return views
+    depths = depths_of(start, views)
+    boards = np.flatnonzero(np.isfinite(depths).any(axis=1))
+    sigma = part * max(float(np.nanmean(depths)), 1e-6) * np.sqrt(len(boards))
     weight = (max(noise_px, _LEAST_NOISE_PX) / sigma) ** 2
-    middle = int(np.argmin(np.linalg.norm(seen.board, axis=1)))
-    places = start.points(seen.board)[:, middle]
+    middle = int(np.argmin(np.linalg.norm(views.board, axis=1)))
+    places = start.points(views.board)[:, middle]
     held = tuple(
         Anchor(board, middle, places[board], np.array([0.0, 0.0, weight]), RigidMotion.none())
-        for board in there.tolist()
+        for board in boards.tolist()
     )
-    return replace(seen, anchors=(*seen.anchors, *held))
+    return replace(views, anchors=(*views.anchors, *held))
 
 
 _OF_CAMERAS = ("rotations", "centers", "lenses")  # of a state
@@ -265,7 +265,7 @@ class Rounds:
 def alternate(
     state: State, seen: BoardImages, free: FreeParameters, tolerance_px: float, most: int
 ) -> Rounds:
-    """Adjust cameras and boards in turn until the error settles."""
+    """Adjust cameras and boards in turn until the error converges."""
     errors = [_largest(state, seen)]
     while len(errors) <= most:
         state = _boards(_cameras(state, seen, free), seen, free)
@@ -286,10 +286,10 @@ def select_cameras(state: State, seen: BoardImages, cameras: I64) -> tuple[State
     )
 
 
-def _cameras(state: State, seen: BoardImages, free: FreeParameters) -> State:
+def _cameras(state: State, views: BoardImages, free: FreeParameters) -> State:
     """Adjust every camera on its own to the boards as they are."""
     fits = [
-        refine(*select_cameras(state, seen, np.array([number])), free, moving="cameras").state
+        refine(*select_cameras(state, views, np.array([number])), free, moving="cameras").state
         for number in range(len(state.rotations))
     ]
     parts: dict[str, Any] = {
@@ -298,30 +298,30 @@ def _cameras(state: State, seen: BoardImages, free: FreeParameters) -> State:
     return replace(state, **parts)
 
 
-def _boards(state: State, seen: BoardImages, free: FreeParameters) -> State:
+def _boards(state: State, views: BoardImages, free: FreeParameters) -> State:
     """Adjust every board on its own to the cameras as they are."""
     rotations, positions = state.board_rotations.copy(), state.board_positions.copy()
-    for number in np.flatnonzero(seen.weights.sum(axis=(0, 2)) > 0.0).tolist():
-        own = slice(number, number + 1)
+    for number in np.flatnonzero(views.weights.sum(axis=(0, 2)) > 0.0).tolist():
+        part = slice(number, number + 1)
         view = replace(
-            seen,
-            pixels=np.ascontiguousarray(seen.pixels[:, own]),
-            weights=np.ascontiguousarray(seen.weights[:, own]),
+            views,
+            pixels=np.ascontiguousarray(views.pixels[:, part]),
+            weights=np.ascontiguousarray(views.weights[:, part]),
             anchors=(),
         )
         board = replace(
             state,
-            board_rotations=rotations[own].copy(),
-            board_positions=positions[own].copy(),
+            board_rotations=rotations[part].copy(),
+            board_positions=positions[part].copy(),
         )
         fit = refine(board, view, free, moving="boards").state
-        rotations[own], positions[own] = fit.board_rotations, fit.board_positions
+        rotations[part], positions[part] = fit.board_rotations, fit.board_positions
     return replace(state, board_rotations=rotations, board_positions=positions)
 
 
-def _largest(state: State, seen: BoardImages) -> float:
-    lengths = np.where(seen.weights > 0.0, np.linalg.norm(residuals(state, seen), axis=-1), np.nan)
-    return float(np.nanmax(np.nanmean(lengths.reshape(len(lengths), -1), axis=1)))
+def _largest(state: State, views: BoardImages) -> float:
+    errors = np.where(views.weights > 0.0, np.linalg.norm(residuals(state, views), axis=-1), np.nan)
+    return float(np.nanmax(np.nanmean(errors.reshape(len(errors), -1), axis=1)))
 
 
 def mean_rotation(rotations: F64) -> F64:

@@ -4,8 +4,8 @@ A copy of `geometry.camera` and `geometry.refraction` for the sake of the deriva
 by test_bundle_adjustment.py::test_the_kernel_projects_as_cameras_do.
 
 Everything is computed in the wall's own frame: its outer face is Z = 0, its normal +Z, media are
-numbered along the path of light from a camera. For a pinhole C and a point P the direction in which
-light leaves the pinhole is w = (G L, 1), where L is the lateral part of P - C and G the tangent of
+numbered along the path of light from a camera. For a pinhole C and a point P, light leaves the
+pinhole in the direction w = (G L, 1), where L is the lateral part of P - C and G the tangent of
 its angle divided by |L|. G follows from the invariant p = n sin(angle) of the path, for which sum
 d_i p / sqrt(n_i^2 - p^2) = |L|; the derivatives of p are those of an implicit function.
 """
@@ -202,7 +202,7 @@ def _fill(
     row: Any,
     first: float,
     second: float,
-    seen: Any,
+    view: Any,
     rotation: Any,
     swing: Any,
     lever: Any,
@@ -210,7 +210,7 @@ def _fill(
     count: int,
 ) -> None:
     """Fill in derivatives of a pixel coordinate by rotation, centre, board and media."""
-    (u, v, w), (x, y, tangent, curved) = seen, swing
+    (u, v, w), (x, y, tangent, curved) = view, swing
     by_depth, by_index = work[1], work[2]
     third = -(first * u + second * v)  # by the camera frame's z; its vector is (u, v, 1) w
     row[0], row[1], row[2] = (

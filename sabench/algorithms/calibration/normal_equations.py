@@ -33,12 +33,12 @@ def _bend(row: Any, rotation: Any, lift: Any, start: int) -> None:
 
 
 @numba.njit(cache=True)
-def _columns(own: Any, shared: Any) -> Any:
+def _columns(camera_columns: Any, shared: Any) -> Any:
     """List the columns of `observe`'s rows for camera, shared and board unknowns."""
-    f, s = len(own), len(shared)
+    f, s = len(camera_columns), len(shared)
     pick = np.empty(f + s + BOARD, dtype=np.int64)
     for i in range(f):
-        pick[i] = own[i]
+        pick[i] = camera_columns[i]
     for i in range(s):
         pick[f + i] = CAMERA + BOARD + shared[i]
     for i in range(BOARD):
@@ -47,7 +47,7 @@ def _columns(own: Any, shared: Any) -> Any:
 
 
 @numba.njit(cache=True)
-def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> Any:
+def equations(array: Any, boards: Any, views: Any, free: Any, scale: float) -> Any:
     """Sum normal equations of all observations, with the boards' unknowns in blocks.
 
     Parameters
@@ -55,7 +55,7 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
     array : rotations (M, 3, 3), centres (M, 3), lenses (M, 10), media.
     boards : rotations (K, 3, 3), positions (K, 3), points on a board (m, 3), and how far each
         unknown of its bend lifts them (m, BEND).
-    seen : pixels (M, K, m, 2) and weights (M, K, m); what has no weight is not looked at.
+    views : pixels (M, K, m, 2) and weights (M, K, m); what has no weight is not looked at.
     free : columns of a camera (f,) that are unknowns, and of what all cameras share, counted from 0
         (s,).
     scale : of Cauchy's loss scale^2 log(1 + e^2 / scale^2), px; 0 for e^2.
@@ -69,10 +69,10 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
     """
     rotations, centers, lenses, media = array
     board_rotations, positions, points, lifts = boards
-    pixels, weights = seen
-    own, shared = free
+    pixels, weights = views
+    camera_columns, shared = free
     cameras, count, dots = weights.shape
-    f, s, m = len(own), len(shared), len(media[0])
+    f, s, m = len(camera_columns), len(shared), len(media[0])
     size, local = cameras * f + s, f + s + BOARD
     aa, ab, bb = (
         np.zeros((size, size)),
@@ -85,7 +85,7 @@ def equations(array: Any, boards: Any, seen: Any, free: Any, scale: float) -> An
         np.zeros((3, m)),
         np.zeros(3),
     )
-    pick = _columns(own, shared)
+    pick = _columns(camera_columns, shared)
     part, slope, chosen = np.zeros((local, local)), np.zeros(local), np.zeros((2, local))
     cost = 0.0
     for c in range(cameras):
@@ -140,8 +140,8 @@ def _scatter(
         here = c * f + p if p < f else cameras * f + p - f
         a[here] += slope[p]
         for q in range(f + s):
-            there = c * f + q if q < f else cameras * f + q - f
-            aa[here, there] += part[p, q] if q <= p else part[q, p]
+            column = c * f + q if q < f else cameras * f + q - f
+            aa[here, column] += part[p, q] if q <= p else part[q, p]
         for q in range(BOARD):
             ab[k, here, q] += part[f + s + q, p]
     for p in range(BOARD):
@@ -151,11 +151,11 @@ def _scatter(
 
 
 @numba.njit(cache=True)
-def misses(array: Any, boards: Any, seen: Any) -> Any:
+def misses(array: Any, boards: Any, views: Any) -> Any:
     """Subtract computed from observed pixels (M, K, m, 2); NaN without a path."""
     rotations, centers, lenses, media = array
     board_rotations, positions, points, _ = boards
-    pixels, _ = seen
+    pixels, _ = views
     out, m = np.full(pixels.shape, math.nan), len(media[0])
     row, work, lever = (
         np.zeros((2, CAMERA + BOARD + 2 * m + 1 + BEND)),
@@ -178,14 +178,14 @@ def misses(array: Any, boards: Any, seen: Any) -> Any:
 
 
 @numba.njit(cache=True)
-def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> Any:
+def spreads(array: Any, boards: Any, views: Any, free: Any, covariance: Any) -> Any:
     """Compute covariances (M, K, m, 3) of pixels: column, row, both."""
     rotations, centers, lenses, media = array
     board_rotations, positions, points, lifts = boards
-    _, weights = seen
-    own, shared = free
+    _, weights = views
+    camera_columns, shared = free
     cameras, count, dots = weights.shape
-    f, s, m = len(own), len(shared), len(media[0])
+    f, s, m = len(camera_columns), len(shared), len(media[0])
     local, base = f + s + BOARD, cameras * f + s
     row, work, lever = (
         np.zeros((2, CAMERA + BOARD + 2 * m + 1 + BEND)),
@@ -193,15 +193,15 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
         np.zeros(3),
     )
     out = np.full((cameras, count, dots, 3), math.nan)
-    part, pick, there = (
+    part, pick, index = (
         np.zeros((local, local)),
-        _columns(own, shared),
+        _columns(camera_columns, shared),
         np.empty(local, dtype=np.int64),
     )
     for c in range(cameras):
         for k in range(count):
             for p in range(local):
-                there[p] = (
+                index[p] = (
                     c * f + p
                     if p < f
                     else cameras * f + p - f
@@ -210,7 +210,7 @@ def spreads(array: Any, boards: Any, seen: Any, free: Any, covariance: Any) -> A
                 )
             for p in range(local):
                 for q in range(local):
-                    part[p, q] = covariance[there[p], there[q]]
+                    part[p, q] = covariance[index[p], index[q]]
             for i in range(dots):
                 if weights[c, k, i] == 0.0:
                     continue

@@ -124,12 +124,12 @@ class FreeParameters:
 
     def columns(self, media: int) -> tuple[I64, I64]:
         """Index a camera's unknowns and the shared ones, as `equations` takes them."""
-        own = [*range(7), *[7, 8] * self.principal_point]
-        own += [9 + _DISTORTION.index(name) for name in self.distortion] + [14, 15] * self.tilt
+        camera = [*range(7), *[7, 8] * self.principal_point]
+        camera += [9 + _DISTORTION.index(name) for name in self.distortion] + [14, 15] * self.tilt
         shared = [*self.indices, *(media + layer for layer in self.thicknesses)]
         shared += [2 * media - 2 + number for number in range(WALL)] * self.wall
         shared += [2 * media + 1 + number for number in range(BEND)] * self.bend
-        return np.array(own, dtype=np.int64), np.array(shared, dtype=np.int64)
+        return np.array(camera, dtype=np.int64), np.array(shared, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -190,9 +190,9 @@ class State:
         The boards' steps are (K, 6). Known cameras stay in the world when the wall moves, boards
         move with it.
         """
-        own, common = free.columns(len(self.indices))
+        columns, common = free.columns(len(self.indices))
         full = np.zeros((len(self.rotations), CAMERA))
-        full[:, own] = cameras
+        full[:, columns] = cameras
         media = np.concatenate([self.indices, self.thicknesses, np.zeros(WALL), self.bend])
         media[common] += shared
         count = len(self.indices)
@@ -200,11 +200,11 @@ class State:
         turn = rotation_matrices(np.array([right, down, 0.0]))
         shift = self.wall.shift + np.array([0.0, 0.0, along])
         wall = RigidMotion(turn @ self.wall.rotation, shift)
-        kept = RigidMotion.none() if free.cameras else wall.inverse().after(self.wall)
-        turned = rotation_matrices(full[:, :3]) @ self.rotations @ kept.rotation.T
+        motion = RigidMotion.none() if free.cameras else wall.inverse().after(self.wall)
+        turned = rotation_matrices(full[:, :3]) @ self.rotations @ motion.rotation.T
         return State(
             np.ascontiguousarray(turned),
-            kept(self.centers + full[:, 3:6]),
+            motion(self.centers + full[:, 3:6]),
             self.lenses + full[:, 6:],
             media[:count].copy(),
             media[count:].copy(),
@@ -243,7 +243,7 @@ class Frame:
 
     @classmethod
     def from_cameras(cls, cameras: tuple[Camera, ...], points_mm: F64) -> Frame:
-        """Make the frame in which the outer face of the cameras' wall is Z = 0.
+        """Make the frame with the outer face of the cameras' wall at Z = 0.
 
         The normal is +Z. Without a common plane wall a plane without meaning, between the cameras
         and the points, replaces the face.
@@ -277,10 +277,10 @@ class Frame:
             tilt = np.deg2rad(camera.tilt_deg)
             lenses.append([camera.focal_px, *camera.principal_point_px, *distortion, *tilt])
         layers = self.wall.layers if self.wall else ()
-        known = np.asarray(np.isfinite(points_mm).all(axis=2))
+        finite = np.asarray(np.isfinite(points_mm).all(axis=2))
         poses = [
             fit_rigid_motion(board[rows], self.motion(points)[rows])
-            for points, rows in zip(points_mm, known, strict=True)
+            for points, rows in zip(points_mm, finite, strict=True)
         ]
         return State(
             rotations,
@@ -332,9 +332,9 @@ class Frame:
         wall = replace(self.wall, air_index=first, layers=layers, fluid_index=last)
         if state.wall.is_none:
             return wall
-        own = self.to_wall(state)
+        pose = self.to_wall(state)
         face = self.motion(np.asarray(wall.point_mm)) * np.array([1.0, 1.0, 0.0])
-        return replace(wall, point_mm=triple(own.inverse()(face)), normal=triple(own.rotation[2]))
+        return replace(wall, point_mm=triple(pose.inverse()(face)), normal=triple(pose.rotation[2]))
 
 
 def bend_lifts(board: F64) -> F64:
@@ -345,8 +345,8 @@ def bend_lifts(board: F64) -> F64:
 
 def steps_of(vector: F64, cameras: int, free: FreeParameters, media: int) -> tuple[F64, F64]:
     """Split a vector into steps of cameras (M, f), or 0, and shared ones (s,)."""
-    own, _ = free.columns(media)
+    camera_columns, _ = free.columns(media)
     if not free.cameras:
-        return np.zeros((cameras, len(own))), vector
-    split = cameras * len(own)
-    return vector[:split].reshape(cameras, len(own)), vector[split:]
+        return np.zeros((cameras, len(camera_columns))), vector
+    split = cameras * len(camera_columns)
+    return vector[:split].reshape(cameras, len(camera_columns)), vector[split:]

@@ -1,4 +1,4 @@
-"""Plane and parallax: cameras on one plane, of whose optics nothing is known.
+"""Plane and parallax: cameras on one plane, with unknown optics.
 
 Images are mapped to a reference plane, which is parallel to that of the cameras. There the image of
 a point at the distance Z behind the reference plane is, with D the distance of the cameras before
@@ -23,7 +23,7 @@ from sabench.utils.arrays import F64, Bool, nested
 from sabench.utils.errors import InputError
 
 _ROUNDS = 2000
-_SETTLED = 1e-13  # change of filled-in images in a round, relative, at which they are final
+_SETTLED = 1e-13  # relative change of filled-in images in the last round
 _FEWEST = 4  # points that determine a homography
 
 

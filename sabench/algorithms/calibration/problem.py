@@ -108,7 +108,7 @@ def check_fit(
     """Refuse a fit that contradicts the input.
 
     Such a fit is impossible (see `fit_checks.list_faults`), contradicts the nominal positions,
-    leaves out an image because of its order, or rests on one plane. Images through a wall show
+    leaves out an image because of its order, or has one plane only. Images through a wall show
     neither the first corner of a board nor the names of cameras: only the nominal positions show
     that a board's corners are counted from another corner in all cameras, or that two cameras are
     swapped.
@@ -118,25 +118,25 @@ def check_fit(
     InputError
         The message names the camera or the frame, and the explanation.
     """
-    there = seen.weights > 0.0
+    visible = seen.weights > 0.0
     if noise_px > _WRONG * case.cameras[0].columns:
         raise InputError(
             f"expected points that one array can see, got some that miss by {noise_px:.3g} px at "
             "best: are they the target's, in its order?"
         )
     check_end(state, seen, frame)
-    _check_views(case, state, seen, used, there, noise_px)
+    _check_views(case, state, seen, used, noise_px)
     points = state.points(seen.board)
-    _check_corners(case, points, frame.motion(case.initial_mm), there)
+    _check_corners(case, points, frame.motion(case.initial_mm), visible)
     nominal = frame.motion(np.array([camera.center_mm for camera in case.cameras]))
     _check_names(case, state.centers, nominal)
     _check_mirror(state.centers, nominal)
-    found = points[there.any(axis=0)]
-    middle = found.mean(axis=0)
+    fitted = points[visible.any(axis=0)]
+    middle = fitted.mean(axis=0)
     _check_distances(case, state.centers - middle)
     if case.target.pattern == "wand":
         return
-    spread = np.linalg.svd(found - middle, compute_uv=False)
+    spread = np.linalg.svd(fitted - middle, compute_uv=False)
     if spread[2] < _FLAT * spread[0]:
         raise InputError(
             "expected a target at different depths or tilts, but all frames show it in one "
@@ -145,16 +145,17 @@ def check_fit(
 
 
 def _check_views(
-    case: CalibrationCase, state: State, seen: BoardImages, used: Bool, there: Bool, noise_px: float
+    case: CalibrationCase, state: State, views: BoardImages, used: Bool, noise_px: float
 ) -> None:
     """Refuse a view that would fit if its points were counted from another corner."""
-    shares = used.sum(axis=2) / np.maximum(there.sum(axis=2), 1)  # few used: it never fits
-    computed = seen.pixels - residuals(state, seen)
-    for camera, number in np.argwhere((shares < _SUSPECT) & there.any(axis=2)).tolist():
+    visible = views.weights > 0.0
+    shares = used.sum(axis=2) / np.maximum(visible.sum(axis=2), 1)  # few used: it never fits
+    computed = views.pixels - residuals(state, views)
+    for camera, number in np.argwhere((shares < _SUSPECT) & visible.any(axis=2)).tolist():
         view = camera, number
         for degrees, order in list_relabellings(case.target):
-            misses = np.linalg.norm(seen.pixels[view] - computed[view][order], axis=-1)
-            if np.nanmedian(misses[there[view]]) < _FITS * noise_px:
+            misses = np.linalg.norm(views.pixels[view] - computed[view][order], axis=-1)
+            if np.nanmedian(misses[visible[view]]) < _FITS * noise_px:
                 raise InputError(
                     f"{case.cameras[camera].name}: frame {number}: expected its points numbered as "
                     f"in the other cameras, but they are turned by {degrees} degrees"
@@ -162,7 +163,7 @@ def _check_views(
 
 
 def list_relabellings(target: Target) -> list[tuple[int, I64]]:
-    """List rotations, in degrees, under which a target's grid maps onto itself.
+    """List rotations, in degrees, that map a target's grid onto itself.
 
     Each comes with the order of the points under it. Points in any places have none.
     """
@@ -173,9 +174,9 @@ def list_relabellings(target: Target) -> list[tuple[int, I64]]:
     return [(degrees, grids.ravel()) for degrees, grids in rotated if grids.shape == grid.shape]
 
 
-def _check_corners(case: CalibrationCase, points: F64, initial: F64, there: Bool) -> None:
+def _check_corners(case: CalibrationCase, points: F64, initial: F64, visible: Bool) -> None:
     """Refuse a frame if its points lie at their nominal positions in another order."""
-    for number in np.flatnonzero(there.any(axis=(0, 2))).tolist():
+    for number in np.flatnonzero(visible.any(axis=(0, 2))).tolist():
         fitted = points[number] - points[number].mean(axis=0)
         nominal = initial[number] - np.nanmean(initial[number], axis=0)
         apart = _rms(fitted - nominal)
@@ -190,9 +191,9 @@ def _check_corners(case: CalibrationCase, points: F64, initial: F64, there: Bool
 def _check_names(case: CalibrationCase, centers: F64, initial: F64) -> None:
     """Refuse two cameras that stand at each other's nominal positions."""
     for i, j in itertools.combinations(range(len(centers)), 2):
-        own = np.linalg.norm(centers[i] - initial[i]) + np.linalg.norm(centers[j] - initial[j])
+        direct = np.linalg.norm(centers[i] - initial[i]) + np.linalg.norm(centers[j] - initial[j])
         other = np.linalg.norm(centers[i] - initial[j]) + np.linalg.norm(centers[j] - initial[i])
-        if other < 0.25 * own:
+        if other < 0.25 * direct:
             raise InputError(
                 f"{case.cameras[i].name} and {case.cameras[j].name}: expected each one's own "
                 "images, but these two are swapped"
@@ -203,10 +204,10 @@ def _check_mirror(centers: F64, initial: F64) -> None:
     """Refuse the mirror image of the nominal array, as mirrored images give."""
     if len(centers) < _SEVERAL:
         return
-    own, nominal = (one[:, :2] - one[:, :2].mean(axis=0) for one in (centers, initial))
-    left, _, right = np.linalg.svd(own.T @ nominal)
+    plan, nominal = (points[:, :2] - points[:, :2].mean(axis=0) for points in (centers, initial))
+    left, _, right = np.linalg.svd(plan.T @ nominal)
     same, mirrored = (
-        _rms(own - nominal @ (left @ np.diag([1.0, sign * np.linalg.det(left @ right)]) @ right).T)
+        _rms(plan - nominal @ (left @ np.diag([1.0, sign * np.linalg.det(left @ right)]) @ right).T)
         for sign in (1.0, -1.0)
     )
     if mirrored < _MIRRORED * same and same > _MIRRORED * _rms(nominal):
@@ -221,11 +222,11 @@ def _check_distances(case: CalibrationCase, apart: F64) -> None:
     middle = np.nanmean(case.initial_mm.reshape(-1, 3), axis=0)
     given = np.array([camera.center_mm for camera in case.cameras]) - middle
     lengths = np.linalg.norm([apart, given], axis=-1).T.tolist()
-    for camera, (found, nominal) in zip(case.cameras, lengths, strict=True):
-        if not nominal / _FAR < found < nominal * _FAR:
+    for camera, (fitted, nominal) in zip(case.cameras, lengths, strict=True):
+        if not nominal / _FAR < fitted < nominal * _FAR:
             raise InputError(
                 f"{camera.name}: expected it about {nominal:.4g} mm from the target, as its "
-                f"initial guess is, but the fit puts it {found:.4g} mm away: are two cameras "
+                f"initial guess is, but the fit puts it {fitted:.4g} mm away: are two cameras "
                 "swapped, images mirrored, or a length wrong?"
             )
 
@@ -286,8 +287,8 @@ class CalibrationProblem:
         Raises
         ------
         InputError
-            What `input_checks.check_case` refuses, fewer points than unknowns, or a frame of which
-            nothing is known beforehand.
+            What `input_checks.check_case` refuses, fewer points than unknowns, or a frame
+            without an initial guess.
         """
         check_case(case)
         _check_count(case, free.per_camera if free.cameras else 0)
@@ -304,8 +305,8 @@ class CalibrationProblem:
             check_plane_wall(case.cameras)
             _check_shared(case, frame, free)
         pixels, weights = np.nan_to_num(case.pixels), case.found.astype(np.float64)
-        seen = BoardImages(board, pixels, weights, frame=frame.beyond_kernels)
-        return cls(frame, frame.state(board, case.initial_mm), seen, case)
+        views = BoardImages(board, pixels, weights, frame=frame.beyond_kernels)
+        return cls(frame, frame.state(board, case.initial_mm), views, case)
 
     def align_to_nominal(self, state: State) -> State:
         """Move the state so that its boards are near their nominal positions.
@@ -315,18 +316,18 @@ class CalibrationProblem:
         if self.case.known_cameras:
             return state
         points, initial = state.points(self.seen.board), self.frame.motion(self.case.initial_mm)
-        there = np.isfinite(initial).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
-        known = np.isfinite(self.case.known_mm).all(axis=-1)
+        usable = np.isfinite(initial).all(axis=-1) & (self.seen.weights.sum(axis=0) > 0.0)
+        given = np.isfinite(self.case.known_mm).all(axis=-1)
         if self.frame.beyond_kernels:
-            motion = fit_free_motion(self.frame, points[there], initial[there])
-            return state if known.any() else state.move(motion)
-        if known.sum() > (1 if self.frame.wall else 2):
+            motion = fit_free_motion(self.frame, points[usable], initial[usable])
+            return state if given.any() else state.move(motion)
+        if given.sum() > (1 if self.frame.wall else 2):
             return state
         if self.frame.wall is None:
-            return state.move(fit_rigid_motion(points[there], initial[there]))
-        motion = fit_lateral_motion(points[there], initial[there])
-        if known.any():  # the rotation is about the known point
-            pivot = points[known][0]
+            return state.move(fit_rigid_motion(points[usable], initial[usable]))
+        motion = fit_lateral_motion(points[usable], initial[usable])
+        if given.any():  # the rotation is about the known point
+            pivot = points[given][0]
             motion = RigidMotion(motion.rotation, pivot - motion.rotation @ pivot)
         return state.move(motion)
 
@@ -349,9 +350,9 @@ def make_anchors(case: CalibrationCase, frame: Frame, noise_px: float) -> tuple[
     world, anchors = frame.motion.inverse(), []
     for board, point in np.argwhere(np.isfinite(case.known_mm).any(axis=-1)).tolist():
         position, sigma = case.known_mm[board, point], case.known_sigma_mm[board, point]
-        there = np.isfinite(position)
-        precision = np.where(there, (noise_px / np.where(there, sigma, 1.0)) ** 2, 0.0)
-        anchors.append(Anchor(board, point, np.where(there, position, 0.0), precision, world))
+        finite = np.isfinite(position)
+        precision = np.where(finite, (noise_px / np.where(finite, sigma, 1.0)) ** 2, 0.0)
+        anchors.append(Anchor(board, point, np.where(finite, position, 0.0), precision, world))
     return tuple(anchors)
 
 
@@ -416,18 +417,18 @@ def _check_count(case: CalibrationCase, unknowns: int) -> None:
     """
     boards = int(case.found.any(axis=(0, 2)).sum())
     each = 6 if case.found.shape[2] > 1 else 3
-    known = int(np.isfinite(case.known_mm).sum())
-    needed = unknowns * len(case.cameras) + each * boards - known
+    given = int(np.isfinite(case.known_mm).sum())
+    needed = unknowns * len(case.cameras) + each * boards - given
     if 2 * int(case.found.sum()) < needed:
-        also = f" + {known} known coordinates" if known else ""
+        also = f" + {given} known coordinates" if given else ""
         raise InputError(
             f"expected at least {-(-needed // 2)} image points for {len(case.cameras)} cameras "
             f"of {unknowns} unknowns and {boards} boards of {each} "
             f"(2 N{also} >= b M + {each} K), got {int(case.found.sum())}"
         )
-    for camera, found in zip(case.cameras, case.found.sum(axis=(1, 2)).tolist(), strict=True):
-        if 2 * found < unknowns:
+    for camera, points in zip(case.cameras, case.found.sum(axis=(1, 2)).tolist(), strict=True):
+        if 2 * points < unknowns:
             raise InputError(
                 f"{camera.name}: expected at least {-(-unknowns // 2)} image points for its "
-                f"{unknowns} unknowns, got {found}"
+                f"{unknowns} unknowns, got {points}"
             )

@@ -1,4 +1,4 @@
-"""Positions of a target's points, to which each camera is fitted.
+"""Positions of a target's points, for the fit of each camera.
 
 Classical calibrations take the nominal positions as known; `place_boards` fits them to the images.
 No axis of the world is preferred: a board starts upright in the cameras' images.
@@ -44,9 +44,9 @@ def upright_axes(cameras: tuple[Camera, ...]) -> F64:
 def place_boards(case: CalibrationCase) -> F64:
     """Find initial positions (frame, point, 3) of a target's points, world frame, mm.
 
-    A frame with enough known points is where they say. The pose of any other is fitted to its
+    A frame with enough known points is placed by these. The pose of any other is fitted to its
     images by the nominal cameras, from the case's initial positions at four rotations about the
-    line of sight, and from the mirrored tilt, which looks alike from afar.
+    line of sight, and from the mirrored tilt, which looks similar from afar.
     """
     board = case.target.points_mm
     places = known_places(case)
@@ -54,16 +54,16 @@ def place_boards(case: CalibrationCase) -> F64:
         return places
     frame = Frame.from_cameras(case.cameras, case.initial_mm)
     pixels, weights = np.nan_to_num(case.pixels), case.found.astype(np.float64)
-    seen = BoardImages(board, pixels, weights, frame=frame.beyond_kernels)
+    views = BoardImages(board, pixels, weights, frame=frame.beyond_kernels)
     start = frame.state(board, case.initial_mm)
     ahead = frame.motion.rotation @ upright_axes(case.cameras)
-    best = refine(start, seen, FreeParameters(), moving="boards").state
+    best = refine(start, views, FreeParameters(), moving="boards").state
     for angle in _QUARTERS[1:].tolist():
         turned = start.board_rotations @ rotation_matrices(np.array([0.0, 0.0, angle]))
-        best = _refit_boards(best, replace(start, board_rotations=turned), seen)
+        best = _refit_boards(best, replace(start, board_rotations=turned), views)
     flip = ahead @ np.diag([1.0, 1.0, -1.0]) @ ahead.T
     mirrored = flip @ best.board_rotations @ np.diag([1.0, 1.0, -1.0])
-    best = _refit_boards(best, replace(best, board_rotations=mirrored), seen)
+    best = _refit_boards(best, replace(best, board_rotations=mirrored), views)
     fitted = frame.points(best, board)
     # all boards move off the wall together: nominal cameras put boards too near, and a fit that
     # starts in the wall does not move
@@ -84,14 +84,14 @@ def _depth(case: CalibrationCase, points_mm: F64) -> float:
 def known_places(case: CalibrationCase) -> F64:
     """Place the target (frame, point, 3) by known points; NaN if too few."""
     board = case.target.points_mm
-    known = np.asarray(np.isfinite(case.known_mm).all(axis=-1))
+    given = np.asarray(np.isfinite(case.known_mm).all(axis=-1))
     places = np.full(case.known_mm.shape, np.nan)
-    for number, rows in enumerate(known):
-        own, goal = board[rows], case.known_mm[number, rows]
-        if len(board) == 1 and len(own):
-            motion = RigidMotion(np.eye(3), goal[0] - own[0])
-        elif len(own) >= 3 and not _on_line(own):
-            motion = fit_rigid_motion(own, goal)
+    for number, rows in enumerate(given):
+        points, goal = board[rows], case.known_mm[number, rows]
+        if len(board) == 1 and len(points):
+            motion = RigidMotion(np.eye(3), goal[0] - points[0])
+        elif len(points) >= 3 and not _on_line(points):
+            motion = fit_rigid_motion(points, goal)
         else:
             continue
         places[number] = motion(board)
@@ -104,12 +104,12 @@ def _on_line(points: F64) -> bool:
     return bool(spread[1] <= _LINE * spread[0])
 
 
-def _refit_boards(best: State, start: State, seen: BoardImages) -> State:
+def _refit_boards(best: State, start: State, views: BoardImages) -> State:
     """Fit the boards from another start, and keep each that fits its images better."""
-    fitted, costs = refine(start, seen, FreeParameters(), moving="boards").state, []
+    fitted, costs = refine(start, views, FreeParameters(), moving="boards").state, []
     for state in (best, fitted):
-        squares = np.sum(residuals(state, seen) ** 2, axis=-1)
-        cost = np.where(seen.weights > 0.0, squares, 0.0).sum(axis=(0, 2))
+        squares = np.sum(residuals(state, views) ** 2, axis=-1)
+        cost = np.where(views.weights > 0.0, squares, 0.0).sum(axis=(0, 2))
         costs.append(np.where(np.isfinite(cost), cost, np.inf))
     better = costs[1] < costs[0]
     return replace(
@@ -134,11 +134,11 @@ def known_points(case: CalibrationCase, camera: int) -> tuple[F64, F64]:
 def known_frames(case: CalibrationCase, camera: int) -> tuple[list[F64], list[F64]]:
     """Split known points and pixels by the frames that a camera found."""
     points, pixels = [], []
-    for initial, found in zip(case.initial_mm, case.pixels[camera], strict=True):
-        there = np.isfinite(initial).all(axis=1) & np.isfinite(found).all(axis=1)
-        if there.any():
-            points.append(initial[there])
-            pixels.append(found[there])
+    for initial, detected in zip(case.initial_mm, case.pixels[camera], strict=True):
+        usable = np.isfinite(initial).all(axis=1) & np.isfinite(detected).all(axis=1)
+        if usable.any():
+            points.append(initial[usable])
+            pixels.append(detected[usable])
     return points, pixels
 
 

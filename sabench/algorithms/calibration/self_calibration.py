@@ -33,13 +33,13 @@ _SETTLED_PX = 0.03
 # times reach_px: the core's common errors move all positions, so that another camera's disparity
 # may be larger than its own error
 _FARTHER = 3.0
-_CORE = 4  # cameras whose particle images are matched all with all
+_CORE = 4  # cameras that are matched all with all
 _PAIRS = 1_000_000
 _MOST = 3000  # particles that the cameras are adjusted to
 _LATTICE = (5, 5, 3)
 _NOMINAL_PX = 2.0  # standard deviation of the nominal cameras' pixels
 _REJECT = 4.0
-# standard deviations by which right sets exceed chance: the most crowded of many spots of wrong
+# standard deviations of right sets above chance: the most crowded of many spots of wrong
 # ones has a dozen
 _SURE = 20.0
 
@@ -90,8 +90,8 @@ class Tracking:
             every[number] if len(every[number].pixels) else find_peaks(light[number], bright)
             for number in order
         )
-        for number, own in zip(order, peaks, strict=True):
-            if not len(own.pixels):
+        for number, camera_peaks in zip(order, peaks, strict=True):
+            if not len(camera_peaks.pixels):
                 raise InputError(
                     f"{pinholes[number].name}: expected particle images, got none above "
                     f"{bright:g} of a bright one's peak"
@@ -129,8 +129,7 @@ def follow_disparities(tracking: Tracking, reach_px: float, least_px: float) -> 
 
     maps = _reduce(tracking.maps, core, find_in_core, reach_px, least_px)
     sure = find_sets(maps, peaks, least_px)
-    # sets that agree by chance grow in number with the radius to the power of the dimensions in
-    # which they could disagree
+    # the number of chance sets grows as the radius to the power of the dimensions of their errors
     wider = find_sets(maps, peaks, 2.0 * least_px)
     chance = (len(wider.positions) - len(sure.positions)) / (2.0 ** (2 * len(core) - 3) - 1.0)
     if len(sure.positions) - chance < _SURE * np.sqrt(max(chance, 1.0)):
@@ -237,36 +236,36 @@ def adjust_cameras(tracking: Tracking, matched: tuple[F64, F64]) -> tuple[Camera
         for number, position in enumerate(lattice, start=len(particles))
     )
     images = np.nan_to_num(both)[:, :, None], weights[:, :, None]
-    seen = BoardImages(board, *images, anchors, frame.beyond_kernels)
-    state = _adjust(frame.state(board, points[:, None]), seen, len(particles))
+    views = BoardImages(board, *images, anchors, frame.beyond_kernels)
+    state = _adjust(frame.state(board, points[:, None]), views, len(particles))
     by_number = dict(zip(tracking.order, frame.build_cameras(state), strict=True))
     return tuple(by_number[number] for number in range(len(by_number)))
 
 
-def _adjust(state: State, seen: BoardImages, particles: int) -> State:
+def _adjust(state: State, views: BoardImages, particles: int) -> State:
     """Adjust with Cauchy's loss until the noise falls no more, then by least squares.
 
     Outliers are left out of the latter; the lattice is weighted by its standard deviation.
     """
-    noise = _noise(state, seen, particles)
+    noise = _noise(state, views, particles)
     for _ in range(_ROUNDS):
-        weighted = replace(seen, weights=_weights(seen, particles, noise))
+        weighted = replace(views, weights=_weights(views, particles, noise))
         state = refine(state, weighted, FreeParameters(), 3.0 * noise).state
-        before, noise = noise, _noise(state, seen, particles)
+        before, noise = noise, _noise(state, views, particles)
         if noise > 0.9 * before:
             break
-    weights = _weights(seen, particles, noise)
-    lengths = np.linalg.norm(residuals(state, seen), axis=-1)
+    weights = _weights(views, particles, noise)
+    lengths = np.linalg.norm(residuals(state, views), axis=-1)
     weights[:, :particles] *= lengths[:, :particles] <= _REJECT * noise
-    return refine(state, replace(seen, weights=weights), FreeParameters()).state
+    return refine(state, replace(views, weights=weights), FreeParameters()).state
 
 
-def _weights(seen: BoardImages, particles: int, noise: float) -> F64:
-    weights = seen.weights.copy()
+def _weights(views: BoardImages, particles: int, noise: float) -> F64:
+    weights = views.weights.copy()
     weights[:, particles:] *= (noise / _NOMINAL_PX) ** 2
     return weights
 
 
-def _noise(state: State, seen: BoardImages, particles: int) -> float:
-    lengths = np.linalg.norm(residuals(state, seen), axis=-1)[:, :particles]
-    return max(median_noise(lengths[seen.weights[:, :particles] > 0.0]), 1e-3)
+def _noise(state: State, views: BoardImages, particles: int) -> float:
+    lengths = np.linalg.norm(residuals(state, views), axis=-1)[:, :particles]
+    return max(median_noise(lengths[views.weights[:, :particles] > 0.0]), 1e-3)

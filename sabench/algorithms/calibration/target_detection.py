@@ -10,10 +10,10 @@ from sabench.utils.arrays import F64, U8, U16
 
 _BLUR_PX = 1.5  # against noise, where lights are few
 _FAINT = 0.1  # of a blob's peak: below there is none
-# the same for a ball, and the part of its peak at which its light is cut: its shading would shift
+# the same for a ball, and the part of its peak that cuts its light: its shading would shift
 # the centroid to the lit side
 _BALL = (0.05, 0.15)
-_LIT = 0.35  # of the brightest ball: what belongs to one
+_LIT = 0.35  # of the brightest ball: least light of a ball's pixel
 _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles that become black and white for the detectors
 
 
@@ -37,26 +37,26 @@ def detect(image: U16, target: Target, expected: F64 | None = None) -> F64:
     scaled = (image - low) * (255.0 / max(high - low, 1.0))
     grey: U8 = np.clip(scaled, 0.0, 255.0).astype(np.uint8)
     detectors = {"checkerboard": _corners, "circles": _circles, "charuco": _charuco, "wand": _balls}
-    found = detectors[target.pattern](grey, target)
-    if found is None:
+    pixels = detectors[target.pattern](grey, target)
+    if pixels is None:
         return np.full((len(target.points_mm), 2), np.nan)
-    return found if target.pattern == "charuco" else _choose_order(found, target, expected)
+    return pixels if target.pattern == "charuco" else _choose_order(pixels, target, expected)
 
 
 def _corners(grey: U8, target: Target) -> F64 | None:
     """Find saddle points of the intensity (A. Duda and U. Frese, BMVC 2018)."""
-    found, corners = cv2.findChessboardCornersSB(
+    success, corners = cv2.findChessboardCornersSB(
         grey, (target.columns, target.rows), flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     )
-    return corners.reshape(-1, 2).astype(np.float64) if found else None
+    return corners.reshape(-1, 2).astype(np.float64) if success else None
 
 
 def _circles(grey: U8, target: Target) -> F64 | None:
     """Find centres of the dark ellipses that are images of circles."""
-    found, centers = cv2.findCirclesGrid(
+    success, centers = cv2.findCirclesGrid(
         grey, (target.columns, target.rows), flags=cv2.CALIB_CB_SYMMETRIC_GRID
     )
-    return _centroids(255 - grey, centers.reshape(-1, 2).astype(np.float64)) if found else None
+    return _centroids(255 - grey, centers.reshape(-1, 2).astype(np.float64)) if success else None
 
 
 def _charuco(grey: U8, target: Target) -> F64 | None:
@@ -68,18 +68,18 @@ def _charuco(grey: U8, target: Target) -> F64 | None:
     corners, numbers, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
     if numbers is None or not len(numbers):
         return None
-    found = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
+    detected = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
     order = np.asarray(numbers).ravel()
     scale = 0.0  # px per mm
     if len(order) > 1:
         width = np.std(target.points_mm[order, :2], axis=0).sum()
-        scale = float(np.std(found[:, 0], axis=0).sum() / max(width, 1e-9))
+        scale = float(np.std(detected[:, 0], axis=0).sum() / max(width, 1e-9))
     # no marker may lie in the window around a corner, since it would shift the corner
     side = max(2, int(0.7 * scale * (target.pitch_mm - target.mark_mm) / 2.0))
     stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
     pixels = np.full((len(target.points_mm), 2), np.nan)
-    pixels[order] = cv2.cornerSubPix(smooth, found, (side, side), (-1, -1), stop).reshape(-1, 2)
+    pixels[order] = cv2.cornerSubPix(smooth, detected, (side, side), (-1, -1), stop).reshape(-1, 2)
     return pixels
 
 
@@ -98,7 +98,7 @@ def _balls(grey: U8, target: Target) -> F64 | None:
 
 
 def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0) -> F64:
-    """Compute centroids of blobs, whose light above `full` of the peak is cut."""
+    """Compute centroids of blobs; light above `full` of the peak is cut."""
     gaps = np.linalg.norm(centers[:, None] - centers[None], axis=2)
     np.fill_diagonal(gaps, np.inf)
     out = centers.copy()
@@ -115,17 +115,17 @@ def _centroids(light: U8, centers: F64, faint: float = _FAINT, full: float = 1.0
     return out
 
 
-def _choose_order(found: F64, target: Target, expected: F64 | None) -> F64:
+def _choose_order(points: F64, target: Target, expected: F64 | None) -> F64:
     """Choose the possible order of points nearest to the expected directions."""
     plan = target.points_mm[:, :2] if expected is None else expected
-    known = np.isfinite(plan).all(axis=1)
-    goal = plan[known] - plan[known].mean(axis=0)
-    grid = np.arange(len(found)).reshape(target.rows, target.columns)
+    finite = np.isfinite(plan).all(axis=1)
+    goal = plan[finite] - plan[finite].mean(axis=0)
+    grid = np.arange(len(points)).reshape(target.rows, target.columns)
     rotated = [np.rot90(grid, quarter) for quarter in range(4)]
     if target.rows > 1:
         rotated += [order.T for order in rotated]
     orders = [order.ravel() for order in rotated if order.shape == grid.shape]
     return max(
-        (found[order] for order in orders),
-        key=lambda ordered: float(np.sum((ordered[known] - ordered[known].mean(axis=0)) * goal)),
+        (points[order] for order in orders),
+        key=lambda ordered: float(np.sum((ordered[finite] - ordered[finite].mean(axis=0)) * goal)),
     )

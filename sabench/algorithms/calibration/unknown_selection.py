@@ -27,10 +27,10 @@ _GROUPS: tuple[tuple[Unknown, ...], ...] = (
 # fmt: on
 _FIRST = {"k2": "k1", "k3": "k2"}  # what an unknown presupposes
 _FOLDS = 5
-_SURE = 2.0  # standard errors by which held-out boards must fit better
-_LEAST_GAIN = 0.001  # part of the held-out error below which a gain is not worth an unknown
+_SURE = 2.0  # standard errors: least improvement of held-out boards
+_LEAST_GAIN = 0.001  # least gain of an unknown, part of the held-out error
 _TRIES = 3  # unknowns tried in a row without success before the search ends
-_BEND = 3.0  # noise at which the loss of held-out residuals bends
+_BEND = 3.0  # scale of the loss of held-out residuals, over the noise
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Nested:
     change_px, sigma_px : its change against the fit with the unknowns chosen before, and the
         standard error of that change.
     chosen : whether the group stays free.
-    remark : why it was not tried or not chosen, where figures do not say it.
+    remark : reason why it was not tried or not chosen, if figures do not show it.
     """
 
     added: tuple[Unknown, ...]
@@ -58,14 +58,14 @@ class Nested:
 def split_frames(case: CalibrationCase, seed: int = 1) -> list[I64]:
     """Split the frames into folds by chance.
 
-    Frames with the only known points belong to none: without them the world would be another. There
+    No fold has the frames with the only known points: they define the world. There
     are no folds for fewer than three frames.
     """
-    seen = case.found.any(axis=(0, 2))
-    known = np.isfinite(case.known_mm).any(axis=(1, 2))
-    if known.sum() < max(3, 0.5 * seen.sum()):
-        seen = seen & ~known
-    frames = np.random.default_rng(seed).permutation(np.flatnonzero(seen))
+    detected = case.found.any(axis=(0, 2))
+    given = np.isfinite(case.known_mm).any(axis=(1, 2))
+    if given.sum() < max(3, 0.5 * detected.sum()):
+        detected = detected & ~given
+    frames = np.random.default_rng(seed).permutation(np.flatnonzero(detected))
     count = min(_FOLDS, len(frames))
     return [np.sort(part) for part in np.array_split(frames, count)] if count >= 3 else []
 
@@ -96,7 +96,8 @@ def select_unknowns(case: CalibrationCase) -> tuple[tuple[Unknown, ...], tuple[N
         raise InputError("expected frames that hold-out fits can place, got none")
     rows = [Nested((), _px(losses), None, None, True)]
     failed = 0
-    left = [group for group in _GROUPS if _can_free(group, problem)]
+    possible = [group for group in _GROUPS if _can_free(group, problem)]
+    left = possible.copy()
     while failed < _TRIES and (group := held.most_promising(state, chosen, left)):
         left.remove(group)
         names = (*chosen, *group)
@@ -106,7 +107,7 @@ def select_unknowns(case: CalibrationCase) -> tuple[tuple[Unknown, ...], tuple[N
         if row.chosen and tried is not None:
             chosen, losses = names, tried
             state = held.full(state, chosen)
-            left = [one for one in _GROUPS if _can_free(one, problem) and one[0] not in chosen]
+            left = [group for group in possible if group[0] not in chosen]
     return chosen, tuple(rows)
 
 
@@ -134,7 +135,7 @@ class _HeldOut:
     Attributes
     ----------
     layers : of the wall.
-    noise_px : of the first fit, by which known places and losses are weighed.
+    noise_px : of the first fit; it weights known positions and losses.
     """
 
     problem: CalibrationProblem
@@ -146,23 +147,23 @@ class _HeldOut:
         return FreeParameters.from_names(names, self.layers)
 
     @property
-    def seen(self) -> BoardImages:
+    def views(self) -> BoardImages:
         """The images with anchors and nominal values, weighed against the noise."""
         anchors = make_anchors(self.problem.case, self.problem.frame, self.noise_px)
         prior = make_prior(self.problem.start, self.noise_px)
         return replace(self.problem.seen, anchors=anchors, prior=prior)
 
     def full(self, state: State, names: tuple[Unknown, ...]) -> State:
-        return refine(state, self.seen, self.free(names), _BEND * self.noise_px).state
+        return refine(state, self.views, self.free(names), _BEND * self.noise_px).state
 
     def most_promising(
         self, state: State, chosen: tuple[Unknown, ...], left: list[tuple[Unknown, ...]]
     ) -> tuple[Unknown, ...] | None:
-        """Find the group by which one step lowers the cost most."""
-        ready = [one for one in left if _FIRST.get(one[0], one[0]) in (one[0], *chosen)]
-        seen, scale, gains = self.seen, _BEND * self.noise_px, []
+        """Find the group with the largest decrease of the cost in one step."""
+        ready = [names for names in left if _FIRST.get(names[0], names[0]) in (names[0], *chosen)]
+        views, scale, gains = self.views, _BEND * self.noise_px, []
         for group in ready:
-            normal = bundle.normal_equations(state, seen, self.free((*chosen, *group)), scale)
+            normal = bundle.normal_equations(state, views, self.free((*chosen, *group)), scale)
             gains.append(bundle.promised_gain(normal))
         return ready[int(np.argmax(gains))] if ready else None
 
@@ -174,18 +175,18 @@ class _HeldOut:
 
     def _fold(self, state: State, names: tuple[Unknown, ...], fold: I64) -> F64 | None:
         """Fit without the frames of a fold, then place these; their mean losses, px^2."""
-        seen, free, scale = self.seen, self.free(names), _BEND * self.noise_px
-        weights = seen.weights.copy()
+        views, free, scale = self.views, self.free(names), _BEND * self.noise_px
+        weights = views.weights.copy()
         weights[:, fold] = 0.0
-        kept = tuple(one for one in seen.anchors if one.board not in set(fold.tolist()))
-        fit = refine(state, replace(seen, weights=weights, anchors=kept), free, scale)
-        if list_faults(fit.state, replace(seen, weights=weights), self.problem.frame):
+        left = tuple(anchor for anchor in views.anchors if anchor.board not in set(fold.tolist()))
+        fit = refine(state, replace(views, weights=weights, anchors=left), free, scale)
+        if list_faults(fit.state, replace(views, weights=weights), self.problem.frame):
             return None
-        placed = refine(fit.state, seen, free, scale, moving="boards").state
-        squares = np.sum(bundle.residuals(placed, seen) ** 2, axis=-1)[:, fold]
-        used = seen.weights[:, fold] > 0.0
+        placed = refine(fit.state, views, free, scale, moving="boards").state
+        squares = np.sum(bundle.residuals(placed, views) ** 2, axis=-1)[:, fold]
+        used = views.weights[:, fold] > 0.0
         loss = np.where(used, scale**2 * np.log1p(squares / scale**2), 0.0).sum(axis=(0, 2))
-        unknowns = 6 if seen.weights.shape[2] > 1 else 0
+        unknowns = 6 if views.weights.shape[2] > 1 else 0
         return np.asarray(loss / np.maximum(2.0 * used.sum(axis=(0, 2)) - unknowns, 1.0))
 
     def compare(

@@ -3,7 +3,7 @@
 The results are the same for any number of cores. Painting particles in one camera does not change
 another camera's images, and measuring particles changes nothing. A fit of a particle reads and
 changes the pixels of its images, and those of its neighbours if they are fitted, too: threads fit
-particles of cells whose images share no pixel in any camera. The order of rows counts, as the first
+particles of cells that share no pixel in any camera. The order of rows counts, as the first
 take most light, so that rows of one portion are fitted before those of the next.
 
 The leverage of a fit is how much of each pixel it takes for itself.
@@ -38,8 +38,8 @@ from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 
 _CELL_PX, _CELLS = 24.0, 1500  # least edge of a cell, and most cells
-_FEW = 20_000  # rows: fewer are fitted in their order, whose effect is larger than the time saved
-_MOVE_PX = 3.0  # by which fits move images, at most
+_FEW = 20_000  # rows: fewer are fitted in their order, which matters more than the time saved
+_MOVE_PX = 3.0  # largest shift of images by fits
 
 Groups = Sequence[I64]
 
@@ -96,7 +96,7 @@ def disjoint_groups(
     groups: list[list[I64]] = [[] for _ in range(portions * turns)]
     for group in np.split(order, cuts):
         groups[turn[group[0]]].append(rows[group])
-    return [one for one in groups if one]
+    return [batch for batch in groups if batch]
 
 
 def order_in_memory(maps: VolumePolynomials, position: F64, pixel: float) -> I64:
@@ -157,13 +157,13 @@ def _colours(low: Any, high: Any) -> Any:
 
 
 @numba.njit(cache=True)
-def _overlap(low: Any, high: Any, one: int, other: int) -> bool:
+def _overlap(low: Any, high: Any, first: int, other: int) -> bool:
     for c in range(low.shape[1]):
         if (
-            low[one, c, 0] <= high[other, c, 0]
-            and low[other, c, 0] <= high[one, c, 0]
-            and low[one, c, 1] <= high[other, c, 1]
-            and low[other, c, 1] <= high[one, c, 1]
+            low[first, c, 0] <= high[other, c, 0]
+            and low[other, c, 0] <= high[first, c, 0]
+            and low[first, c, 1] <= high[other, c, 1]
+            and low[other, c, 1] <= high[first, c, 1]
         ):
             return True
     return False
@@ -173,8 +173,8 @@ def paint_particles(model: ImageModel, sigma: F64, particles: ModelParticles, si
     """Add the light of particles times a sign to what is left of the images."""
 
     def paint(camera: int) -> None:
-        one, room = _of_camera(model, sigma, camera)
-        paint_all(one, room, _in_camera(particles, camera), sign)
+        view, room = _of_camera(model, sigma, camera)
+        paint_all(view, room, _in_camera(particles, camera), sign)
 
     for_each(paint, len(sigma))
 
@@ -187,13 +187,13 @@ def misfits(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
 
 
 def split_gains(model: ImageModel, sigma: F64, particles: ModelParticles, steps: F64) -> F64:
-    """Measure (n,) the cost that a split along the best of steps (k, 3) may save."""
+    """Predict (n,) the decrease of the cost by a split along the best step (k, 3)."""
     gains = np.zeros(len(particles.position))
     return _measure(model_moves.measure_split_gains, model, sigma, particles, gains, steps)
 
 
 def light_gains(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
-    """Measure (n, camera) how much cost particles' light saves in each camera."""
+    """Compute (n, camera) the decrease of the cost by light in each camera."""
     return _measure(
         model_moves.measure_light_gains, model, sigma, particles, np.zeros(particles.light.shape)
     )
@@ -220,9 +220,9 @@ def leverage(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
     out = np.zeros(model.images.shape)
 
     def add(camera: int) -> None:
-        one, room = _of_camera(model, sigma, camera)
-        own = np.ascontiguousarray(taken[:, camera])
-        add_leverage(one, room, _in_camera(particles, camera), own, out[camera])
+        view, room = _of_camera(model, sigma, camera)
+        camera_taken = np.ascontiguousarray(taken[:, camera])
+        add_leverage(view, room, _in_camera(particles, camera), camera_taken, out[camera])
 
     for_each(add, len(sigma))
     return out
@@ -230,10 +230,10 @@ def leverage(model: ImageModel, sigma: F64, particles: ModelParticles) -> F64:
 
 def _of_camera(model: ImageModel, sigma: F64, camera: int) -> tuple[ImageModel, Room]:
     """Return a view of one camera alone, and room with windows as wide as in all."""
-    one = slice(camera, camera + 1)
-    maps = model.maps._replace(coefficients=model.maps.coefficients[one])
+    part = slice(camera, camera + 1)
+    maps = model.maps._replace(coefficients=model.maps.coefficients[part])
     arrays = ("shapes", "typical", "images", "weight", "left")
-    view = model._replace(maps=maps, **{name: getattr(model, name)[one] for name in arrays})
+    view = model._replace(maps=maps, **{name: getattr(model, name)[part] for name in arrays})
     return view, make_room(np.full((1, 2), sigma.max()))
 
 
@@ -251,10 +251,10 @@ def some_rows(particles: ModelParticles, rows: slice) -> ModelParticles:
 def tell_taken(model: Any, room: Any, particles: Any, taken: Any) -> None:
     """Fill in what the fit of particles takes of each camera's pixels (n, camera, 2).
 
-    The first is the factor of the image's square: the light takes as much of one pixel as the image
-    tells more of it than its prior and the other cameras. The second is that of the squares of the
-    image's derivatives: the position takes as much of three as the camera has a share in. Both are
-    0 where a camera does not see the particle. Neighbours count as known.
+    The first is the factor of the image's square, from the camera's share in the information about
+    the light. The second is that of the squares of the image's derivatives, from its share in the
+    information about the position. Both are 0 where a camera does not see the particle. Neighbours
+    count as known.
     """
     cameras = len(model.typical)
     for n in range(len(particles.position)):
@@ -278,17 +278,17 @@ def add_leverage(model: Any, room: Any, particles: Any, taken: Any, leverage: An
 
     The pixels include margins.
     """
-    own, by_x, by_y = np.zeros((3, room.window, room.window), dtype=np.float32)
+    image, by_x, by_y = np.zeros((3, room.window, room.window), dtype=np.float32)
     weights, corner = model.weight[0], room.corner[0]
     for n in range(len(particles.position)):
         if not taken[n, 1] > 0.0:
             continue
         place_windows(model, room, particles.position[n])
-        fill_image(model, room, 0, own)
+        fill_image(model, room, 0, image)
         fill_slopes(model, room, 0, by_x, by_y)
         for i in range(room.window):
             for j in range(room.window):
                 slopes = by_x[i, j] * by_x[i, j] + by_y[i, j] * by_y[i, j]
-                share = taken[n, 0] * own[i, j] * own[i, j] + taken[n, 1] * slopes
+                share = taken[n, 0] * image[i, j] * image[i, j] + taken[n, 1] * slopes
                 row, column = corner[1] + i, corner[0] + j
                 leverage[row, column] += share * abs(weights[row, column])

@@ -38,7 +38,7 @@ _FEWER = 0.998  # of the candidates: more that are left share the light as befor
 _STEPS = 3  # rounds from the first floor to the last
 _GROWTH = 1.02  # of the number of particles in a round: less is the end
 _UNEXPLAINED = 0.015  # of the light: more that remains has a reason
-_NOTABLE = 0.001  # of the particles: fewer that are added are not worth another round
+_NOTABLE = 0.001  # of the particles: fewer new ones end the rounds
 _FLATTER = 0.9  # of squares left, where images are flat (0.4 to 0.8); by chance few look so (0.97)
 CAPS = (0.3, 0.05)  # largest error of the model, over a typical peak, first and last
 
@@ -51,7 +51,7 @@ class BayesianIprSettings:
     ----------
     rounds : the most of search and removal, after the first.
     splits : the most rounds of splits, search and removal after those.
-    fits : the most times that all particles are fitted at each step; it ends when they are settled.
+    fits : largest number of fits of all particles at each step; fewer once they converge.
     widening : of the particles' images while candidates share the light, over their width, with
         four cameras; less with more.
     budget_s : seconds after which a frame's search ends with the particles so far; None is no end.
@@ -73,8 +73,8 @@ def reconstruct_most_probable(
     if search is None:
         return no_particles(len(case.cameras))
     parts = obstacles.find_partly_hidden(search) if search.unexplained() > _UNEXPLAINED else []
-    found = reduce(joined, (one.found() for one in (search, *parts)))
-    return candidate_search.turn_to_world(found, axes)
+    particles = reduce(joined, (part.found() for part in (search, *parts)))
+    return candidate_search.turn_to_world(particles, axes)
 
 
 def dark_images(case: Observation) -> ClearImages:
@@ -85,7 +85,7 @@ def dark_images(case: Observation) -> ClearImages:
 
 
 class Known(NamedTuple):
-    """Particles taken for real: positions (n, 3) mm, light (n, all cameras)."""
+    """Confirmed particles: positions (n, 3) mm, light (n, all cameras)."""
 
     position: F64
     light: F64
@@ -95,15 +95,15 @@ def search_frame(
     case: Observation,
     maps: VolumePolynomials,
     settings: BayesianIprSettings,
-    known: Known | None = None,
+    confirmed: Known | None = None,
 ) -> ParticleSearch | None:
     """Search for a frame's particles; None if too few cameras show any.
 
-    The first candidates share the light that known particles leave. Areas in which something hides
+    The first candidates share the light that known particles leave. Areas where something hides
     particles from a camera do not count. Cameras that contradict the others are left out, with a
     warning.
     """
-    frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s), known)
+    frame = _Frame(dark_images(case), maps, settings, Deadline(settings.budget_s), confirmed)
     search = _find_visible(frame, np.zeros(len(case.cameras), dtype=np.bool_))
     if search is None:
         return None
@@ -127,7 +127,7 @@ def search_frame(
 def _flatten(search: ParticleSearch) -> None:
     """Use the measured flatness of images if that leaves less of them.
 
-    All particles are tried again: halves of a particle whose image was taken for a Gaussian gain
+    All particles are tried again: halves of a particle with a non-Gaussian image gain
     nothing now.
     """
     plain, before = search.shapes.copy(), search.squares_left()
@@ -152,7 +152,7 @@ class _Frame(NamedTuple):
     maps: VolumePolynomials
     settings: BayesianIprSettings
     deadline: Deadline
-    known: Known | None
+    confirmed: Known | None
 
 
 def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
@@ -178,7 +178,7 @@ def _find_visible(frame: _Frame, wrong: Bool) -> ParticleSearch | None:
 
 def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> ParticleSearch | None:
     """Find particles, except pairs that look like one, outside areas that are hidden."""
-    clear, maps, settings, deadline, known = frame
+    clear, maps, settings, deadline, confirmed = frame
     unknown = clear.flaws.unknown if hidden is None else clear.flaws.unknown | hidden
     statistics = measure_images(clear.images.astype(np.float64), ~unknown)
     statistics = replace(statistics, shown=statistics.shown & ~wrong)
@@ -188,10 +188,10 @@ def _find_most(frame: _Frame, wrong: Bool, hidden: Bool | None = None) -> Partic
     if hidden is not None:
         search.hide(hidden)
     search.deadline = deadline
-    if known is not None:
-        place = (known.position - maps.middle_mm) / maps.half_mm
+    if confirmed is not None:
+        place = (confirmed.position - maps.middle_mm) / maps.half_mm
         inside = (np.abs(place) <= 1.0).all(axis=1)
-        light = known.light[inside][:, search.shown]
+        light = confirmed.light[inside][:, search.shown]
         light = np.where(light > 0.0, light, search.typical)
         search.put(place[inside], light, np.full(len(light), -1))
     search = _share_the_light(search, settings)
@@ -225,18 +225,18 @@ def split_and_find(search: ParticleSearch) -> int:
     return more
 
 
-def _share_the_light(known: ParticleSearch, settings: BayesianIprSettings) -> ParticleSearch:
+def _share_the_light(base: ParticleSearch, settings: BayesianIprSettings) -> ParticleSearch:
     """Fit the first candidates jointly, and drop the darkest, slowly.
 
-    Known particles keep their light. Images are wider than they are, which keeps candidates
-    together whose images meet by chance. In many cameras few do, but then two particles whose
-    images are wide become one.
+    Known particles keep their light. The modelled images are wider than the real ones, which
+    keeps chance candidates together. In many cameras these are few, but then two particles with
+    wide images become one.
     """
-    search = known.rest(np.arange(len(known.typical)))
+    search = base.rest(np.arange(len(base.typical)))
     # saturated pixels have no more light than they show, or candidates would not share it
-    search.saturated = np.zeros_like(known.saturated)
+    search.saturated = np.zeros_like(base.saturated)
     few = min(_FEW_CAMERAS / len(search.typical), 1.0) ** 2
-    search.set_width((1.0 + few * (settings.widening - 1.0)) * known.sigma)
+    search.set_width((1.0 + few * (settings.widening - 1.0)) * base.sigma)
     search.reset_covariance(_BETWEEN, _ANY_LIGHT)
     learned_model.weigh_pixels(search, CAPS[0])
     search.find(_FIRST_FLOOR)
@@ -249,14 +249,14 @@ def _share_the_light(known: ParticleSearch, settings: BayesianIprSettings) -> Pa
         common = search.common_light()
         real, before = common[common > _REAL], _FEWER * len(common)
         search.keep(common >= level * (np.median(real) if len(real) else 1.0))
-    search.saturated = known.saturated
+    search.saturated = base.saturated
     search.reset_covariance()
-    search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * known.sigma)
+    search.set_width((1.0 - _NARROWER * min(search.overlap(), 1.0)) * base.sigma)
     search.refine(settings.fits)
-    search.images[:] = known.images
+    search.images[:] = base.images
     search.subtract_all()
-    if len(known.position):
-        search.put(known.position, known.light, np.full(len(known.position), -1))
+    if len(base.position):
+        search.put(base.position, base.light, np.full(len(base.position), -1))
         search.refine(settings.fits)
     learned_model.learn_light(search)
     return search

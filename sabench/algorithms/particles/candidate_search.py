@@ -41,7 +41,7 @@ _FEWEST = 3  # cameras that see a place: two lines of sight meet by chance too o
 # Axes of the rig, shares of the volume, and faults of cameras:
 _VECTORS = {"position_mm", "velocity_mm_s", "acceleration_mm_s2"}
 _SQUARES = {"covariance_mm2", "velocity_covariance", "acceleration_covariance"}
-# points that tell shares, and which cameras see a pixel's part of the box, and those in a block of
+# points for shares, and for cameras that see a pixel's part of the box, and those in a block of
 # pixels on average
 _FOR_SHARES, _FOR_VIEWS, _EACH = 140_000, 400_000, 16
 _LONELY = 0.05  # of a pixel's part of the box, which few cameras see
@@ -91,7 +91,7 @@ def mean_spacing(maps: VolumePolynomials, count: float) -> float:
 
 
 def split_directions(maps: VolumePolynomials) -> F64:
-    """Make nine steps (n, 3) mm by which two particles may differ.
+    """Make nine steps (n, 3) mm, trial differences of two particles.
 
     Depth is the direction that moves images the least. Steps across it are one pixel of the best
     camera, steps along it longer, as the cameras resolve it less.
@@ -100,10 +100,10 @@ def split_directions(maps: VolumePolynomials) -> F64:
     values, vectors = np.linalg.eigh(np.einsum("cia,cib->ab", slopes, slopes))
     depth = vectors[:, 0] * np.sign(vectors[np.argmax(np.abs(vectors[:, 0])), 0])
     least = np.argsort(np.abs(depth), kind="stable")[0]  # the world's axis that is most across
-    one = np.eye(3)[least] - depth[least] * depth
-    one /= np.linalg.norm(one)
+    across = np.eye(3)[least] - depth[least] * depth
+    across /= np.linalg.norm(across)
     longer = min(math.sqrt(values[1] / max(values[0], 1e-300)), _DEEPEST)
-    frame = np.stack([one, np.cross(depth, one), longer * depth])
+    frame = np.stack([across, np.cross(depth, across), longer * depth])
     return np.asarray(pixel_mm(maps) * _STEPS @ frame)
 
 
@@ -257,7 +257,7 @@ def _mark_maxima(means: Any, places: Any) -> int:
 
 @numba.njit(cache=True)
 def _is_maximum(means: Any, z: int, y: int, x: int) -> bool:
-    """Say whether no neighbour is brighter, and no earlier one as bright."""
+    """Return whether no neighbour is brighter, and no earlier one as bright."""
     slices, rows, columns = means.shape
     here, number = means[z, y, x], (z * rows + y) * columns + x
     for k in range(max(z - 1, 0), min(z + 2, slices)):
@@ -288,8 +288,8 @@ def rig_axes(maps: VolumePolynomials) -> F64:
 def turn_maps(maps: VolumePolynomials, axes: F64) -> VolumePolynomials:
     """Rewrite polynomials for coordinates along other axes (3, 3) of the same box."""
     order = np.abs(axes).argmax(axis=1)
-    there = {tuple(power): row for row, power in enumerate(maps.powers[:, order].tolist())}
-    rows = [there[tuple(power)] for power in maps.powers.tolist()]
+    row_of = {tuple(power): row for row, power in enumerate(maps.powers[:, order].tolist())}
+    rows = [row_of[tuple(power)] for power in maps.powers.tolist()]
     signs = np.prod(axes.sum(axis=1) ** maps.powers, axis=1)
     turned = np.ascontiguousarray(maps.coefficients[:, rows] * signs[:, None])
     return VolumePolynomials(
@@ -297,9 +297,9 @@ def turn_maps(maps: VolumePolynomials, axes: F64) -> VolumePolynomials:
     )
 
 
-def turn_to_world(found: FoundParticles, axes: F64) -> FoundParticles:
+def turn_to_world(particles: FoundParticles, axes: F64) -> FoundParticles:
     """Convert particles from coordinates along axes (3, 3) to the world's."""
-    turned: dict[str, Any] = {declared.name: value for declared, value in found.arrays()}
+    turned: dict[str, Any] = {declared.name: value for declared, value in particles.arrays()}
     for name in turned.keys() & _VECTORS:
         turned[name] = turned[name] @ axes
     for name in turned.keys() & _SQUARES:
@@ -325,7 +325,7 @@ def volume_shares(maps: VolumePolynomials, shape: tuple[int, ...]) -> F64:
 
 
 def shared_views(maps: VolumePolynomials, shape: tuple[int, ...], fewest: int) -> Bool:
-    """Mark pixels whose part of the box at least `fewest` cameras see nearly all of.
+    """Mark pixels of parts of the box that `fewest` cameras see almost in full.
 
     Pixels that show no part of the box are marked, too.
     """

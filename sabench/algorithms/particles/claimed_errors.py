@@ -18,7 +18,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each
 
-_LEAST_ERROR_PX = 0.002  # of positions, beside what the images tell
+_LEAST_ERROR_PX = 0.002  # of positions, added to those from the images
 _NARROWEST_PX = 0.1  # axis of an image
 _LEAST = 1e-100  # variance of images without noise
 _STEPS, _LEAST_FREE = 4, 0.2  # of fits of the variance, and least share of a pixel that is free
@@ -35,7 +35,7 @@ def claimed_covariances(
     """
     maps, taken = model.maps, leverage(model, sigma, particles)
     images, left, weight, taken = (
-        without_margins(one) for one in (model.images, model.left, model.weight, taken)
+        without_margins(padded) for padded in (model.images, model.left, model.weight, taken)
     )
 
     def spots_in(camera: int) -> ParticleSpots:

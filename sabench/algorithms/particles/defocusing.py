@@ -27,8 +27,8 @@ from sabench.utils.arrays import F64, I64
 
 _PARALLEL_DEGREES = 1.0  # between an optical axis and the normal of the apertures' plane
 _EQUAL = 0.02  # relative difference of the sides of an equilateral triangle
-_MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
-_SEARCHED = 1.5  # times the reach: radius in which the third image is looked for
+_MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
+_SEARCHED = 1.5  # times the reach: search radius of the third image
 _THIRD = 4  # nearest images of the third camera that are tried
 _BATCH = 2000  # of the first camera's images at a time, for bounded memory
 
@@ -127,7 +127,7 @@ def find_by_defocusing(
     false_alarms: float = FALSE_ALARMS,
     reach_px: float = 0.8,
 ) -> FoundParticles:
-    """Find the particles whose three images form a triangle, each image used once.
+    """Find particles with three images that form a triangle; each image is used once.
 
     Parameters
     ----------
@@ -139,9 +139,9 @@ def find_by_defocusing(
     apertures = Apertures.of(cameras)
     peaks = matching.detect_in_cameras(case, floor, false_alarms)
     every = match_triangles(apertures, cameras, peaks, case.grid, reach_px)
-    found = matching.select_rows(every, matching.select_best(every, peaks))
-    light = matching.heights_of(found.hit, peaks, case.normalised_images()).mean(axis=1)
-    return FoundParticles(found.position, light)
+    best = matching.select_rows(every, matching.select_best(every, peaks))
+    light = matching.heights_of(best.hit, peaks, case.normalised_images()).mean(axis=1)
+    return FoundParticles(best.position, light)
 
 
 def match_triangles(
@@ -160,20 +160,20 @@ def match_triangles(
     Returns positions in mm.
     """
     views = zip(cameras, peaks, strict=True)
-    images = [apertures.superimpose(camera, found.pixels) for camera, found in views]
-    found = [matching.PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
+    images = [apertures.superimpose(camera, camera_peaks.pixels) for camera, camera_peaks in views]
+    sets = [matching.PeakSets(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64), np.empty(0))]
     if all(map(len, images)):
         for hit in _triples(apertures, images, apertures.sizes(grid), reach_px):
             triangles = np.stack(
-                [own[numbers] for own, numbers in zip(images, hit.T, strict=True)], axis=1
+                [image[numbers] for image, numbers in zip(images, hit.T, strict=True)], axis=1
             )
             position, off = apertures.locate(triangles)
             voxels = grid.to_voxels(position)
             last = np.asarray(grid.shape[::-1]) - 1.0
             inside = ((voxels >= -_MARGIN) & (voxels <= last + _MARGIN)).all(axis=1)
             good = inside & (off <= reach_px)
-            found.append(matching.PeakSets(position[good], hit[good], off[good]))
-    return matching.join_sets(found)
+            sets.append(matching.PeakSets(position[good], hit[good], off[good]))
+    return matching.join_sets(sets)
 
 
 def _triples(
@@ -187,20 +187,20 @@ def _triples(
     order = np.argsort(second[:, 1], kind="stable")
     down = second[order, 1]
     for start in range(0, len(first), _BATCH):
-        own = first[start : start + _BATCH]
-        low = np.searchsorted(down, own[:, 1] - 2.0 * reach_px)
-        high = np.searchsorted(down, own[:, 1] + 2.0 * reach_px)
-        one = np.repeat(np.arange(len(own)), high - low)
-        rows = np.arange(len(one)) - np.repeat(np.cumsum(high - low) - (high - low), high - low)
-        other = order[rows + low[one]]
-        side = own[one, 0] - second[other, 0]
+        batch = first[start : start + _BATCH]
+        low = np.searchsorted(down, batch[:, 1] - 2.0 * reach_px)
+        high = np.searchsorted(down, batch[:, 1] + 2.0 * reach_px)
+        member = np.repeat(np.arange(len(batch)), high - low)
+        rows = np.arange(len(member)) - np.repeat(np.cumsum(high - low) - (high - low), high - low)
+        other = order[rows + low[member]]
+        side = batch[member, 0] - second[other, 0]
         fits = (side >= sizes[0] - 2.0 * reach_px) & (side <= sizes[1] + 2.0 * reach_px)
-        one, other, side = one[fits], other[fits], side[fits]
-        middle = (own[one, 1] + second[other, 1]) / 2.0
-        corner = np.column_stack([own[one, 0], middle]) - side[:, None] * to_third
+        member, other, side = member[fits], other[fits], side[fits]
+        middle = (batch[member, 1] + second[other, 1]) / 2.0
+        corner = np.column_stack([batch[member, 0], middle]) - side[:, None] * to_third
         apart, last = tree.query(corner, k=_THIRD, distance_upper_bound=near)
         pair, which = np.nonzero(np.isfinite(apart))
-        yield np.column_stack([one[pair] + start, other[pair], last[pair, which]])
+        yield np.column_stack([member[pair] + start, other[pair], last[pair, which]])
 
 
 def _sides(corners: F64) -> F64:

@@ -6,7 +6,7 @@ images is searched again, in each of the first frames, until no more of them are
 
 A ghost does not move as particles around it do, and not for several frames. Each track starts with
 the velocity of the flow there, and a Kalman filter predicts it from frame to frame. The velocity
-comes from links of which many are wrong: wrong ones scatter over all displacements, right ones
+comes from links, many of them wrong: wrong ones scatter over all displacements, right ones
 gather where neighbours move. The densest place among the velocities of the nearest links (mean
 shift, D. Comaniciu and P. Meer, IEEE Trans. Pattern Anal. Mach. Intell. 24, 603-619, 2002) is that
 of the flow. A weighted fit takes out the velocity gradient.
@@ -42,7 +42,7 @@ _GAP = 1  # frames in a row that a track may miss
 _NEAR = 9.0  # sum of squared misses over the expected ones of what continues a track
 _FEW = 6  # particles that may continue a track
 _LEAST = 0.1  # of a position's error: the least that accelerations move a particle in an interval
-_KNOWN = 2.0  # error of a position that is worth taking, over that of one found
+_KNOWN = 2.0  # largest error of a position, over that of a detected one
 
 # Velocity of the flow:
 _NEAREST = 60  # links that vote
@@ -50,7 +50,7 @@ _FRAMES = 2.6  # longest time between a link and where its vote counts, over tha
 _WIDTH = 0.15  # scatter of right votes in an interval, over the distance between particles
 _LEAST_SPREAD = 0.2  # of that scatter: the least of a velocity
 _SHIFTS, _FITS = 5, 3
-_EVEN = 1e-3, 0.5  # what is known of velocity and its gradient beforehand, in votes
+_EVEN = 1e-3, 0.5  # weights of the prior of velocity and its gradient, in votes
 _PORTION = 4096  # positions in one step, for the memory
 
 
@@ -88,27 +88,27 @@ def search_window(
     searches += [search_frame(case, maps, settings) for case in cases[len(alone) :]]
     confirmed = 0
     for number in range(_PASSES):
-        found = [search.found() for search in searches if search is not None]
-        if len(found) < len(cases) or min(len(one.position_mm) for one in found) <= _NEIGHBOURS:
+        frames = [search.found() for search in searches if search is not None]
+        counts = [len(frame.position_mm) for frame in frames]
+        if len(counts) < len(cases) or min(counts) <= _NEIGHBOURS:
             return list(alone)
         finds = []
-        for frame, time in zip(found, times_s, strict=True):
+        for frame, time in zip(frames, times_s, strict=True):
             variance = np.asarray(frame.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
             # the errors are as large as where images overlap
             usual = np.median(variance, axis=0)
             usual *= (_ERROR_PX * pixel_mm(maps)) ** 2 / usual.min()
             errors = np.broadcast_to(usual, variance.shape)
             finds.append(Finds(time, frame.position_mm, errors, np.asarray(frame.light)))
-        count = float(np.mean([len(one.position_mm) for one in found]))
-        known = confirm_tracks(finds, mean_spacing(maps, count))
-        before, confirmed = confirmed, sum(len(one.position) for one in known)
+        real = confirm_tracks(finds, mean_spacing(maps, float(np.mean(counts))))
+        before, confirmed = confirmed, sum(len(frame.position) for frame in real)
         if not confirmed:
             return list(alone)
         last = number == _PASSES - 1 or confirmed < _GROWTH * before
         few = len(alone) if last else len(cases)
         searches = [
             search_frame(case, maps, settings, sure)
-            for case, sure in zip(cases[:few], known[:few], strict=True)
+            for case, sure in zip(cases[:few], real[:few], strict=True)
         ]
         if last:
             break
@@ -133,8 +133,8 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
     frames : at least as many as confirm a track.
     spacing : distance between particles, mm.
     """
-    votes = collect_votes([one.position for one in frames], [one.time for one in frames])
-    flow = [estimate_velocity(votes, one.position, one.time, spacing) for one in frames]
+    votes = collect_votes([frame.position for frame in frames], [frame.time for frame in frames])
+    flow = [estimate_velocity(votes, frame.position, frame.time, spacing) for frame in frames]
     least = _LEAST * float(np.sqrt(frames[0].variance.min())) / votes.interval**2
     tracks = kalman_tracks.start_tracks(frames[0].position, flow[0][0], votes.longest, least)
     motion = tracks.acceleration, tracks.jerk
@@ -146,16 +146,16 @@ def confirm_tracks(frames: Sequence[Finds], spacing: float) -> list[Known]:
     )
     expected = np.nanmean(velocity, axis=1), np.nanmean(spread, axis=1)
     typical = np.nanmedian(light, axis=1)
-    known = []
+    confirmed = []
     for frame in frames:
-        times = np.array([one.time - frame.time for one in frames])
+        times = np.array([other.time - frame.time for other in frames])
         state, errors = kalman_tracks.most_probable_motion(
             times, position, variance, *expected, *motion
         )
         usual = np.sqrt(np.median(frame.variance, axis=0))
         good = np.median(np.sqrt(errors[:, :, 0, 0]) / usual, axis=1) < _KNOWN
-        known.append(Known(state[good, 0], typical[good]))
-    return known
+        confirmed.append(Known(state[good, 0], typical[good]))
+    return confirmed
 
 
 def _table(real: I64, number: Sequence[I64], values: Sequence[F64]) -> F64:
@@ -178,11 +178,11 @@ def _number_tracks(
         if len(tracks.number):
             tracks.predict(frame.time - last)
             every = np.arange(len(tracks.number))
-            rows, seen = tracks.pair(every, frame.position, frame.variance, _FEW, _NEAR)
-            number[seen] = tracks.number[rows]
-            tracks.update(rows, frame.position[seen], frame.variance[seen], frame.light[seen])
+            rows, hits = tracks.pair(every, frame.position, frame.variance, _FEW, _NEAR)
+            number[hits] = tracks.number[rows]
+            tracks.update(rows, frame.position[hits], frame.variance[hits], frame.light[hits])
             tracks.acceleration, tracks.jerk = motion
-            tracks.select((tracks.missed <= _GAP) & ((tracks.seen > 1) | (tracks.missed == 0)))
+            tracks.select((tracks.missed <= _GAP) & ((tracks.sightings > 1) | (tracks.missed == 0)))
         new = np.flatnonzero(number < 0)
         number[new] = born + np.arange(len(new))
         begun = frame.position[new], frame.variance[new], frame.light[new]
@@ -211,10 +211,10 @@ class LinkVotes(NamedTuple):
 def collect_votes(position: Sequence[F64], times_s: Sequence[float]) -> LinkVotes:
     """Link the particles (n, 3) of each frame to those of the next one."""
     votes = []
-    for one, other, start, end in zip(position, position[1:], times_s, times_s[1:], strict=False):
-        numbers = link([one, other], [np.ones(len(one)), np.ones(len(other))], [start, end])
+    for early, late, start, end in zip(position, position[1:], times_s, times_s[1:], strict=False):
+        numbers = link([early, late], [np.ones(len(early)), np.ones(len(late))], [start, end])
         _, i, j = np.intersect1d(numbers[0], numbers[1], return_indices=True)
-        middle, shift = (one[i] + other[j]) / 2.0, other[j] - one[i]
+        middle, shift = (early[i] + late[j]) / 2.0, late[j] - early[i]
         time = np.full(len(i), (start + end) / 2.0)
         votes.append((middle, shift / (end - start), time))
     places, velocities, times = (np.concatenate(parts) for parts in zip(*votes, strict=True))
@@ -258,11 +258,11 @@ def _fit(velocity: F64, away: F64, width: float) -> tuple[F64, F64]:
         weight = _weigh(velocity - middle[:, None], width)
         middle = np.einsum("nk,nka->na", weight, velocity) / weight.sum(axis=1)[:, None]
     terms = np.concatenate([np.ones((*away.shape[:2], 1)), away], axis=2)
-    known = np.diag([_EVEN[0], *[_EVEN[1]] * 3])
+    prior = np.diag([_EVEN[0], *[_EVEN[1]] * 3])
     fitted = np.repeat(middle[:, None], velocity.shape[1], axis=1)
     for _ in range(_FITS):
         weight = _weigh(velocity - fitted, width)
-        matrix = np.einsum("nkp,nk,nkq->npq", terms, weight, terms) + known
+        matrix = np.einsum("nkp,nk,nkq->npq", terms, weight, terms) + prior
         right = np.einsum("nkp,nk,nka->npa", terms, weight, velocity - middle[:, None])
         change = np.linalg.solve(matrix, right)
         fitted = middle[:, None] + terms @ change

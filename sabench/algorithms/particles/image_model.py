@@ -1,7 +1,7 @@
-"""Images as sums of particles' images, and what they say of one particle.
+"""Images as sums of particles' images, and the sums over one particle's windows.
 
 All cameras' windows of a particle are placed first, and then looked at, so that kernels pass few
-arrays to each other: a call that hands on the whole model and room costs more than a window's sums.
+arrays to each other: a call that passes the whole model and room takes longer than a window's sums.
 
 Sums over windows are taken on vector units (`vector_units`): images have margins that windows
 outside lie in, rows of a window are a whole number of lanes, and what must not count is multiplied
@@ -68,12 +68,12 @@ def without_margins(images: Any) -> Any:
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_weights(known: Any, saturated: Any, variance: Any, weight: Any) -> None:
+def fill_weights(valid: Any, saturated: Any, variance: Any, weight: Any) -> None:
     """Fill in a camera's weights, with margins, from its pixels without."""
-    rows, columns = known.shape
+    rows, columns = valid.shape
     for i in range(rows):
         for j in range(columns):
-            if known[i, j]:
+            if valid[i, j]:
                 each = np.float32(1.0) / variance[i, j]
                 weight[MARGIN_PX + i, MARGIN_PX + j] = -each if saturated[i, j] else each
 
@@ -86,14 +86,14 @@ class ImageModel(NamedTuple):
     maps : cameras.
     shapes : (camera, SHAPES, 4) of particle images: widths along columns and rows, px, covariance
         of both, px2, and flatness, in the box's middle, and their change along each of its
-        coordinates. The last two are 0 in the middle for a camera whose images are plain: Gaussians
+        coordinates. The last two are 0 in the middle for a camera with plain images: Gaussians
         that have columns and rows as axes. Flat ones are like discs.
     typical : (camera,) a typical particle's light.
     precision : (camera, camera) inverse covariance of the logarithms of light.
     log_precision, least_precision : logarithm of its determinant, and least eigenvalue.
     images : (camera, row, column) float32, less black, with margins.
     weight : the same shape, 1 / variance of a pixel; 0 in margins and where it is unknown, and less
-        than 0 where it is saturated: such a pixel asks for as much light as it has, or more.
+        than 0 where it is saturated: such a pixel may have that much light or more.
     left : the same shape, the images less all particles; kept up to date.
     log_rate : logarithm of the number of particles in a unit cube of the box's coordinates.
     """
@@ -200,24 +200,24 @@ def place_windows(model: Any, room: Any, position: Any) -> None:
             first = math.floor(room.here[c, k] + 0.5) - half
             last = model.left.shape[2 - k] - lanes
             room.corner[c, k] = min(max(first + MARGIN_PX, 0), last)
-            own, slope = (OWN_X, SLOPE_X) if k == 0 else (OWN_Y, SLOPE_Y)
-            shares, slopes = room.profiles[c, own], room.profiles[c, slope]
+            profile, slope = (OWN_X, SLOPE_X) if k == 0 else (OWN_Y, SLOPE_Y)
+            shares, slopes = room.profiles[c, profile], room.profiles[c, slope]
             fill_profile(room.here[c, k], width, first, room.window, shares, slopes)
         if not is_plain(model.shapes, c):
-            seen = room.here[c], room.width[c], room.corner[c]
+            placement = room.here[c], room.width[c], room.corner[c]
             profiles = room.profiles[c, :, : room.window]
-            _shape_profiles(profiles, model.shapes[c], position, *seen)
+            _shape_profiles(profiles, model.shapes[c], position, *placement)
 
 
 @numba.njit(cache=True, inline="always")
 def is_plain(shapes: Any, c: int) -> bool:
-    """Tell whether a camera's images are Gaussians with columns and rows as axes."""
+    """Return whether a camera's images are Gaussians with columns and rows as axes."""
     return bool((shapes[c, 2, 0] == 0.0) & (shapes[c, 3, 0] == 0.0))  # `and` is slower
 
 
 @numba.njit(cache=True)
 def _shape_profiles(
-    own: Any, shape: Any, position: Any, here: Any, width: Any, corner: Any
+    table: Any, shape: Any, position: Any, here: Any, width: Any, corner: Any
 ) -> None:
     """Fill in the profiles (profile, pixel) of a camera's image that is not plain.
 
@@ -237,16 +237,16 @@ def _shape_profiles(
     column, row = -flat * across * across, -flat * down * down
     for k in range(2):
         start = CURVE_X if k == 0 else WHOLE_Y  # of rows that have room for four derivatives
-        fill_derivatives(here[k], width[k], corner[k] - MARGIN_PX, own[start : start + 4])
-    for i in range(own.shape[1]):
-        own[FLAT_X, i] = column * own[CURVE_X + 2, i]
-        own[FLAT_SLOPE_X, i] = column * own[CURVE_X + 3, i]
-        second, third = own[WHOLE_Y, i], own[WHOLE_Y + 1, i]
-        fourth, fifth = own[WHOLE_Y + 2, i], own[WHOLE_Y + 3, i]
-        own[WHOLE_Y, i] = own[OWN_Y, i] + row * fourth
-        own[WHOLE_SLOPE_Y, i] = own[SLOPE_Y, i] + row * fifth
-        own[TILT_Y, i], own[TILT_SLOPE_Y, i] = tilt * own[SLOPE_Y, i], tilt * second
-        own[CURVE_Y, i], own[CURVE_SLOPE_Y, i] = bend * second, bend * third
+        fill_derivatives(here[k], width[k], corner[k] - MARGIN_PX, table[start : start + 4])
+    for i in range(table.shape[1]):
+        table[FLAT_X, i] = column * table[CURVE_X + 2, i]
+        table[FLAT_SLOPE_X, i] = column * table[CURVE_X + 3, i]
+        second, third = table[WHOLE_Y, i], table[WHOLE_Y + 1, i]
+        fourth, fifth = table[WHOLE_Y + 2, i], table[WHOLE_Y + 3, i]
+        table[WHOLE_Y, i] = table[OWN_Y, i] + row * fourth
+        table[WHOLE_SLOPE_Y, i] = table[SLOPE_Y, i] + row * fifth
+        table[TILT_Y, i], table[TILT_SLOPE_Y, i] = tilt * table[SLOPE_Y, i], tilt * second
+        table[CURVE_Y, i], table[CURVE_SLOPE_Y, i] = bend * second, bend * third
 
 
 @numba.njit(cache=True)
@@ -305,10 +305,10 @@ def _paint(image: Any, x: Any, y: Any, size: int, corner: Any, amount: float) ->
 def paint_here(model: Any, room: Any, light: Any, sign: float) -> None:
     """Add light (camera,) times a sign to the images, where `place_windows` was last."""
     for c in range(len(light)):
-        own, image, amount = room.profiles[c], model.left[c], sign * light[c]
+        rows, image, amount = room.profiles[c], model.left[c], sign * light[c]
         first, pairs = (OWN_X, 1) if is_plain(model.shapes, c) else (FLAT_X, 4)  # as in SHAPED
         for k in range(pairs):
-            _paint(image, own[first + k], own[OWN_Y + k], room.window, room.corner[c], amount)
+            _paint(image, rows[first + k], rows[OWN_Y + k], room.window, room.corner[c], amount)
 
 
 @numba.njit(cache=True)
@@ -335,7 +335,7 @@ def paint_all(model: Any, room: Any, particles: Any, sign: float) -> None:
 
 @numba.njit(cache=True)
 def look(model: Any, room: Any, position: Any, light: Any) -> None:
-    """Sum up what the images say of a particle of this light at a position.
+    """Sum over the windows of a particle of this light at a position.
 
     The images are those less all other particles.
     """
@@ -357,8 +357,8 @@ def match_here(model: Any, room: Any, light: Any) -> None:
             signal, weight, given = match_shaped(
                 left, weights, room.profiles, c, row, column, room.window, light[c]
             )
-        seen = weight > UNSEEN
-        room.signal[c], room.weight[c] = signal if seen else 0.0, weight if seen else 0.0
+        shown = weight > UNSEEN
+        room.signal[c], room.weight[c] = signal if shown else 0.0, weight if shown else 0.0
         room.given[0] += given
 
 
@@ -380,7 +380,7 @@ def sum_up(model: Any, room: Any, position: Any, light: Any) -> None:
             sums = sum_shaped(left, weights, room.profiles, c, row, column, room.window, light[c])
         for k in range(SUMS):
             room.sums[c, k] = sums[k]
-        seen = sums[WEIGHT] > UNSEEN
-        room.weight[c] = sums[WEIGHT] if seen else 0.0
-        room.signal[c] = sums[PULL] + light[c] * sums[WEIGHT] if seen else 0.0
+        shown = sums[WEIGHT] > UNSEEN
+        room.weight[c] = sums[WEIGHT] if shown else 0.0
+        room.signal[c] = sums[PULL] + light[c] * sums[WEIGHT] if shown else 0.0
         room.given[0] += sums[GIVEN]

@@ -7,7 +7,7 @@ penalty: the other side of the same probability, by Laplace's approximation.
 
 The prior of light: the logarithms of a particle's light over a typical particle's follow a normal
 distribution of all cameras. Particles differ (their size), and each differs between cameras (its
-lobes of scattering). A ghost, whose images are those of different particles, seldom follows it. The
+lobes of scattering). A ghost combines images of different particles and seldom follows it. The
 covariance is learned from particles that stand alone.
 """
 
@@ -31,16 +31,16 @@ from sabench.utils.arrays import F64
 from sabench.utils.compiled import numba
 
 # Light:
-_LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step whose next one is nothing
+_LIGHT_STEPS, _LIGHT_STILL = 12, 0.01  # of Newton's method, and the step that is the last
 _LOW, _HIGH = -6.0, 4.0  # of the logarithms
 _SPREAD = 0.2  # squared scatter between cameras, for the first guess
 _CLIP = 0.97  # share of the particles that the covariance comes from
 _OWN = 0.05  # error of the model of images, of a particle's light
-_SHRINK = 20.0  # particles for each camera from which a covariance counts more than its average
+_SHRINK = 20.0  # particles for each camera: with more, a covariance counts more than its average
 
 # Positions:
 _FARTHEST_PX = 0.5  # that a particle moves in one step
-_STILL = 1e-4  # fall of the cost that is not worth a step
+_STILL = 1e-4  # fall of the cost that ends the steps
 
 
 def even_covariance(cameras: int, between: float, common: float) -> F64:
@@ -59,7 +59,7 @@ def scatter_between(covariance: F64) -> float:
 def learn_covariance(logarithms: F64) -> F64:
     """Learn the covariance of logarithms (n, camera) about their medians.
 
-    The most unusual particles do not count, and few particles tell little more than the average
+    The most unusual particles do not count, and few particles show little more than the average
     variance and covariance.
     """
     off, cameras = logarithms - np.median(logarithms, axis=0), logarithms.shape[1]
@@ -83,7 +83,7 @@ def guess_light(signal: Any, weight: Any, typical: Any, logs: Any) -> None:
     Parameters
     ----------
     signal, weight : (camera,) sums of weights times image times data, and times image squared; the
-        data say light = signal / weight where the weight is not 0.
+        data give light = signal / weight where the weight is not 0.
     typical : (camera,) a typical particle's light.
     """
     above, below = 0.0, 0.0
@@ -219,7 +219,7 @@ def best_light(model: Any, room: Any, light: Any) -> float:
 
 @numba.njit(cache=True)
 def _add_to_matrix(matrix: Any, slope: Any, sums: Any, light: float) -> None:
-    """Add what a camera tells of the position to the normal matrix, after `sum_up`."""
+    """Add a camera's share of the position's normal matrix, after `sum_up`."""
     square, xx, xy, yy = light * light, sums[XX], sums[XY], sums[YY]
     for p in range(3):
         for q in range(3):
@@ -270,7 +270,7 @@ def solve_three(matrix: Any, right: Any, step: Any) -> float:
 
 @numba.njit(cache=True)
 def _fits_already(model: Any, room: Any, light: Any) -> bool:
-    """Say whether no step of position or light would lower the cost notably.
+    """Return whether no step of position or light would lower the cost notably.
 
     After `_normal_equations`, with the position's step in `room.trial`. The prior of light bends
     the cost at least as much as in its widest direction.
@@ -348,8 +348,8 @@ def start_light(model: Any, room: Any, particles: Any, rows: Any) -> None:
 def penalty(model: Any, room: Any, position: Any, light: Any) -> float:
     """Compute what a particle must gain to be probable, in units of the cost.
 
-    It is minus the logarithm of the particles expected in the volume that its place is known to,
-    and of how much narrower the images make its light than the prior: the better they tell both,
+    It is minus the logarithm of the particles expected in the volume of its position's errors,
+    and of how much narrower the images make its light than the prior: the smaller both are,
     the less probable it is to find them there by chance.
     """
     sum_up(model, room, position, light)
@@ -360,7 +360,7 @@ def penalty(model: Any, room: Any, position: Any, light: Any) -> float:
         room.bend[c, c] += light[c] * light[c] * room.sums[c, WEIGHT]
         _add_to_matrix(room.matrix, room.slope[c], room.sums[c], light[c])
     factorise_cholesky(room.bend)
-    known = 0.5 * (log_determinant(room.bend) - model.log_precision)
+    information = 0.5 * (log_determinant(room.bend) - model.log_precision)
     determinant = solve_three(room.matrix, room.right, room.trial)
-    known += 0.5 * math.log(max(determinant, 1e-300)) - 1.5 * math.log(2.0 * math.pi)
-    return float(known - model.log_rate)
+    information += 0.5 * math.log(max(determinant, 1e-300)) - 1.5 * math.log(2.0 * math.pi)
+    return float(information - model.log_rate)

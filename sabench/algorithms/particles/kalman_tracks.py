@@ -7,7 +7,7 @@ much particles accelerate at first, come from the misses of the predictions them
 
 The motion in a frame follows from a track's positions before and after by generalised least
 squares, as a fixed-lag smoother would find it (sections 6.2 and 8.6 there): the positions are those
-of a body whose jerk is white noise, each with an error of its own.
+of a body with white-noise jerk, each with an error of its own.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from sabench.api import FoundParticles
 from sabench.utils.arrays import F64, I64, Bool
 
 MATURE = 3  # positions after which a track's own prediction is as good as it gets
-_NEIGHBOURS = 8  # whose velocities a new track is expected to have
-_NEAREST = 5  # particles whose velocities tell their gradient
+_NEIGHBOURS = 8  # that give a new track's expected velocity
+_NEAREST = 5  # particles that give the velocities' gradient
 _WITHIN = 0.6827  # share of a normal variable's values within one standard deviation
-_ENOUGH, _FASTEST = 30, 4.0  # predictions that tell the jerk's strength, and its change at once
+_ENOUGH, _FASTEST = 30, 4.0  # predictions for the jerk's strength, and its change in one update
 _SURPRISE = 12.0  # sum of three squared misses over the expected ones, seldom reached
 _LEAST = 1e-6  # of the first strength
-_BY_TRACK = ("number", "state", "covariance", "light", "seen", "missed")
+_BY_TRACK = ("number", "state", "covariance", "light", "sightings", "missed")
 ANY_SPEED = 1e6  # mm/s
 # first guesses of acceleration over velocity times velocity gradient, and of its change over itself
 # times gradient times time: those of turbulence, within a few percent for two integral lengths;
 # and the most that an acceleration changes from frame to frame
 _ACCELERATION, _CHANGE, _MOST_CHANGE = 1.4, 3.5, 1.4
 _MAD = 1.4826  # standard deviation over the median of distances from the median
-_ABSENT = 1e12  # variance of a position that is not there, over the largest other one
+_ABSENT = 1e12  # variance of a missing position, over the largest other one
 
 
 @dataclass
@@ -50,7 +50,7 @@ class KalmanTracks:
     state : (n, 3, 3) position, velocity and acceleration along the axes, mm and s.
     covariance : (n, 3, 3, 3) of these three, for each axis.
     light : (n, camera) last seen.
-    seen : (n,) how many positions a track has.
+    sightings : (n,) how many positions a track has.
     missed : (n,) predictions since the last of them.
     jerk, least_jerk : power of the jerk, mm2/s5.
     acceleration : variance of a new track's acceleration, mm2/s4.
@@ -60,7 +60,7 @@ class KalmanTracks:
     state: F64
     covariance: F64
     light: F64
-    seen: I64
+    sightings: I64
     missed: I64
     jerk: float
     acceleration: float
@@ -125,25 +125,25 @@ class KalmanTracks:
         """
         off = self.off(rows, position, variance)
         last = self.missed[rows] == 1
-        old, new = self.seen[rows] >= MATURE, self.seen[rows] == MATURE - 1
+        old, new = self.sightings[rows] >= MATURE, self.sightings[rows] == MATURE - 1
         if (last & old).sum() >= _ENOUGH:
             self.jerk = max(self.jerk * _change(off[last & old]), self.least_jerk)
         if (last & new).sum() >= _ENOUGH:
             self.acceleration *= _change(off[last & new])
-        known = self.covariance[rows]
-        known *= np.maximum(off.sum(axis=1) / _SURPRISE, 1.0)[:, None, None, None]
-        gain = known[:, :, :, 0] / (known[:, :, 0, 0] + variance)[:, :, None]
+        covariance = self.covariance[rows]
+        covariance *= np.maximum(off.sum(axis=1) / _SURPRISE, 1.0)[:, None, None, None]
+        gain = covariance[:, :, :, 0] / (covariance[:, :, 0, 0] + variance)[:, :, None]
         miss = position - self.state[rows, 0]
         self.state[rows] += (gain * miss[:, :, None]).transpose(0, 2, 1)
-        self.covariance[rows] = known - gain[:, :, :, None] * known[:, :, None, 0, :]
+        self.covariance[rows] = covariance - gain[:, :, :, None] * covariance[:, :, None, 0, :]
         self.light[rows] = light
-        self.seen[rows] += 1
+        self.sightings[rows] += 1
         self.missed[rows] = 0
 
     def neighbours_velocity(self, position: F64) -> tuple[F64, F64]:
         """Estimate velocities (n, 3) and their variances from tracks near, if any."""
-        known = (self.seen >= 2) & (self.missed == 0)
-        return velocity_near(position, self.state[known, 0], self.state[known, 1])
+        followed = (self.sightings >= 2) & (self.missed == 0)
+        return velocity_near(position, self.state[followed, 0], self.state[followed, 1])
 
     def add(
         self,
@@ -153,20 +153,20 @@ class KalmanTracks:
         light: F64,
         velocity: F64,
         spread: F64,
-        seen: int,
+        sightings: int,
     ) -> None:
         """Begin tracks at positions (n, 3), mm, with velocities, mm/s, and variances.
 
         Both positions and velocities have variances.
 
-        `seen` is how many positions they have.
+        `sightings` is how many positions they have.
         """
         count = len(number)
         state = np.stack([position, velocity, np.zeros((count, 3))], axis=1)
         covariance = np.zeros((count, 3, 3, 3))
         covariance[:, :, 0, 0], covariance[:, :, 1, 1] = variance, spread
         covariance[:, :, 2, 2] = self.acceleration
-        times = np.full(count, seen), np.zeros(count, dtype=np.int64)
+        times = np.full(count, sightings), np.zeros(count, dtype=np.int64)
         new = (number, state, covariance, light, *times)
         for name, more in zip(_BY_TRACK, new, strict=True):
             old = getattr(self, name)
@@ -188,12 +188,12 @@ def start_tracks(position: F64, velocity: F64, longest_s: float, least: float) -
     return KalmanTracks.start(acceleration**2, (change * acceleration) ** 2 / longest_s)
 
 
-def velocity_near(position: F64, known: F64, velocity: F64) -> tuple[F64, F64]:
+def velocity_near(position: F64, neighbours: F64, velocity: F64) -> tuple[F64, F64]:
     """Estimate velocities (n, 3) and variances from known ones (m, 3); 0 without any."""
-    if not len(known):
+    if not len(neighbours):
         return np.zeros_like(position), np.full_like(position, ANY_SPEED**2)
-    count = min(_NEIGHBOURS, len(known))
-    _, near = cKDTree(known).query(position, range(1, count + 1))
+    count = min(_NEIGHBOURS, len(neighbours))
+    _, near = cKDTree(neighbours).query(position, range(1, count + 1))
     around = velocity[near]
     spread = around.var(axis=1) * (1.0 + 2.0 / _NEIGHBOURS)
     if count < 2:
@@ -233,9 +233,9 @@ def most_probable_motion(
     """
     unit = float(np.abs(times).max(initial=0.0)) or 1.0  # of time, so that nothing is lost
     times, jerk = times / unit, jerk * unit**5
-    there = np.isfinite(position) & np.isfinite(variance)
-    largest = float(variance[there].max(initial=0.0)) + jerk
-    noise = np.where(there, variance, _ABSENT * max(largest, 1e-300)).transpose(0, 2, 1)
+    observed = np.isfinite(position) & np.isfinite(variance)
+    largest = float(variance[observed].max(initial=0.0)) + jerk
+    noise = np.where(observed, variance, _ABSENT * max(largest, 1e-300)).transpose(0, 2, 1)
     terms = np.stack([np.ones_like(times), times, times**2 / 2.0], axis=1)
     covariance = jerk * _jerk_covariance(times) + noise[:, :, :, None] * np.eye(len(times))
     weighed = np.linalg.solve(covariance, np.broadcast_to(terms, (*noise.shape[:2], *terms.shape)))
@@ -244,10 +244,10 @@ def most_probable_motion(
     matrix[:, :, 1, 1] += 1.0 / (spread * unit**2)
     right[:, :, 1] += velocity / (spread * unit)
     matrix[:, :, 2, 2] += 1.0 / (acceleration * unit**4)
-    known = np.linalg.inv(matrix)
-    state = np.einsum("napq,naq->npa", known, right)
+    posterior = np.linalg.inv(matrix)
+    state = np.einsum("napq,naq->npa", posterior, right)
     back = unit ** -np.arange(3.0)
-    return state * back[:, None], known * np.outer(back, back)
+    return state * back[:, None], posterior * np.outer(back, back)
 
 
 def _jerk_covariance(times: F64) -> F64:
@@ -256,8 +256,8 @@ def _jerk_covariance(times: F64) -> F64:
     Jerks before and after are independent. Until a time t the position grows with (t - s)^2 / 2:
     two times on one side share the integral of both such squares.
     """
-    one, other = np.abs(times)[:, None], np.abs(times)[None, :]
-    least, rest = np.minimum(one, other), np.abs(one - other)
+    time, other = np.abs(times)[:, None], np.abs(times)[None, :]
+    least, rest = np.minimum(time, other), np.abs(time - other)
     both = least**5 / 20.0 + rest * least**4 / 8.0 + rest**2 * least**3 / 12.0
     return np.where(times[:, None] * times[None, :] > 0.0, both, 0.0)
 
@@ -267,31 +267,31 @@ class TrackedFrame:
     """Particles of a frame, their trajectories (n,), and whether they were seen."""
 
     time: float
-    found: FoundParticles
+    particles: FoundParticles
     number: I64
-    seen: Bool
+    detected: Bool
 
     @property
     def position(self) -> F64:
         """Positions (n, 3), mm."""
-        return self.found.position_mm
+        return self.particles.position_mm
 
     @property
     def variance(self) -> F64:
         """Variances (n, 3) of positions, mm2."""
-        return np.asarray(self.found.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
+        return np.asarray(self.particles.covariance_mm2)[:, [0, 1, 2], [0, 1, 2]]
 
     def add(self, more: FoundParticles, number: I64) -> None:
         """Add particles that were not seen."""
-        self.found = joined(self.found, more)
+        self.particles = joined(self.particles, more)
         self.number = np.concatenate([self.number, number])
-        self.seen = np.concatenate([self.seen, np.zeros(len(number), dtype=np.bool_)])
+        self.detected = np.concatenate([self.detected, np.zeros(len(number), dtype=np.bool_)])
 
     def drop(self, ghosts: I64) -> None:
         """Drop some trajectories."""
-        kept = ~np.isin(self.number, ghosts)
-        self.found, self.number = self.found.rows(kept), self.number[kept]
-        self.seen = self.seen[kept]
+        remaining = ~np.isin(self.number, ghosts)
+        self.particles, self.number = self.particles.rows(remaining), self.number[remaining]
+        self.detected = self.detected[remaining]
 
 
 def no_frame(time: float, cameras: int) -> TrackedFrame:
@@ -305,21 +305,21 @@ def with_motion(
     frames: Sequence[TrackedFrame], frame: TrackedFrame, motion: tuple[float, float] | None
 ) -> FoundParticles:
     """Add velocities, accelerations and positions where none was seen to a frame."""
-    found = replace(frame.found, trajectory=frame.number)
+    particles = replace(frame.particles, trajectory=frame.number)
     if motion is None or not len(frame.number):
-        return found
-    times = np.array([one.time - frame.time for one in frames])
+        return particles
+    times = np.array([other.time - frame.time for other in frames])
     positions = _positions(frames, frame.number)
     moving = np.isfinite(positions[0][:, :, 0]).sum(axis=1) > 1
     still = np.zeros_like(frame.position), np.full_like(frame.position, ANY_SPEED**2)
     state, _ = most_probable_motion(times, *positions, *still, *motion)
     expected = velocity_near(frame.position, frame.position[moving], state[moving, 1])
     state, covariance = most_probable_motion(times, *positions, *expected, *motion)
-    seen = frame.seen[:, None]
-    place = np.where(seen, frame.position, state[:, 0])
-    error = np.where(seen[:, None], np.asarray(found.covariance_mm2), _diagonal(covariance, 0))
+    shown = frame.detected[:, None]
+    place = np.where(shown, frame.position, state[:, 0])
+    error = np.where(shown[:, None], np.asarray(particles.covariance_mm2), _diagonal(covariance, 0))
     return replace(
-        found,
+        particles,
         position_mm=place,
         covariance_mm2=error,
         velocity_mm_s=state[:, 1],
@@ -332,10 +332,10 @@ def with_motion(
 def _positions(frames: Sequence[TrackedFrame], number: I64) -> tuple[F64, F64]:
     """Collect positions, and variances (n, frame, 3), NaN where not seen."""
     position, variance = (np.full((len(number), len(frames), 3), np.nan) for _ in range(2))
-    for slot, one in enumerate(frames):
-        _, i, j = np.intersect1d(number, one.number[one.seen], return_indices=True)
-        position[i, slot] = one.position[one.seen][j]
-        variance[i, slot] = one.variance[one.seen][j]
+    for slot, frame in enumerate(frames):
+        _, i, j = np.intersect1d(number, frame.number[frame.detected], return_indices=True)
+        position[i, slot] = frame.position[frame.detected][j]
+        variance[i, slot] = frame.variance[frame.detected][j]
     return position, variance
 
 

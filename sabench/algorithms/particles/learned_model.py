@@ -36,11 +36,11 @@ from sabench.utils.compiled import numba
 from sabench.utils.threads import for_each, share_rows
 from sabench.utils.vector_units import CURVE_X, OWN_X, OWN_Y, SLOPE_X, SLOPE_Y, TILT_SLOPE_Y
 
-_FEW = 30  # particles that tell nothing of all
+_FEW = 30  # too few particles to represent all
 _ALIGNMENTS, _FARTHEST_PX = 2, 0.5  # steps of cameras' shifts, and the longest of each
 _WIDTH_ERROR, _WIDTH_CHANGE = 0.2, 0.05  # of the first widths, and over the box: their scatter
 _TILT_CHANGE = 0.2  # of tilts, at first and over the box
-_TILTED = 0.2  # correlation somewhere in the box that costs particles
+_TILTED = 0.2  # correlation somewhere in the box that loses particles
 _FLAT_CHANGE = 0.02  # of flatness, at first and over the box
 _SHAPE_ERRORS = np.array(
     [[_WIDTH_ERROR, *[_WIDTH_CHANGE] * 3]] * 2 + [[_TILT_CHANGE] * 4, [_FLAT_CHANGE] * 4]
@@ -49,15 +49,15 @@ _SHAPE_STEPS = np.array([[_WIDTH_CHANGE], [_WIDTH_CHANGE], [_TILT_CHANGE], [_FLA
 _WIDTH_STEPS = 2
 
 # Variance of pixels:
-_CLIP = 30.0  # mean squares: more of one pixel says nothing of the others
+_CLIP = 30.0  # mean squares: largest contribution of a pixel
 _OWN_ERROR = 0.03  # of a particle's image: particles differ
 _UNKNOWN = 0.25  # of light that is left: other particles' tails do not explain it
 
-# Lone particles:
+# Isolated particles:
 _OVERLAP = 4.8  # widths of images: distance of those that overlap
-_ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of lone particles
+_ALONE, _LEAST_ALONE, _HARDLY = 0.03, 60, 0.1  # share, number and overlap of isolated particles
 _BORDER = 4.8  # widths: distance from the border where images are not complete
-_PARTS = 16  # of the particles, whose sums are added up, whatever the number of cores
+_PARTS = 16  # of the particles, summed apart: the number of cores does not matter
 
 
 def weigh_pixels(search: ParticleSearch, cap: float) -> None:
@@ -88,7 +88,7 @@ def learn_light(search: ParticleSearch) -> None:
 
 
 def learn_widths(search: ParticleSearch) -> None:
-    """Learn the shapes of images, and how they change, from lone particles.
+    """Learn the shapes of images, and how they change, from isolated particles.
 
     The half of them count that leave least of their images: others may be two. Few particles must
     be missing, because what they leave makes others wider.
@@ -106,9 +106,9 @@ def learn_widths(search: ParticleSearch) -> None:
         add_shape_misses(model, search.room, particles, lone, matrices, right)
         areas = search.sigma.prod(axis=1)
         units = np.column_stack([search.sigma, areas, np.ones(cameras)])[:, :, None]
-        known = (_SHAPE_ERRORS * units) ** -2.0
-        right -= (known * (search.shapes - search.first_shapes)).reshape(cameras, -1)
-        matrices += known.reshape(cameras, -1, 1) * np.eye(unknowns)
+        precision = (_SHAPE_ERRORS * units) ** -2.0
+        right -= (precision * (search.shapes - search.first_shapes)).reshape(cameras, -1)
+        matrices += precision.reshape(cameras, -1, 1) * np.eye(unknowns)
         _keep_plain(search, matrices, right)
         step = np.linalg.solve(matrices, right[:, :, None]).reshape(search.shapes.shape)
         most = _SHAPE_STEPS * units
@@ -129,9 +129,9 @@ def _keep_plain(search: ParticleSearch, matrices: F64, right: F64) -> None:
     )
     without = np.stack([upright, search.shapes[:, 3, 0] == 0.0], axis=1)
     for camera, term in np.argwhere(without):
-        own = slice(8 + 4 * term, 12 + 4 * term)
-        matrices[camera, own], matrices[camera, :, own], right[camera, own] = 0.0, 0.0, 0.0
-        matrices[camera, own, own] = np.eye(4)
+        tilt = slice(8 + 4 * term, 12 + 4 * term)
+        matrices[camera, tilt], matrices[camera, :, tilt], right[camera, tilt] = 0.0, 0.0, 0.0
+        matrices[camera, tilt, tilt] = np.eye(4)
 
 
 def align_cameras(search: ParticleSearch) -> None:
@@ -146,9 +146,9 @@ def align_cameras(search: ParticleSearch) -> None:
         xx, xy, yy, x, y = sums.T
         matrix = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=2)
         shifts = np.zeros((len(matrix), 2))
-        there = np.linalg.det(matrix) > 0.0  # cameras that see some particles
-        right = np.stack([x, y], axis=1)[there, :, None]
-        shifts[there] = np.linalg.solve(matrix[there], right)[:, :, 0]
+        solvable = np.linalg.det(matrix) > 0.0  # cameras that see some particles
+        right = np.stack([x, y], axis=1)[solvable, :, None]
+        shifts[solvable] = np.linalg.solve(matrix[solvable], right)[:, :, 0]
         search.maps.coefficients[:, 0] += np.clip(shifts, -_FARTHEST_PX, _FARTHEST_PX)
         search.subtract_all()
         search.refine(1)
@@ -168,25 +168,25 @@ def _modelled(image: float, left: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def fill_variance(
-    image: Any, left: Any, known: Any, saturated: Any, dark: float, most: float, variance: Any
+    image: Any, left: Any, valid: Any, saturated: Any, dark: float, most: float, variance: Any
 ) -> None:
     """Fill in the variance of a camera's pixels for the fit of particles.
 
-    A line over the model's light, of which the part above the dark noise is at most `most`, and
-    shares of the model and of what is left. All arrays are (row, column), `dark` is a variance.
+    It is a line over the model's light, at most `most` above the dark noise, plus shares of the
+    model and of what is left. All arrays are (row, column), `dark` is a variance.
     """
     rows, columns = image.shape
     squares, count = 0.0, 0
     for i in range(rows):
         for j in range(columns):
-            if known[i, j]:
+            if valid[i, j]:
                 squares += _miss(left[i, j], saturated[i, j]) ** 2
                 count += 1
     clip = _CLIP * squares / max(count, 1)
     x = y = xx = xy = 0.0
     for i in range(rows):
         for j in range(columns):
-            if known[i, j]:
+            if valid[i, j]:
                 light = _modelled(image[i, j], left[i, j])
                 square = min(_miss(left[i, j], saturated[i, j]) ** 2, clip)
                 x, y, xx, xy = x + light, y + square, xx + light * light, xy + light * square
@@ -200,7 +200,7 @@ def fill_variance(
 
 
 def _find_lone(search: ParticleSearch) -> I64:
-    """Find particles whose images overlap with others' the least, and are complete."""
+    """Find particles with complete images that overlap least with others'."""
     maps, position, light, sigma = search.maps, search.position, search.light, search.sigma
     if len(position) < _FEW:
         return np.zeros(0, dtype=np.int64)
@@ -265,7 +265,7 @@ def add_camera_misses(model: Any, room: Any, particles: Any, equations: Any) -> 
 def add_shape_misses(
     model: Any, room: Any, particles: Any, rows: Any, matrices: Any, right: Any
 ) -> None:
-    """Add up what some particles say of images' shapes, with light as it fits best.
+    """Add some particles' equations for images' shapes, with light as it fits best.
 
     The unknowns of a camera are those of `ImageModel.shapes`.
 
@@ -274,7 +274,7 @@ def add_shape_misses(
     rows : (k,) particles.
     matrices, right : (camera, 4 SHAPES, 4 SHAPES) and (camera, 4 SHAPES) normal equations.
     """
-    (own, slopes), both, terms = np.zeros((2, SHAPES)), np.zeros((SHAPES, SHAPES)), np.ones(4)
+    (dot, slopes), both, terms = np.zeros((2, SHAPES)), np.zeros((SHAPES, SHAPES)), np.ones(4)
     image = np.zeros((room.window, room.window), dtype=np.float32)
     changes = np.zeros((SHAPES, room.window, room.window), dtype=np.float32)
     for n in rows:
@@ -285,14 +285,14 @@ def add_shape_misses(
             fill_image(model, room, c, image)
             _fill_changes(model, room, c, changes)
             left, weights, light = model.left[c], model.weight[c], particles.light[n, c]
-            own[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 0.0, 0.0
+            dot[:], both[:], slopes[:], whole, pull = 0.0, 0.0, 0.0, 0.0, 0.0
             for i in range(room.window):
                 for j in range(room.window):
                     each = counting(weights[row + i, column + j], left[row + i, column + j])
                     share, off = image[i, j], each * left[row + i, column + j]
                     whole, pull = whole + each * share * share, pull + off * share
                     for a in range(SHAPES):
-                        own[a] += each * share * changes[a, i, j]
+                        dot[a] += each * share * changes[a, i, j]
                         slopes[a] += off * changes[a, i, j]
                         for b in range(SHAPES):
                             both[a, b] += each * changes[a, i, j] * changes[b, i, j]
@@ -300,11 +300,11 @@ def add_shape_misses(
                 continue
             for k in range(4 * SHAPES):
                 a, p = k // 4, k % 4
-                right[c, k] += light * terms[p] * (slopes[a] - own[a] * pull / whole)
+                right[c, k] += light * terms[p] * (slopes[a] - dot[a] * pull / whole)
                 for m in range(4 * SHAPES):
                     b, q = m // 4, m % 4
                     matrices[c, k, m] += (
-                        light * light * terms[p] * terms[q] * (both[a, b] - own[a] * own[b] / whole)
+                        light * light * terms[p] * terms[q] * (both[a, b] - dot[a] * dot[b] / whole)
                     )
 
 
@@ -314,19 +314,19 @@ def _fill_changes(model: Any, room: Any, c: int, changes: Any) -> None:
 
     They are those of a plain image.
     """
-    own, width = room.profiles[c], room.width[c]
+    rows, width = room.profiles[c], room.width[c]
     higher, first = np.zeros((2, 4, room.window)), room.corner[c] - MARGIN_PX
     for k in range(2):
         fill_derivatives(room.here[c, k], width[k], first[k], higher[k])
     across, down, plain = width[0] * width[0], width[1] * width[1], is_plain(model.shapes, c)
     for i in range(room.window):
-        y, y2, y4 = own[OWN_Y, i], down * higher[1, 0, i], down * down * higher[1, 2, i]
+        y, y2, y4 = rows[OWN_Y, i], down * higher[1, 0, i], down * down * higher[1, 2, i]
         for j in range(room.window):
-            x, x2, x4 = own[OWN_X, j], across * higher[0, 0, j], across * across * higher[0, 2, j]
+            x, x2, x4 = rows[OWN_X, j], across * higher[0, 0, j], across * across * higher[0, 2, j]
             changes[0, i, j], changes[1, i, j] = x2 * y / width[0], x * y2 / width[1]
-            changes[2, i, j] = own[SLOPE_Y, i] * own[SLOPE_X, j]
+            changes[2, i, j] = rows[SLOPE_Y, i] * rows[SLOPE_X, j]
             if not plain:
-                changes[2, i, j] += own[TILT_SLOPE_Y, i] * own[CURVE_X, j]
+                changes[2, i, j] += rows[TILT_SLOPE_Y, i] * rows[CURVE_X, j]
             changes[3, i, j] = -(x4 * y + 2.0 * x2 * y2 + x * y4)
 
 

@@ -26,10 +26,9 @@ from sabench.utils.arrays import F64, I64, Bool
 # largest cost of a link, and cost of none: four normal errors have a larger square sum once in 2000
 # times
 GATE = 20.0
-# farthest displacement of a trajectory whose velocity is not known, in distances between neighbours
+# farthest displacement of a trajectory of unknown velocity, in distances between neighbours
 REACH = 3.0
-# difference of neighbours' displacements, in the same unit, beyond which they say nothing of each
-# other
+# largest difference of related neighbours' displacements, in the same unit
 _ALIKE = 0.4
 _NEIGHBOURS = 8
 # candidates of one trajectory: several times what is within the radius where bubbles are evenly
@@ -37,7 +36,7 @@ _NEIGHBOURS = 8
 _MOST = 100
 # least and largest errors of predictions: in the same unit, and of the logarithm of radii
 _POSITION_ERROR, _SIZE_ERROR = (0.05, 0.2), (0.03, 0.15)
-_ENOUGH = 8  # links by which these errors are measured
+_ENOUGH = 8  # links for a measurement of these errors
 
 
 @dataclass(frozen=True)
@@ -86,8 +85,8 @@ def link(
 ) -> list[I64]:
     """Link the detections of some frames to trajectories.
 
-    Returns numbers (n,) of each frame's trajectories, counted from 0 in the order in which they
-    begin. A detection that joins no other is a trajectory. Times that do not increase are a
+    Returns numbers (n,) of each frame's trajectories, counted from 0 in the order of their
+    beginnings. A detection that joins no other is a trajectory. Times that do not increase are a
     ValueError.
 
     Parameters
@@ -107,17 +106,17 @@ def link(
         zip(center_mm, radius_mm, times_s, strict=True)
     ):
         count = len(position)
-        found = _Points(position, np.log(radius), np.full(count, time), np.full(count, frame))
+        points = _Points(position, np.log(radius), np.full(count, time), np.full(count, frame))
         live = live[frame - live.frame <= gap + 1]
-        pairs = _candidates(live, found, time, frame, scale)
+        pairs = _candidates(live, points, time, frame, scale)
         i, j = assign(*pairs, (len(live.position), count))
-        scale = _estimate_scale(scale, live[i], found, j)
+        scale = _estimate_scale(scale, live[i], points, j)
         number = np.full(len(position), -1)
         number[j] = live.number[i]
         new = np.flatnonzero(number < 0)
         number[new] = born + np.arange(len(new))
         born += len(new)
-        live = _continue(live, found, number, i, j)
+        live = _continue(live, points, number, i, j)
         out.append(number)
     return out
 
@@ -158,27 +157,27 @@ def _spacing(center_mm: Sequence[F64]) -> float:
     return spacing or 10.0 * extent or 1.0
 
 
-def _continue(live: _Trajectories, found: _Points, number: I64, i: I64, j: I64) -> _Trajectories:
-    velocity = np.full(found.position.shape, np.nan)
-    velocity[j] = (found.position[j] - live.position[i]) / (found.time[j] - live.time[i])[:, None]
+def _continue(live: _Trajectories, points: _Points, number: I64, i: I64, j: I64) -> _Trajectories:
+    velocity = np.full(points.position.shape, np.nan)
+    velocity[j] = (points.position[j] - live.position[i]) / (points.time[j] - live.time[i])[:, None]
     lost = live[np.setdiff1d(np.arange(len(live.position)), i)]
-    seen = _Trajectories(found.position, found.size, found.time, found.frame, number, velocity)
+    now = _Trajectories(points.position, points.size, points.time, points.frame, number, velocity)
     names = _Trajectories.__dataclass_fields__
-    pairs = ([getattr(part, name) for part in (lost, seen)] for name in names)
+    pairs = ([getattr(part, name) for part in (lost, now)] for name in names)
     return _Trajectories(*map(np.concatenate, pairs))
 
 
 def _candidates(
-    live: _Trajectories, found: _Points, time: float, frame: int, scale: _Scale
+    live: _Trajectories, points: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
-    parts = [part(live, found, time, frame, scale) for part in (_by_velocity, _by_neighbours)]
+    parts = [part(live, points, time, frame, scale) for part in (_by_velocity, _by_neighbours)]
     row, column, cost = (np.concatenate(values) for values in zip(*parts, strict=True))
     good = cost < GATE
     return row[good], column[good], cost[good]
 
 
 def _by_velocity(
-    live: _Trajectories, found: _Points, time: float, frame: int, scale: _Scale
+    live: _Trajectories, points: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
     """Link trajectories by their last velocities.
 
@@ -187,16 +186,16 @@ def _by_velocity(
     """
     old = np.flatnonzero(~live.young)
     steps = (frame - live.frame[old]).astype(np.float64)
-    there = live.position[old] + live.velocity[old] * (time - live.time[old])[:, None]
+    ahead = live.position[old] + live.velocity[old] * (time - live.time[old])[:, None]
     radii = float(np.sqrt(GATE)) * steps
-    row, column = _near(there / scale.position, found.position / scale.position, radii)
-    off = (there[row] - found.position[column]) / scale.position
+    row, column = _near(ahead / scale.position, points.position / scale.position, radii)
+    off = (ahead[row] - points.position[column]) / scale.position
     error = np.sum(off**2, axis=1) / steps[row] ** 2
-    return old[row], column, error + _unlike(live, found, old[row], column, scale)
+    return old[row], column, error + _unlike(live, points, old[row], column, scale)
 
 
 def _by_neighbours(
-    live: _Trajectories, found: _Points, time: float, frame: int, scale: _Scale
+    live: _Trajectories, points: _Points, time: float, frame: int, scale: _Scale
 ) -> tuple[I64, I64, F64]:
     """Link trajectories of one detection by their neighbours.
 
@@ -205,20 +204,20 @@ def _by_neighbours(
     """
     young = np.flatnonzero(live.young)
     radii = REACH * scale.spacing * (frame - live.frame[young]).astype(np.float64)
-    row, column = _near(live.position[young], found.position, radii)
-    size = _unlike(live, found, young[row], column, scale)
+    row, column = _near(live.position[young], points.position, radii)
+    size = _unlike(live, points, young[row], column, scale)
     row, column, size = row[size < GATE], column[size < GATE], size[size < GATE]
-    shift = found.position[column] - live.position[young[row]]
+    shift = points.position[column] - live.position[young[row]]
     duration = time - live.time[young[row]]
     velocity = shift / duration[:, None]
     if len(live.position) - len(young) >= _NEIGHBOURS:
-        # the nearest trajectories whose velocities are known
+        # the nearest trajectories of known velocity
         old = np.flatnonzero(~live.young)
         _, near = cKDTree(live.position[old]).query(live.position[young[row]], _NEIGHBOURS)
         apart = np.linalg.norm(live.velocity[old[near]] - velocity[:, None], axis=2)
         apart = apart * duration[:, None]
     else:
-        apart = _position_errors(live, found, young[row], velocity, time, scale)
+        apart = _position_errors(live, points, young[row], velocity, time, scale)
     length = np.linalg.norm(shift, axis=1)
     # where there are few neighbours, the others are taken to rest
     resting = np.repeat(length[:, None], _NEIGHBOURS - apart.shape[1], axis=1)
@@ -228,7 +227,7 @@ def _by_neighbours(
 
 
 def _position_errors(
-    live: _Trajectories, found: _Points, which: I64, velocity: F64, time: float, scale: _Scale
+    live: _Trajectories, points: _Points, which: I64, velocity: F64, time: float, scale: _Scale
 ) -> F64:
     """Compute distances (n, k) of moved neighbours to the next detection.
 
@@ -242,11 +241,11 @@ def _position_errors(
 
     cores = numba.get_num_threads()
     near = cKDTree(live.position).query(live.position, count + 1, workers=cores)[1][which, 1:]
-    there = live.position[near] + velocity[:, None] * (time - live.time[near])[..., None]
-    # three standard errors are as bad as positions that say nothing
+    ahead = live.position[near] + velocity[:, None] * (time - live.time[near])[..., None]
+    # three standard errors are as bad as no position
     size = _ALIKE * scale.spacing / (3.0 * scale.size)
-    tree = cKDTree(np.column_stack([found.position, size * found.size]))
-    moved = np.concatenate([there, size * live.size[near][..., None]], axis=2)
+    tree = cKDTree(np.column_stack([points.position, size * points.size]))
+    moved = np.concatenate([ahead, size * live.size[near][..., None]], axis=2)
     distance = tree.query(moved, distance_upper_bound=_ALIKE * scale.spacing, workers=cores)[0]
     return np.asarray(distance)
 
@@ -266,19 +265,19 @@ def _near(starts: F64, targets: F64, radii: F64) -> tuple[I64, I64]:
     return row, column[row, slot]
 
 
-def _unlike(live: _Trajectories, found: _Points, row: I64, column: I64, scale: _Scale) -> F64:
-    return np.asarray(((live.size[row] - found.size[column]) / scale.size) ** 2)
+def _unlike(live: _Trajectories, points: _Points, row: I64, column: I64, scale: _Scale) -> F64:
+    return np.asarray(((live.size[row] - points.size[column]) / scale.size) ** 2)
 
 
-def _estimate_scale(scale: _Scale, linked: _Trajectories, found: _Points, j: I64) -> _Scale:
+def _estimate_scale(scale: _Scale, linked: _Trajectories, points: _Points, j: I64) -> _Scale:
     """Estimate errors of predictions: the median magnitude, as of normal errors."""
     old = ~linked.young
     if old.sum() < _ENOUGH:
         return scale
-    known, j = linked[old], j[old]
-    there = known.position + known.velocity * (found.time[j] - known.time)[:, None]
-    off = (there - found.position[j]) / (found.frame[j] - known.frame)[:, None]
+    tracks, j = linked[old], j[old]
+    ahead = tracks.position + tracks.velocity * (points.time[j] - tracks.time)[:, None]
+    off = (ahead - points.position[j]) / (points.frame[j] - tracks.frame)[:, None]
     low, high = (bound * scale.spacing for bound in _POSITION_ERROR)
     position = np.clip(1.4826 * np.median(np.abs(off), axis=0), low, high)
-    size = np.clip(1.4826 * np.median(np.abs(known.size - found.size[j])), *_SIZE_ERROR)
+    size = np.clip(1.4826 * np.median(np.abs(tracks.size - points.size[j])), *_SIZE_ERROR)
     return replace(scale, position=position, size=float(size))

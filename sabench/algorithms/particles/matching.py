@@ -31,13 +31,13 @@ from sabench.utils.arrays import F32, F64, I64, Bool
 from sabench.utils.compiled import numba
 from sabench.utils.threads import Deadline
 
-_MARGIN = 1.0  # voxels around the grid's centres in which particles are looked for
+_MARGIN = 1.0  # voxels around the grid's centres that are searched for particles
 _MOST_BY_CHANCE = 5.0  # sets of particle images with each one: beyond, nearly all are ghosts
 _NEAR = 64  # particle images looked at around one position
-_ROOM = 50  # sets of each of the first camera's images for which memory is allocated
+_ROOM = 50  # sets of each of the first camera's images that have memory
 _STEPS = 2  # of the least-squares fit of a position
 _BATCH = 64  # of the first camera's images between two looks at the clock
-_SEARCHED = 1.5  # times the reach: radius in which images are looked for
+_SEARCHED = 1.5  # times the reach: search radius of images
 
 
 class PeakParameters(Parameters):
@@ -68,8 +68,8 @@ def detect_in_cameras(
     good, black, peaks = case.repaired, case.black_dn, []
     for grey, unknown in zip(good.images, good.flaws.unknown, strict=True):
         least = black + floor * bright_dn(grey, black, unknown)
-        found = detect_particle_peaks(grey, unknown, least_dn=least, false_alarms=false_alarms)
-        peaks.append(found)
+        detected = detect_particle_peaks(grey, unknown, least_dn=least, false_alarms=false_alarms)
+        peaks.append(detected)
     return tuple(peaks)
 
 
@@ -87,9 +87,9 @@ def heights_of(hit: I64, peaks: tuple[Peaks, ...], images: F32) -> F64:
     hit : (n, camera) numbers of the peaks; -1 where a camera shows none.
     """
     out = np.zeros(hit.shape)
-    for camera, (one, image) in enumerate(zip(peaks, images, strict=True)):
-        there = hit[:, camera] >= 0
-        out[there, camera] = heights(one, image)[hit[there, camera]]
+    for camera, (camera_peaks, image) in enumerate(zip(peaks, images, strict=True)):
+        used = hit[:, camera] >= 0
+        out[used, camera] = heights(camera_peaks, image)[hit[used, camera]]
     return out
 
 
@@ -139,9 +139,9 @@ def triangulate_particles(
             "result holds the particles found so far, the brightest ones first",
             stacklevel=1,
         )
-    found = select_rows(every, select_best(every, peaks))
-    brightness = heights_of(found.hit, peaks, images).mean(axis=1)
-    return FoundParticles(points_in_mm(maps, found.position), brightness)
+    best = select_rows(every, select_best(every, peaks))
+    brightness = heights_of(best.hit, peaks, images).mean(axis=1)
+    return FoundParticles(points_in_mm(maps, best.position), brightness)
 
 
 def _thin_out(
@@ -158,13 +158,13 @@ def _thin_out(
     share = (_MOST_BY_CHANCE / chance) ** (1.0 / (len(peaks) - 1))
     pairs = zip(peaks, images, strict=True)
     orders = [np.argsort(-heights(*pair), kind="stable") for pair in pairs]
-    kept = tuple(
-        keep_peaks(own, np.sort(order[: int(share * len(order))]))
-        for own, order in zip(peaks, orders, strict=True)
+    brightest = tuple(
+        keep_peaks(camera_peaks, np.sort(order[: int(share * len(order))]))
+        for camera_peaks, order in zip(peaks, orders, strict=True)
     )
     counts = ", ".join(
-        f"{len(few.pixels)} of {len(own.pixels)} in {camera.name}"
-        for camera, few, own in zip(case.cameras, kept, peaks, strict=True)
+        f"{len(few.pixels)} of {len(camera_peaks.pixels)} in {camera.name}"
+        for camera, few, camera_peaks in zip(case.cameras, brightest, peaks, strict=True)
     )
     warnings.warn(
         f"ray_triangulation: expected at most {_MOST_BY_CHANCE:g} sets of particle images that "
@@ -172,7 +172,7 @@ def _thin_out(
         f"({counts}); raise floor, or lower false_alarms or reach_px",
         stacklevel=1,
     )
-    return kept
+    return brightest
 
 
 class PeakSets(NamedTuple):
@@ -207,26 +207,26 @@ def find_peak_sets(
     ----------
     peaks : of each camera.
     covered : (camera, row, column) pixels where a camera can show nothing.
-    order : numbers of the first camera's peaks in the order in which they are searched; by default
+    order : numbers of the first camera's peaks in the order of the search; by default
         all of them.
     deadline : by default none.
     """
     order = np.arange(len(peaks[0].pixels)) if order is None else order
     along, steps = follow_lines(maps, range(1, 2), reach_px)
-    found = [_empty(0, len(peaks))]
+    sets = [_empty(0, len(peaks))]
     for start in range(0, len(order), _BATCH):
         if deadline is not None and deadline.over:
             break
-        own = np.ascontiguousarray(order[start : start + _BATCH])
-        room = _empty(_ROOM * len(own), len(peaks))
-        count = _follow(maps, peaks, reach_px, covered, along, steps, own, *room)
-        found.append(select_rows(room, np.arange(count)))
-    return join_sets(found)
+        batch = np.ascontiguousarray(order[start : start + _BATCH])
+        room = _empty(_ROOM * len(batch), len(peaks))
+        count = _follow(maps, peaks, reach_px, covered, along, steps, batch, *room)
+        sets.append(select_rows(room, np.arange(count)))
+    return join_sets(sets)
 
 
-def select_rows(found: PeakSets, rows: I64 | Bool) -> PeakSets:
+def select_rows(sets: PeakSets, rows: I64 | Bool) -> PeakSets:
     """Copy some of the candidates."""
-    return PeakSets._make(values[rows] for values in found)
+    return PeakSets._make(values[rows] for values in sets)
 
 
 def join_sets(parts: Sequence[PeakSets]) -> PeakSets:
@@ -248,24 +248,24 @@ def count_by_chance(
     Peaks of the others are assumed to be uniform.
     """
     steps = follow_lines(maps, range(1, 2), reach_px)[1]
-    density = np.array([len(own.pixels) / pixels for own in peaks[1:]])
+    density = np.array([len(camera_peaks.pixels) / pixels for camera_peaks in peaks[1:]])
     near = _SEARCHED * reach_px
     line = density[0] * 2.0 * near * steps * reach_px
     return float(line * np.prod(1.0 - np.exp(-density[1:] * np.pi * near**2)))
 
 
-def select_best(found: PeakSets, peaks: tuple[Peaks, ...]) -> I64:
+def select_best(sets: PeakSets, peaks: tuple[Peaks, ...]) -> I64:
     """Select rows so that each peak is used once, complete sets and best fits first."""
-    order = np.lexsort((found.error_px, (found.hit < 0).sum(axis=1)))
+    order = np.lexsort((sets.error_px, (sets.hit < 0).sum(axis=1)))
     # the last one is that of a camera that shows none
-    free = [np.ones(len(one.pixels) + 1, dtype=bool) for one in peaks]
-    kept = []
+    free = [np.ones(len(camera_peaks.pixels) + 1, dtype=bool) for camera_peaks in peaks]
+    rows = []
     for row in order:
-        if all(flags[number] for flags, number in zip(free, found.hit[row], strict=True)):
-            kept.append(row)
-            for flags, number in zip(free, found.hit[row], strict=True):
+        if all(flags[number] for flags, number in zip(free, sets.hit[row], strict=True)):
+            rows.append(row)
+            for flags, number in zip(free, sets.hit[row], strict=True):
                 flags[number] = number < 0
-    return np.array(kept, dtype=np.int64)
+    return np.array(rows, dtype=np.int64)
 
 
 @numba.njit(cache=True)
@@ -327,14 +327,14 @@ def _follow(
 
 @numba.njit(cache=True)
 def _has(values: Any, count: int, value: int) -> bool:
-    """Say whether a value is among the first ones.
+    """Return whether a value is among the first ones.
 
     This is faster to compile than array expressions.
     """
-    found = False
+    among = False
     for n in range(count):
-        found |= values[n] == value
-    return found
+        among |= values[n] == value
+    return among
 
 
 @numba.njit(cache=True)
@@ -410,13 +410,13 @@ def _fit_position(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
 
 @numba.njit(cache=True)
 def _error(maps: Any, peaks: Any, chosen: Any, position: Any) -> float:
-    here, slope, total, seen = np.zeros(2), np.zeros((2, 3)), 0.0, 0
+    here, slope, total, count = np.zeros(2), np.zeros((2, 3)), 0.0, 0
     for c in range(len(peaks)):
         if chosen[c] >= 0:
             project_point(maps, c, position, here, slope)
             miss = peaks[c].pixels[chosen[c]] - here
-            total, seen = total + miss[0] ** 2 + miss[1] ** 2, seen + 1
-    return float(np.sqrt(total / seen))
+            total, count = total + miss[0] ** 2 + miss[1] ** 2, count + 1
+    return float(np.sqrt(total / count))
 
 
 def follow_lines(maps: VolumePolynomials, cameras: range, step_px: float) -> tuple[int, int]:

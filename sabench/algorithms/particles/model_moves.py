@@ -2,12 +2,12 @@
 
 A ghost shares the light of true particles' images with them. It fits as well as they do, but when
 it is taken out, its neighbours fit as well without it. So every particle is taken out for trial,
-its neighbours are fitted again, and it comes back only if its absence costs more than its penalty.
+its neighbours are fitted again, and it comes back only if the cost rises by more than its penalty.
 
-Two particles closer than two pixels look like one. Whether one is two is first asked of what is
+Two particles closer than two pixels look like one. Whether one is two is first tested on what is
 left of the images, by the score test of C. R. Rao (Proc. Camb. Phil. Soc. 44, 50-57, 1948): halves
 that move apart by s change an image by half its second derivative along s, and how well that
-matches what is left gives what a split would gain. Two particles are fitted only where it promises
+matches what is left gives what a split would gain. Two particles are fitted only where this is
 enough.
 
 Both are moves of P. J. Green, Reversible jump Markov chain Monte Carlo computation and Bayesian
@@ -50,7 +50,7 @@ _SHARED = 0.1  # of a particle's light in a pixel: more from others, and they ma
 # Splits:
 _SAME = 0.8  # widths: distance of images of the two of a split that are one
 _SETTLE = 6  # fits of the two particles of a split
-_DOUBTFUL = 2  # of them, after which a split that does not pay is given up
+_DOUBTFUL = 2  # of them, then a split without a gain is given up
 
 
 def find_neighbours(maps: VolumePolynomials, sigma: F64, positions: F64) -> tuple[I64, I64]:
@@ -72,7 +72,7 @@ def remove_ghosts(
     sure: Any,
     odds: Any,
 ) -> int:
-    """Take particles out for good where the images do not ask for them.
+    """Remove particles that the images do not support.
 
     Returns how many.
 
@@ -142,7 +142,7 @@ def _put_back(
 def _gain_alone(model: Any, room: Any, light: Any, image: Any) -> float:
     """Compute the least that a particle gains, after `penalty`.
 
-    It is the gain in pixels in which others leave hardly any light, without that of its best
+    It is the gain in pixels where others leave hardly any light, without that of its best
     camera, and less the cost of its light's prior.
     """
     most, total, prior = 0.0, 0.0, 0.0
@@ -164,16 +164,16 @@ def _gain_in(image: Any, left: Any, weights: Any, share: Any, corner: Any, light
     gained = 0.0
     for i in range(len(share)):
         for j in range(len(share)):
-            row, column, own = corner[1] + i, corner[0] + j, light * share[i, j]
-            if image[row, column] - left[row, column] - own <= _SHARED * own:
-                gained += _saved(weights[row, column], left[row, column], own)
+            row, column, amount = corner[1] + i, corner[0] + j, light * share[i, j]
+            if image[row, column] - left[row, column] - amount <= _SHARED * amount:
+                gained += _saved(weights[row, column], left[row, column], amount)
     return gained
 
 
 @numba.njit(cache=True)
-def _saved(weight: Any, left: Any, own: float) -> float:
-    without, rest = left + own, left
-    if weight < 0.0:  # saturated: light beyond what it shows costs nothing
+def _saved(weight: Any, left: Any, amount: float) -> float:
+    without, rest = left + amount, left
+    if weight < 0.0:  # saturated: more light than it shows adds no cost
         weight, without, rest = -weight, max(without, 0.0), max(left, 0.0)
     return float(0.5 * weight * (without * without - rest * rest))
 
@@ -181,7 +181,7 @@ def _saved(weight: Any, left: Any, own: float) -> float:
 def count_meetings(
     maps: VolumePolynomials, sigma: F64, positions: F64, chosen: Bool, starts: I64, near: I64
 ) -> I64:
-    """Count (n,) the cameras in which images of chosen neighbours (n,) are near."""
+    """Count (n,) the cameras where images of chosen neighbours (n,) are near."""
     pixels = [project_points(maps, camera, positions) for camera in range(len(sigma))]
     counts = np.zeros(len(positions), dtype=np.int64)
     _count_meetings(np.stack(pixels), _NEAR * sigma.max(axis=1), chosen, starts, near, counts)
@@ -228,7 +228,7 @@ def measure_misfit(model: Any, room: Any, particles: Any, misfit: Any) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> None:
-    """Fill in (n, camera) how much cost light saves; negative if a camera shows none."""
+    """Fill in (n, camera) the gain of light; negative if a camera shows none."""
     for n in range(len(gained)):
         sum_up(model, room, particles.position[n], particles.light[n])
         for c in range(len(model.typical)):
@@ -238,7 +238,7 @@ def measure_light_gains(model: Any, room: Any, particles: Any, gained: Any) -> N
 
 @numba.njit(cache=True, nogil=True)
 def measure_split_gains(model: Any, room: Any, particles: Any, steps: Any, gains: Any) -> None:
-    """Fill in (n,) what the best split along steps (k, 3) promises to save.
+    """Fill in (n,) the predicted gain of the best split along steps (k, 3).
 
     The light is free.
     """
@@ -277,13 +277,13 @@ def _match_bends(
         for j in range(room.window):
             off = left[row + i, column + j]
             each = counting(weights[row + i, column + j], off)
-            own = image[i, j]
+            pixel = image[i, j]
             bends[0], bends[2] = y[i] * bent[0, j], bent[1, i] * x[j]
             bends[1] = by_y[i] * by_x[j]
-            whole, rest = whole + each * own * own, rest + each * off * own
+            whole, rest = whole + each * pixel * pixel, rest + each * off * pixel
             for k in range(3):
                 pull[k] += each * off * bends[k]
-                shares[k] += each * own * bends[k]
+                shares[k] += each * pixel * bends[k]
                 for m in range(k + 1):
                     square[k, m] += each * bends[k] * bends[m]
     for k in range(3):
@@ -296,7 +296,7 @@ def _match_bends(
 
 @numba.njit(cache=True)
 def _promise(room: Any, light: Any, step: Any, pull: Any, square: Any) -> float:
-    """Compute how much cost halves that move a step (3,) apart save, to second order."""
+    """Compute the decrease of the cost by halves a step (3,) apart, to second order."""
     slope, bend, terms = 0.0, 0.0, np.zeros(3)
     for c in range(len(light)):
         x, y = 0.0, 0.0
@@ -321,7 +321,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
     steps : (k, 3) half distances of the two, in the box's coordinates, that are tried.
     """
     cameras = particles.light.shape[1]
-    middle, own, places, lights = (
+    middle, light, places, lights = (
         np.zeros(3),
         np.zeros(cameras),
         np.zeros((2, 3)),
@@ -329,7 +329,7 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
     )
     for n in order:
         count = spare[n]
-        middle[:], own[:] = particles.position[n], particles.light[n]
+        middle[:], light[:] = particles.position[n], particles.light[n]
         best = 0.0
         for s in range(len(steps)):
             cost = _try_split(model, room, particles, n, count, steps[s])
@@ -339,10 +339,10 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
                 lights[0], lights[1] = particles.light[n], particles.light[count]
             take_out(model, room, particles.position[n], particles.light[n])
             take_out(model, room, particles.position[count], particles.light[count])
-            particles.position[n], particles.light[n] = middle, own
-            put_in(model, room, middle, own)
+            particles.position[n], particles.light[n] = middle, light
+            put_in(model, room, middle, light)
         if best < 0.0 and _are_apart(model, room, places):
-            take_out(model, room, middle, own)
+            take_out(model, room, middle, light)
             for k in range(2):
                 put_in(model, room, places[k], lights[k])
             larger = max(
@@ -356,12 +356,12 @@ def split_pairs(model: Any, room: Any, particles: Any, order: Any, spare: Any, s
             else:
                 for k in range(2):
                     take_out(model, room, places[k], lights[k])
-                put_in(model, room, middle, own)
+                put_in(model, room, middle, light)
 
 
 @numba.njit(cache=True)
 def _are_apart(model: Any, room: Any, places: Any) -> bool:
-    """Say whether some camera sees two positions apart.
+    """Return whether some camera sees two positions apart.
 
     If none does, one wide image is likelier.
     """

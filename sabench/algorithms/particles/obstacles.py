@@ -1,14 +1,14 @@
 """Hidden areas, partly hidden particles, and cameras that contradict the others.
 
-A large dark area of an image in which other cameras' particles should be seen is hidden by
+A large dark area of an image where other cameras' particles should be seen is hidden by
 something in front of it.
 
-A body hides what is behind it and shows what is in front, so that no area of an image tells which
+A body hides what is behind it and shows what is in front, so that no area of an image shows which
 particles a camera misses. They are searched for in the light that the others leave: in all cameras
 but one, in all but two, and so on. Of larger sets of cameras, those are tried that contain one
 which hides particles, the most promising first.
 
-A camera whose calibration is wrong by many pixels shows little where the particles of the others
+A camera with a calibration off by many pixels shows little where the particles of the others
 are: the search leaves much of its image.
 """
 
@@ -29,23 +29,23 @@ from sabench.images.flaws import Flaws
 from sabench.utils.arrays import F32, F64, Bool
 
 # Hidden areas:
-_LEAST = 0.02  # of the pixels in which a camera sees the volume: less is chance
+_LEAST = 0.02  # of the pixels that show the volume: less is chance
 _DOUBTFUL = 0.8  # of the light expected in an area: less may be hidden, or ghosts are expected
 _HIDDEN = 0.5  # the same, of particles that are found without the area
 _FEWEST = 3  # cameras without a hidden area, that show a particle, or that agree with others
 _EXPECTED = 8.0  # particles in a window that may be dark for a reason
 _DARK = 0.05  # of the light that is expected there
-_THIN = 0.75  # of the mean number of particles in a window: fewer do not tell
+_THIN = 0.75  # of the mean number of particles in a window: too few to decide
 
 # Partly hidden particles:
 _HIDDEN_SHARE = 0.1  # of the particles: expected to be hidden from a camera, and from each more
 _SOME = 3e-4  # of the particles: fewer that a set of cameras hides are no reason to try larger ones
 _DEEPEST, _TRIED = 4, 100  # cameras that may be blind, and sets of each number that are tried
 _FLOORS = (0.35, 0.2)  # of candidates' light over a typical particle's
-_DENIED = -10.0  # cost that a particle's light saves in a camera that does not see it
+_DENIED = -10.0  # decrease of the cost by a particle's light in a camera that does not see it
 
 # Cameras that contradict the others:
-_MANY = 50  # particles that tell of their images
+_MANY = 50  # particles for a measurement of their images
 _LEFT = 0.1  # of the squared light of an image: more that is left has a reason
 _CHANCE = 1.0  # over the square root of the particles' number: share that few leave by chance
 _SCATTER, _LITTLE = 0.7, 0.03  # of light between cameras; with less left, it is particles' own
@@ -64,7 +64,7 @@ def find_dark_views(search: ParticleSearch, clear: ClearImages, shares: F64) -> 
 
 
 def are_doubtful(search: ParticleSearch, dark: Bool) -> bool:
-    """Say whether a search's particles should be seen in a dark area, but are not."""
+    """Return whether a search's particles should be seen in a dark area, but are not."""
     return bool((_seen_shares(search, dark) < _DOUBTFUL).any())
 
 
@@ -106,13 +106,13 @@ def _seen_shares(search: ParticleSearch, dark: Bool) -> F64:
     blank = model._replace(left=np.zeros_like(model.left))
     paint_particles(blank, search.widest, particles, 1.0)
     expected = without_margins(blank.left)
-    seen = np.ones(len(dark))
-    for own, camera in enumerate(np.flatnonzero(search.shown)):
+    shares = np.ones(len(dark))
+    for row, camera in enumerate(np.flatnonzero(search.shown)):
         area = dark[camera]
-        light = expected[own][area].astype(np.float64)
+        light = expected[row][area].astype(np.float64)
         if light.any():
-            seen[camera] = light @ search.images[own][area] / (light @ light)
-    return seen
+            shares[camera] = light @ search.images[row][area] / (light @ light)
+    return shares
 
 
 def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bool:
@@ -129,13 +129,13 @@ def find_dark_areas(images: F32, flaws: Flaws, shares: F64, number: float) -> Bo
         edge = math.ceil(math.sqrt(_EXPECTED / _THIN * lit.sum() / max(number, 1.0)))
         if not 0 < 2 * edge <= min(lit.shape):
             continue
-        known = lit & ~flaws.unknown[camera]
-        expected = np.where(known, number / share.sum() * share, 0.0)
-        light = np.where(known, images[camera], 0.0)
+        valid = lit & ~flaws.unknown[camera]
+        expected = np.where(valid, number / share.sum() * share, 0.0)
+        light = np.where(valid, images[camera], 0.0)
         each = float(light.sum()) / max(float(expected.sum()), 1.0)
         sums, counts = (
-            cv2.boxFilter(one.astype(np.float32), -1, (edge, edge), normalize=False)
-            for one in (light, expected)
+            cv2.boxFilter(image.astype(np.float32), -1, (edge, edge), normalize=False)
+            for image in (light, expected)
         )
         empty = lit & (sums < _DARK * each * np.maximum(counts, 1.0))
         window = np.ones((edge, edge), np.uint8)
@@ -152,7 +152,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
     They are found in what a search leaves of the images, or among its particles, and subtracted
     from its images. Returns a search for each set of cameras that sees some.
     """
-    found: list[ParticleSearch] = []
+    parts: list[ParticleSearch] = []
     hidden: dict[_Cameras, int] = {(): 1}  # how many particles sets of cameras hide
     number = len(search.typical)
     cameras = np.arange(number)
@@ -164,7 +164,7 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
                 break
             part = search.rest(np.setdiff1d(cameras, blind))
             if _find(part):
-                found.append(part)
+                parts.append(part)
                 _subtract(search, part)
             if len(part.position) > _SOME * search.number:
                 hidden[blind] = len(part.position)
@@ -182,10 +182,10 @@ def find_partly_hidden(search: ParticleSearch) -> list[ParticleSearch]:
         part.refine(part.fits)
         part.remove(lone=True)
         if len(part.position):
-            found.append(part)
+            parts.append(part)
             _subtract(search, part)
     search.refine(search.fits)
-    return found
+    return parts
 
 
 def _promising(number: int, before: dict[_Cameras, int]) -> list[_Cameras]:
@@ -255,7 +255,7 @@ def without_wrong_cameras(
 
 
 def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
-    """Warn of cameras whose images are longer streaks than the model's.
+    """Warn of cameras with images that are longer streaks than the model's.
 
     Cameras with too few particles are left out.
     """
@@ -273,7 +273,7 @@ def warn_of_tilt(search: ParticleSearch, names: Sequence[str]) -> None:
 
 
 def explains(search: ParticleSearch) -> bool:
-    """Say whether the particles explain the images, with light as particles have it."""
+    """Return whether the particles explain the images, with plausible light."""
     left = float(left_of_images(search).max())
     most = _LEFT + _CHANCE / math.sqrt(max(len(search.position), 1))
     return left < _LITTLE or (left < most and scatter_between(search.covariance) < _SCATTER)
@@ -283,11 +283,11 @@ def left_of_images(search: ParticleSearch) -> F64:
     """Compute the share (camera,) of each image's squared light that is left.
 
     Light that is not clear of noise does not count, nor that of a single pixel, which may be hot.
-    If much is left, only pixels count whose part of the box enough cameras see. Without particles,
+    If much is left, pixels count only where enough cameras see the box. Without particles,
     noise is the scatter of all pixels about their median, as a background may look like light.
     """
     if not len(search.position):
-        lights = [image[known] for image, known in zip(search.images, search.known, strict=True)]
+        lights = [image[valid] for image, valid in zip(search.images, search.known, strict=True)]
         away = [light - np.median(light) for light in lights]
         return np.array(
             [float((off > 1.4826 * _CLEAR * np.median(np.abs(off))).any()) for off in away]
@@ -301,11 +301,11 @@ def left_of_images(search: ParticleSearch) -> F64:
 
 def _left_where(search: ParticleSearch, counts: Bool) -> F64:
     shares = []
-    for camera, (image, known, noise) in enumerate(
+    for camera, (image, valid, noise) in enumerate(
         zip(search.images, counts, search.noise, strict=True)
     ):
         both = search.miss(camera), image
-        rest, whole = (_squares(np.where(known, one, 0.0), _CLEAR * noise) for one in both)
+        rest, whole = (_squares(np.where(valid, values, 0.0), _CLEAR * noise) for values in both)
         shares.append(rest / max(whole, rest, 1e-6))
     return np.array(shares)
 

@@ -37,12 +37,12 @@ _BOX = 8.0  # volume of the box in its coordinates
 _BETWEEN, _COMMON = 0.1, 0.4  # first scatter between cameras, and of what they have in common
 MOST_TILT = 0.7  # correlation of columns and rows in images: more is not two terms' Gaussian
 _CERTAIN = 30.0  # logarithm of the highest odds
-_PORTIONS = 8  # of many rows whose order counts: the first are fitted before the next
+_PORTIONS = 8  # of many rows, in their order: the first are fitted before the next
 # standard deviations of noise: the least floor of candidates; of faint particles, which would all
 # be below it, just above the noise, or this share of a typical particle's light
 _FLOOR, _LEAST_FLOOR, _FAINT = 2.0, 1.1, 0.2
 _MANY, _FIRST = 16.0, 2.5  # of the estimated number: first candidates, times cameras, and least
-_MORE = 0.5  # of the particles so far: candidates beside them
+_MORE = 0.5  # of the particles so far: new candidates
 # images that share a pixel, at least and for each camera; where more do, the share of cameras in
 # which neighbours take all light of a particle that is not found yet
 _CROWDED, _EACH, _TAKEN = 1.25, 0.095, 0.2
@@ -50,14 +50,14 @@ _DIMMEST = 0.03  # of a typical peak: darker light is as good as none
 _SETTLED = 0.03  # fall of the cost of a particle, on average: a round with less is the last one
 _CONTESTED = 0.25  # of the cameras: meetings with others that have just gained their penalty
 _TRIAL_FITS = 2  # rounds of fits of a particle's neighbours when it is taken out for trial
-# units of the cost, and times what the median particle promises (images that are a little wider
-# than the model's promise something everywhere): particles of which a split promises more are tried
+# units of the cost, and times the median particle's predicted gain (images that are a little wider
+# than the model's predict one everywhere): particles with a larger predicted gain are tried
 _PROMISING, _TYPICAL = 3.0, 2.0
 _APART = 1.1  # widths: distance of the two of a split from their middle
 
 
 def no_particles(cameras: int) -> FoundParticles:
-    """Return no particles, with all that a search tells of them."""
+    """Return no particles, with all arrays of a search."""
     none, light = np.zeros(0), np.zeros((0, cameras))
     return FoundParticles(
         np.zeros((0, 3)),
@@ -68,10 +68,10 @@ def no_particles(cameras: int) -> FoundParticles:
     )
 
 
-def joined(one: FoundParticles, other: FoundParticles) -> FoundParticles:
-    """Join particles of which the same is known."""
+def joined(first: FoundParticles, other: FoundParticles) -> FoundParticles:
+    """Join particles that have the same arrays."""
     more = {declared.name: value for declared, value in other.arrays()}
-    pairs = {declared.name: (value, more[declared.name]) for declared, value in one.arrays()}
+    pairs = {declared.name: (value, more[declared.name]) for declared, value in first.arrays()}
     return FoundParticles(**{name: np.concatenate(pair) for name, pair in pairs.items()})
 
 
@@ -95,12 +95,12 @@ class ParticleSearch:
     Attributes
     ----------
     images, known, covered, saturated : (camera, row, column) less black; which pixels count; which
-        tell nothing of what is behind them; which show less light than there is.
+        hide what is behind them; which show less light than there is.
     left, variance : the images less all particles, and the variance of each pixel.
     position, light : (n, 3) in the box of the maps, (n, camera).
     hidden : (all cameras, row, column) areas that something hides from a camera in every frame.
     sure : (n,) whether a particle gained several times its penalty.
-    trusted : (n,) whether a caller has other reasons to take a particle for real: it is not tried.
+    trusted : (n,) whether a caller confirms a particle: it is not tried.
     odds : (n,) logarithm of the odds that it is real.
     tag : (n,) numbers that a caller gave particles, -1 for those found here.
     deadline : after it, particles are no longer found, fitted, removed or split.
@@ -230,8 +230,8 @@ class ParticleSearch:
         weight = np.zeros_like(self.framed)
 
         def fill(camera: int) -> None:
-            known, saturated = self.known[camera], self.saturated[camera]
-            fill_weights(known, saturated, self.variance[camera], weight[camera])
+            valid, saturated = self.known[camera], self.saturated[camera]
+            fill_weights(valid, saturated, self.variance[camera], weight[camera])
 
         for_each(fill, len(weight))
         cameras = self.maps, self.shapes, self.typical, precision
@@ -248,16 +248,16 @@ class ParticleSearch:
     def squares_left(self) -> F64:
         """Sum up the squares (camera,) of what is left of the images, over the variance."""
         sums = []
-        for camera, known in enumerate(self.known):
-            squares = self.miss(camera)[known] ** 2 / self.variance[camera][known]
+        for camera, valid in enumerate(self.known):
+            squares = self.miss(camera)[valid] ** 2 / self.variance[camera][valid]
             sums.append(float(squares.sum()))
         return np.array(sums)
 
     def unexplained(self) -> float:
         """Compute the share of the light that is left; the median over the cameras."""
         shares = [
-            float(self.miss(camera)[known].sum() / max(image[known].sum(), 1e-6))
-            for camera, (image, known) in enumerate(zip(self.images, self.known, strict=True))
+            float(self.miss(camera)[valid].sum() / max(image[valid].sum(), 1e-6))
+            for camera, (image, valid) in enumerate(zip(self.images, self.known, strict=True))
         ]
         return float(np.median(shares))
 
@@ -276,7 +276,7 @@ class ParticleSearch:
     def peaks(self, sigma: F64 | None = None) -> F64:
         """Compute the brightest pixel (camera,) of a typical particle, of given widths."""
         widths = self.sigma if sigma is None else sigma
-        erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * one)) for one in row] for row in widths])
+        erf = np.array([[math.erf(0.5 / (math.sqrt(2.0) * w)) for w in row] for row in widths])
         return np.asarray(self.typical * erf.prod(axis=1) * self._lowered())
 
     def _lowered(self) -> F64:
@@ -370,12 +370,12 @@ class ParticleSearch:
         first = len(self.position)
         crowded = self.overlap() > max(_CROWDED, _EACH * cameras)
         taken = int(_TAKEN * cameras) if first and crowded else 0
-        found = candidate_search.find_candidates(self.maps, logs, math.log(least), spread, taken)
+        position = candidate_search.find_candidates(self.maps, logs, math.log(least), spread, taken)
         share = max(_MANY / cameras, _FIRST)  # the more cameras, the fewer meet by chance
         most = _MORE * max(first, self.number) if first else share * self.number
-        found = found[: int(most)]
-        self.append(len(found), 0.0)
-        self.position[first:] = found
+        position = position[: int(most)]
+        self.append(len(position), 0.0)
+        self.position[first:] = position
         model, particles = self.model(), self.particles()
 
         def start(rows: I64) -> None:
@@ -416,7 +416,7 @@ class ParticleSearch:
     def split(self) -> None:
         """Replace particles by two if that is more probable.
 
-        What is left in the images tells which ones to try.
+        What is left in the images selects those to try.
         """
         count, model = len(self.position), self.model()
         width = float(self.sigma.max())

@@ -37,14 +37,14 @@ from sabench.utils.arrays import F64, I64
 from sabench.utils.threads import Deadline
 
 _SHAKES = 3  # rounds of fits of the predicted particles before others are looked for
-_SLACK = 0.04  # of the distance between particles: misses, beside those expected, of the same one
-_KNOWN_PX = 1.0  # standard deviation up to which a prediction is worth a fit
+_SLACK = 0.04  # of the distance between particles: misses of the same one, added to those expected
+_KNOWN_PX = 1.0  # largest standard deviation of a prediction that is fitted
 _FADED = 0.5  # light over the last light below which a particle may be a ghost
-_LEAST_ERROR_PX = 0.02  # of positions, beside what the images tell
-_LAG = 3  # frames before and after one that tell how its particles move
+_LEAST_ERROR_PX = 0.02  # of positions, added to those from the images
+_LAG = 3  # frames before and after one for its particles' motion
 _NEAR = 3.0  # standard deviations from the box's faces within which a particle may come or go
 _NEIGHBOURS = 5  # particles that a lost track is compared with
-_FEWEST = 16  # links that tell how particles move
+_FEWEST = 16  # links for a measurement of the motion
 
 
 @dataclass(frozen=True)
@@ -115,12 +115,12 @@ class _Tracker:
     def give(self) -> FoundParticles:
         """Return the next frame's particles, and forget frames of no more use."""
         around = self.frames[max(self.given - _LAG, 0) : self.given + _LAG + 1]
-        found = with_motion(around, self.frames[self.given], self.motion)
+        particles = with_motion(around, self.frames[self.given], self.motion)
         self.given += 1
         while self.given > _LAG:
             del self.frames[0]
             self.given -= 1
-        return found
+        return particles
 
     def take(self, case: Observation, time: float, coming: int) -> None:
         """Find the particles of the next frame, or hold it; so many others are coming."""
@@ -182,10 +182,10 @@ class _Tracker:
             self.frames.append(frame)
 
     def _write(self, search: ParticleSearch, time: float) -> TrackedFrame:
-        found = search.found()
-        numbers = self.born + np.arange(len(found.position_mm))
+        particles = search.found()
+        numbers = self.born + np.arange(len(particles.position_mm))
         self.born += len(numbers)
-        return TrackedFrame(time, found, numbers, np.ones(len(numbers), dtype=np.bool_))
+        return TrackedFrame(time, particles, numbers, np.ones(len(numbers), dtype=np.bool_))
 
     def _variance(self, frame: TrackedFrame) -> F64:
         return frame.variance + (_LEAST_ERROR_PX * candidate_search.pixel_mm(self.maps)) ** 2
@@ -211,7 +211,7 @@ class _Tracker:
         tracks.add(first.number[i], position, variance[i], light[i], velocity, errors, 2)
         alone = np.setdiff1d(np.arange(len(first.number)), i)
         self._begin_tracks(tracks, first, alone, light)
-        tracks.seen[:] = 1
+        tracks.sightings[:] = 1
         return tracks
 
     def _begin_tracks(
@@ -231,11 +231,11 @@ class _Tracker:
         variance = self._variance(frame)
         self.frames.append(frame)
         row = self._recognise(tracks, search, frame.position, variance)
-        seen = np.flatnonzero(row >= 0)
-        frame.number[seen] = tracks.number[row[seen]]
-        late = tracks.missed[row[seen]] > 1
-        tracks.update(row[seen], frame.position[seen], variance[seen], search.light[seen])
-        self._fill_gaps(tracks, row[seen[late]], frame.found.rows(seen[late]))
+        hits = np.flatnonzero(row >= 0)
+        frame.number[hits] = tracks.number[row[hits]]
+        late = tracks.missed[row[hits]] > 1
+        tracks.update(row[hits], frame.position[hits], variance[hits], search.light[hits])
+        self._fill_gaps(tracks, row[hits[late]], frame.particles.rows(hits[late]))
         self._end_tracks(tracks)
         self._begin_tracks(tracks, frame, np.flatnonzero(row < 0), search.light)
         self.motion = tracks.acceleration, tracks.jerk
@@ -244,8 +244,8 @@ class _Tracker:
         """Fit the predicted particles, and search what they leave of the images."""
         settings, error = self.settings, np.sqrt(tracks.variance)
         place = (tracks.state[:, 0] - self.maps.middle_mm) / self.maps.half_mm
-        known = np.median(error, axis=1) < _KNOWN_PX * candidate_search.pixel_mm(self.maps)
-        rows = np.flatnonzero(known & (np.abs(place) <= 1.0).all(axis=1))
+        certain = np.median(error, axis=1) < _KNOWN_PX * candidate_search.pixel_mm(self.maps)
+        rows = np.flatnonzero(certain & (np.abs(place) <= 1.0).all(axis=1))
         search.deadline = Deadline(settings.first.budget_s)
         clear = bayesian_ipr.dark_images(case)
         before, search.hidden = search.hidden, None
@@ -259,7 +259,7 @@ class _Tracker:
         weigh_pixels(search, bayesian_ipr.CAPS[1])
         search.refine(_SHAKES)
         bright = search.light.sum(axis=1) > _FADED * tracks.light[search.tag].sum(axis=1)
-        search.trusted = bright & (tracks.seen[search.tag] >= MATURE)
+        search.trusted = bright & (tracks.sightings[search.tag] >= MATURE)
         search.remove(lone=True)
         for number in range(settings.searches):
             search.find(bayesian_ipr.FLOORS[min(number, 1)])
@@ -277,36 +277,36 @@ class _Tracker:
     ) -> I64:
         """Return the track (n,) of each particle found, -1 for new ones."""
         row = search.tag.copy()
-        known = np.flatnonzero(row >= 0)
+        tagged = np.flatnonzero(row >= 0)
         slack = (_SLACK * candidate_search.mean_spacing(self.maps, len(position))) ** 2
-        off = tracks.off(row[known], position[known], variance[known] + slack)
-        row[known[off.sum(axis=1) > GATE]] = -1
+        off = tracks.off(row[tagged], position[tagged], variance[tagged] + slack)
+        row[tagged[off.sum(axis=1) > GATE]] = -1
         lost = np.setdiff1d(np.arange(len(tracks.number)), row)
         new = np.flatnonzero(row < 0)
         again, j = tracks.pair(lost, position[new], variance[new] + slack, _NEIGHBOURS, GATE)
         row[new[j]] = again
         return row
 
-    def _fill_gaps(self, tracks: KalmanTracks, rows: I64, found: FoundParticles) -> None:
+    def _fill_gaps(self, tracks: KalmanTracks, rows: I64, particles: FoundParticles) -> None:
         """Add tracks to the frames which they missed, as they are found now."""
         numbers = tracks.number[rows]
         for frame in self.frames[-2 : -self.settings.gap - 2 : -1]:
             absent = ~np.isin(numbers, frame.number)
             # frames before the track's last position have its number
-            rows, numbers, found = rows[absent], numbers[absent], found.rows(absent)
+            rows, numbers, particles = rows[absent], numbers[absent], particles.rows(absent)
             back = frame.time - self.frames[-1].time
             terms = np.array([1.0, back, back**2 / 2.0])
             position = np.einsum("o,noa->na", terms, tracks.state[rows])
             low, high = (self.maps.middle_mm + sign * self.maps.half_mm for sign in (-1.0, 1.0))
             position = np.clip(position, low, high)
-            frame.add(replace(found, position_mm=position), numbers)
+            frame.add(replace(particles, position_mm=position), numbers)
 
     def _end_tracks(self, tracks: KalmanTracks) -> None:
         """End tracks that left or were missed too often; drop particles seen once."""
         missed = tracks.missed > 0
         aside = np.abs(tracks.state[:, 0] - self.maps.middle_mm)
         inside = (aside + _NEAR * np.sqrt(tracks.variance) <= self.maps.half_mm).all(axis=1)
-        self.frames[-2].drop(tracks.number[missed & inside & (tracks.seen == 1)])
+        self.frames[-2].drop(tracks.number[missed & inside & (tracks.sightings == 1)])
         outside = (aside > self.maps.half_mm).any(axis=1)
-        over = (tracks.seen < MATURE) | (tracks.missed > self.settings.gap) | outside
+        over = (tracks.sightings < MATURE) | (tracks.missed > self.settings.gap) | outside
         tracks.select(~(missed & over))

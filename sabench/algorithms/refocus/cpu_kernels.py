@@ -16,7 +16,7 @@ from sabench.utils.compiled import numba
 
 # a tile's accumulators and the pixels that it reads stay in the first two caches
 TILE_ROWS, TILE_COLUMNS = 16, 512
-# columns per row: four rows whose columns drift by less are taken for in line, which misses by 1.5
+# columns per row: four rows that drift by less are treated as aligned, which misses by 1.5
 # times this at most
 _SHEAR = 3e-4
 _DECADES = 30.0  # a product's range before its logarithm is taken: inside float32's
@@ -30,7 +30,7 @@ _LOG2_REST = tuple(_REST.astype(np.float32))
 
 @numba.njit(cache=True, fastmath=True)
 def _stretch(fraction: float, step: float, first: int, count: int) -> int:
-    """Find the voxel at which a position enters another pixel.
+    """Find the voxel where a position enters another pixel.
 
     The position moves by `step` per voxel.
     """
@@ -171,13 +171,13 @@ def _fold_four(
             _stretch(x_last - shift_last, column_step, first, columns),
             _stretch(y_last - above_last, row_step, first, columns),
         )
-        seen = (
+        inside = (
             first + shift >= 0
             and end + shift < image.shape[1]
             and above >= 0
             and above + 4 < image.shape[0]
         )
-        if seen and shift == shift_last and above == above_last:
+        if inside and shift == shift_last and above == above_last:
             corner = np.uint32(above * image.shape[1] + shift + first)
             start = np.float32(x - shift + 1.5 * affine[2]), np.float32(y - above)
             step = np.float32(column_step), np.float32(row_step), np.float32(affine[5] - 1.0)
@@ -192,13 +192,13 @@ def _fold_four(
                 end - first,
             )
         else:
-            for one in range(row, row + 4):
-                place = one * TILE_COLUMNS
+            for tile_row in range(row, row + 4):
+                place = tile_row * TILE_COLUMNS
                 _fold_row(
                     image,
                     spline,
                     affine,
-                    one,
+                    tile_row,
                     first,
                     outside,
                     fold,

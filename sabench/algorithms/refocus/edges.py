@@ -1,4 +1,4 @@
-"""Edges in refocused planes, and the depths at which they are sharpest.
+"""Edges in refocused planes, and the depths where they are sharpest.
 
 On the plane of an opaque object's depth the images of all cameras coincide: its edge is in focus.
 On other planes they are displaced against each other and the edge is blurred. Source: J. Belden's
@@ -13,9 +13,9 @@ from scipy.ndimage import convolve1d, map_coordinates, maximum_filter1d
 from sabench.geometry.grid import Grid
 from sabench.utils.arrays import F32, F64, I64, Bool
 
-_WIDTH = 1.0  # standard deviation of the Gaussian whose derivative is the gradient, voxels
-_REACH = 4  # standard deviations to which it is sampled
-_PARTS = 8  # of the planes, of which one at a time is differentiated
+_WIDTH = 1.0  # standard deviation of the gradient's Gaussian, voxels
+_REACH = 4  # standard deviations that are sampled
+_PARTS = 8  # of the planes, differentiated one at a time
 _LEAST_PART = 0.5  # of the largest gradient, above which planes take part in the fit of the depth
 
 
@@ -49,9 +49,8 @@ def find_edges(stack: F32, grid: Grid, *, least: float, reach_mm: float) -> Edge
     Parameters
     ----------
     stack : (z, y, x) refocused images, voxels as wide as long.
-    least : height of a step from which it is an edge.
-    reach_mm : depth before and behind an edge within which none is sharper; the planes there are
-        fitted.
+    least : least height of a step that is an edge.
+    reach_mm : depth around an edge without a sharper one; the planes there are fitted.
     """
     planes = max(1, round(reach_mm / grid.voxel_mm[2]))
     height = np.empty_like(stack)
@@ -90,10 +89,10 @@ def _directions(stack: F32, z: I64, y: I64, x: I64) -> F64:
     """Compute unit vectors (n, 2) along the gradients at some voxels."""
     out = np.zeros((len(z), 2))
     for part in np.array_split(np.arange(len(stack)), _PARTS):
-        own = np.flatnonzero(np.isin(z, part))
-        if len(own):
-            pair = gradient(stack[part])
-            out[own] = np.column_stack([one[z[own] - part[0], y[own], x[own]] for one in pair])
+        inside = np.flatnonzero(np.isin(z, part))
+        if len(inside):
+            index = z[inside] - part[0], y[inside], x[inside]
+            out[inside] = np.column_stack([slope[index] for slope in gradient(stack[part])])
     return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12))
 
 

@@ -189,13 +189,13 @@ def _interpolate(padded: Any, spline: Any, columns: Any, rows: Any, outside: Any
             k += pitch
         out[i] = max(total, zero)
     for i in range(count):
-        seen = (
+        inside = (
             (columns[i] >= zero)
             & (rows[i] >= zero)
             & (columns[i] <= last_column)
             & (rows[i] <= last_row)
         )
-        out[i] = out[i] if seen else outside
+        out[i] = out[i] if inside else outside
 
 
 @numba.njit(cache=True, fastmath=True)

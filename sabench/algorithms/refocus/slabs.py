@@ -20,9 +20,9 @@ from sabench.utils.arrays import F64, I64
 # largest distance, in a camera's pixels, between the tiles' affine maps and the exact lines of
 # sight
 DEVIATION_PX = 0.01
-_MARGIN = 2.0  # voxels that a rectified image reaches beyond what is asked for
-_PROBES = 2000  # positions at which the deviation is measured
-_NODES = 7  # depths at which displacements are computed; between them they are interpolated
+_MARGIN = 2.0  # voxels of a rectified image around the requested ones
+_PROBES = 2000  # positions for a measurement of the deviation
+_NODES = 7  # depths of computed displacements; between them they are interpolated
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Slab:
     first, count : planes.
     z_mm : the plane of the rectified images.
     corners : (camera, 2) x, y of the rectified images' first pixel, in voxels of the grid.
-    shape : (height, width) of the rectified images, whose pixels are as far apart as voxels.
+    shape : (height, width) of the rectified images, with pixels as far apart as voxels.
     displacement : (camera, plane, 2, terms) polynomials in u, v across the grid: the displacement
         in x, y from a voxel to its image on `z_mm`, in voxels.
     degree : of these polynomials.
@@ -151,8 +151,8 @@ def deviation_px(slab: Slab, cameras: Sequence[CameraModel], grid: Grid) -> floa
     step, low = np.asarray(grid.voxel_mm), np.asarray(grid.low_mm)
     exact = low + step * np.column_stack([left[tile] + column, top[tile] + row, slab.first + plane])
     worst = 0.0
-    for camera, own, corner in zip(cameras, np.moveaxis(maps, 2, 0), slab.corners, strict=True):
-        affine = own[tile, plane]
+    for camera, affines, corner in zip(cameras, np.moveaxis(maps, 2, 0), slab.corners, strict=True):
+        affine = affines[tile, plane]
         mapped = affine[:, [0, 3]] + affine[:, [1, 4]] * column[:, None]
         mapped = mapped + affine[:, [2, 5]] * row[:, None] + corner
         on_plane = np.column_stack([low[:2] + step[:2] * mapped, np.full(_PROBES, slab.z_mm)])
@@ -231,9 +231,9 @@ def _boxes(
     needed = (voxels + ways).reshape(len(cameras), -1, 2)
     low, high = needed.min(axis=1), needed.max(axis=1)
     for number, camera in enumerate(cameras):
-        seen = _border(camera, grid, z_mm)
-        low[number] = np.clip(seen.min(axis=0), low[number], high[number])
-        high[number] = np.clip(seen.max(axis=0), low[number], high[number])
+        border = _border(camera, grid, z_mm)
+        low[number] = np.clip(border.min(axis=0), low[number], high[number])
+        high[number] = np.clip(border.max(axis=0), low[number], high[number])
     corners = np.floor(low - _MARGIN)
     width, height = (np.ceil(high + _MARGIN) - corners).max(axis=0).astype(int) + 1
     return corners, (int(height), int(width))

@@ -31,7 +31,7 @@ def find_edge_on(cameras: Sequence[CameraModel], grid: Grid) -> str | None:
     for camera in cameras:
         pixels, valid = camera.project(ends)
         if not valid.all():
-            continue  # what asks for light paths says so
+            continue  # the search for light paths raises the error
         least, most = np.sort(np.linalg.svd(pixels[:2] - pixels[2:], compute_uv=False))
         angle = float(np.rad2deg(np.arcsin(min(least / max(most, 1e-300), 1.0))))
         if angle < _FLATTEST_DEGREES:
@@ -96,8 +96,8 @@ def refocus_on_surface(
             [_sample(spline, camera, *place, mask) for spline, camera, mask in views_of]
         )
         views[part] = np.isfinite(samples).sum(axis=0)
-        seen = views[part] > 0
-        values[part][seen] = _JOINS[join](samples[:, seen])
+        visible = views[part] > 0
+        values[part][visible] = _JOINS[join](samples[:, visible])
     return SurfaceImage(values.reshape(shape), views.reshape(shape))
 
 
@@ -105,22 +105,22 @@ def _sample(
     spline: F32, camera: CameraModel, points: F64, normals: F64, covered: Bool | None
 ) -> F32:
     """Sample an image's cubic B-spline at points (n, 3); NaN where they are hidden."""
-    there = np.flatnonzero(np.isfinite(points).all(axis=1))
-    pixels, valid = camera.project(points[there])
+    index = np.flatnonzero(np.isfinite(points).all(axis=1))
+    pixels, valid = camera.project(points[index])
     column, row = pixels.T
     valid &= (column >= 0) & (row >= 0)
     valid &= (column <= camera.columns - 1) & (row <= camera.rows - 1)
-    there, pixels = there[valid], pixels[valid]
+    index, pixels = index[valid], pixels[valid]
     if covered is not None:
         column, row = np.rint(pixels).astype(int).T
         shown = ~covered[row, column]
-        there, pixels = there[shown], pixels[shown]
+        index, pixels = index[shown], pixels[shown]
     rays = camera.back_project(pixels)
-    faces = ~(np.einsum("ij,ij->i", rays.directions, normals[there]) <= 0.0) & rays.valid
-    there, pixels = there[faces], pixels[faces]
+    faces = ~(np.einsum("ij,ij->i", rays.directions, normals[index]) <= 0.0) & rays.valid
+    index, pixels = index[faces], pixels[faces]
     out = np.full(len(points), np.nan, dtype=np.float32)
-    found = map_coordinates(spline, pixels[:, ::-1].T, order=3, mode="mirror", prefilter=False)
-    out[there] = np.maximum(found, 0.0)  # a spline undershoots next to bright pixels
+    samples = map_coordinates(spline, pixels[:, ::-1].T, order=3, mode="mirror", prefilter=False)
+    out[index] = np.maximum(samples, 0.0)  # a spline undershoots next to bright pixels
     return out
 
 

@@ -23,7 +23,7 @@ from sabench.utils.arrays import F32, F64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
-_GPU_PLANES = 1 << 24  # voxels computed at once: bounds the device's memory
+_GPU_PLANES = 1 << 24  # voxels computed simultaneously: bounds the device's memory
 # (drjit, one array of samples per camera) -> the plane's voxels
 Fold = Callable[[Any, Sequence[Any]], Any]
 
@@ -67,8 +67,8 @@ def _sweep(rectified: F32, slab: Slab, grid: Grid, outside: float, fold: Fold, o
                 for axis in (0, 1)
             ]
             samples.append(_sample(dr, types, image, slab.shape, position, outside))
-        found = np.asarray(fold(dr, samples))
-        _keep(found.reshape(-1, width), part.reshape(-1, width))
+        folded = np.asarray(fold(dr, samples))
+        _keep(folded.reshape(-1, width), part.reshape(-1, width))
 
 
 @numba.njit(parallel=True, cache=True)
@@ -104,7 +104,7 @@ def _sample(
 
 
 def _polynomial(dr: Any, types: Any, table: Any, start: Any, degree: int, u: Any, v: Any) -> Any:
-    """Evaluate bivariate polynomials whose terms start at places (n,) of a table."""
+    """Evaluate bivariate polynomials; their terms start at entries (n,) of a table."""
     result, place = None, (degree + 1) * (degree + 2) // 2
     for power_v in range(degree, -1, -1):
         line = None
@@ -154,8 +154,8 @@ def count_views(case: Observation, *, seen_only: bool) -> F32 | float:
     covered = case.repaired.flaws.covered
     if not seen_only and not covered.any():
         return float(len(case.cameras))
-    known, outside = (~covered).astype(np.float32), 0.0 if seen_only else 1.0
-    return np.maximum(refocus_sum(known, case.cameras, case.grid, outside=outside), 1.0)
+    uncovered, outside = (~covered).astype(np.float32), 0.0 if seen_only else 1.0
+    return np.maximum(refocus_sum(uncovered, case.cameras, case.grid, outside=outside), 1.0)
 
 
 def refocus_log2(
@@ -206,8 +206,8 @@ def refocus_by_shifts(images: F32, cameras: Sequence[CameraModel], grid: Grid) -
         some = whole[first : first + _AT_ONCE]
         cpu_kernels.sum_shifted(coefficients, some, focused[: grid.shape[0] - first])
         for plane, image in enumerate(focused[: len(some)], first):
-            own = np.ascontiguousarray(maps[:, plane : plane + 1])  # one type, one compilation
-            cpu_kernels.sum_planes(image[None], CUBIC, own, 0.0, volume[plane : plane + 1])
+            affine = np.ascontiguousarray(maps[:, plane : plane + 1])  # one type, one compilation
+            cpu_kernels.sum_planes(image[None], CUBIC, affine, 0.0, volume[plane : plane + 1])
     return volume
 
 
@@ -240,7 +240,7 @@ class _View:
     Attributes
     ----------
     maps, degree : from `rectifying_maps`.
-    tiles : from `Slab.tiles`. They come from a matrix product, whose threads would go on spinning
+    tiles : from `Slab.tiles`. They come from a matrix product: its threads would go on spinning
         next to the kernels.
     """
 

@@ -61,20 +61,20 @@ def occupancy(case: Observation) -> float:
 
     It is (sum E)^2 / (n sum E^2) of a perfect reconstruction E.
 
-    n particles of relative brightness b, alike but for it, give images of (mean)^2 / variance = n A
+    n particles that differ in relative brightness b alone give images of (mean)^2 / variance = n A
     <b>^2 / (<b^2> pixels), however they overlap (Campbell's theorem), with A the effective area of
     a particle's image; the volume's share follows with an effective volume A w in place of A, w
     being a particle's effective depth in voxels. Assumed are a dark background, light from the
-    grid's particles only, and voxels whose x edge is a pixel's size or, if it is not, particles as
+    grid's particles only, and voxels as long along x as a pixel or, if they are not, particles as
     wide in voxels as in pixels, as E_s has them. The median camera counts.
     """
     good = case.repaired
     shares = []
     for image, covered in zip(good.images, good.flaws.covered, strict=True):
-        mean, known = float(image[~covered].mean()), image.size - int(covered.sum())
+        mean, pixels = float(image[~covered].mean()), image.size - int(covered.sum())
         light = mean - float(case.black_dn)
         products = _products(np.where(covered, mean, image), mean)
-        square, across, down = (product * image.size / known for product in products)
+        square, across, down = (product * image.size / pixels for product in products)
         variance = square / image.size
         if not variance > 0.0:
             shares.append(0.0)
@@ -109,7 +109,7 @@ def _products(image: Any, mean: float) -> Any:
 
 
 def auto_k(volume: F32, share: float, keep: Keep) -> float:
-    """Find the k >= 0 at which `extract` fills the given share of the volume.
+    """Find the k >= 0 that makes `extract` fill the given share of the volume.
 
     The result is accurate to 0.01 and at most 41; the volume (z, y, x) is not changed. On 196 data
     sets of 4 to 25 cameras, Q is on the average 0.005 to 0.012 below that of the best k.

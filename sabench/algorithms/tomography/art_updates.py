@@ -1,4 +1,4 @@
-"""Corrections of the voxels by comparing recorded and projected light: all at once, or by pixels.
+"""Corrections of voxels by recorded and projected light: jointly, or by pixels.
 
 Every step corrects the values in place and returns the squared norm of the residual P - W I before
 the correction.
@@ -85,9 +85,9 @@ def mart_sweep(
     first = np.empty(geometry.rows * geometry.columns + 1, dtype=np.int64)
     _count(geometry, camera, parts, support.start, support.x, slots)
     _number(slots, first)
-    seen = int(first[-1])
-    voxel = np.empty(seen, dtype=np.int32)
-    across, down, light = (np.empty(seen, dtype=np.float32) for _ in range(3))
+    entries = int(first[-1])
+    voxel = np.empty(entries, dtype=np.int32)
+    across, down, light = (np.empty(entries, dtype=np.float32) for _ in range(3))
     spread, taps = np.float32(lines.footprint.spread), 2 + 2 * geometry.margin
     buckets = Buckets(spread, taps, geometry.columns, first, voxel, across, down, light)
     _fill(geometry, camera, parts, support.start, support.x, values, slots, buckets)
@@ -204,12 +204,12 @@ def _correct(
     buckets: Any, row: int, column: int, light: Any, saturated: Any, relaxation: Any
 ) -> Any:
     """Correct the voxels of one pixel and return its squared residual."""
-    seen = _line_of_sight(buckets, row, column)
-    if saturated and seen >= light:
+    projected = _line_of_sight(buckets, row, column)
+    if saturated and projected >= light:
         return np.float32(0.0)
-    if seen > 0.0:
-        _raise(buckets, row, column, relaxation * np.float32(math.log2(light / seen)))
-    return (light - seen) ** 2
+    if projected > 0.0:
+        _raise(buckets, row, column, relaxation * np.float32(math.log2(light / projected)))
+    return (light - projected) ** 2
 
 
 @numba.njit(cache=True)
@@ -241,7 +241,7 @@ def _raise(buckets: Any, row: int, column: int, exponent: Any) -> None:
 
 @numba.njit(cache=True)
 def _stretch(buckets: Any, row: int, column: int) -> Any:
-    """List rows, columns and light of the voxels whose footprints reach a pixel."""
+    """List rows, columns and light of the voxels with footprints that reach a pixel."""
     left, line = max(column - buckets.taps + 1, 0), row * buckets.columns
     here = slice(buckets.first[line + left], buckets.first[line + column + 1])
     return buckets.down[here], buckets.across[here], buckets.light[here]
@@ -272,9 +272,9 @@ def _share(distance: Any, spread: Any) -> Any:
     See `Footprint`.
     """
     one, none = np.float32(1.0), np.float32(0.0)
-    own = max(one - abs(distance), none)
+    direct = max(one - abs(distance), none)
     given = max(one - abs(distance - one), none) + max(one - abs(distance + one), none)
-    return own + spread * (given - own - own)
+    return direct + spread * (given - direct - direct)
 
 
 # of a bright particle's peak: darker pixels are raised to it, since the logarithm of zero is no
@@ -318,8 +318,8 @@ class RecordedLight:
     @classmethod
     def of(cls, light: F32, saturated: Bool, unknown: Bool) -> RecordedLight:
         """Make it of normalised images; every projection explains the unknown pixels."""
-        known = np.where(unknown, _UNKNOWN, np.maximum(light, np.float32(DARKEST)))
-        return cls(known, saturated | unknown)
+        filled = np.where(unknown, _UNKNOWN, np.maximum(light, np.float32(DARKEST)))
+        return cls(filled, saturated | unknown)
 
     def unknown(self) -> Bool:
         """Mark the pixels (camera, row, column) that show nothing."""
@@ -414,8 +414,8 @@ def block_mart(state: Iterate, measured: RecordedLight, relaxation: float) -> fl
     for camera in state.lines.cameras:
         image = state.lines.forward(state.values, [camera])
         part = slice(camera, camera + 1)
-        own = RecordedLight(measured.light[part], measured.saturated[part])
-        missed += own.log_ratio(image)
+        recorded = RecordedLight(measured.light[part], measured.saturated[part])
+        missed += recorded.log_ratio(image)
         multiply(state.values, state.lines.adjoint(image, [camera]), np.float32(relaxation))
     return missed
 

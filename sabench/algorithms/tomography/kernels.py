@@ -177,7 +177,7 @@ def project(
     Parameters
     ----------
     cameras : (n,) numbers.
-    parts : (part + 1,) rows at which the parts begin.
+    parts : (part + 1,) first rows of the parts.
     start, x, values : the voxels, see `Support`.
     out : (n, part, rows * columns) float32, zero on entry.
     """

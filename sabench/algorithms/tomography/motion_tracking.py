@@ -47,7 +47,7 @@ class Exposure:
             pass  # every iteration changes the voxels in place
 
     def volume(self, floor: float) -> F32:
-        """Return the volume (z, y, x) on the grid that was asked for."""
+        """Return the volume (z, y, x) on the requested grid."""
         return self.problem.volume(self.state, floor)
 
     def restart(self, guess: F32) -> Exposure:
@@ -72,7 +72,7 @@ class Displacement:
 
     @classmethod
     def of(cls, field: Field, splits: Splits) -> Displacement:
-        """Convert a field in voxels, of which each is split into fine ones."""
+        """Convert a field in voxels that are each split into fine ones."""
         axes = zip(field.windows.origin, field.windows.step, splits[::-1], strict=True)
         z, y, x = (((start + 0.5) * n - 0.5, float(step * n)) for start, step, n in axes)
         return cls(field.shift * np.asarray(splits), (z[0], y[0], x[0]), (z[1], y[1], x[1]))
@@ -116,11 +116,11 @@ def enhanced_guesses(volumes: Sequence[F32], moves: Sequence[Displacement]) -> l
     moves : from each volume to the next.
     """
     guesses = []
-    for number, own in enumerate(volumes):
-        there = [own]
+    for number, volume in enumerate(volumes):
+        aligned = [volume]
         if number + 1 < len(volumes):
-            there.append(moves[number].bring(volumes[number + 1], own, 1))
+            aligned.append(moves[number].bring(volumes[number + 1], volume, 1))
         if number:
-            there.append(moves[number - 1].bring(volumes[number - 1], own, -1))
-        guesses.append(np.asarray(sum(there) / np.float32(len(there)), dtype=np.float32))
+            aligned.append(moves[number - 1].bring(volumes[number - 1], volume, -1))
+        guesses.append(np.asarray(sum(aligned) / np.float32(len(aligned)), dtype=np.float32))
     return guesses

@@ -21,8 +21,8 @@ from sabench.utils.arrays import F32, I64
 from sabench.utils.compiled import numba
 from sabench.utils.progress import progress_bar
 
-_SLAB = 8_000_000  # voxels whose memory is taken at a time
-# of voxels, in which one camera after the other is looked up: its part of the image stays in the
+_SLAB = 8_000_000  # voxels that are allocated at a time
+# of voxels: one camera after the other is looked up, and its part of the image stays in the
 # cache
 _ROWS = 32
 
@@ -45,11 +45,11 @@ def product_guess(
     planes, shape = geometry.maps.shape[1], (geometry.height, geometry.width)
     step = max(1, _SLAB // (shape[0] * shape[1]))
     flat = images.reshape(len(images), -1)
-    kept = [
+    slabs = [
         _slab(geometry, flat, threshold, first, min(step, planes - first))
         for first in progress_bar(range(0, planes, step), "first guess")
     ]
-    counts, x, values = (np.concatenate(part) for part in zip(*kept, strict=True))
+    counts, x, values = (np.concatenate(part) for part in zip(*slabs, strict=True))
     return operators.Support((planes, *shape), np.concatenate([[0], np.cumsum(counts)]), x), values
 
 
@@ -106,7 +106,7 @@ def _multiply_block(
     geometry: Any, images: Any, threshold: float, first: int, x: Any, values: Any, counts: Any
 ) -> None:
     """Multiply rows of voxels by the images of one camera after the other."""
-    work, product, seen = scratch(geometry), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
+    work, product, views = scratch(geometry), np.ones(x.shape), np.zeros(x.shape, dtype=np.int32)
     for row in range(len(x)):
         counts[row] = geometry.width
         for i in range(geometry.width):
@@ -124,10 +124,10 @@ def _multiply_block(
                 work,
                 x[row],
                 product[row],
-                seen[row],
+                views[row],
             )
     for row in range(len(x)):
-        counts[row] = _take_root(counts[row], x[row], product[row], seen[row], values[row])
+        counts[row] = _take_root(counts[row], x[row], product[row], views[row], values[row])
 
 
 @numba.njit(cache=True)
@@ -141,34 +141,34 @@ def _multiply_camera(
     work: Any,
     x: Any,
     product: Any,
-    seen: Any,
+    views: Any,
 ) -> int:
     """Multiply one camera's samples, remove black voxels, and count the others."""
     base, across, down = locate(geometry, camera, row, x[:left], work)
-    kept = 0
+    written = 0
     for i in range(left):
         light, counts = np.float32(1.0), 0
         if base[i] >= 0:
             light, counts = sample(image, geometry.columns, base[i], across[i], down[i]), 1
-        x[kept], product[kept], seen[kept] = x[i], product[i] * light, seen[i] + counts
-        kept += int(
+        x[written], product[written], views[written] = x[i], product[i] * light, views[i] + counts
+        written += int(
             light >= threshold
             # whatever comes next is written over what was black: cheaper than a branch that cannot
             # be
             # foreseen
         )
-    return kept
+    return written
 
 
 @numba.njit(cache=True)
-def _take_root(left: int, x: Any, product: Any, seen: Any, values: Any) -> int:
+def _take_root(left: int, x: Any, product: Any, views: Any, values: Any) -> int:
     """Take the root of the product for voxels that any camera sees; count them."""
-    kept = 0
+    written = 0
     for i in range(left):
-        if seen[i] > 0:
-            x[kept], values[kept] = x[i], product[i] ** (1.0 / seen[i])
-            kept += 1
-    return kept
+        if views[i] > 0:
+            x[written], values[written] = x[i], product[i] ** (1.0 / views[i])
+            written += 1
+    return written
 
 
 # standard deviation of a blob against that of the particles' images: best Q of .6 to 1 (seeds from
@@ -228,7 +228,7 @@ class TomographyProblem:
     Attributes
     ----------
     measured : images as fractions of a bright particle's peak.
-    grid, splits : the grid that is asked for, and into how many fine voxels its voxels are split.
+    grid, splits : the requested grid, and into how many fine voxels its voxels are split.
     sigma_mm : of the blobs; 0 for points.
     geometry, footprint : cameras and fine grid, and what a fine voxel casts.
     """
@@ -265,14 +265,14 @@ class TomographyProblem:
         return self._start(*product_guess(nearest, self.measured.possible(), threshold))
 
     def uniform(self) -> Iterate:
-        """Make all voxels alike, as bright as the images on the mean."""
+        """Make all voxels equal, as bright as the images on average."""
         state = self._start(*every_voxel(self.geometry))
         projected = float(state.lines.forward(state.values).sum())
         state.values[:] *= self.measured.light.sum() / max(projected, 1e-30)
         return state
 
     def volume(self, state: Iterate, floor: float) -> F32:
-        """Return the volume (z, y, x) on the grid that was asked for."""
+        """Return the volume (z, y, x) on the requested grid."""
         light = state.lines.support, state.values
         volume = supersampling.gather(*light, self.grid, self.splits, self.sigma_mm)
         return supersampling.clear_dark(volume, floor)
@@ -285,9 +285,9 @@ class TomographyProblem:
 
     def _start(self, support: operators.Support, values: F32) -> Iterate:
         lines = operators.ProjectionOperator(self.geometry, support, self.footprint)
-        seen = np.rint(lines.adjoint(np.ones_like(self.measured.light)))
-        values[seen == 0.0] = 0.0
+        coverage = np.rint(lines.adjoint(np.ones_like(self.measured.light)))
+        values[coverage == 0.0] = 0.0
         unknown = self.measured.unknown()
         if unknown.any():
-            seen -= lines.adjoint(unknown.astype(np.float32))
-        return Iterate(lines, values, np.maximum(seen, np.float32(1.0)))
+            coverage -= lines.adjoint(unknown.astype(np.float32))
+        return Iterate(lines, values, np.maximum(coverage, np.float32(1.0)))

@@ -39,7 +39,7 @@ class Footprint:
 
     @property
     def margin(self) -> int:
-        """Pixels by which it reaches beyond the four."""
+        """Pixels that it reaches beyond the four."""
         return 1 if self.spread else 0
 
     def smooth(self, images: F32) -> F32:
@@ -52,7 +52,7 @@ class Footprint:
         kernel = np.array([self.spread, 1.0 - 2.0 * self.spread, self.spread])
         filters = -1, kernel, kernel
         border = cv2.BORDER_CONSTANT
-        return np.stack([cv2.sepFilter2D(one, *filters, borderType=border) for one in images])
+        return np.stack([cv2.sepFilter2D(image, *filters, borderType=border) for image in images])
 
 
 BILINEAR = Footprint(0.0)
@@ -80,11 +80,11 @@ def image_sigma_px(images: F32) -> float | None:
             before, middle, after = np.log(np.maximum(light.astype(np.float64), 1e-6))
             curvature = 2.0 * middle - before - after
             sigmas.append(1.0 / np.sqrt(curvature[curvature > 0.0]))
-    found = np.concatenate(sigmas)
-    return float(np.percentile(found, 25.0)) if len(found) else None
+    widths = np.concatenate(sigmas)
+    return float(np.percentile(widths, 25.0)) if len(widths) else None
 
 
-# voxels whose values stay in the cache while one camera after the other is looked up
+# voxels with values that stay in the cache while one camera after the other is looked up
 _BLOCK = 1 << 16
 # images that are added up by themselves; a fixed number, so that sums do not depend on how many
 # threads there are
@@ -136,7 +136,7 @@ def make_geometry(cameras: Sequence[CameraModel], grid: Grid, margin: int) -> Ke
         Some of the grid has no light path to a camera.
     """
     planes = plane_maps(cameras, grid)
-    maps = np.stack([[one.coefficients for one in maps] for maps in zip(*planes, strict=True)])
+    maps = np.stack([[view.coefficients for view in maps] for maps in zip(*planes, strict=True)])
     image = cameras[0].rows, cameras[0].columns
     return KernelGeometry(maps, planes[0][0].degree, *grid.shape[1:], *image, margin)
 

@@ -1,8 +1,8 @@
 """Finer grid for following lines of sight, from and to the requested grid.
 
 The footprint of a voxel is that of a point. Along an axis where one step moves the projection by
-more than about a pixel, voxels are split. In the result, each fine voxel is a blob of light whose
-projection is the footprint, and the volume holds the light of all blobs in each voxel.
+more than about a pixel, voxels are split. In the result, each fine voxel is a blob of light that
+projects to the footprint, and the volume holds the light of all blobs in each voxel.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from sabench.utils.arrays import F32, F64, triple
 from sabench.utils.compiled import numba
 
 _TRAVEL_PX = 1.25  # largest distance between the projections of two neighbouring voxels
-_REACH = 3.0  # standard deviations at which a blob ends
+_REACH = 3.0  # radius of a blob, standard deviations
 _BRIGHT, _LIT = 95.0, 0.1  # as `images.levels.normalise` scales images
 _FAINTEST = 0.01
 _MOST = 20.0  # typical voxels that the brightest one counts at most
@@ -155,7 +155,7 @@ def _spread(total: Any, along: Any, out: Any) -> None:
 def clear_dark(volume: F32, floor: float) -> F32:
     """Zero, in place, voxels darker than `floor` times a bright voxel.
 
-    A bright voxel is the 95th percentile of those that reach a tenth of the brightest, of which
+    A bright voxel is the 95th percentile of those that reach a tenth of the brightest, where
     the brightest count as `_MOST` typical ones. It is at least `_FAINTEST`: a bright particle's
     peak in the images is 1, and its light fills dozens of voxels.
     """

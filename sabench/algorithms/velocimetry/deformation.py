@@ -166,7 +166,7 @@ def _read_row(
     while first < width:
         end = _alike(corners, first)
         i, j, k = corners[0, first], corners[1, first], corners[2, first]
-        low, high = first, first  # the part whose 4 x 4 x 4 neighbours are all there
+        low, high = first, first  # the part with all 4 x 4 x 4 neighbours
         if 1 <= j < height - 2 and 1 <= k < depth - 2:
             low = min(max(first, 1 - i), end)
             high = max(low, min(end, width - 2 - i))
@@ -206,7 +206,7 @@ def _read_edge(
 
 @numba.njit(cache=True)
 def _is_beyond(voxel: int, part: Any, count: int) -> bool:
-    """Say whether a point, a part of a step after a voxel, is outside."""
+    """Return whether a point, a part of a step after a voxel, is outside."""
     return voxel < 0 or voxel >= count or (voxel == count - 1 and part > 0.0)
 
 
@@ -214,7 +214,7 @@ def _is_beyond(voxel: int, part: Any, count: int) -> bool:
 def _aim(
     row: Any, origin: float, step: float, share: float, y: int, z: int, positions: Any, corners: Any
 ) -> None:
-    """Find the voxel (x, y, z) and fraction at which each one is read.
+    """Find the voxel (x, y, z) and fraction where each one is read.
 
     x is relative to its own.
     """

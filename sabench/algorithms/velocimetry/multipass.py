@@ -34,8 +34,8 @@ def within_deviations(shift: F64, valid: Bool, deviations: float) -> Bool:
     """Mark vectors (z, y, x, 3) near the mean of all valid ones."""
     if not valid.any():
         return valid
-    known = shift[valid]
-    near = np.abs(shift - known.mean(axis=0)) <= deviations * known.std(axis=0) + _FLOOR
+    vectors = shift[valid]
+    near = np.abs(shift - vectors.mean(axis=0)) <= deviations * vectors.std(axis=0) + _FLOOR
     return np.asarray(valid & near.all(axis=-1))
 
 
@@ -62,14 +62,14 @@ def near_the_median(shift: F64, valid: Bool, times: float) -> Bool:
 
 def fill_invalid(shift: F64, valid: Bool) -> F64:
     """Replace invalid vectors by means of valid neighbours, or 0 if none is."""
-    out, known = np.where(valid[..., None], shift, 0.0), valid.copy()
-    if not known.any():
+    out, done = np.where(valid[..., None], shift, 0.0), valid.copy()
+    if not done.any():
         return out
-    while not known.all():
-        total, count = _around(out * known[..., None]), _around(known[..., None].astype(np.float64))
-        fresh = ~known & (count[..., 0] > 0.5)
+    while not done.all():
+        total, count = _around(out * done[..., None]), _around(done[..., None].astype(np.float64))
+        fresh = ~done & (count[..., 0] > 0.5)
         out[fresh] = total[fresh] / count[fresh]
-        known |= fresh
+        done |= fresh
     return out
 
 
@@ -78,14 +78,14 @@ def _around(values: F64) -> F64:
     for axis in range(3):
         padded = np.pad(values, [(int(n == axis),) * 2 for n in range(values.ndim)])
         count = values.shape[axis]
-        before, own, after = (np.take(padded, range(n, n + count), axis) for n in range(3))
-        values = own + after + before
+        before, middle, after = (np.take(padded, range(n, n + count), axis) for n in range(3))
+        values = middle + after + before
     return values
 
 
 def smooth_vectors(shift: F64, sigma: tuple[float, float, float]) -> F64:
     """Smooth vectors by a Gaussian (z, y, x), extrapolated linearly at edges."""
-    radii = [math.ceil(_FILLING_ROUNDS * own) for own in sigma]
+    radii = [math.ceil(_FILLING_ROUNDS * width) for width in sigma]
     counts = shift.shape[:3]
     margins = [min(radius, count - 1) for radius, count in zip(radii, counts, strict=True)]
     padding = [*((margin, margin) for margin in margins), (0, 0)]
@@ -99,14 +99,14 @@ def thesis_local(shift: F64, valid: Bool, deviations: float) -> Bool:
     """Mark vectors near their 3 x 3 x 3 median (thesis, section 2.3.3)."""
     ok = valid.copy()
     for axis in range(3):
-        own = shift[..., axis]
-        middle = median_filter(own, 3, mode="nearest")
+        part = shift[..., axis]
+        middle = median_filter(part, 3, mode="nearest")
         mean, square = (
-            _around(values[..., None])[..., 0] / _around(np.ones((*own.shape, 1)))[..., 0]
-            for values in (own, own**2)
+            _around(values[..., None])[..., 0] / _around(np.ones((*part.shape, 1)))[..., 0]
+            for values in (part, part**2)
         )
         ok &= (
-            np.abs(own - middle) <= deviations * np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-12
+            np.abs(part - middle) <= deviations * np.sqrt(np.maximum(square - mean**2, 0.0)) + 1e-12
         )
     return ok
 
@@ -169,25 +169,25 @@ def widths(volume: F32) -> Widths:
     """
     mean = float(volume.mean(dtype=np.float64))
     variance = _inner(volume, volume) / volume.size - mean**2
-    found = []
+    sigmas = []
     for axis in range(3):
         lines = np.moveaxis(volume, axis, 0)
-        one, other = (np.moveaxis(part, 0, axis) for part in (lines[1:], lines[:-1]))
-        shifted = _inner(one, other) / one.size - mean**2 if one.size else math.inf
+        later, earlier = (np.moveaxis(part, 0, axis) for part in (lines[1:], lines[:-1]))
+        shifted = _inner(later, earlier) / later.size - mean**2 if later.size else math.inf
         if variance <= 0.0 or shifted >= variance:
-            found.append(math.inf)  # it does not change from one voxel to the next
+            sigmas.append(math.inf)  # it does not change from one voxel to the next
         else:
-            found.append(0.5 / math.sqrt(-math.log(max(shifted / variance, 1e-6))))
-    return found[0], found[1], found[2]
+            sigmas.append(0.5 / math.sqrt(-math.log(max(shifted / variance, 1e-6))))
+    return sigmas[0], sigmas[1], sigmas[2]
 
 
-def _inner(one: F32, other: F32) -> float:
-    return math.fsum(float(np.einsum("yx,yx->", a, b)) for a, b in zip(one, other, strict=True))
+def _inner(first: F32, second: F32) -> float:
+    return math.fsum(float(np.einsum("yx,yx->", a, b)) for a, b in zip(first, second, strict=True))
 
 
 def widen(volume: F32, given: Widths, least: float) -> F32:
     """Blur the volume (z, y, x) by Gaussians along axes of too narrow particles."""
-    sigma = [math.sqrt(max(0.0, least**2 - own**2)) for own in given]
+    sigma = [math.sqrt(max(0.0, least**2 - width**2)) for width in given]
     if not any(sigma):
         return volume
     out = _blur(volume.reshape(len(volume), -1), sigma[0], 0.0).reshape(volume.shape)
@@ -263,7 +263,7 @@ class Field:
 def evaluate(first: F32, second: F32, plan: Plan) -> Field:
     """Evaluate displacements between two volumes (z, y, x)."""
     pairs = zip(widths(first), widths(second), strict=True)
-    z, y, x = (0.5 * (one + other) for one, other in pairs)
+    z, y, x = (0.5 * (width + other) for width, other in pairs)
     first, second = (widen(volume, (z, y, x), plan.width) for volume in (first, second))
     coarse = Windows.over(first.shape, plan.first, 0.5)
     peaks = by_spectra(first, second, coarse)
@@ -308,16 +308,16 @@ def _validate(windows: Windows, peaks: CorrelationPeaks, valid: Bool, plan: Plan
     return Field(windows, fill_invalid(peaks.shift, valid), valid)
 
 
-def _at(values: F64, there: Windows, here: Windows) -> F64:
+def _at(values: F64, source: Windows, here: Windows) -> F64:
     """Interpolate a field from some windows' middles to others'.
 
     Beyond the middles, it is extrapolated linearly.
     """
     for axis in range(3):
         place = here.origin[axis] + here.step[axis] * np.arange(here.counts[axis])
-        position = (place - there.origin[axis]) / there.step[axis]
-        low = np.clip(position.astype(int), 0, max(there.counts[axis] - 2, 0))
+        position = (place - source.origin[axis]) / source.step[axis]
+        low = np.clip(position.astype(int), 0, max(source.counts[axis] - 2, 0))
         part = np.expand_dims(position - low, tuple(n for n in range(values.ndim) if n != axis))
-        high = np.minimum(low + 1, there.counts[axis] - 1)
+        high = np.minimum(low + 1, source.counts[axis] - 1)
         values = np.take(values, low, axis) * (1.0 - part) + np.take(values, high, axis) * part
     return values

@@ -53,7 +53,7 @@ class CorrelationParameters(Parameters):
         shape, first, last, search : as in `Plan`, all (z, y, x).
         """
         z, y, x = (
-            min(own, max(1, 2 * (there // 2))) for own, there in zip(first, shape, strict=True)
+            min(edge, max(1, 2 * (size // 2))) for edge, size in zip(first, shape, strict=True)
         )
         return Plan(
             (z, y, x),

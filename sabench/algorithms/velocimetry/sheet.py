@@ -55,8 +55,8 @@ class Sheet:
         middles = [np.rint(first + step * np.arange(n)).astype(np.int64) for first, step, n in axes]
         spacing = across * self.pixel_mm, down * self.pixel_mm, self.depth_mm
         velocity = field.shift[..., :2] @ self.axes[:2] * self.pixel_mm / interval_s
-        seen = field.valid & self.seen[np.ix_(*middles)]
-        return Velocity(triple(low), spacing, velocity, seen, self.axes[:2].copy())
+        valid = field.valid & self.seen[np.ix_(*middles)]
+        return Velocity(triple(low), spacing, velocity, valid, self.axes[:2].copy())
 
 
 def find_sheet(
@@ -81,7 +81,7 @@ def find_sheet(
     Raises
     ------
     InputError
-        A plane beside the grid, a grid without a shortest edge, or an unknown camera.
+        A plane outside the grid, a grid without a shortest edge, or an unknown camera.
     DeclinedError
         No camera, or not the named one, sees the plane, or only edge-on.
     """
@@ -89,7 +89,7 @@ def find_sheet(
     through = middle if point_mm is None else np.asarray(point_mm, dtype=np.float64)
     across = _thinnest(grid) if normal is None else np.asarray(normal) / np.linalg.norm(normal)
     points = _probe(grid, through, across)
-    names = [one.name for one in cameras]
+    names = [model.name for model in cameras]
     if camera is not None and camera not in names:
         raise InputError(f"camera: expected one of {', '.join(names)}, got {camera}")
     numbers = range(len(cameras)) if camera is None else [names.index(camera)]
@@ -145,7 +145,7 @@ class _View:
     ----------
     points_mm : (n, 3) points of the plane that it sees.
     slopes : (2, 3) derivatives of column and row by directions in the plane, px / mm.
-    angle : between line of sight and plane, degrees; negative where it sees nothing.
+    angle : between line of sight and plane, degrees; negative for a camera that does not see it.
     """
 
     camera: int
@@ -162,17 +162,17 @@ class _View:
         sine is the ratio of the singular values of the derivatives.
         """
         pixels, valid = camera.project(points_mm)
-        seen = points_mm[valid & camera.contains(pixels)]
-        if not len(seen):
-            return cls(number, camera.name, seen, np.zeros((2, 3)), -1.0)
-        middle = seen[((seen - seen.mean(axis=0)) ** 2).sum(axis=1).argmin()]
+        visible = points_mm[valid & camera.contains(pixels)]
+        if not len(visible):
+            return cls(number, camera.name, visible, np.zeros((2, 3)), -1.0)
+        middle = visible[((visible - visible.mean(axis=0)) ** 2).sum(axis=1).argmin()]
         step = 1e-3 * float(np.linalg.norm(np.ptp(points_mm, axis=0)))
         basis = frame_of_normal(normal)[:2]
         ends, _ = camera.project(middle + step * np.concatenate([basis, -basis]))
         slopes = ((ends[:2] - ends[2:]) / (2.0 * step)).T
         least, most = np.sort(np.linalg.svd(slopes, compute_uv=False))
         angle = float(np.rad2deg(np.arcsin(min(least / most, 1.0))))
-        return cls(number, camera.name, seen, slopes @ basis, round(angle, 6))
+        return cls(number, camera.name, visible, slopes @ basis, round(angle, 6))
 
     def check(self, count: int) -> None:
         if self.angle < 0.0:
@@ -195,8 +195,8 @@ class _View:
         images = edges @ self.slopes.T
         first = edges[(images[:, 0] / np.linalg.norm(images, axis=1)).argmax()]
         second = cross(normal, first)
-        one, other = self.slopes @ first, self.slopes @ second
-        sign = np.sign(one[0] * other[1] - one[1] * other[0])
+        right, down = self.slopes @ first, self.slopes @ second
+        sign = np.sign(right[0] * down[1] - right[1] * down[0])
         return np.stack([first, sign * second, sign * normal])
 
 
@@ -216,9 +216,9 @@ def _lay(view: _View, camera: CameraModel, grid: Grid, points_mm: F64, normal: F
     steps = np.stack([across, down, np.zeros_like(across)], axis=-1)
     points = (start + steps).reshape(-1, 3) @ axes
     pixels, valid = camera.project(points)
-    seen = valid & camera.contains(pixels) & _in_box(grid, points)
+    visible = valid & camera.contains(pixels) & _in_box(grid, points)
     depth = float(np.abs(normal) @ np.asarray(grid.voxel_mm))
-    images = pixels.reshape(rows, columns, 2), seen.reshape(rows, columns)
+    images = pixels.reshape(rows, columns, 2), visible.reshape(rows, columns)
     return Sheet(view.camera, start @ axes, axes, edge, depth, *images)
 
 
@@ -229,15 +229,15 @@ def light_in_sheet(case: Observation, sheet: Sheet, around_px: int) -> F32:
     does not move would correlate with itself. Pixels that are not seen are zero. An image that
     shows nothing in the sheet is an InputError.
     """
-    image, seen = case.normalised_images()[sheet.camera], sheet.seen
-    places = np.where(seen[..., None], sheet.pixels, 0.0)
+    image, visible = case.normalised_images()[sheet.camera], sheet.seen
+    places = np.where(visible[..., None], sheet.pixels, 0.0)
     light = map_coordinates(image, [places[..., 1], places[..., 0]], order=3, mode="mirror")
-    light = np.where(seen, light, 0.0).astype(np.float32)
-    if light[seen].min() == light[seen].max():
+    light = np.where(visible, light, 0.0).astype(np.float32)
+    if light[visible].min() == light[visible].max():
         raise InputError(
             f"{case.cameras[sheet.camera].name}: expected an image that shows something in the "
             "light sheet, got none"
         )
-    share = uniform_filter(seen.astype(np.float32), around_px, mode="constant")
+    share = uniform_filter(visible.astype(np.float32), around_px, mode="constant")
     mean = uniform_filter(light, around_px, mode="constant") / np.maximum(share, 1e-6)
-    return np.asarray(np.where(seen, light - mean, 0.0), dtype=np.float32)[None]
+    return np.asarray(np.where(visible, light - mean, 0.0), dtype=np.float32)[None]

@@ -1,6 +1,6 @@
 """Windows of a volume, their correlation, and its peaks, on the CPU.
 
-Overlapping windows share their voxels. A volume is cut into blocks whose edges are the windows'
+Overlapping windows share their voxels. A volume is cut into blocks with edges of the windows'
 spacing. The products of one volume with the other, shifted, are summed over each block once, and a
 window is a sum of blocks: the time does not depend on the overlap.
 """
@@ -64,21 +64,21 @@ def block_sums(
 
 
 @numba.njit(cache=True, fastmath=True)
-def _add_rows(one: Any, other: Any, search: int, rows: Any) -> None:
+def _add_rows(first: Any, second: Any, search: int, rows: Any) -> None:
     """Add products of rows and the second's squares.
 
     The second row lies `search` voxels further right.
     """
-    count = len(one)
+    count = len(first)
     for n in range(2 * search + 1):
         dx = n - search
         low, high = max(0, -dx), min(count, count - dx)
-        target, left, right = rows[n, low:high], one[low:high], other[low + dx : high + dx]
+        target, left, right = rows[n, low:high], first[low:high], second[low + dx : high + dx]
         for x in range(len(target)):
             target[x] += left[x] * right[x]
     target = rows[2 * search + 1, search : search + count]
     for x in range(count):
-        target[x] += other[x] * other[x]
+        target[x] += second[x] * second[x]
 
 
 @numba.njit(cache=True, fastmath=True, parallel=True)
@@ -246,7 +246,7 @@ def _to_displacement(position: int, count: int) -> int:
 
 
 Size = tuple[int, int, int]
-_AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms at once
+_AT_ONCE = 1 << 20  # voxels of the windows that a thread transforms simultaneously
 # of the windows' mean square: one with less has no signal; what a spline's ringing leaves of bright
 # neighbours is less
 _EMPTY = 1e-3
@@ -282,21 +282,21 @@ class Windows:
                 f"window: expected one that fits into the volume of {_xyz(shape)} voxels, got "
                 f"{_xyz(size)}"
             )
-        parts = [1 if own == 1 else round(own * (1.0 - overlap)) for own in size]
-        if any(part < 1 or own % part for own, part in zip(size, parts, strict=True)):
+        parts = [1 if edge == 1 else round(edge * (1.0 - overlap)) for edge in size]
+        if any(part < 1 or edge % part for edge, part in zip(size, parts, strict=True)):
             raise InputError(
                 f"overlap: expected a part of {_xyz(size)} voxels that leaves whole steps which "
                 f"divide it, got {overlap:g}"
             )
         counts = [
-            (there - own) // part + 1 for there, own, part in zip(shape, size, parts, strict=True)
+            (total - edge) // part + 1 for total, edge, part in zip(shape, size, parts, strict=True)
         ]
         return cls(size, (parts[0], parts[1], parts[2]), (counts[0], counts[1], counts[2]))
 
     @property
     def origin(self) -> tuple[float, float, float]:
         """Middle (z, y, x) of the first window, voxels."""
-        z, y, x = ((own - 1) / 2.0 for own in self.size)
+        z, y, x = ((edge - 1) / 2.0 for edge in self.size)
         return z, y, x
 
     @property
@@ -349,9 +349,9 @@ def by_shifts(
     block_sums(first, second, windows.step, search, products[0], squares[0])
     block_sums(second, first, windows.step, search, products[1], squares[1])
     weights = tuple(
-        _weights(own // part, taper) for own, part in zip(windows.size, windows.step, strict=True)
+        _weights(edge // step, taper) for edge, step in zip(windows.size, windows.step, strict=True)
     )
-    energies = [float(np.mean(part[..., shape[3] // 2])) for part in squares]
+    energies = [float(np.mean(step[..., shape[3] // 2])) for step in squares]
     weight = math.prod(float(line.sum()) for line in weights)
     floor = _EMPTY * math.sqrt(energies[0] * energies[1]) * weight + 1e-30
     shift, height = np.empty((*windows.counts, 3)), np.empty(windows.counts)

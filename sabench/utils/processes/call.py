@@ -107,13 +107,13 @@ def _without_script() -> Iterator[None]:
 
 def _choose_environment(view: View) -> dict[str, str]:
     names, beginnings = _KEPT
-    kept = {
+    inherited = {
         name: value
         for name, value in os.environ.items()
         if name in names or name.startswith(beginnings)
     }
     kernels = str(kernel_folder().parent)  # which is not found from another HOME
-    return kept | {"HOME": view.home, "TMPDIR": "/tmp", "NUMBA_CACHE_DIR": kernels}
+    return inherited | {"HOME": view.home, "TMPDIR": "/tmp", "NUMBA_CACHE_DIR": kernels}
 
 
 def preload(*modules: str) -> None:

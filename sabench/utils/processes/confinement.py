@@ -30,7 +30,7 @@ from pathlib import Path
 # linux/sched.h: new namespaces of mounts, hosts' names, IPC, users, processes, network
 _NAMESPACES = 0x00020000 | 0x04000000 | 0x08000000 | 0x10000000 | 0x20000000 | 0x40000000
 _BIND, _RECURSIVE, _PRIVATE, _NO_SUID, _NO_DEV = 4096, 1 << 14, 1 << 18, 2, 4  # linux/mount.h
-_DETACH = 2  # for umount2: at once, in use or not
+_DETACH = 2  # for umount2: immediately, in use or not
 _PIVOT_ROOT = {"x86_64": 155, "aarch64": 41}
 _MOUNT_SETATTR, _HERE, _BELOW, _READ_ONLY = 442, -100, 0x8000, 1 | _NO_SUID
 _DEATH_SIGNAL, _DROP_CAPABILITY, _NO_NEW_PRIVILEGES = 1, 24, 38  # for prctl
@@ -72,8 +72,8 @@ def can_confine() -> bool:
     if sys.platform != "linux" or os.uname().machine not in _PIVOT_ROOT:
         return False
     view = View(changeable=(str(Path(__file__).parent),))
-    words, seen = start_words((), 1 << 30), start_input(view)
-    done = subprocess.run(words, input=seen, stderr=subprocess.DEVNULL, check=False)
+    words, message = start_words((), 1 << 30), start_input(view)
+    done = subprocess.run(words, input=message, stderr=subprocess.DEVNULL, check=False)
     return done.returncode == 0
 
 
@@ -119,7 +119,7 @@ def die_with_parent() -> None:
 
 
 def _drop_privileges() -> None:
-    """Give up all capabilities for good, with which mounts could be undone."""
+    """Give up all capabilities, since these could undo mounts."""
     _call("prctl", _NO_NEW_PRIVILEGES, 1, 0, 0, 0)
     for number in range(int(Path("/proc/sys/kernel/cap_last_cap").read_text()) + 1):
         _call("prctl", _DROP_CAPABILITY, number, 0, 0, 0)
@@ -140,10 +140,10 @@ def _libc() -> ctypes.CDLL:
 def _unshare() -> None:
     user, group = os.getuid(), os.getgid()
     _call("unshare", _NAMESPACES)
-    own = Path("/proc/self")
-    (own / "setgroups").write_text("deny", encoding="ascii")
-    (own / "uid_map").write_text(f"{user} {user} 1", encoding="ascii")
-    (own / "gid_map").write_text(f"{group} {group} 1", encoding="ascii")
+    proc = Path("/proc/self")
+    (proc / "setgroups").write_text("deny", encoding="ascii")
+    (proc / "uid_map").write_text(f"{user} {user} 1", encoding="ascii")
+    (proc / "gid_map").write_text(f"{group} {group} 1", encoding="ascii")
 
 
 def _wait_for_all(confined: int, sender: int) -> None:
@@ -180,7 +180,7 @@ def _enter(view: View) -> None:
     for path in _SCRATCH:
         _in_root(path).mkdir(parents=True)
         _mount("tmpfs", _in_root(path), "tmpfs", _NO_SUID | _NO_DEV, "size=25%,mode=1777")
-    for path in sorted(sources, key=lambda one: len(one.parts)):
+    for path in sorted(sources, key=lambda path: len(path.parts)):
         source = Path(f"/proc/self/fd/{sources[path]}")
         if mounts[path] is _hide and not _in_root(path).exists():
             continue
@@ -250,7 +250,7 @@ def _hide(source: Path, place: Path) -> None:
 def _mount(
     source: Path | str | None, place: Path, kind: str | None, flags: int, options: str | None = None
 ) -> None:
-    words = [one and os.fsencode(one) for one in (source, place, kind)]
+    words = [word and os.fsencode(word) for word in (source, place, kind)]
     _call("mount", *words, ctypes.c_ulong(flags), options and os.fsencode(options))
 
 
@@ -278,10 +278,10 @@ def _main(file_bytes: str, *program: str) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         die_with_parent()
-    seen = json.load(sys.stdin)
+    view = json.load(sys.stdin)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    if seen is not None:
-        confine(View(**seen))
+    if view is not None:
+        confine(View(**view))
     if not program:
         return
     try:

@@ -122,18 +122,18 @@ class _Tail(threading.Thread):
 
     def __init__(self, pipe: IO[bytes]) -> None:
         super().__init__(daemon=True)
-        self._pipe, self._kept = pipe, deque[bytes](maxlen=_TAIL // 512)
+        self._pipe, self._pieces = pipe, deque[bytes](maxlen=_TAIL // 512)
         self.start()
 
     def run(self) -> None:
         with contextlib.suppress(ValueError, OSError):  # the pipe may be closed below
             while piece := os.read(self._pipe.fileno(), 512):
-                self._kept.append(piece)
+                self._pieces.append(piece)
 
     def last_line(self) -> str:
         """Return the last line that is not empty, fit for printing."""
         self.join(1.0)
-        return last_line(b"".join(self._kept))
+        return last_line(b"".join(self._pieces))
 
 
 @contextlib.contextmanager
@@ -166,8 +166,8 @@ def _start(
 
 
 def _environment(folder: Path, token: str) -> Mapping[str, str]:
-    kept = {name: os.environ[name] for name in _KEPT if name in os.environ}
-    return kept | {"HOME": str(folder), "TMPDIR": str(folder), _TOKEN: token}
+    inherited = {name: os.environ[name] for name in _KEPT if name in os.environ}
+    return inherited | {"HOME": str(folder), "TMPDIR": str(folder), _TOKEN: token}
 
 
 def _watch(
@@ -183,15 +183,15 @@ def _watch(
         if process.poll() is not None:
             return peak_mb, ""
         if held > allowed_mb:
-            found = f"its processes held {held:.0f} MB"
-            return peak_mb, f"expected at most {allowed_mb:.0f} MB of memory, but {found}"
+            breach = f"its processes held {held:.0f} MB"
+            return peak_mb, f"expected at most {allowed_mb:.0f} MB of memory, but {breach}"
         if now - start > limits.time_s:
             return peak_mb, overdue(limits.time_s)
         if now - looked > _OUTPUT_EVERY:
             looked, written = now, _size_mb(folder)
             if written > limits.output_mb:
-                found = f"it wrote {written:.0f} MB"
-                return peak_mb, f"expected at most {limits.output_mb:.0f} MB of files, but {found}"
+                breach = f"it wrote {written:.0f} MB"
+                return peak_mb, f"expected at most {limits.output_mb:.0f} MB of files, but {breach}"
         # the next look: after a twentieth of the time elapsed, not beyond the limit
         shortest, longest = _WAITS
         rest = max(limits.time_s - (now - start), 0.001)
@@ -224,27 +224,27 @@ def _held_mb(process: subprocess.Popen[bytes]) -> float:
 
 def _family(process: subprocess.Popen[bytes]) -> list[psutil.Process]:
     """Return a program's process, all below it, and all of its session."""
-    found = {}
+    family = {}
     # once its end is known, the system may give the number to another process
     if process.returncode is None:
         with contextlib.suppress(psutil.Error):
             head = psutil.Process(process.pid)
-            found = {one.pid: one for one in (head, *head.children(recursive=True))}
+            family = {member.pid: member for member in (head, *head.children(recursive=True))}
     for other in psutil.pids():
-        if other not in found:
+        if other not in family:
             with contextlib.suppress(psutil.Error, OSError):
                 if os.getsid(other) == process.pid:
-                    found[other] = psutil.Process(other)
-    return list(found.values())
+                    family[other] = psutil.Process(other)
+    return list(family.values())
 
 
 def _find_marked(variable: str, token: str) -> list[psutil.Process]:
-    found = []
-    for one in psutil.process_iter():
+    marked = []
+    for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
-            if one.environ().get(variable) == token:
-                found.append(one)
-    return found
+            if process.environ().get(variable) == token:
+                marked.append(process)
+    return marked
 
 
 def _size_mb(folder: Path) -> float:
@@ -327,10 +327,10 @@ def kill_tree(pid: int) -> None:
 
 def kill_running(processes: Iterable[psutil.Process]) -> int:
     """Kill those processes that still run, but not this one; returns their number."""
-    left = [one for one in processes if one.pid != os.getpid() and _runs(one)]
-    for one in left:
+    left = [process for process in processes if process.pid != os.getpid() and _runs(process)]
+    for process in left:
         with contextlib.suppress(psutil.Error):
-            one.kill()
+            process.kill()
     return len(left)
 
 

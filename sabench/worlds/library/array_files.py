@@ -36,7 +36,7 @@ Names = Sequence[str] | None
 def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[str, Array]:
     """Read arrays of a file, or of a series joined to one, by their names.
 
-    A path whose last part has a * names a series; `file_number` is then the last number in the name
+    A path with a * in its last part is a series; `file_number` is then the last number in the name
     of each value's file.
 
     CSV and other text (txt, dat): columns under a header line, or by their numbers from 1 without
@@ -56,16 +56,16 @@ def read_arrays(path: Path, names: Sequence[str], skip_lines: int = 0) -> dict[s
     files = file_series(path)
     if not files:
         raise InputError(f"{path}: expected a file, found none")
-    found = _read_apart(path, files, names, path.suffix.lower(), skip_lines)
+    arrays = _read_apart(path, files, names, path.suffix.lower(), skip_lines)
     for name in names:
-        values = found[name].values
+        values = arrays[name].values
         wrong = int(values.size - np.isfinite(values).sum())
         if wrong:
             raise InputError(
                 f"{path}: {name}: expected finite numbers, but {wrong} of {values.size} are NaN or "
                 "infinite"
             )
-    return found
+    return arrays
 
 
 def read_all_arrays(path: Path, suffix: str) -> dict[str, Array]:
@@ -118,13 +118,13 @@ def _read_one(file: Path, names: Names, suffix: str, skip_lines: int) -> dict[st
         )
     inside = None if names is None else [name for name in names if name != FILE_NUMBER]
     if suffix in _TEXT:
-        found = _from_text(file, inside or (), skip_lines)
+        arrays = _from_text(file, inside or (), skip_lines)
     else:
-        found = _READERS[suffix](file, inside)
+        arrays = _READERS[suffix](file, inside)
     if names is not None and FILE_NUMBER in names:
-        count = max((array.values.size for array in found.values()), default=0)
-        found[FILE_NUMBER] = Array(np.full(count, float(last_number(file))))
-    return found
+        count = max((array.values.size for array in arrays.values()), default=0)
+        arrays[FILE_NUMBER] = Array(np.full(count, float(last_number(file))))
+    return arrays
 
 
 def _from_text(path: Path, names: Sequence[str], skip_lines: int) -> dict[str, Array]:
@@ -135,12 +135,12 @@ def _from_text(path: Path, names: Sequence[str], skip_lines: int) -> dict[str, A
     return {name: columns[name] for name in _check_names(path, names, columns)}
 
 
-def _check_names(path: Path, names: Sequence[str], there: Iterable[str]) -> Sequence[str]:
-    known = list(there)
+def _check_names(path: Path, names: Sequence[str], available: Iterable[str]) -> Sequence[str]:
+    listed = list(available)
     for name in names:
-        if name not in known:
+        if name not in listed:
             raise InputError(
-                f"{path}: expected {name!r} in it, got {', '.join(map(repr, known)) or 'nothing'}"
+                f"{path}: expected {name!r} in it, got {', '.join(map(repr, listed)) or 'nothing'}"
             )
     return names
 
@@ -163,11 +163,11 @@ def _from_hdf5(path: Path, names: Names) -> dict[str, Array]:
         raise InputError(f"{path}: expected an intact HDF5 file, got {error}") from error
 
 
-def _choose(path: Path, names: Names, there: dict[str, Any]) -> Sequence[str]:
+def _choose(path: Path, names: Names, content: dict[str, Any]) -> Sequence[str]:
     """Check the names; without names, choose the arrays of numbers at the root."""
     if names is not None:
-        return _check_names(path, names, there)
-    arrays = {name: item for name, item in there.items() if "/" not in name and item.shape}
+        return _check_names(path, names, content)
+    arrays = {name: item for name, item in content.items() if "/" not in name and item.shape}
     return [name for name, item in arrays.items() if item.dtype.kind in "fiu"]
 
 
@@ -180,7 +180,7 @@ def _from_netcdf(path: Path, names: Names) -> dict[str, Array]:
             return _from_hdf5(path, names)
     try:
         with netcdf_file(path, "r", mmap=False) as file:
-            arrays = {name: np.array(one[()]) for name, one in file.variables.items()}
+            arrays = {name: np.array(variable[()]) for name, variable in file.variables.items()}
             return {
                 name: Array(_numbers(path, name, arrays[name]), _text(vars(file.variables[name])))
                 for name in _choose(path, names, arrays)
@@ -201,7 +201,7 @@ def _from_matlab(path: Path, names: Names) -> dict[str, Array]:
         content = loadmat(path)
     except (MatReadError, ValueError, TypeError, NotImplementedError, OSError) as error:
         raise InputError(f"{path}: expected an intact MATLAB file, got {error}") from error
-    arrays = {name: one for name, one in content.items() if isinstance(one, np.ndarray)}
+    arrays = {name: array for name, array in content.items() if isinstance(array, np.ndarray)}
     chosen = _choose(path, names, arrays)
     return {name: Array(_numbers(path, name, arrays[name])) for name in chosen}
 
@@ -289,7 +289,7 @@ def length_mm(given: Unit, array: Array, where: str, key: str) -> float:
     Raises
     ------
     InputError
-        Nothing says it, or a name that is not known.
+        A unit that is missing, or an unknown name.
     """
     return _factor(given, array, _LENGTHS, where, key, "mm")
 
@@ -302,13 +302,13 @@ def time_s(given: Unit, array: Array, where: str, key: str) -> float:
 def speed_mm_s(given: Unit, array: Array, where: str, key: str) -> float:
     """Return an array's unit in millimetres a second; raises as `length_mm` does."""
     speeds = {
-        f"{one}/{other}": mm / s for one, mm in _LENGTHS.items() for other, s in _TIMES.items()
+        f"{unit}/{time}": mm / s for unit, mm in _LENGTHS.items() for time, s in _TIMES.items()
     }
     return _factor(given, array, speeds, where, key, "mm/s")
 
 
 def _factor(
-    given: Unit, array: Array, known: dict[str, float], where: str, key: str, base: str
+    given: Unit, array: Array, units: dict[str, float], where: str, key: str, base: str
 ) -> float:
     if isinstance(given, int | float):
         return float(given)
@@ -316,15 +316,15 @@ def _factor(
     if word is None:
         raise InputError(
             f"{where}: expected a unit, but the file names none: give {key} as one of "
-            f"{', '.join(list(known)[:8])} ... or in {base}"
+            f"{', '.join(list(units)[:8])} ... or in {base}"
         )
     plain = _normalise(word)
-    if plain not in known:
+    if plain not in units:
         raise InputError(
-            f"{where}: expected a unit like {', '.join(list(known)[:8])}, got {word!r}: give {key} "
+            f"{where}: expected a unit like {', '.join(list(units)[:8])}, got {word!r}: give {key} "
             f"as one of them or in {base}"
         )
-    return known[plain]
+    return units[plain]
 
 
 def _normalise(word: str) -> str:

@@ -24,7 +24,7 @@ Points = Sequence[float] | F64
 def surface_of(
     function: Callable[[F64], F64], low_mm: Points, high_mm: Points, step_mm: float
 ) -> Solid:
-    """Extract the closed surface on which a function is zero.
+    """Extract the closed surface where a function is zero.
 
     Marching cubes (Lewiner et al. 2003) on a lattice.
 
@@ -132,7 +132,7 @@ def capsules(
 ) -> F64:
     """Compute signed distances (n,) of points to a smooth union of rounded cones.
 
-    Points are (n, 3). A cone is the balls whose radius goes linearly from one end to the other.
+    Points are (n, 3). A cone is the union of balls with a radius linear from end to end.
 
     Outside, and with a blend of 0, it is the distance; inside it is the largest depth in any one of
     them. A ball has both ends in one place.

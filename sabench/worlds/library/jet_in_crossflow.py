@@ -46,7 +46,7 @@ class Crossflow(BaseModel):
 
     @property
     def break_mm(self) -> tuple[float, float]:
-        """Point at which the column breaks, along the gas and along the nozzle."""
+        """Point where the column breaks, along the gas and along the nozzle."""
         rise = _BREAK * np.sqrt(self.momentum_ratio)
         along = (rise / _PATH) ** 2 / self.momentum_ratio * self.diameter_mm
         return float(along), float(rise * self.diameter_mm)
@@ -121,7 +121,7 @@ class Spray:
     Attributes
     ----------
     lower : the spray's lower edge over its upper one.
-    gas_mm_s, response_s : the gas's speed, and the time in which a drop takes it on: x'' = (gas -
+    gas_mm_s, response_s : the gas's speed, and the response time of a drop: x'' = (gas -
         x') / response, from rest.
     end_mm : where drops are no longer followed, along the gas from the nozzle.
     """
@@ -134,7 +134,7 @@ class Spray:
 
     @property
     def start_mm(self) -> float:
-        """Distance along the gas at which the spray begins."""
+        """Distance along the gas to the start of the spray."""
         return self.jet.break_mm[0]
 
     @cached_property

@@ -49,7 +49,7 @@ def _store(path: Path, folder: Path) -> None:
             mesh = trimesh.load(file, file_type=path.suffix[1:].lower(), force="mesh")
     except MemoryError:
         raise
-    except Exception as error:  # trimesh's loaders raise whatever they like
+    except Exception as error:  # trimesh's loaders raise exceptions of any type
         raise InputError(
             f"{path}: expected a mesh as STL, PLY, OBJ or GLB, got {type(error).__name__}: {error}"
         ) from error

@@ -59,7 +59,7 @@ _STEPS = 40  # of the golden section: to 4e-9
 
 
 def shapes_of(semi_axes_mm: F64, rotation: F64) -> F64:
-    """Compute matrices whose inverses are the ellipsoids' quadratic forms. (n, 3, 3)."""
+    """Compute the inverses (n, 3, 3) of the ellipsoids' quadratic forms."""
     return np.asarray(np.einsum("nki,nk,nkj->nij", rotation, semi_axes_mm**2, rotation))
 
 
@@ -151,29 +151,29 @@ def _nearest(t: Any) -> Any:
     return best
 
 
-def contact(one: F64, first: F64, other: F64, second: F64) -> F64:
-    """Compute the squared factor (n,) by which two ellipsoids must grow to touch.
+def contact(center: F64, first: F64, other: F64, second: F64) -> F64:
+    """Compute the squared factor (n,) that makes two ellipsoids touch.
 
     They grow about their centres; below 1 they overlap.
 
     Parameters
     ----------
-    one, other : centres (n, 3).
+    center, other : centres (n, 3).
     first, second : shape matrices (n, 3, 3), as from `shapes_of`.
     """
-    out = np.empty(len(one))
-    _contacts(one, first, other, second, out)
+    out = np.empty(len(center))
+    _contacts(center, first, other, second, out)
     return out
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _contacts(one: Any, first: Any, other: Any, second: Any, out: Any) -> None:
+def _contacts(center: Any, first: Any, other: Any, second: Any, out: Any) -> None:
     for n in range(len(out)):
-        out[n] = contact_factor(one[n], first[n], other[n], second[n])
+        out[n] = contact_factor(center[n], first[n], other[n], second[n])
 
 
 @numba.njit(cache=True, error_model="numpy")
-def contact_factor(one: Any, first: Any, other: Any, second: Any) -> Any:
+def contact_factor(center: Any, first: Any, other: Any, second: Any) -> Any:
     """Maximise the contact function over x from 0 to 1.
 
     It is x (1 - x) r' ((1 - x) A + x B)^-1 r, which is concave in x.
@@ -181,21 +181,21 @@ def contact_factor(one: Any, first: Any, other: Any, second: Any) -> Any:
     ratio = 0.6180339887498949
     low, high = 0.0, 1.0
     a, b = high - ratio, ratio
-    fa, fb = _at(a, one, first, other, second), _at(b, one, first, other, second)
+    fa, fb = _at(a, center, first, other, second), _at(b, center, first, other, second)
     for _ in range(_STEPS):
         if fa < fb:
             low, a, fa = a, b, fb
             b = low + ratio * (high - low)
-            fb = _at(b, one, first, other, second)
+            fb = _at(b, center, first, other, second)
         else:
             high, b, fb = b, a, fa
             a = high - ratio * (high - low)
-            fa = _at(a, one, first, other, second)
+            fa = _at(a, center, first, other, second)
     return max(fa, fb)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _at(x: float, one: Any, first: Any, other: Any, second: Any) -> Any:
+def _at(x: float, center: Any, first: Any, other: Any, second: Any) -> Any:
     """Evaluate the contact function at one x, by Cramer's rule."""
     y, m = 1.0 - x, np.empty(6)
     for i in range(3):
@@ -203,7 +203,7 @@ def _at(x: float, one: Any, first: Any, other: Any, second: Any) -> Any:
     m[3] = y * first[0, 1] + x * second[0, 1]
     m[4] = y * first[0, 2] + x * second[0, 2]
     m[5] = y * first[1, 2] + x * second[1, 2]
-    r0, r1, r2 = other[0] - one[0], other[1] - one[1], other[2] - one[2]
+    r0, r1, r2 = other[0] - center[0], other[1] - center[1], other[2] - center[2]
     c00, c11, c22 = m[1] * m[2] - m[5] * m[5], m[0] * m[2] - m[4] * m[4], m[0] * m[1] - m[3] * m[3]
     c01, c02, c12 = m[4] * m[5] - m[3] * m[2], m[3] * m[5] - m[4] * m[1], m[3] * m[4] - m[0] * m[5]
     determinant = m[0] * c00 + m[3] * c01 + m[4] * c02

@@ -62,7 +62,7 @@ class JetLaw:
     def axis_over_peak(self, y: F64) -> F64:
         """Compute C_max over its maximum.
 
-        How far it falls follows from what table 5.2 says of the angle: the cloud is a cone between
+        How far it falls follows from the angle in table 5.2: the cloud is a cone between
         Y_m and Y_p.
         """
         scaled = self.scaled_depth(y)

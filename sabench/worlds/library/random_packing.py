@@ -1,7 +1,7 @@
 """Random packing of ellipsoids without overlap.
 
-A grid whose cells are as wide as the largest bubble holds the bubbles that are already there; a new
-one is tried against those of 27 cells.
+A grid with cells as wide as the largest bubble holds the bubbles that are already there; a new
+one is compared with those of 27 cells.
 """
 
 from collections.abc import Callable
@@ -140,7 +140,7 @@ def _fits(
 
 def _grid(centers: F64, tried: F64, width: float) -> tuple[I64, F64]:
     """Make a grid of cells for all candidates. Counts along x, y, z, and origin."""
-    known = np.concatenate([centers[np.isfinite(centers[:, 0])], tried.reshape(-1, 3)])
-    low = known.min(axis=0)
-    cells = np.maximum(1, np.ceil((known.max(axis=0) - low) / width + 1e-9)).astype(np.int64)
+    points = np.concatenate([centers[np.isfinite(centers[:, 0])], tried.reshape(-1, 3)])
+    low = points.min(axis=0)
+    cells = np.maximum(1, np.ceil((points.max(axis=0) - low) / width + 1e-9)).astype(np.int64)
     return cells, low

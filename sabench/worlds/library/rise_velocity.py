@@ -66,7 +66,7 @@ def spheroid_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
 
 
 def terminal_velocity(diameter_mm: F64, liquid: Liquid) -> F64:
-    """Compute the velocity (n,) in m/s at which bubbles of equivalent diameters rise."""
+    """Compute the rise velocity (n,) in m/s of bubbles of equivalent diameters."""
     return np.fmin(spheroid_velocity(diameter_mm, liquid), wave_velocity(diameter_mm, liquid))
 
 
@@ -83,10 +83,10 @@ def transition_diameter_mm(largest_mm: float, liquid: Liquid) -> float:
     """
     slow = float(wave_velocity(np.array(min(largest_mm, liquid.slowest_mm)), liquid))
     small = np.linspace(0.2, 2.0, 1801)
-    there = np.flatnonzero(spheroid_velocity(small, liquid) >= slow)
-    if not len(there):
+    reached = np.flatnonzero(spheroid_velocity(small, liquid) >= slow)
+    if not len(reached):
         raise ValueError(f"largest_mm: expected a bubble beyond the fastest, got {largest_mm:g}")
-    return float(small[there[0]])
+    return float(small[reached[0]])
 
 
 def weber(ratio: F64) -> F64:
@@ -109,13 +109,13 @@ def drag_factors(ratio: F64) -> tuple[F64, F64]:
 
 
 def _balance(d: float, liquid: Liquid) -> float:
-    """Find the velocity at which drag and buoyancy of a bubble agree; d in m."""
+    """Find the velocity that balances drag and buoyancy of a bubble; d in m."""
     ratios = np.geomspace(_ROUND, _FLATTEST, _AXIS_RATIOS)
     numbers = weber(ratios)
 
     def excess(speed: float) -> float:
-        own = liquid.density * speed**2 * d / liquid.tension
-        ratio = np.asarray(np.interp(own, numbers, ratios))
+        number = liquid.density * speed**2 * d / liquid.tension
+        ratio = np.asarray(np.interp(number, numbers, ratios))
         g, h = (float(factor) for factor in drag_factors(ratio))
         re = speed * d / liquid.viscosity
         drag = 48.0 * g / re * (1.0 + h / float(np.sqrt(re)))

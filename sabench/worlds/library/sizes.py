@@ -86,7 +86,7 @@ def spheroids(
 
 
 def upright(rng: np.random.Generator, count: int, tilt: float) -> F64:
-    """Draw rotations (count, 3, 3) whose second rows are near the vertical.
+    """Draw rotations (count, 3, 3) with second rows near the vertical.
 
     They are tilted at random about both horizontal axes.
     """

@@ -3,7 +3,7 @@
 Forces in the bodies' nodes bring the fluid there to rest (immersed boundaries: Peskin, Acta
 Numerica 11 (2002) 479-517). They act through the Green's function of Oseen's equations in a
 periodic box (without convection: Hasimoto, J. Fluid Mech. 5 (1959) 317-328). The vector potential
-of the flow is interpolated by cubic splines, whose curl is free of divergence everywhere.
+of the flow is interpolated by cubic splines; their curl is free of divergence everywhere.
 """
 
 from collections.abc import Sequence
