@@ -46,8 +46,8 @@ class Measured:
 
         None where the images do not tell.
         """
-        every = [asdict(one) for one in self.cameras.values()]
-        out = {key: _median([one[key] for one in every]) for key in every[0]}
+        every = [asdict(camera) for camera in self.cameras.values()]
+        out = {key: _median([figures[key] for figures in every]) for key in every[0]}
         if self.ratio is not None:
             out["ln_ratio"] = _finite(self.ratio.plain)
             out["ln_ratio_robust"] = _finite(self.ratio.robust)
@@ -55,24 +55,24 @@ class Measured:
 
     def to_json(self) -> dict[str, Any]:
         """Give all figures as JSON holds them."""
-        own = {
-            name: {key: _finite(value) for key, value in asdict(one).items()}
-            for name, one in self.cameras.items()
+        cameras = {
+            name: {key: _finite(value) for key, value in asdict(camera).items()}
+            for name, camera in self.cameras.items()
         }
         pairs = self.ratio.pairs if self.ratio else None
         return {
             "frames": self.frames,
             "white_dn": self.white_dn,
             "median": self.medians(),
-            "cameras": own,
+            "cameras": cameras,
             "ratio_matched_by": self.matched,
             "ratio_pairs": pairs,
         }
 
 
 def _median(values: list[float]) -> float | None:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.median(known)) if known else None
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.median(finite)) if finite else None
 
 
 def _finite(value: float) -> float | None:
@@ -100,10 +100,10 @@ def measure(path: Path, most: int, white_dn: float | None = None) -> Measured:
             )
         return measure_dataset(open_dataset(path), most)
     frames, cameras, white = 0, {}, {}
-    for one in read_recordings(path, most, white_dn):
-        cameras[one.name] = statistics.measure_camera(one.frames, one.white_dn)
-        white[one.name] = one.white_dn
-        frames = max(frames, len(one.frames))
+    for recording in read_recordings(path, most, white_dn):
+        cameras[recording.name] = statistics.measure_camera(recording.frames, recording.white_dn)
+        white[recording.name] = recording.white_dn
+        frames = max(frames, len(recording.frames))
     return Measured(cameras, frames, white)
 
 
@@ -137,8 +137,8 @@ def _white(dataset: Dataset, number: int) -> float:
 def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
     """Give the flux (camera, particle) of isolated particle images, frame by frame."""
     for frame in range(frames):
-        seen = _pixels(dataset, frame)
-        images = [dataset.raw_image(number, frame) for number in range(len(seen))]
+        sightings = _pixels(dataset, frame)
+        images = [dataset.raw_image(number, frame) for number in range(len(sightings))]
         yield np.stack(
             [
                 statistics.flux_near(
@@ -147,7 +147,7 @@ def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
                     _REACH_PX,
                     _APART_PX,
                 )
-                for number, (image, pixels) in enumerate(zip(images, seen, strict=True))
+                for number, (image, pixels) in enumerate(zip(images, sightings, strict=True))
             ]
         )
 
@@ -158,6 +158,6 @@ def _pixels(dataset: Dataset, frame: int) -> list[F64]:
         views = dataset.views(frame)
         return [np.where(view.visible[:, None], view.pixel, np.nan) for view in views]
     case = dataset.observation(frame)
-    found = triangulate_particles(case, fit_cameras(case), TriangulationSettings())
-    projected = [camera.project(found.position_mm) for camera in case.cameras]
+    particles = triangulate_particles(case, fit_cameras(case), TriangulationSettings())
+    projected = [camera.project(particles.position_mm) for camera in case.cameras]
     return [np.where(valid[:, None], pixel, np.nan) for pixel, valid in projected]

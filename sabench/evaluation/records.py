@@ -198,5 +198,5 @@ def same_data(one: Record, other: Record) -> bool:
 
     Copies made on different processors have one identity and different content hashes.
     """
-    known = one.get("identity") is not None and one.get("identity") == other.get("identity")
-    return known or bool(one["dataset"] == other["dataset"])
+    same = one.get("identity") is not None and one.get("identity") == other.get("identity")
+    return same or bool(one["dataset"] == other["dataset"])

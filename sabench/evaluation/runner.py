@@ -72,16 +72,16 @@ def run_suite(
     """
     with hide_from_solvers(secret):
         suite, cases = load_suite(path, read_secret(secret) if secret else None)
-        known = {} if fresh else _known_records(leaderboard)
+        existing = {} if fresh else _known_records(leaderboard)
         records, wanted = [], only.select(cases)
         for number, case in enumerate(wanted, 1):
             heads = [(entry, _describe(case, entry, str(path))) for entry in case.solvers]
             keys = [key_of(head, _COMPUTED) for _, head in heads]
-            missing = [pair for pair, key in zip(heads, keys, strict=True) if key not in known]
-            records += [known[key] for key in keys if key in known]
+            missing = [pair for pair, key in zip(heads, keys, strict=True) if key not in existing]
+            records += [existing[key] for key in keys if key in existing]
             done = "" if missing else ", known"
             _say(f"data set {number} of {len(wanted)}: {case.name}, {case.words}{done}")
-            _say_changed(heads[0][1], known)
+            _say_changed(heads[0][1], existing)
             if missing:
                 dataset = dataset_of(case, work, fresh, jobs)
                 for record in _rank(case, dataset, missing, suite, work, leaderboard):
@@ -102,10 +102,10 @@ def _known_records(leaderboard: Path) -> dict[str, Record]:
     }
 
 
-def _say_changed(head: Record, known: dict[str, Record]) -> None:
+def _say_changed(head: Record, existing: dict[str, Record]) -> None:
     """Say that a recording is not the one of earlier records, which stay on the page."""
     same = ("suite", "case", "recorded")
-    for record in known.values() if head["recorded"] else ():
+    for record in existing.values() if head["recorded"] else ():
         if key_of(record, same) == key_of(head, same) and record["dataset"] != head["scene_hash"]:
             _say(
                 f"recording {head['case']}: it has changed since its record of {record['date']}, "

@@ -159,8 +159,9 @@ class Suite(Changes):
     def _has_cases(self) -> Suite:
         if not self.scenes and not self.cases and not self.recordings:
             raise ValueError("scenes, cases, recordings: expected at least one of them")
-        own = [*(case.solvers for case in self.cases), *(one.solvers for one in self.recordings)]
-        if not self.solvers and (self.scenes or not all(own)):
+        solvers = [case.solvers for case in self.cases]
+        solvers += [recording.solvers for recording in self.recordings]
+        if not self.solvers and (self.scenes or not all(solvers)):
             raise ValueError("solvers: expected at least one for every case")
         return self
 
@@ -293,24 +294,25 @@ class Only:
             for case in cases
             if _among(case.name, self.cases) and _among(case.shown_seed, self.seeds)
         )
-        own = [
+        selected = [
             replace(
-                case, solvers=tuple(one for one in case.solvers if _among(one.shown, self.solvers))
+                case,
+                solvers=tuple(entry for entry in case.solvers if _among(entry.shown, self.solvers)),
             )
             for case in wanted
         ]
-        return [case for case in own if case.solvers]
+        return [case for case in selected if case.solvers]
 
 
 def _among(value: Any, wanted: tuple[Any, ...]) -> bool:
     return not wanted or value in wanted
 
 
-def _check_known(what: str, wanted: tuple[Any, ...], known: set[Any]) -> None:
+def _check_known(what: str, wanted: tuple[Any, ...], available: set[Any]) -> None:
     for value in wanted:
-        if value not in known:
+        if value not in available:
             raise InputError(
-                f"--{what} {value}: expected one of {', '.join(str(one) for one in sorted(known))}"
+                f"--{what} {value}: expected one of {', '.join(map(str, sorted(available)))}"
             )
 
 

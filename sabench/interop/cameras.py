@@ -144,8 +144,8 @@ def losses(form: CameraFormat) -> tuple[str, ...]:
 
 def _check_form(form: str) -> None:
     if form not in get_args(CameraFormat):
-        known = ", ".join(get_args(CameraFormat))
-        raise InputError(f"cameras: expected a format of {known}, got {form!r}")
+        formats = ", ".join(get_args(CameraFormat))
+        raise InputError(f"cameras: expected a format of {formats}, got {form!r}")
 
 
 def _extent(size: tuple[int, int] | None, grid: Grid | None) -> Extent:

@@ -196,10 +196,10 @@ def check_media(where: str, indices: Sequence[float]) -> None:
     camera, fluid, solid = indices[0], indices[-1], max([1.0, *indices[1:-1]])
     exchanged = len(indices) > 2 and solid < _LEAST_SOLID <= fluid
     if exchanged or camera > _MOST_AIR >= fluid:
-        known = ", ".join(f"{index:g}" for index in indices)
+        listed = ", ".join(f"{index:g}" for index in indices)
         wrong = "wall and fluid" if exchanged else "the camera's side and the fluid"
         note(
-            f"{where}: the refractive indices {known}, from the camera to the fluid, look as if "
+            f"{where}: the refractive indices {listed}, from the camera to the fluid, look as if "
             f"{wrong} were exchanged; they are kept, because the orientations were fitted with "
             "them"
         )
@@ -230,7 +230,7 @@ def scaled_camera(camera: CameraModel, factor: float) -> CameraModel:
         return camera
     if isinstance(camera, Soloff):
         middle, half = (
-            triple(factor * np.asarray(one)) for one in (camera.middle_mm, camera.half_mm)
+            triple(factor * np.asarray(vector)) for vector in (camera.middle_mm, camera.half_mm)
         )
         return replace(camera, middle_mm=middle, half_mm=half)
     if isinstance(camera, Projective):
@@ -304,6 +304,6 @@ def _exchanged(camera: CameraModel) -> CameraModel:
 def _residual_px(cameras: Sequence[CameraModel], points_mm: F64, pixels: F64) -> float:
     """Compute the root mean square reprojection error; infinite without a point."""
     pairs = zip(cameras, pixels, strict=True)
-    miss = np.concatenate([camera.project(points_mm)[0] - own for camera, own in pairs])
-    seen = miss[np.isfinite(miss).all(axis=1)]
-    return float(np.sqrt(np.mean(np.sum(seen**2, axis=1)))) if len(seen) else float("inf")
+    miss = np.concatenate([camera.project(points_mm)[0] - image for camera, image in pairs])
+    finite = miss[np.isfinite(miss).all(axis=1)]
+    return float(np.sqrt(np.mean(np.sum(finite**2, axis=1)))) if len(finite) else float("inf")

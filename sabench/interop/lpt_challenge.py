@@ -69,14 +69,14 @@ def fit_camera(
     where: str, name: str, size: tuple[int, int], points_mm: F64, pixels: F64
 ) -> CameraModel:
     """Fit a camera to points (n, 3) and pixels (n, 2); rows with NaN are left out."""
-    seen = np.isfinite(points_mm).all(axis=1) & np.isfinite(pixels).all(axis=1)
-    points, image = points_mm[seen], pixels[seen]
+    valid = np.isfinite(points_mm).all(axis=1) & np.isfinite(pixels).all(axis=1)
+    points, image = points_mm[valid], pixels[valid]
     held = np.arange(len(points)) % _HELD == 0
     errors = {}
     for fit in (fit_projective, fit_soloff):
         try:
-            made = fit(name, *size, points[~held], image[~held])
-            miss = made.project(points[held])[0] - image[held]
+            trial = fit(name, *size, points[~held], image[~held])
+            miss = trial.project(points[held])[0] - image[held]
             errors[fit] = float(np.sqrt(np.mean(miss**2)))
         except InputError as error:
             fault = error
@@ -155,15 +155,15 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
     if not files:
         raise InputError(f"{path}: expected files NAME_N.dat or .txt, N the frame, found none")
     read = [(file, _read_frame(file, number, unit)) for number, file in files]
-    parts = [one for _, one in read if len(one)] or [read[0][1]]
-    linked = [one.trajectory is not None for one in parts]
+    parts = [part for _, part in read if len(part)] or [read[0][1]]
+    linked = [part.trajectory is not None for part in parts]
     if any(linked) and not all(linked):
-        odd = next(file for file, one in read if len(one) and one.trajectory is None)
+        odd = next(file for file, part in read if len(part) and part.trajectory is None)
         raise InputError(f"{odd}: expected a number for each particle, as in other files, got none")
     if not any(linked):
         note(f"{path}: its particles have no numbers of tracks")
     names = ("frame", "position_mm", *(("trajectory",) if all(linked) else ()))
-    return TrackTable(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
+    return TrackTable(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _read_frame(file: Path, number: int, unit: str | None) -> TrackTable:
@@ -191,10 +191,10 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     """Write particles_0000.dat and so on."""
     names = '"X" "Y" "Z"' + ("" if table.trajectory is None else ' "PartID"')
     for frame in range(recording.frames):
-        own = table.of_frame(frame)
-        rows = [" ".join(map(repr, row)) for row in own.position_mm.tolist()]
-        if own.trajectory is not None:
-            rows = [f"{row} {n}" for row, n in zip(rows, own.trajectory.tolist(), strict=True)]
-        head = f'Title = "Snapshot {frame}"\nVariables = {names}\nZone I={len(own)}, F=POINT\n'
+        part = table.of_frame(frame)
+        rows = [" ".join(map(repr, row)) for row in part.position_mm.tolist()]
+        if part.trajectory is not None:
+            rows = [f"{row} {n}" for row, n in zip(rows, part.trajectory.tolist(), strict=True)]
+        head = f'Title = "Snapshot {frame}"\nVariables = {names}\nZone I={len(part)}, F=POINT\n'
         text = head + "".join(f"{row}\n" for row in rows)
         (folder / f"particles_{frame:04d}.dat").write_text(text, encoding="utf-8")

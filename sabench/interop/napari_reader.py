@@ -33,11 +33,11 @@ class Frames:
 
     def __getitem__(self, key: Any) -> U16:
         first, *others = key if isinstance(key, tuple) else (key,)
-        numbers = np.arange(len(self))[first]
-        if np.ndim(numbers) == 0:
-            image: U16 = self._data.raw_image(self._camera, int(numbers))[tuple(others)]
+        frames = np.arange(len(self))[first]
+        if np.ndim(frames) == 0:
+            image: U16 = self._data.raw_image(self._camera, int(frames))[tuple(others)]
             return image
-        images = [self._data.raw_image(self._camera, int(one))[tuple(others)] for one in numbers]
+        images = [self._data.raw_image(self._camera, int(frame))[tuple(others)] for frame in frames]
         return np.stack(images)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> U16:

@@ -328,28 +328,28 @@ def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
     frame, position, number = list[I64](), [np.zeros((0, 3))], list[I64]()
     before = 0
     for file in files:
-        made = _read_file(file, unit)
-        own = np.asarray(made.trajectory) + before
-        before = int(own.max(initial=before - 1)) + 1
-        frame.append(made.frame)
-        position.append(made.position_mm)
-        number.append(own)
-    numbers = [np.concatenate([_NONE, *one]) for one in (frame, number)]
+        part = _read_file(file, unit)
+        shifted = np.asarray(part.trajectory) + before
+        before = int(shifted.max(initial=before - 1)) + 1
+        frame.append(part.frame)
+        position.append(part.position_mm)
+        number.append(shifted)
+    numbers = [np.concatenate([_NONE, *column]) for column in (frame, number)]
     return TrackTable(numbers[0], np.concatenate(position), numbers[1]).sorted()
 
 
 def _read_file(file: Path, unit: str | None) -> TrackTable:
     """Read columns by names; pixels of cameras, which follow, are left out."""
     table = read_table(file, 5)
-    there = [name.strip() for name in table.names]
+    names = [name.strip() for name in table.names]
     if not len(table.values):
         return TrackTable(_NONE, np.zeros((0, 3)), _NONE)
-    missing = next((name for name in _HEAD if name not in there), None)
+    missing = next((name for name in _HEAD if name not in names), None)
     if missing:
         raise InputError(
-            f"{file}: expected a column {missing}, got {', '.join(there) or 'no names'}"
+            f"{file}: expected a column {missing}, got {', '.join(names) or 'no names'}"
         )
-    columns = {name: Array(table.values[:, there.index(name)], None) for name in _HEAD}
+    columns = {name: Array(table.values[:, names.index(name)], None) for name in _HEAD}
     return table_of_columns(str(file), columns, unit)
 
 

@@ -251,10 +251,10 @@ def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
         for frame in range(frames)
     ]
     world = world_of(grid)
-    tracks = join_links([len(one) for one in positions], read_json(folder / "links.json"))
+    tracks = join_links([len(points) for points in positions], read_json(folder / "links.json"))
     return [
-        FoundParticles(world.back(one), None, number)
-        for one, number in zip(positions, tracks, strict=True)
+        FoundParticles(world.back(points), None, number)
+        for points, number in zip(positions, tracks, strict=True)
     ]
 
 
@@ -266,8 +266,8 @@ def join_links(counts: list[int], links: list[list[int]]) -> list[I64]:
     out: list[I64] = []
     born = 0
     for frame, count in enumerate(counts):
-        known = frame < len(links) and len(links[frame]) == count
-        before = np.array(links[frame] if known else [-1] * count, dtype=np.int64)
+        complete = frame < len(links) and len(links[frame]) == count
+        before = np.array(links[frame] if complete else [-1] * count, dtype=np.int64)
         number = np.full(count, -1, dtype=np.int64)
         if frame:
             linked = (before >= 0) & (before < counts[frame - 1])

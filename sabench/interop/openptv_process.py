@@ -102,10 +102,10 @@ def _frame(
     )
     targets, flat = [], []
     for number, image in enumerate(images):
-        own = target_recognition(np.ascontiguousarray(image), chosen, number, control)
-        own.sort_y()
-        targets.append(own)
-        flat.append(MatchedCoords(own, control, cameras[number]))
+        blobs = target_recognition(np.ascontiguousarray(image), chosen, number, control)
+        blobs.sort_y()
+        targets.append(blobs)
+        flat.append(MatchedCoords(blobs, control, cameras[number]))
     pixels, rows, _ = correspondences(targets, flat, cameras, volume, control)
     row = (
         np.concatenate([part.reshape(len(cameras), -1) for part in rows], axis=1).astype(int)
@@ -115,12 +115,12 @@ def _frame(
     row = row[:, (row >= 0).sum(axis=0) >= min(_LEAST, len(cameras))]
     positions = np.zeros((0, 3))
     if row.shape[1]:
-        seen = np.array([one.get_by_pnrs(own) for one, own in zip(flat, row, strict=True)])
+        matched = np.array([points.get_by_pnrs(ids) for points, ids in zip(flat, row, strict=True)])
         positions, _ = point_positions(
-            np.ascontiguousarray(seen.transpose(1, 0, 2)), control, cameras, volume
+            np.ascontiguousarray(matched.transpose(1, 0, 2)), control, cameras, volume
         )
-    for number, own in enumerate(targets):
-        own.write(f"img/cam{number}.".encode(), frame + 1)
+    for number, blobs in enumerate(targets):
+        blobs.write(f"img/cam{number}.".encode(), frame + 1)
     _write_positions(folder, frame, positions, row)
     print(f"sabench frame {frame}", flush=True)
     return len(positions)

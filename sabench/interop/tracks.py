@@ -36,8 +36,8 @@ _MODULES: dict[str, ModuleType | NamedColumns] = {
 def check_form(form: str) -> None:
     """Raise an InputError for a format of tracks that is not known."""
     if form not in get_args(TrackFormat):
-        known = ", ".join(get_args(TrackFormat))
-        raise InputError(f"tracks: expected a format of {known}, got {form!r}")
+        formats = ", ".join(get_args(TrackFormat))
+        raise InputError(f"tracks: expected a format of {formats}, got {form!r}")
 
 
 def read_tracks(
@@ -130,8 +130,8 @@ def import_result(
     with result_writer(
         Path(out), data, solver or form, "particles", parameters, overwrite=overwrite
     ) as writer:
-        for frame, one in enumerate(estimates):
-            writer.add(one, frame)
+        for frame, estimate in enumerate(estimates):
+            writer.add(estimate, frame)
     tracks = None if table.trajectory is None else len(np.unique(table.trajectory))
     return Imported(Path(out), len(table), setup.frames, tracks)
 
@@ -152,7 +152,7 @@ def _renumbered(source: Path, table: TrackTable, first: int | None, frames: int)
         more = f" and {len(empty) - _LISTED} more" if len(empty) > _LISTED else ""
         note(
             f"{source}: no particles in the frames "
-            f"{', '.join(str(one) for one in empty[:_LISTED] + begin)}{more}"
+            f"{', '.join(str(number) for number in empty[:_LISTED] + begin)}{more}"
         )
     return replace(table, frame=frame)
 

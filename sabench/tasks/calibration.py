@@ -236,9 +236,10 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
     points_mm = np.asarray(volume.center_mm) + aside
     pixels = np.full((len(data.true_cameras), _HELD_OUT, 2), np.nan)
     for number, camera in enumerate(data.true_cameras):
-        there, valid = camera.project(points_mm)
-        seen = valid & camera.contains(there)
-        pixels[number, seen] = there[seen] + noise_px * rng.standard_normal((int(seen.sum()), 2))
+        projected, valid = camera.project(points_mm)
+        visible = valid & camera.contains(projected)
+        noise = noise_px * rng.standard_normal((int(visible.sum()), 2))
+        pixels[number, visible] = projected[visible] + noise
     held_out = points_mm, pixels
     others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
     return scores | others

@@ -37,7 +37,7 @@ from sabench.utils.files import canonical_json, complete_or_nothing
 from sabench.utils.progress import progress_bar
 
 # fmt: off
-FIGURES = {one.key: one for one in (
+FIGURES = {score.key: score for score in (
     Score("residual_px", "residual px", "px", "smaller", 3,
           "RMS distance of particles' images from their projections, px"),
     Score("explained", "explained", "", "larger", 3,
@@ -126,34 +126,35 @@ class _Particles:
         self.evidence = [FrameEvidence.of(data.observation(frame)) for frame in range(frames)]
         self.found = _read_all(result, frames)
         self.fits = [
-            one.fit(found.position_mm) for one, found in zip(self.evidence, self.found, strict=True)
+            frame.fit(cloud.position_mm)
+            for frame, cloud in zip(self.evidence, self.found, strict=True)
         ]
 
     def compared(self, camera: int) -> Figures:
         """Compare one camera's images with the particles."""
         pairs = list(zip(self.evidence, self.fits, strict=True))
-        shifts = [one.certain_shifts(camera, fits[camera]) for one, fits in pairs]
+        shifts = [frame.certain_shifts(camera, fits[camera]) for frame, fits in pairs]
         return {
             "residual_px": finite_or_none(
                 root_mean_square(np.linalg.norm(np.concatenate(shifts), axis=1))
             ),
             "explained": mean_of_finite(
-                one.explained(camera, fits[camera].left) for one, fits in pairs
+                frame.explained(camera, fits[camera].left) for frame, fits in pairs
             ),
         }
 
     def over_time(self) -> Figures:
         """Judge the trajectories of the first sequence."""
         frames = self.data.setup.sequences()[0]
-        found = link_frames(self.data.setup, _read_all(self.result, self.data.setup.frames))
-        numbers = [found[frame].trajectory for frame in frames]
-        known = [np.asarray(one) for one in numbers]
-        if len(known) < _FOLLOWED:
+        linked = link_frames(self.data.setup, _read_all(self.result, self.data.setup.frames))
+        numbers = [linked[frame].trajectory for frame in frames]
+        trajectories = [np.asarray(ids) for ids in numbers]
+        if len(trajectories) < _FOLLOWED:
             return {"jitter_mm": None, "followed": None}
-        positions = [found[frame].position_mm for frame in frames]
+        positions = [linked[frame].position_mm for frame in frames]
         return {
-            "jitter_mm": finite_or_none(jitter_mm(known, positions)),
-            "followed": finite_or_none(share_followed(known, _FOLLOWED)),
+            "jitter_mm": finite_or_none(jitter_mm(trajectories, positions)),
+            "followed": finite_or_none(share_followed(trajectories, _FOLLOWED)),
         }
 
     def held_out(self, camera: int, again: Result) -> Figures:
@@ -161,16 +162,16 @@ class _Particles:
         shift = scramble_shift(self.data.setup.cameras[camera])
         figures = []
         others = [n for n in range(len(self.data.setup.cameras)) if n != camera]
-        for one, all_found, found in zip(
+        for frame, all_found, cloud in zip(
             self.evidence, self.found, _read_all(again, self.frames), strict=True
         ):
-            shown = one.compare(camera, found.position_mm, all_found.position_mm, shift)
-            ghosts = (1.0 - shown.true_share) * len(found.position_mm) * shown.chance
+            shown = frame.compare(camera, cloud.position_mm, all_found.position_mm, shift)
+            ghosts = (1.0 - shown.true_share) * len(cloud.position_mm) * shown.chance
             rest = len(all_found.position_mm) - ghosts
             figures.append(
                 {
                     "held_out": shown.true_share,
-                    "held_out_correlation": one.correlation(camera, found.position_mm, others),
+                    "held_out_correlation": frame.correlation(camera, cloud.position_mm, others),
                     "ghost_percent": 100.0 * ghosts / rest if rest > 0.0 else None,
                 }
             )
@@ -180,12 +181,12 @@ class _Particles:
         """Count what is found with a scrambled camera, and shown by it."""
         shift = scramble_shift(self.data.setup.cameras[camera])
         chance = sum(
-            one.count_shown(camera, other.position_mm, found.position_mm, shift)
-            for one, found, other in zip(
+            frame.count_shown(camera, other.position_mm, cloud.position_mm, shift)
+            for frame, cloud, other in zip(
                 self.evidence, self.found, _read_all(again, self.frames), strict=True
             )
         )
-        whole = sum(len(found.position_mm) for found in self.found)
+        whole = sum(len(cloud.position_mm) for cloud in self.found)
         return {"chance_percent": 100.0 * chance / whole if whole else None}
 
     def left(self) -> F64:
@@ -221,9 +222,10 @@ class _Volumes:
 
     def scrambled(self, camera: int, again: Result) -> Figures:
         """Compare the intensity that is left with a scrambled camera."""
+        frames = range(self.frames)
         chance, whole = (
-            sum(float(one.read(Reconstruction, frame).volume.sum()) for frame in range(self.frames))
-            for one in (again, self.result)
+            sum(float(result.read(Reconstruction, frame).volume.sum()) for frame in frames)
+            for result in (again, self.result)
         )
         return {"chance_percent": 100.0 * chance / whole if whole else None}
 
@@ -247,10 +249,10 @@ def write_quality(
 
 def residual_picture(data: Dataset, left: F64) -> bytes:
     """Draw the first frame's images, each above what is left of it, as a PNG."""
-    seen = data.observation(0)
-    grey = np.clip(np.rint(left + seen.black_dn), 0.0, 65535.0).astype(np.uint16)
-    both = np.concatenate([seen.images, grey], axis=1)
-    return pictures.montage(both, seen.black_dn, seen.white_dn)
+    case = data.observation(0)
+    grey = np.clip(np.rint(left + case.black_dn), 0.0, 65535.0).astype(np.uint16)
+    both = np.concatenate([case.images, grey], axis=1)
+    return pictures.montage(both, case.black_dn, case.white_dn)
 
 
 def middle_residuals(data: Dataset, result: Result) -> bytes | None:
@@ -260,11 +262,11 @@ def middle_residuals(data: Dataset, result: Result) -> bytes | None:
     """
     if result.task != "particles":
         return None
-    seen, left = data.observation(0), _Particles(data, result, 1).left()
+    case, left = data.observation(0), _Particles(data, result, 1).left()
     middle = len(left) // 2
-    grey = np.clip(np.rint(left[middle] + seen.black_dn), 0.0, 65535.0).astype(np.uint16)
-    both = np.stack([seen.images[middle], grey])
-    return pictures.montage(both, seen.black_dn, seen.white_dn)
+    grey = np.clip(np.rint(left[middle] + case.black_dn), 0.0, 65535.0).astype(np.uint16)
+    both = np.stack([case.images[middle], grey])
+    return pictures.montage(both, case.black_dn, case.white_dn)
 
 
 def _judge(judge: Any, *, solve_again: bool) -> Quality:
@@ -316,6 +318,6 @@ def _read_all(result: Result, frames: int) -> list[FoundParticles]:
 
 def _means(figures: list[Any]) -> Figures:
     """Average each figure of cameras or frames, some of which may lack it."""
-    keys = dict.fromkeys(key for one in figures for key in one)
+    keys = dict.fromkeys(key for row in figures for key in row)
     every: list[Mapping[str, float | None]] = figures
-    return {key: mean_of_finite(one.get(key) for one in every) for key in keys}
+    return {key: mean_of_finite(row.get(key) for row in every) for key in keys}

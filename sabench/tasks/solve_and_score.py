@@ -168,7 +168,7 @@ def run_plug_in(
     data = open_dataset(observation)
     algorithm = make_algorithm(solver, parameters)
     if algorithm.sees not in data.shows:
-        shown = " and ".join(_SHOWN[one] for one in data.shows)
+        shown = " and ".join(_SHOWN[kind] for kind in data.shows)
         raise InputError(
             f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but "
             f"this one shows {shown}"
@@ -221,7 +221,7 @@ def score(
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     _ = data.manifest  # raises where there is no truth
-    word = next((one for one in WORDS if one == str(result)), None)
+    word = next((name for name in WORDS if name == str(result)), None)
     if word is None and not Path(result).exists():
         raise InputError(f"{result}: expected a result file, or truth or empty, found no file")
     opened = None if word else open_result(result, data)

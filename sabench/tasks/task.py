@@ -123,15 +123,16 @@ class Tolerance:
     def scores(self) -> tuple[Score, ...]:
         """The curve's values as scores, which records have and tables do not."""
         return tuple(
-            Score(f"{self.of}_within_{one:g}", f"{self.heading} within {one:g} {self.unit}",
-                  "", "larger", 3, "a point of the curve over the matching distance",
+            Score(f"{self.of}_within_{distance:g}",
+                  f"{self.heading} within {distance:g} {self.unit}", "",
+                  "larger", 3, "a point of the curve over the matching distance",
                   counted=True, hidden=True, range=SHARE)
-            for one in self.distances
+            for distance in self.distances
         )  # fmt: skip
 
     def figures(self, values: F64) -> Figures:
         """Name the values of the curve."""
-        return {one.key: float(value) for one, value in zip(self.scores, values, strict=True)}
+        return {score.key: float(value) for score, value in zip(self.scores, values, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -300,8 +301,8 @@ class Task(ABC):
 
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera as a PNG."""
-        seen = data.observation(0)
-        return pictures.montage(seen.images, seen.black_dn, seen.white_dn)
+        case = data.observation(0)
+        return pictures.montage(case.images, case.black_dn, case.white_dn)
 
     @abstractmethod
     def picture(self, data: Dataset, source: Source) -> bytes:
@@ -329,10 +330,10 @@ class FrameByFrame(Task):
         """Call the solver on some frames; return the seconds of each."""
         seconds = []
         for frame in frames:
-            found, took = self.call(algorithm, name, data, frame)
+            estimate, took = self.call(algorithm, name, data, frame)
             seconds.append(took)
-            writer.add(found, frame)
-            del found
+            writer.add(estimate, frame)
+            del estimate
             machine_limits.trim()
         return seconds
 
@@ -340,9 +341,9 @@ class FrameByFrame(Task):
         """Call the solver on one frame; return its checked estimate and the seconds."""
         case = data.observation(frame)
         self.check_case(case, f"{data.root}: frame {frame}")
-        found, took = call_solver(algorithm, name, case, self.estimate, f" on frame {frame}")
-        check_estimate(found, name, data, frame)
-        return found, took
+        estimate, took = call_solver(algorithm, name, case, self.estimate, f" on frame {frame}")
+        check_estimate(estimate, name, data, frame)
+        return estimate, took
 
     def check_case(self, case: Observation, source: str) -> None:
         """Raise an InputError for an observation that no solver can use.

@@ -184,7 +184,7 @@ class LightSheet:
     def average(self, velocity: Callable[[F64], F64], points_mm: F64) -> F64:
         """Average a velocity at points (n, 3) of the plane over the light across it."""
         layers = (velocity(points_mm + offset * self.normal) for offset in self.offsets_mm)
-        return np.asarray(sum(w * one for w, one in zip(self.weights, layers, strict=True)))
+        return np.asarray(sum(w * layer for w, layer in zip(self.weights, layers, strict=True)))
 
 
 def light_sheet(data: Dataset) -> LightSheet | None:
@@ -354,7 +354,7 @@ class VelocimetryTask(Task):
             score_pair(data, pair, self.read(data, source, pair[0]))
             for pair in progress_bar(data.setup.pairs(), "score")
         ]
-        means = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
+        means = {key: float(np.mean([figures[key] for figures in pairs])) for key in pairs[0]}
         scores = {key: finite_or_none(value) for key, value in means.items()}
         spent = source.reconstruction_s if isinstance(source, Result) else None
         return {**scores, "reconstruction_s": spent}
@@ -386,11 +386,11 @@ class _Volumes:
         """Reconstruct the volumes of a pair, unless they are already there."""
         if isinstance(self._solver, SequenceSolver):
             return self._together(self._solver, pair)
-        self._kept = {frame: one for frame, one in self._kept.items() if frame in pair}
+        self._kept = {frame: volume for frame, volume in self._kept.items() if frame in pair}
         for frame in pair:
             if frame not in self._kept:
-                found, took = reconstruction.TASK.call(self._solver, self._name, self._data, frame)
-                self._kept[frame] = found
+                volume, took = reconstruction.TASK.call(self._solver, self._name, self._data, frame)
+                self._kept[frame] = volume
                 self.seconds.append(took)
         first, second = (self._kept[frame].volume for frame in pair)
         return VolumePair(first, second, self._data.setup.grid, interval_s(self._data, pair))
@@ -398,8 +398,8 @@ class _Volumes:
     def _together(self, solver: SequenceSolver, pair: tuple[int, int]) -> VolumePair:
         """Reconstruct both frames of a pair from each other."""
         clock, frames = SolverClock(), range(pair[0], pair[1] + 1)
-        found = reconstruction.TASK.call_sequence(solver, self._name, self._data, frames, clock)
-        first, second = (one.volume for one in found)
+        estimates = reconstruction.TASK.call_sequence(solver, self._name, self._data, frames, clock)
+        first, second = (estimate.volume for estimate in estimates)
         self.seconds.append(clock.seconds / len(frames))
         return VolumePair(first, second, self._data.setup.grid, interval_s(self._data, pair))
 
@@ -474,14 +474,14 @@ def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
         from scipy.spatial import cKDTree
 
         first, second = (data.particles(frame) for frame in pair)
-        _, one, other = np.intersect1d(first.id, second.id, return_indices=True)
-        if not len(one):
+        _, rows, other = np.intersect1d(first.id, second.id, return_indices=True)
+        if not len(rows):
             raise InputError(
                 f"{data.root}: frames {pair[0]} and {pair[1]}: "
                 "expected particles that are in both, got none"
             )
-        positions = (first.position_mm[one] + second.position_mm[other]) / 2.0
-        moves = (second.position_mm[other] - first.position_mm[one]) / interval_s(data, pair)
+        positions = (first.position_mm[rows] + second.position_mm[other]) / 2.0
+        moves = (second.position_mm[other] - first.position_mm[rows]) / interval_s(data, pair)
         count = min(_NEIGHBOURS, len(positions))
         near = cKDTree(positions).query(points_mm, k=count)[1].reshape(len(points_mm), count)
         return np.asarray(moves[near].mean(axis=1))

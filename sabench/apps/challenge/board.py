@@ -114,7 +114,7 @@ def opened_challenge(path: Path) -> Iterator[Path]:
 def _unpack(path: Path, folder: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
-            needed = sum(one.file_size for one in archive.infolist())
+            needed = sum(member.file_size for member in archive.infolist())
             if needed > shutil.disk_usage(folder).free:
                 raise InputError(f"{path}: expected {needed / 1e6:.0f} MB of free disk in {folder}")
             archive.extractall(folder)
@@ -152,13 +152,13 @@ def score_submission(reference: Path, submission: Path, out: Path) -> dict[str, 
     with submitted_files(submission) as files:
         sets = match_data_sets(files.results, [reference])
         names = _names(challenge, sets)
-        found = {
+        all_scores = {
             names[label]: _checked(label, score_safely(label, file, sets[label]), challenge)
             for label, file in files.results
         }
-    means = average(challenge, list(found.values()))
+    means = average(challenge, list(all_scores.values()))
     out.mkdir(parents=True, exist_ok=True)
-    for name, values in (("scores", means), ("scores_of_data_sets", found)):
+    for name, values in (("scores", means), ("scores_of_data_sets", all_scores)):
         (out / f"{name}.json").write_text(canonical_json(values), encoding="utf-8")
     return means
 
@@ -166,17 +166,17 @@ def score_submission(reference: Path, submission: Path, out: Path) -> dict[str, 
 def average(challenge: Challenge, scores: list[dict[str, Any]]) -> dict[str, float]:
     """Average the scores of all data sets."""
     task, means = tasks.of(challenge.task), {}
-    for key in (one.key for one in task.columns if one.key not in COSTS):
-        values = [one[key] for one in scores if one[key] is not None]
+    for key in (column.key for column in task.columns if column.key not in COSTS):
+        values = [record[key] for record in scores if record[key] is not None]
         mean = mean_of(values)
         if mean is not None and len(values) == len(scores):
             means[key] = mean.mean
-    return {**means, ADMITTED: sum(task.admits(one) for one in scores) / len(scores)}
+    return {**means, ADMITTED: sum(task.admits(record) for record in scores) / len(scores)}
 
 
 def _names(challenge: Challenge, sets: dict[str, Dataset]) -> dict[str, str]:
     """Name the data set of each result; there must be one result for each."""
-    by_hash = {one: name for name, one in challenge.data_sets.items()}
+    by_hash = {content_hash: name for name, content_hash in challenge.data_sets.items()}
     names = {label: by_hash[data.content_hash] for label, data in sets.items()}
     first: dict[str, str] = {}
     for label, name in names.items():
@@ -196,7 +196,7 @@ def _names(challenge: Challenge, sets: dict[str, Dataset]) -> dict[str, str]:
 
 def _checked(label: str, scores: dict[str, Any], challenge: Challenge) -> dict[str, Any]:
     check_result_task(scores["task"], challenge.task, printable(label))
-    return {key: one for key, one in scores.items() if key not in _LEFT_OUT}
+    return {key: score for key, score in scores.items() if key not in _LEFT_OUT}
 
 
 _FOLDER = Path(__file__).with_name("pages")
@@ -209,8 +209,8 @@ CARD_TEMPLATE = "".join(
 def page(name: str, challenge: Challenge) -> str:
     """Fill in a page in Markdown: one of `NAMES`."""
     task = tasks.of(challenge.task)
-    shown = [one for one in task.columns if one.key not in COSTS]
-    scores = "\n".join(f"| {one.heading} | {one.meaning} |" for one in shown)
+    shown = [column for column in task.columns if column.key not in COSTS]
+    scores = "\n".join(f"| {column.heading} | {column.meaning} |" for column in shown)
     values = {
         "title": challenge.title,
         "task": challenge.task,
@@ -309,9 +309,10 @@ leaderboards:
     key: main
     submission_rule: Force_Last
     columns:"""
-    scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
-    for number, one in enumerate(scores):
-        yield _column(number, one.key, one.heading, "asc" if one.better == "smaller" else "desc")
+    scores = [column for column in tasks.of(challenge.task).columns if column.key not in COSTS]
+    for number, column in enumerate(scores):
+        order = "asc" if column.better == "smaller" else "desc"
+        yield _column(number, column.key, column.heading, order)
     yield _column(len(scores), ADMITTED, "admitted", "desc")
 
 
@@ -359,8 +360,8 @@ def make_challenge(
     chosen = _choose_task(cases, task, str(suite))
     wanted = [case for case in cases if chosen in _tasks(case)]
     # by hash, so that the order tells no case
-    made = sorted(_data_sets(wanted, out / "private", jobs), key=lambda one: one.content_hash)
-    named = {f"data_{number:03d}": data for number, data in enumerate(made)}
+    datasets = sorted(_data_sets(wanted, out / "private", jobs), key=lambda data: data.content_hash)
+    named = {f"data_{number:03d}": data for number, data in enumerate(datasets)}
     hashes = {name: data.content_hash for name, data in named.items()}
     challenge = Challenge(title=loaded.title, task=chosen, sabench=__version__, data_sets=hashes)
     with tempfile.TemporaryDirectory(prefix="sabench-", dir=out) as scratch:
@@ -379,14 +380,14 @@ def make_challenge(
 
 
 def _choose_task(cases: list[Case], task: TaskName | None, suite: str) -> TaskName:
-    known = sorted({one for case in cases for one in _tasks(case)})
-    if task is None and len(known) > 1:
+    choices = sorted({name for case in cases for name in _tasks(case)})
+    if task is None and len(choices) > 1:
         raise InputError(
-            f"{suite}: expected solvers of one task, or --task with one of {', '.join(known)}"
+            f"{suite}: expected solvers of one task, or --task with one of {', '.join(choices)}"
         )
-    chosen = task or known[0]
-    if chosen not in known:
-        raise InputError(f"--task: expected one of {', '.join(known)}, got {chosen!r}")
+    chosen = task or choices[0]
+    if chosen not in choices:
+        raise InputError(f"--task: expected one of {', '.join(choices)}, got {chosen!r}")
     return cast("TaskName", chosen)
 
 
@@ -442,7 +443,7 @@ def participate(
     with opened_challenge(path) as folder:
         challenge = read_challenge(folder)
         tag = digest([solver, parameters or {}])[:8]
-        made = []
+        files = []
         for number, name in enumerate(challenge.data_sets, 1):
             text = f"data set {number} of {len(challenge.data_sets)}: {name}"
             console.print(text, markup=False, highlight=False)
@@ -451,9 +452,9 @@ def participate(
             if not _is_there(place, data):
                 solve(solver, data, place, parameters=parameters, limits=limits)
             _check_task(place, data, challenge, shown)
-            made.append((f"{name}.h5", place))
-    pack_results(Submitted(made, []), out, cards, overwrite=overwrite)
-    return len(made)
+            files.append((f"{name}.h5", place))
+    pack_results(Submitted(files, []), out, cards, overwrite=overwrite)
+    return len(files)
 
 
 def _is_there(place: Path, data: Dataset) -> bool:

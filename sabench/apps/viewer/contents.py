@@ -76,15 +76,15 @@ class Contents:
     def totals(self) -> dict[str, dict[str, list[int]]]:
         """Count every frame's particles and bubbles by their kinds, those that there are."""
         return {
-            "particles": _totals([one.particles for one in self.frames]),
-            "bubbles": _totals([one.bubbles for one in self.frames]),
+            "particles": _totals([frame.particles for frame in self.frames]),
+            "bubbles": _totals([frame.bubbles for frame in self.frames]),
         }
 
 
 def _totals(clouds: Sequence[Cloud]) -> dict[str, list[int]]:
-    counts = np.array([one.counts() for one in clouds]).reshape(-1, len(KINDS))
+    counts = np.array([cloud.counts() for cloud in clouds]).reshape(-1, len(KINDS))
     named = zip(KINDS, counts.T, strict=True)
-    return {kind: own.tolist() for kind, own in named if own.any()}
+    return {kind: column.tolist() for kind, column in named if column.any()}
 
 
 def of_scene(scene: Scene, source: str) -> Contents:
@@ -166,12 +166,12 @@ def _frame(data: Dataset, number: int, estimates: Estimates | None) -> Frame:
 
 
 def _fill_velocities(frames: Sequence[Frame]) -> tuple[Frame, ...]:
-    times = [one.time_s for one in frames]
-    particles = with_velocities([one.particles for one in frames], times)
-    bubbles = with_velocities([one.bubbles for one in frames], times)
+    times = [frame.time_s for frame in frames]
+    particles = with_velocities([frame.particles for frame in frames], times)
+    bubbles = with_velocities([frame.bubbles for frame in frames], times)
     return tuple(
-        Frame(one.number, one.time_s, own, round_ones, one.solids)
-        for one, own, round_ones in zip(frames, particles, bubbles, strict=True)
+        Frame(frame.number, frame.time_s, cloud, round_ones, frame.solids)
+        for frame, cloud, round_ones in zip(frames, particles, bubbles, strict=True)
     )
 
 

@@ -41,7 +41,7 @@ _SIGNS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 def draw_surroundings(around: Surroundings) -> list[str]:
     """Draw a rig as two SVG elements."""
     rig = around.describe()
-    centers = np.array([one.center_mm for one in around.cameras])
+    centers = np.array([camera.center_mm for camera in around.cameras])
     axis = int(np.argmax(np.abs(centers.mean(axis=0) - around.center_mm)))
     planes = [[axis, vertical] for vertical in range(3) if vertical != axis]
     return [_draw(rig, plane) for plane in planes]
@@ -54,7 +54,7 @@ def _draw(rig: dict[str, Any], plane: list[int]) -> str:
         shapes += [Outline("wall", _hull(face, plane), closed=True) for face in _faces(wall)]
     for camera in rig["cameras"]:
         shapes += [Outline("ray", path[:, plane]) for path in _edges(camera, rig["side"])]
-    ends = np.concatenate([one.points_mm for one in shapes])
+    ends = np.concatenate([shape.points_mm for shape in shapes])
     margin = _MARGIN * float(np.ptp(ends, axis=0).max())
     low, high = ends.min(axis=0) - margin, ends.max(axis=0) + margin
     length = _CAMERA * float((high - low).max())
@@ -129,9 +129,9 @@ def render(contents: Contents) -> tuple[str, list[str]]:
         "facts": contents.facts,
         "notes": notes,
         "counts": _count_rows(contents),
-        "frames": [f"{one.time_s:.6g}" for one in contents.frames],
+        "frames": [f"{frame.time_s:.6g}" for frame in contents.frames],
         "cameras": _camera_rows(contents),
-        "drawings": [Markup(one) for one in draw_surroundings(contents.surroundings)],
+        "drawings": [Markup(drawing) for drawing in draw_surroundings(contents.surroundings)],
         "version": __version__,
         "data": inline_json(values),
         "arrays": arrays,
@@ -159,11 +159,11 @@ def _camera_rows(contents: Contents) -> list[tuple[str, str, Any]]:
     """List name, position and image size of each camera."""
     return [
         (
-            one.name,
-            ", ".join(f"{value:.5g}" for value in one.center_mm),
-            f"{one.rows} x {one.columns}",
+            camera.name,
+            ", ".join(f"{value:.5g}" for value in camera.center_mm),
+            f"{camera.rows} x {camera.columns}",
         )
-        for one in contents.surroundings.cameras
+        for camera in contents.surroundings.cameras
     ]
 
 
@@ -225,8 +225,8 @@ def view(source: Scene | Dataset | str | Path, result: str | Path | None = None)
     summary = {
         "cameras": len(contents.surroundings.cameras),
         "frames": len(contents.frames),
-        "particles": sum(len(one.particles) for one in contents.frames),
-        "bubbles": sum(len(one.bubbles) for one in contents.frames),
+        "particles": sum(len(frame.particles) for frame in contents.frames),
+        "bubbles": sum(len(frame.bubbles) for frame in contents.frames),
         "bytes": len(html.encode()),
     }
     return View(html, tuple(notes), summary)

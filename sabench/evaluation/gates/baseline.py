@@ -167,12 +167,12 @@ def read_baseline(path: Path, suite: str) -> Baseline:
             f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with "
             "--update"
         )
-    found = validate(Baseline, values, str(path))
-    if found.suite != suite:
+    baseline = validate(Baseline, values, str(path))
+    if baseline.suite != suite:
         raise InputError(
-            f"{path}: expected a baseline of the suite {suite}, got one of {found.suite}"
+            f"{path}: expected a baseline of the suite {suite}, got one of {baseline.suite}"
         )
-    return found
+    return baseline
 
 
 def write_baseline(path: Path, baseline: Baseline) -> None:

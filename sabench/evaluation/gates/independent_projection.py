@@ -90,8 +90,8 @@ def _across(vectors: F64, axis: F64) -> F64:
     return np.asarray(vectors - (vectors @ axis)[..., None] * axis)
 
 
-def _dot(one: F64, other: F64) -> F64:
-    return np.asarray(np.sum(one * other, axis=-1))
+def _dot(vectors: F64, other: F64) -> F64:
+    return np.asarray(np.sum(vectors * other, axis=-1))
 
 
 _HALVINGS = 100

@@ -63,13 +63,13 @@ def _pictures(
     have small figures, which are bundled with them.
     """
     small = pictures.parent / _SMALL
-    seen: dict[int, int] = {}
+    counts: dict[int, int] = {}
     rows = [(place, row) for place, case in enumerate(cases) for row in case]
     for number, (place, row) in enumerate(rows):
         run = next((run for run in row["runs"] if run.get("pictures")), None)
         if run is None:
             continue
-        rank = seen[place] = seen.get(place, 0) + 1
+        rank = counts[place] = counts.get(place, 0) + 1
         stem = stem_of(run)
         wanted = [(0, "images", "images")]
         if not row["recorded"] and tasks.of(row["task"]).captions.truth:
@@ -82,13 +82,13 @@ def _pictures(
                 (rank, f"left{number}", f"{stem}.left"),
             ]
         for order, name, file in wanted:
-            own = f"{run['pictures']}/{file}"
-            path = _there(pictures, f"{own}.png") or _there(small, f"{own}.webp")
+            base = f"{run['pictures']}/{file}"
+            path = _find_picture(pictures, f"{base}.png") or _find_picture(small, f"{base}.webp")
             if path:
                 yield order, place, name, path
 
 
-def _there(pictures: Path, name: str) -> Path | None:
+def _find_picture(pictures: Path, name: str) -> Path | None:
     """Find the figure of this name.
 
     None where there is none, or where the name leads outside the folder: then one record does not
