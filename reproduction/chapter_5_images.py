@@ -241,7 +241,9 @@ def _gradient(dark: F32, x: int, y: int, radius: float) -> float:
 
 def _typical(stack: Stack, which: I64) -> int:
     """Select the bubble whose E at its plane is the median."""
-    levels = [stack.over_depth(int(one), stack.potential)[stack.plane(int(one))] for one in which]
+    levels = [
+        stack.over_depth(int(bubble), stack.potential)[stack.plane(int(bubble))] for bubble in which
+    ]
     return int(which[np.argsort(levels)[len(levels) // 2]])
 
 
@@ -257,9 +259,9 @@ def _depth_figure(stack: Stack, shown: dict[str, int]) -> Figure:
     for kind, bubble in shown.items():
         values = np.sort(stack.over_depth(bubble, stack.potential))
         shares.append(Curve(f"window of the {kind} one", list(values), rank))
-        there = stack.over_depth(bubble, stack.potential)[[stack.plane(bubble)]]
+        level = stack.over_depth(bubble, stack.potential)[[stack.plane(bubble)]]
         marks.append(
-            Cloud(f"{kind} bubble", there, np.searchsorted(values, there, "right") / len(z))
+            Cloud(f"{kind} bubble", level, np.searchsorted(values, level, "right") / len(z))
         )
     return Figure(
         "fig-5-7",
@@ -289,14 +291,14 @@ def _minimum_figure(stack: Stack) -> Figure:
     grid, number = stack.case.grid, len(stack.volume) // 2 // STACK
     dark = stack.after[number]
     depth = np.zeros_like(dark)
-    found = find_outlines(dark, depth, _EDGE, _SMALL_PX).shapes
+    outlines = find_outlines(dark, depth, _EDGE, _SMALL_PX).shapes
     circles = np.column_stack(
         [
-            found[:, :2] * grid.voxel_mm[:2] + np.asarray(grid.low_mm[:2]),
-            np.sqrt(found[:, 2] * found[:, 3]) * grid.voxel_mm[0],
+            outlines[:, :2] * grid.voxel_mm[:2] + np.asarray(grid.low_mm[:2]),
+            np.sqrt(outlines[:, 2] * outlines[:, 3]) * grid.voxel_mm[0],
         ]
     )
-    before, after = (1.0 - one[number].astype(np.float64) for one in (stack.before, stack.after))
+    before, after = (1.0 - dark[number].astype(np.float64) for dark in (stack.before, stack.after))
     return Figure(
         "fig-5-11",
         "minimum image of 50 planes",
