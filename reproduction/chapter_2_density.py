@@ -98,7 +98,7 @@ def _density_rows(label: str, case: SceneCase, trial: Trial, seeds: Sequence[int
 def crossings(
     quality: Callable[[float, int], float], start: float, seeds: Sequence[int]
 ) -> list[float]:
-    """Find the density at which Q falls to 0.75, for every seed.
+    """Find the density where Q falls to 0.75, for every seed.
 
     Empty if the first seed has none near `start`.
 

@@ -280,7 +280,7 @@ _PLANAR, _ACROSS = "piv2d", "3-D plane Z/D_o = 0.11"
 
 @dataclass(frozen=True)
 class _Cut:
-    """Figures of a field in a plane through or beside a ring's axis.
+    """Figures of a field in a plane through or next to a ring's axis.
 
     Attributes
     ----------

@@ -355,7 +355,7 @@ def lights() -> list[Light]:
 
 
 def section_3_2_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure what skew costs in pixels, Q and velocity error, beside exact triggers.
+    """Measure what skew costs in pixels, Q and velocity error, against exact triggers.
 
     The thesis calls what software triggers leave too large for synthetic aperture PIV, and triggers
     by hardware. In continuous light, a late camera sees particles where they are later; in pulsed
@@ -440,7 +440,7 @@ def _records(scene: Scene, frame: int, camera: int) -> bool:
 
 
 def _without(shot: Shot, lost: Bool) -> Shot:
-    """Leave out the cameras whose images are dark, as anyone would."""
+    """Leave out the cameras with dark images."""
     lit = np.flatnonzero(~lost)
     case = shot.observation
     cameras = tuple(case.cameras[number] for number in lit)

@@ -141,7 +141,7 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
-    """Judge the claims on figure 4-23; means are (seed, camera) per test."""
+    """Check the claims on figure 4-23; means are (seed, camera) per test."""
     first = means["test 1"]
     change = float(max(np.abs(draws / first - 1.0).max() for draws in means.values()))
     yield claim(

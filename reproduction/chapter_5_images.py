@@ -94,7 +94,7 @@ class Stack:
         return int(np.clip(np.rint(self.voxels[bubble, 2]), 0, len(self.volume) - 1))
 
     def over_depth(self, bubble: int, potential: F32) -> F64:
-        """Return E (plane,) of that window on a bubble's outline in which it is largest."""
+        """Return E (plane,) of the window with the largest E on a bubble's outline."""
         rows, columns = self.rim(bubble)
         _, down, across = potential.shape
         i, j = np.minimum(rows // WINDOW, down - 1), np.minimum(columns // WINDOW, across - 1)
@@ -208,7 +208,7 @@ def _mean(values: Sequence[float | bool]) -> float:
 
 
 def _contrasts(stack: Stack) -> dict[str, float]:
-    """Measure the mean darkness of rims over the rms of that beside bubbles."""
+    """Measure the mean darkness of rims over the rms darkness next to bubbles."""
     out = {}
     for name, images in (("original", stack.before), ("attenuated", stack.after)):
         values = []
@@ -240,7 +240,7 @@ def _gradient(dark: F32, x: int, y: int, radius: float) -> float:
 
 
 def _typical(stack: Stack, which: I64) -> int:
-    """Select the bubble whose E at its plane is the median."""
+    """Select the bubble with the median E at its plane."""
     levels = [
         stack.over_depth(int(bubble), stack.potential)[stack.plane(int(bubble))] for bubble in which
     ]

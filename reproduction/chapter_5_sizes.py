@@ -109,7 +109,7 @@ def _small(jet: JetFrames) -> Item:
 
 
 def _intervals(jet: JetFrames) -> Item:
-    """Count bins whose interval of found bubbles contains the true mean.
+    """Count bins with the true mean in the interval of the found bubbles.
 
     Both are of the same frames.
     """

@@ -196,7 +196,7 @@ def _measure(given: Board, values: F64, corners: F64) -> EdgeSharpness:
 def _sharpness_rows(
     name: str, every: Sequence[EdgeSharpness], edges: dict[str, list[EdgeSharpness]]
 ) -> Iterator[Item]:
-    """Measure width and MTF50, beside those of single images."""
+    """Measure width and MTF50, relative to single images."""
     raw = np.mean([edge.width_mm for edge in edges[_RAW]])
     widths = [edge.width_mm for edge in every]
     note = f"{np.mean(widths) / raw:.3g} of single images"

@@ -139,7 +139,7 @@ def _table(readings: Readings) -> Iterator[Item]:
 def _measure(
     scene: Scene, seed: int, case: Observation, join: Join, readings: Readings
 ) -> list[Panel]:
-    """Read the code on the cylinder, and in the plane in which it is read best."""
+    """Read the code on the cylinder, and in the plane with the best reading."""
     code, flat = code_of(scene, seed, 0), _flat_code(scene, seed)
     plate = scene.world.solids[0]
     reach = 2.0 * np.abs(flat.points_mm).max(axis=(0, 1)) + _MARGIN_MM

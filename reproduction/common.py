@@ -48,7 +48,7 @@ def make_row(
 
 
 def verdict(measured: float, thesis: float | None, better: Better = "neither") -> str:
-    """Judge whether a value is the thesis's to within `AGREES`, else better or worse.
+    """Compare a value with the thesis's: equal to within `AGREES`, better or worse.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def verdict(measured: float, thesis: float | None, better: Better = "neither") -
 
 
 def at_least(name: str, thesis: float, values: Sequence[float], note: str = "") -> Row:
-    """Make a row of a value for which the thesis gives a lower bound."""
+    """Make a row of a value with a lower bound in the thesis."""
     row = make_row(name, thesis, values, note)
     reached = row.measured is not None and row.measured >= thesis
     return replace(row, verdict="reproduced" if reached else "below")

@@ -7,7 +7,7 @@ first mapping. Voxels are pixels of the middle plane along x and y and numbers o
 
 **Additive** refocusing is equation 3.3 with exact projections onto the scene's grid.
 
-The threshold with the best Q needs the truth: it judges thresholds, and no solver can use it.
+The threshold with the best Q needs the truth: it scores thresholds, and no solver can use it.
 """
 
 from __future__ import annotations
@@ -178,10 +178,10 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
 
     Particles are in the space of these voxels.
 
-    Equations 2.1 to 2.3. Cameras whose shifts are no whole numbers, as in unevenly spaced arrays,
-    are interpolated bilinearly, as the thesis says. Mapped images are as large as the images, so
-    that a shifted one adds zeros to one side of a plane (section 2.2.4): what a tilted camera sees
-    beyond is lost.
+    Equations 2.1 to 2.3. Cameras with fractional shifts, as in unevenly spaced arrays, are
+    interpolated bilinearly, as in the thesis. Mapped images are as large as the images, so that a
+    shifted one adds zeros to one side of a plane (section 2.2.4): what a tilted camera sees beyond
+    is lost.
     """
     case, cameras = shot.observation, shot.observation.cameras
     grid, (center, neighbour) = case.grid, _two_innermost(cameras)

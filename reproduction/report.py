@@ -1,4 +1,4 @@
-"""Rows written to a file, and a page of them with curves beside the values."""
+"""Rows written to a file, and a page of them with curves next to the values."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -65,7 +65,7 @@ def _write(file: Path, content: bytes) -> None:
 
 
 def _page(rows: Sequence[Mapping[str, Any]], plots: Mapping[str, Sequence[Figure]]) -> str:
-    """Render a page beside whose file the plots lie as NAME.png."""
+    """Render a page with its plots as files NAME.png next to it."""
     now = {row["item"] for row in rows}
     recorded = [row for row in read_rows(MEASURED) if row["item"] not in now]
     values = {

@@ -1,4 +1,4 @@
-"""Statistics of a data set's images, and of anybody's recordings beside them."""
+"""Statistics of the images of data sets and of real recordings."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -32,7 +32,7 @@ class Measured:
     frames : number of images of each camera, at most.
     white_dn : grey values of saturated pixels, of each camera.
     ratio : of a particle's flux between cameras; None without a calibration.
-    matched : what tells which peaks of the cameras are one particle's.
+    matched : source of the correspondences between the peaks of the cameras.
     """
 
     cameras: dict[str, statistics.CameraStatistics]
@@ -44,7 +44,7 @@ class Measured:
     def medians(self) -> dict[str, float | None]:
         """Give each figure's median over the cameras, and those of the ratio.
 
-        None where the images do not tell.
+        None where the images do not determine it.
         """
         every = [asdict(camera) for camera in self.cameras.values()]
         out = {key: _median([figures[key] for figures in every]) for key in every[0]}

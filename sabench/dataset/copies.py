@@ -1,6 +1,6 @@
 """Copies of a data set: observation side, archives, comparison.
 
-Processors round differently, so the bytes of two honest copies differ. Tolerances are ten times
+Processors round differently, so the bytes of two correct copies differ. Tolerances are ten times
 and more what `benchmarks/instruction_sets.py` measures: see docs/developing/decisions.md.
 """
 
@@ -29,7 +29,7 @@ from sabench.utils.progress import progress_bar
 def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) -> None:
     """Make a data set of the observation side alone in a folder.
 
-    Its manifest has the content hash of the whole, so that results of it are results of the whole.
+    Its manifest has the content hash of the complete data set, so that results apply to both.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) ->
     for name in files:
         place = inside(folder, name)
         if not inside(dataset.root, name).is_file():
-            continue  # whoever reads it finds the fault, and names the file
+            continue  # the reader raises an error that names the file
         place.parent.mkdir(parents=True, exist_ok=True)
         source = inside(dataset.root, name)
         if linked:
@@ -144,7 +144,7 @@ def _copy_file(root: Path, folder: Path, name: str) -> None:
 
 _MOST_FAULTS = 100
 _ROUNDING = {"float64": 1e-9, "float32": 1e-6}  # relative to the largest value of an array
-_FEW = (5, 1e-3)  # pixels, or share of all, whose rays may take another path
+_FEW = (5, 1e-3)  # pixels, or share of all, with rays that may take another path
 _RADIANCE = 1e-3  # of the brightest pixel
 _NOISE = 8.0  # standard deviations of the difference of two grey values
 # arrays of truth that single rays or samples of noise change, with the allowed difference
@@ -223,7 +223,7 @@ def _compare_images(one: Dataset, first: Path, second: Path) -> Iterator[str]:
 
 
 def _other_grey(one: U16, other: U16, sensor: Sensor) -> Bool:
-    """Find pixels whose grey values are no two draws of one mean.
+    """Find pixels with grey values that are not two draws of one mean.
 
     The rejections in a Poisson generator let a change of the last digit shift all later draws, so
     that equal radiance may have other noise.

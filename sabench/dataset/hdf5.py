@@ -1,7 +1,7 @@
 """Untrusted HDF5 files: no outside links; shapes, kinds and chunks checked.
 
-HDF5 inflates a deflate stream to its end, whatever its chunk should hold: a file of some MB fills
-gigabytes. A stream that ends early leaves a part of the chunk undefined.
+HDF5 inflates a deflate stream to its end, even beyond the size of its chunk: a file of some MB
+fills gigabytes. A stream that ends early leaves a part of the chunk undefined.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ from sabench.utils.errors import InputError
 
 # filters that a data set may have, in this order, and the bit of each
 _FILTERS = ((), (h5py.h5z.FILTER_DEFLATE,), (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE))
-_SPARE = 1024  # bytes by which a deflate stream may exceed 9/8 of what it holds
+_SPARE = 1024  # bytes of a deflate stream beyond 9/8 of its content
 
 
 def check_storage(node: Any, where: str) -> None:
@@ -61,7 +61,7 @@ def check_streams(node: Any, where: str) -> None:
 
     It takes the memory of one chunk. `check_storage` comes before.
 
-    Raises InputError for a stream that is damaged, or whose length is not that of its chunk.
+    Raises InputError for a damaged stream, or one of another length than its chunk.
     """
     if not node.chunks:
         return
@@ -96,14 +96,14 @@ def _chunks(node: Any) -> list[Any]:
 
 
 def _deflated(filters: tuple[int, ...], chunk: Any) -> bool:
-    """Say whether a chunk is compressed: a writer leaves out what does not help."""
+    """Return whether a chunk is compressed: a writer leaves out what does not help."""
     return bool(filters) and not chunk.filter_mask >> (len(filters) - 1) & 1
 
 
 _LONGEST = 1 << 20  # characters of an attribute
 _MOST_NAMES = 100_000  # members of a group
 _SMALL = 1 << 26  # bytes that may be read without a check of their cost
-# of a data set whose length the file itself sets: 80 million particles
+# bytes of a data set without a declared length: 80 million particles
 _OPEN_BYTES = 2_000_000_000
 _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 

@@ -23,7 +23,7 @@ MOST_SAMPLES = 100_000_000  # of a data set
 MOST_POINTS = 1_000_000  # of a target
 _LARGEST_MM = 1e6  # pitch of a target: a kilometre
 SIDES = ("observation", "truth")  # folders of shards
-REFERENCES = "images.json"  # of a recorded data set whose images lie elsewhere
+REFERENCES = "images.json"  # of a recorded data set with its images in another folder
 MASKS = "masks"  # folder of images that mark the pixels that count
 PACK = {"compression": "gzip", "compression_opts": 1, "shuffle": True}  # of arrays in HDF5 files
 GIVEN = "given"  # folder of files of other programs, which the scene reads
@@ -76,7 +76,7 @@ class Contents(Record):
 class Manifest(Contents):
     """manifest.json: contents and origin of a data set.
 
-    `identity` is that of every copy, on whatever processor it was made: see `identity_of`. Data
+    `identity` is the same for all copies, independent of the processor: see `identity_of`. Data
     sets of before have none.
     """
 

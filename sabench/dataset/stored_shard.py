@@ -46,7 +46,7 @@ class StoredShard:
         return self.entry.samples
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what is open: another process opens files of its own."""
+        """Leave out what is open: another process opens the files again."""
         return {**self.__dict__, "_files": {}, "_arrays": {}}
 
     def close(self) -> None:
@@ -189,7 +189,7 @@ class StoredShard:
 
     @property
     def _ends(self) -> I64:
-        """Rows at which the particles of each frame of each sample end."""
+        """End rows of the particles of each frame of each sample."""
         shape = (len(self), self._shape[0])
         ends: I64 = self._all("truth", "particles/end", shape, "i").reshape(-1)
         if (np.diff(ends, prepend=0) < 0).any():

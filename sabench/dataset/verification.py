@@ -84,11 +84,11 @@ def _check_entry(path: Path, entry: schema.ShardEntry, shard: Shard, sides: Sequ
 
 
 def shard_faults(root: Path, contents: schema.ShardedContents, attempt: Try) -> Iterator[str]:
-    """Find shards whose arrays contradict the manifest, or each other."""
+    """Find shards that contradict the manifest or themselves."""
     files = [name for entry in contents.shards for name in entry.files]
     size = sum(file.bytes for entry in contents.shards for file in entry.files.values())
     if list(attempt(lambda: read_isolated(_walk_all, root, files, size_bytes=size))):
-        for name in files:  # one of them, in a process of its own
+        for name in files:  # one of them, in a child process
             yield from attempt(partial(probe, inside(root, name)))
         return
     entries = {entry.name: entry for entry in contents.shards}
@@ -259,7 +259,7 @@ def _try(read: Callable[[], object]) -> Iterator[str]:
 
 
 def _sentence(error: Exception) -> str:
-    """Say what is wrong in one short sentence; of several faults it gives the first."""
+    """Describe the fault in one short sentence; of several faults it gives the first."""
     if isinstance(error, InputError) and len(error.faults) > 1:
         return one_line(f"{str(error).splitlines()[0]} {error.faults[0]}, ...", _LONGEST)
     return one_line(str(error), _LONGEST)

@@ -41,7 +41,7 @@ LONGEST_LINE = 100_000  # bytes of a record
 _LONGEST_NAME, _LONGEST_TEXT, _LONGEST_FAULT = 200, 10_000, 300  # characters
 _DEEPEST = 20  # tables and lists within each other
 _LONGEST_S = 1e6
-_ROUNDING = 1e-6  # by which a score may be beyond its range
+_ROUNDING = 1e-6  # margin of rounding around the range of a score
 _YEARS = (2000, 2100)
 
 

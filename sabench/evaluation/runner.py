@@ -54,7 +54,7 @@ def run_suite(
     secret: Path | None = None,
     jobs: int = 1,
 ) -> list[Record]:
-    """Generate, solve, score and record a whole suite, then rebuild the page.
+    """Generate, solve, score and record a suite, then rebuild the page.
 
     Returns the records.
 
@@ -103,7 +103,7 @@ def _known_records(leaderboard: Path) -> dict[str, Record]:
 
 
 def _say_changed(head: Record, existing: dict[str, Record]) -> None:
-    """Say that a recording is not the one of earlier records, which stay on the page."""
+    """Print a message for a recording that differs from the one of earlier records."""
     same = ("suite", "case", "recorded")
     for record in existing.values() if head["recorded"] else ():
         if key_of(record, same) == key_of(head, same) and record["dataset"] != head["scene_hash"]:

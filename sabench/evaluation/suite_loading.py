@@ -145,7 +145,7 @@ def is_public(scene_hash: str, seed: int) -> bool:
 
 @functools.cache
 def scenes_of(file: Path) -> Mapping[str, Scene]:
-    """Read a bundled suite's scenes, whose geometry is known to be good, by hash."""
+    """Read a bundled suite's scenes by hash; their geometry needs no check."""
     read = functools.cache(read_scene)
     variants = (_variants(spec, file, read) for spec in _specs(_read_suite(file)))
     return {scene.hash: scene for *_, scene in itertools.chain.from_iterable(variants)}

@@ -25,7 +25,7 @@ from sabench.utils.code_hash import code_hash
 from sabench.utils.errors import InputError
 from sabench.utils.processes.program import Limits, limits_of
 
-RECORDED = "recorded"  # stands for the renderer of a recording
+RECORDED = "recorded"  # in place of the renderer of a recording
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system
 
 
@@ -106,7 +106,7 @@ class CaseSpec(Changes):
 
 
 class QualityOptions(_Table):
-    """Options of the figures that judge results of a recording without truth."""
+    """Options of the quality figures of a recording without truth."""
 
     frames: int = Field(1, ge=1, description="first frames that are compared with their images")
     again: bool = Field(
@@ -115,7 +115,7 @@ class QualityOptions(_Table):
 
 
 class RecordingSpec(_Table):
-    """One recorded data set; a text stands for a table with its folder alone."""
+    """One recorded data set; a text is short for a table with its folder alone."""
 
     folder: str = Field(min_length=1, description="absolute, or next to the suite")
     name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the folder's")

@@ -109,9 +109,10 @@ _TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
 
 
 def write_state(root: Path, home: Path) -> None:
-    """Write a state into an export's folder, whose files it finds when it is loaded.
+    """Write a ParaView state into an export's folder that loads the folder's files.
 
-    The folder will lie at `home`, for a ParaView that does not tell the state's own path.
+    `home` is the final path of the folder, for versions of ParaView that do not give a state its
+    own path.
     """
     text = _TEMPLATE.read_text(encoding="utf-8").replace("{{ folder }}", repr(str(home)))
     (root / NAME).write_text(text, encoding="utf-8")
@@ -135,8 +136,8 @@ def export(
 ) -> Path:
     """Write a data set or a result of it into a folder for another program.
 
-    A `ForeignFormatWarning` says what the format cannot store. Raises InputError for a missing data
-    set or result, one without particles, an unknown format, cameras that the format cannot
+    A `ForeignFormatWarning` lists what the format cannot store. Raises InputError for a missing
+    data set or result, one without particles, an unknown format, cameras that the format cannot
     describe, or an existing folder.
 
     Parameters

@@ -61,7 +61,7 @@ class ForeignWorld:
         return np.asarray(points_mm @ np.asarray(self.axes) + np.asarray(self.origin_mm))
 
     def write(self, folder: Path) -> None:
-        """Write the file by which results come back into our world."""
+        """Write the file that converts results back into the world of the data set."""
         record = {"origin_mm": self.origin_mm, "axes": self.axes}
         (folder / WORLD_FILE).write_text(canonical_json(record), encoding="utf-8")
 
@@ -186,7 +186,7 @@ class Recording:
 def of_estimates(found: Sequence[FoundParticles]) -> TrackTable:
     """Make the table of the estimates of frames 0, 1, ...
 
-    What some frames lack is left out of all.
+    Quantities that are missing in some frames are left out.
     """
     counts = [len(frame.position_mm) for frame in found]
     parts = {
@@ -199,7 +199,7 @@ def of_estimates(found: Sequence[FoundParticles]) -> TrackTable:
 
 
 def number_strangers(trajectory: I64) -> I64:
-    """Give particles without a trajectory (below zero) numbers of their own."""
+    """Give each particle without a trajectory (below zero) a new number."""
     out, lone = trajectory.copy(), trajectory < 0
     out[lone] = trajectory.max(initial=-1) + 1 + np.arange(lone.sum())
     return out

@@ -1,4 +1,4 @@
-"""Image statistics of a frame, from which other programs' settings follow."""
+"""Image statistics of a frame, to derive other programs' settings."""
 
 from dataclasses import dataclass
 

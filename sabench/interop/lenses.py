@@ -27,7 +27,7 @@ from sabench.utils.errors import InputError
 
 PIXEL_MM = 0.01  # where a file gives focal lengths in pixels; no projection depends on it
 F_NUMBER = 8.0  # no format has one
-_ROUNDED = 1e-12  # change of a rotation that is that of double precision
+_ROUNDED = 1e-12  # change of a rotation due to double precision
 _LARGEST_CHANGE = 1e-3  # of a printed rotation's elements
 _SQUARE = 1e-12  # relative difference of focal lengths along columns and rows
 _LEAST_SOLID = 1.38  # refractive index: less than that of glass and plastic, more than water's
@@ -82,7 +82,7 @@ class Extent:
 
 
 def nearest_rotation(matrix: F64, where: str, focal_px: float) -> F64:
-    """Find the rotation nearest to a printed matrix, and say how far it is.
+    """Find the rotation nearest to a printed matrix, and note the distance.
 
     The nearest in the Frobenius norm comes from the singular value decomposition (Horn, Hilden and
     Negahdaripour, J. Opt. Soc. Am. A 5 (1988) 1127).
@@ -189,7 +189,7 @@ def center_of(rotation: F64, translation: F64) -> F64:
 
 
 def check_media(where: str, indices: Sequence[float]) -> None:
-    """Say if refractive indices, from the camera to the fluid, look exchanged.
+    """Warn if refractive indices, from the camera to the fluid, look exchanged.
 
     They are kept: the file's orientations were fitted with them.
     """
@@ -206,10 +206,10 @@ def check_media(where: str, indices: Sequence[float]) -> None:
 
 
 def check_unit(path: Any, cameras: Sequence[CameraModel], unit: str | None) -> None:
-    """Refuse cameras whose distances are those of another unit than mm.
+    """Refuse cameras with distances that suggest another unit than mm.
 
-    Cameras of a tank stand centimetres to metres apart. Nothing is checked where the user names
-    the unit.
+    Cameras of a tank are centimetres to metres apart. Nothing is checked where the user names the
+    unit.
     """
     centers = np.array([camera.center_mm for camera in cameras])
     if unit is not None or len(centers) < 2:
@@ -252,7 +252,7 @@ def _scaled_wall(wall: WallRecord | None, factor: float) -> WallRecord | None:
     return replace(wall, point_mm=triple(np.asarray(wall.point_mm) * factor), layers=layers)
 
 
-_CLEARLY = 0.5  # largest ratio of residuals at which the exchanged indices are taken
+_CLEARLY = 0.5  # largest ratio of residuals that favours the exchanged indices
 
 
 def choose_indices(

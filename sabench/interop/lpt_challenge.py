@@ -4,9 +4,9 @@ Cameras are lists of points: X Y Z and the pixels x1 y1 x2 y2 ... of all. Pixel 
 of the first pixel. The reader fits a model to each camera; a camera that does not see a point has
 NaN.
 
-Particles have one file for each frame, whose number ends its name. Three lines of Tecplot's head
-(title, variables, zone) come before X Y Z in mm and, where particles are tracked, their number.
-Files without the head are read, too.
+Particles have one file for each frame, with the number at the end of its name. Three lines of
+Tecplot's head (title, variables, zone) come before X Y Z in mm and, where particles are tracked,
+their number. Files without the head are read, too.
 """
 
 import re
@@ -38,13 +38,13 @@ FILE = "CalibPoints.txt"
 _NODES = 15  # of the lattice along each edge of the volume
 _HELD = 3  # every third point is held out of the comparison of models
 _SQUARE = 1e-4  # shear and difference of focal lengths of a fit that counts as square pixels
-_NO_WORSE = 1.1  # times the other's error up to which the simpler model is chosen
+_NO_WORSE = 1.1  # largest ratio of errors that favours the simpler model
 
 
 def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Fit a pinhole or a Soloff polynomial to each camera of a point list.
 
-    The one with the smaller error at points that were held out is taken, and its error is said.
+    The model with the smaller error at held-out points is used, and a note gives its error.
 
     Raises InputError for a missing file, columns that are no pairs, too few points, or a missing
     size of the images.

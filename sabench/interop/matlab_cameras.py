@@ -52,7 +52,7 @@ def _is_hdf5(path: Path) -> bool:
 
 
 def _structures_of_hdf5(path: Path) -> dict[str, Structure]:
-    """Read the structures of version 7.3, whose arrays are stored transposed."""
+    """Read the structures of version 7.3, which stores arrays transposed."""
     structures = {}
     with open_hdf5(path) as file:
         for name in list(file):
@@ -122,7 +122,7 @@ def _shaped(where: str, fields: Structure, name: str, size: int) -> F64:
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Say that cameras cannot be written: MATLAB's own objects are closed to others."""
+    """Return why cameras cannot be written: MATLAB's own objects are closed to others."""
     return "expected a format that cameras can be written in, as opencv"
 
 

@@ -245,7 +245,7 @@ LOST_OF_TRACKS = (
 )
 _NAMES = ("smoothed_trajectories", "trajectories", "particles")
 _SMOOTHED = 11  # columns
-_SIDE = 3.0  # of blobs, whose size is not known
+_SIDE = 3.0  # width of blobs of unknown size, in pixels
 
 
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> foreign.TrackTable:

@@ -1,7 +1,7 @@
-"""Tables of tracks whose columns have names: CSV and other text, NetCDF, MATLAB.
+"""Tables of tracks with named columns: CSV and other text, NetCDF, MATLAB.
 
 Names are those that programs in use write; the case of letters and what follows a unit's bracket do
-not matter. Other columns are left out, and said. NetCDF is written in the classic format (NetCDF
+not matter. Other columns are left out, with a note. NetCDF is written in the classic format (NetCDF
 3), which every reader takes; MATLAB loads its file with `load tracks.mat`.
 """
 
@@ -44,7 +44,7 @@ _MATLAB_HEADER = (
 
 @dataclass(frozen=True)
 class NamedColumns:
-    """Format of tables of tracks whose columns have names.
+    """Format of tables of tracks with named columns.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ def _write_netcdf(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
 def _storable(
     file: str, name: str, values: npt.NDArray[Any]
 ) -> tuple[str, npt.NDArray[np.generic]]:
-    """Choose a type of NetCDF 3, whose whole numbers have 32 bits."""
+    """Choose a type of NetCDF 3; its integers have 32 bits."""
     if values.dtype.kind == "f":
         return "f8", values
     if np.abs(values).max(initial=0) > 2**31 - 1:

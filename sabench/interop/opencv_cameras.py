@@ -101,7 +101,7 @@ def _value(node: Any) -> Any:
 
 
 def _name(nodes: dict[str, Any], names: Sequence[str]) -> str | None:
-    """Find the first of several names in a file, whatever the case of their letters."""
+    """Find the first of several names in a file, ignoring case."""
     lowered = {name.lower(): name for name in nodes}
     return next((lowered[name.lower()] for name in names if name.lower() in lowered), None)
 
@@ -139,7 +139,7 @@ def _size(path: Path, nodes: dict[str, Any], extent: Extent) -> tuple[int, int]:
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Say why OpenCV's format cannot describe cameras; None if it can."""
+    """Return why OpenCV's format cannot describe cameras; None if it can."""
     for camera in cameras:
         if not isinstance(camera, Camera):
             return f"{camera.name}: expected a pinhole, got {type(camera).__name__}"

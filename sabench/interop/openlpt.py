@@ -50,8 +50,8 @@ class Settings:
     radius_px : of a particle's image.
     move_mm : largest displacement from frame to frame about the mean one of a neighbourhood.
     spacing_mm : distance of neighbouring particles, and of the nodes of the field of displacements.
-    reach_mm : radius around these nodes in which particles contribute.
-    tolerance_px, tolerance_mm : distances within which lines of sight count as intersecting.
+    reach_mm : radius of the particles averaged at these nodes.
+    tolerance_px, tolerance_mm : tolerances of intersections of lines of sight.
     mm_per_px : at the centre of the volume.
     threads : 0 for all.
     """
@@ -146,12 +146,12 @@ def camera_text(camera: Camera) -> str:
 
 
 def missing() -> str | None:
-    """Say how to install the program, or return None if it is installed."""
+    """Return how to install the program; None if it is installed."""
     return python.missing("pyopenlpt", "openlpt")
 
 
 def unfit(camera: Camera) -> str | None:
-    """Say why OpenLPT cannot describe a camera; None if it can."""
+    """Return why OpenLPT cannot describe a camera; None if it can."""
     if camera.wall and not isinstance(camera.wall, Wall):
         return "OpenLPT supports plane walls, and this wall is a cylinder"
     lens = camera.distortion

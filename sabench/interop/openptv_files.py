@@ -183,7 +183,7 @@ def _camera(
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Say why OpenPTV cannot describe cameras; None if it can."""
+    """Return why OpenPTV cannot describe cameras; None if it can."""
     odd = next((camera.name for camera in cameras if not isinstance(camera, Camera)), None)
     if odd:
         return f"{odd}: OpenPTV has pinholes with Brown-Conrady's distortion only"
@@ -269,7 +269,7 @@ LOST_OF_TRACKS = (
     "light of each camera, covariances and probabilities",
     "sizes of targets (they are 3 x 3 pixels)",
 )
-_SIDE = 3  # of targets, whose size is not known
+_SIDE = 3  # width of targets of unknown size, in pixels
 _CAMERAS = 4  # columns of rt_is
 
 

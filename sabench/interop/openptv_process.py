@@ -2,8 +2,8 @@
 
 `openptv.write_project` makes the folder.
 
-The steps are those of its own window, pyptv: particle images, correspondences, positions, then
-tracking out of the files of these.
+The steps are those of its graphical program, pyptv: particle images, correspondences, positions,
+then tracking out of the files of these.
 """
 
 import json

@@ -62,7 +62,7 @@ def read_tracks(
 
 
 def write_tracks(folder: Path, table: TrackTable, form: TrackFormat, recording: Recording) -> None:
-    """Write particles into a folder, and say what the format cannot carry.
+    """Write particles into a folder, and note what the format cannot store.
 
     The particles are in the world of the files.
     """
@@ -106,7 +106,7 @@ def import_result(
     """Make a result file of the particles that another program found in a data set.
 
     A file `sabench-world.json` that `export` has written next to them, or up to two folders above,
-    tells the world of the positions; without it, it is that of the data set.
+    defines the coordinate system of the positions. By default it is that of the data set.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def import_result(
 
 
 def _renumbered(source: Path, table: TrackTable, first: int | None, frames: int) -> TrackTable:
-    """Count frames from 0, and say which have no particle."""
+    """Count frames from 0, and note those without particles."""
     if not len(table):
         raise InputError(f"{source}: expected particles, found none")
     begin = int(table.frame[0]) if first is None else first
@@ -158,7 +158,7 @@ def _renumbered(source: Path, table: TrackTable, first: int | None, frames: int)
 
 
 def _check_places(source: Path, table: TrackTable, grid: Grid, unit: str | None) -> None:
-    """Refuse positions in another unit; say if they lie outside the volume."""
+    """Refuse positions in another unit; note if they lie outside the volume."""
     share = _share_inside(grid, table.position_mm)
     if share >= _FEW:
         return

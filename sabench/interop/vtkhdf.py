@@ -288,7 +288,7 @@ def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) 
 def _begin(file: Any, kind: str, head: Data) -> Any:
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = np.array(_VERSION)
-    root.attrs["Type"] = np.bytes_(kind)  # VTK wants a string of fixed length
+    root.attrs["Type"] = np.bytes_(kind)  # VTK requires a string of fixed length
     for name, values in head.items():
         root.attrs[name] = values
     root.create_group("PointData")

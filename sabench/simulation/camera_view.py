@@ -1,4 +1,4 @@
-"""View of one camera: photons of a frame, background light, truth, and grey values."""
+"""View of one camera: photons of a frame, background, truth, and grey values."""
 
 from dataclasses import dataclass, replace
 

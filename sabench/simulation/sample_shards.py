@@ -1,4 +1,4 @@
-"""Independent samples of a scene, generated into shards on disk, and their description.
+"""Independent samples of a scene in shards on disk, and their description.
 
 Any process may make a shard, in any order; the manifest of the data set is merged from what the
 writers noted of theirs. README.md is a data card, croissant.json metadata in the format Croissant

@@ -1,6 +1,6 @@
 """Task `calibration`: solvers turn the points of a target into cameras.
 
-The cameras are scored by the pixels to which they project points.
+The cameras are scored by the pixels of projected points.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Laws that every solver obeys, bundled or not, and compilation ahead of time.
+"""Conformance tests of solvers, bundled or not, and compilation ahead of time.
 
 `check_solver` tests the laws on a small data set of the solver's task, generated from
 `scenes/conformance/`. `sabench conform` and the fixture `sabench_conform` of the pytest plug-in

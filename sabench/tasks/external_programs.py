@@ -117,7 +117,7 @@ def run_program(
 
 @dataclass(frozen=True)
 class Head:
-    """Head of a result that is written anew, whatever its file says.
+    """Head of a rewritten result, which replaces that of its file.
 
     Attributes
     ----------

@@ -26,7 +26,7 @@ from sabench.utils.files import inside, read_json
 
 _CERTAIN = 0.3  # of a typical particle's light: dimmer ones have no certain place
 _HIT = 0.3  # of the median light of what has been found: what counts as an image
-_SHIFTS = 5  # multiples of the scramble's shift at which chance is measured
+_SHIFTS = 5  # multiples of the scramble's shift used to measure chance
 _BLUR_PX = 0.7  # standard deviation of a voxel's image
 
 
@@ -84,7 +84,7 @@ class FrameEvidence:
         return good
 
     def explained(self, camera: int, left: F64) -> float:
-        """Compute the share of an image's light that is not left of it."""
+        """Compute the share of an image's light that the particles explain."""
         noise = float(self.statistics.noise[camera])
         return reprojection.explained_share(self.images[camera], left, self.valid[camera], noise)
 
@@ -93,7 +93,7 @@ class FrameEvidence:
     ) -> Shown:
         """Compare a camera's light at particles found without it, with it, and elsewhere.
 
-        Light counts by its rank among that of other places, whose mean is one half: particles show
+        Light is ranked among the light at other positions (mean rank one half): particles show
         `true_share` of the excess of those found with the camera.
 
         Parameters
@@ -131,7 +131,7 @@ class FrameEvidence:
 
         Parameters
         ----------
-        found_mm : (m, 3) found with the camera, whose light says what an image is.
+        found_mm : (m, 3) found with the camera; their light gives the threshold of an image.
         shift : rows and columns.
         """
         size = np.array([self.case.cameras[camera].columns, self.case.cameras[camera].rows])
@@ -198,7 +198,7 @@ def volume_correlation(case: Observation, camera: int, volume: F32) -> float:
     return correlate(image, drawn, pixel_valid)
 
 
-_SHARE = (0.37, 0.41)  # of an image's rows and columns, by which a scrambled one is shifted
+_SHARE = (0.37, 0.41)  # shift of a scrambled image as a share of its rows and columns
 
 
 def without_camera(data: Dataset, number: int, frames: int, out: Path) -> Dataset:
@@ -216,7 +216,7 @@ def with_scrambled_camera(data: Dataset, number: int, frames: int, out: Path) ->
 
 
 def scramble_shift(camera: CameraModel) -> tuple[int, int]:
-    """Compute the rows and columns by which a camera's images are shifted."""
+    """Compute the shift of a camera's images in rows and columns."""
     return round(_SHARE[0] * camera.rows), round(_SHARE[1] * camera.columns)
 
 

@@ -1,4 +1,4 @@
-"""Estimates that hold nothing of the observations, by which scores are tested.
+"""Estimates made without the observations, to test the scores.
 
 Each of them must be refused with one sentence, or rank no better than `Task.empty`. They are what
 an estimate can choose: where it lies, how much it contains, what it leaves out, and how large its
@@ -30,13 +30,13 @@ _HUGE = 1e300
 
 @dataclass(frozen=True)
 class Trial:
-    """Outcome of one estimate that knows nothing.
+    """Outcome of one estimate made without the observations.
 
     Attributes
     ----------
     name : of the estimate.
     figures : its scores; None where it was refused.
-    refusal : the sentence with which it was refused; "" where it was scored.
+    refusal : error message; "" where it was scored.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Trial:
 
 
 def try_all(task: Task, data: Dataset, out: Path) -> Iterator[Trial]:
-    """Score every estimate that knows nothing, as a result file written to `out`."""
+    """Score every estimate of a task as a result file written to `out`."""
     for name, make in estimates(task, data).items():
         with result_writer(out, data, "nobody", task.name, {}, overwrite=True) as writer:
             for frame in task.frames(data):
@@ -57,7 +57,7 @@ def try_all(task: Task, data: Dataset, out: Path) -> Iterator[Trial]:
 
 
 def estimates(task: Task, data: Dataset) -> dict[str, Make]:
-    """Make the estimates of a task that know nothing, by their names."""
+    """Make the estimates of a task, by their names."""
     makers: dict[type[Estimate], Callable[[Dataset], dict[str, Make]]] = {
         Reconstruction: _volumes,
         FoundParticles: _particles,
@@ -101,7 +101,7 @@ def _volumes(data: Dataset) -> dict[str, Make]:
 
 
 def _clouds(data: Dataset) -> dict[str, Callable[[int], F64]]:
-    """Make clouds (n, 3) of points that know nothing, in mm."""
+    """Make clouds (n, 3) of points in mm without the observations."""
     grid = data.setup.grid
     size = np.asarray(grid.voxel_mm) * grid.shape[::-1]
     middle = (np.asarray(grid.low_mm) + size / 2.0)[None]

@@ -291,7 +291,7 @@ def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame
 
 
 def _claims(estimate: FoundParticles, error: F64, i: I64, ghosts: Bool) -> Figures:
-    """Score what an estimate claims of its errors; None where it claims nothing.
+    """Score the error estimates of a result; None where it has none.
 
     Errors (k, 3) belong to the rows i of matched particles; ghosts are marked.
     """

@@ -53,7 +53,7 @@ def find_in_each_frame(
 
 
 class TrajectoryNumbers:
-    """Numbers of trajectories from 0 on, in the order in which they appear.
+    """Numbers of trajectories from 0, in order of appearance.
 
     A solver's own may be any integers. No trajectory leads from one sequence to the next.
     """
@@ -107,7 +107,7 @@ def score_over_time(
 ) -> Figures:
     """Score trajectories.
 
-    Only those particles count that lie in the scored part, or belong to a true particle that does.
+    Only particles in the scored part count, and those matched to a true particle there.
     """
     grid, times = data.setup.grid, [data.setup.time_s(n) for n in range(data.setup.frames)]
     parts = [_scored_part(grid, answer, true) for answer, true in zip(found, truth, strict=True)]
@@ -149,7 +149,7 @@ def _scored_part(grid: Grid, estimate: FoundParticles, true: Particles) -> _Scor
 
 
 def _scored_pairs(estimate: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
-    """Match found and true particles; keep pairs whose truth is in the scored part."""
+    """Match found and true particles; keep pairs with the true particle in the scored part."""
     i, j = challenge_pairs(estimate, true)
     return i[scored[j]], j[scored[j]]
 
@@ -164,7 +164,7 @@ def _sighting(grid: Grid, part: _ScoredPart) -> Sightings:
 def _motion_scores(
     parts: Sequence[_ScoredPart], times: Sequence[float], sequences: Sequence[range]
 ) -> dict[str, float]:
-    """Score accelerations, and velocities if they are claimed."""
+    """Score accelerations, and velocities if the result has them."""
     claimed = [part.found.velocity_mm_s for part in parts]
     scores = {}
     if all(velocity is not None for velocity in claimed):

@@ -93,7 +93,7 @@ class Quality:
 def quality(
     dataset: Dataset | str | Path, result: str | Path, *, frames: int = 1, solve_again: bool = True
 ) -> Quality:
-    """Judge a result by the images that it came from.
+    """Estimate the quality of a result from its images.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class _Particles:
         }
 
     def over_time(self) -> Figures:
-        """Judge the trajectories of the first sequence."""
+        """Compute the figures of the first sequence's trajectories."""
         frames = self.data.setup.sequences()[0]
         linked = link_frames(self.data.setup, _read_all(self.result, self.data.setup.frames))
         numbers = [linked[frame].trajectory for frame in frames]
@@ -190,7 +190,7 @@ class _Particles:
         return {"chance_percent": 100.0 * chance / whole if whole else None}
 
     def left(self) -> F64:
-        """Return what is left of the first frame's images."""
+        """Return the residuals of the first frame's images."""
         return np.stack([fit.left for fit in self.fits[0]])
 
 
@@ -221,7 +221,7 @@ class _Volumes:
         return {"held_out_correlation": self._correlation(again, camera)}
 
     def scrambled(self, camera: int, again: Result) -> Figures:
-        """Compare the intensity that is left with a scrambled camera."""
+        """Compare the intensities with and without a scrambled camera."""
         frames = range(self.frames)
         chance, whole = (
             sum(float(result.read(Reconstruction, frame).volume.sum()) for frame in frames)
@@ -248,7 +248,7 @@ def write_quality(
 
 
 def residual_picture(data: Dataset, left: F64) -> bytes:
-    """Draw the first frame's images, each above what is left of it, as a PNG."""
+    """Draw the first frame's images, each above its residual, as a PNG."""
     case = data.observation(0)
     grey = np.clip(np.rint(left + case.black_dn), 0.0, 65535.0).astype(np.uint16)
     both = np.concatenate([case.images, grey], axis=1)
@@ -317,7 +317,7 @@ def _read_all(result: Result, frames: int) -> list[FoundParticles]:
 
 
 def _means(figures: list[Any]) -> Figures:
-    """Average each figure of cameras or frames, some of which may lack it."""
+    """Average each figure over the cameras or frames that have it."""
     keys = dict.fromkeys(key for row in figures for key in row)
     every: list[Mapping[str, float | None]] = figures
     return {key: mean_of_finite(row.get(key) for row in every) for key in keys}

@@ -162,7 +162,7 @@ def run_plug_in(
     isolated: bool,
     iterations: bool = False,
 ) -> None:
-    """Run a plug-in on an observation side, in a process of its own."""
+    """Run a plug-in on an observation side in a child process."""
     from sabench.utils.compiled import compile_s, load_registries  # numba takes half a second
 
     data = open_dataset(observation)
@@ -201,12 +201,12 @@ def score(
 ) -> dict[str, Any]:
     """Score a result file, or the best or worst possible estimates.
 
-    The words `truth` and `empty` stand for the best and the worst possible estimates.
+    The words `truth` and `empty` mean the best and the worst possible estimates.
 
     Parameters
     ----------
-    task : task whose scores apply to `truth` or `empty`, where a data set serves several. None: the
-        first task for the kind of objects that the data set shows. A result file has its own.
+    task : task for scoring `truth` or `empty`, where a data set serves several. None: the first
+        task for the kind of objects that the data set shows. A result file has its own.
 
     Returns
     -------

@@ -16,7 +16,7 @@ from sabench.utils.errors import DeclinedError, InputError
 
 @dataclass
 class SolverClock:
-    """Seconds in which a solver ran, without compilation."""
+    """Run time of a solver in seconds, without compilation."""
 
     seconds: float = 0.0
 
@@ -55,7 +55,7 @@ def call_iterations(
 ) -> tuple[Reconstruction, float]:
     """Call an iterative solver, and store its estimates after some iterations.
 
-    These are the iterations 1, 2, 3, 5, 8, ... The clock stands still while an estimate is made and
+    These are the iterations 1, 2, 3, 5, 8, ... The clock is stopped while an estimate is made and
     stored.
 
     Parameters

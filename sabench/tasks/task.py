@@ -42,8 +42,8 @@ class Score:
     key : its name in records, baselines and JSON.
     heading : of its column in tables.
     unit : "" for numbers without a unit.
-    better : the direction in which it improves: towards larger or smaller absolute values, towards
-        1, or neither ("steady": it describes the data, and any change is worth a look).
+    better : the direction of improvement: towards larger or smaller absolute values, towards 1, or
+        neither ("steady": it describes the data, and any change is worth a look).
     decimals : shown in tables.
     meaning : one phrase.
     counted : whether it is a share of things that are counted, and so changes in steps.
@@ -64,7 +64,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Gate:
-    """Condition under which the first score ranks an estimate.
+    """Condition for the first score to rank an estimate.
 
     Estimates that do not meet it share the last rank: their first score could be good by chance, or
     by what they leave out.
@@ -104,7 +104,7 @@ COSTS = (
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Curve of a score over the distance within which detections match.
+    """Curve of a score over the matching distance of detections.
 
     Attributes
     ----------
@@ -167,7 +167,7 @@ class Task(ABC):
     scores : its own, the most important one first; `all_scores` adds the costs.
     gate : which estimates the first score ranks; None: all that have it.
     tolerance : curve that its results have besides; None: no score depends on a distance.
-    sufficient : first score from which on seconds are compared: nobody is fast at a worse one.
+    sufficient : first score needed for a rank by run time.
     captions : of its figures.
     picture_has_truth : whether the figure of an estimate needs the truth.
     """
@@ -206,7 +206,7 @@ class Task(ABC):
         return self.gate is None or self.gate.admits(figures)
 
     def rank(self, figures: Mapping[str, Any]) -> tuple[bool, float]:
-        """Compute the key by which estimates are ranked: the smaller, the better.
+        """Compute the sort key of an estimate: the smaller, the better.
 
         All that have no first score, or that the gate does not admit, share the last rank.
         """
@@ -237,7 +237,7 @@ class Task(ABC):
         return self.case(data)
 
     def seen_by(self, plugin: type[AnySolver]) -> str:
-        """Name what one of the task's solvers has to see, by which its example is chosen."""
+        """Name the kind of objects that a solver of the task needs, to choose its example."""
         return plugin.sees
 
     @abstractmethod
@@ -294,7 +294,7 @@ class Task(ABC):
     def alike(self, data: Dataset, one: Any, other: Any) -> bool:
         """Compare estimates of one case with its cameras in opposite orders.
 
-        They may differ as far as algorithms depend on the order in which they take the cameras.
+        They may differ as far as algorithms depend on the order of the cameras.
         """
         pairs = zip(one.arrays(), other.arrays(), strict=True)
         return all(np.allclose(a, b, rtol=1e-6) for (_, a), (_, b) in pairs)
@@ -314,7 +314,7 @@ class Task(ABC):
 
 
 class FrameByFrame(Task):
-    """Base of tasks whose solvers receive one observation at a time."""
+    """Base of tasks with solvers that receive one observation at a time."""
 
     def case(self, data: Dataset) -> Observation:
         """Read the first frame's observation."""

@@ -62,7 +62,7 @@ def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) 
     Parameters
     ----------
     exact_mm_s : (z, y, x, 3) the true velocities at its nodes.
-    unit_mm_s : (3,) velocities of one voxel between the two volumes, in which errors are given.
+    unit_mm_s : (3,) velocities of one voxel between the two volumes, the unit of errors.
     """
     errors = (field.velocity_mm_s - exact_mm_s) / unit_mm_s
     # find the axis with the most vorticity in the middle plane across it
@@ -221,7 +221,7 @@ def _across(profile: str, thickness_mm: float) -> tuple[F64, F64]:
     return points * thickness_mm / 4.0, weights / weights.sum()
 
 
-_NEIGHBOURS = 8  # true particles whose mean replaces the flow where a data set has none
+_NEIGHBOURS = 8  # number of true particles averaged where a data set has no flow
 
 
 class VelocimetryTask(Task):
@@ -415,7 +415,7 @@ def interval_s(data: Dataset, pair: tuple[int, int]) -> float:
 
 
 def evaluation_nodes(data: Dataset) -> Velocity:
-    """Make the nodes at which fields are scored: in the light sheet, if there is one."""
+    """Make the nodes for scoring fields: in the light sheet, if there is one."""
     grid, sheet = data.setup.grid, light_sheet(data)
     if sheet is None:
         return velocity_error.evaluation_lattice(grid)

@@ -25,7 +25,7 @@ from sabench.utils.processes.confinement import View, can_confine
 
 _PACKAGE = Path(plugins.__file__).resolve().parent
 _UNFINISHED = re.compile(r"[^\s']*\.result\.h5\.partial-\d+")  # what a killed writer leaves
-_DEEPEST = 6  # folders below a shown one in which data sets are looked for
+_DEEPEST = 6  # largest depth of the search for data sets below a visible folder
 _BESIDE_COMMANDS = ("lib", "lib64", "libexec", "pyvenv.cfg")  # what commands in a bin folder need
 _SKIPPED = {".git", ".venv", "__pycache__", "node_modules", "site-packages"}
 
@@ -44,7 +44,7 @@ def hide_from_solvers(secret: Path | None) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Sandbox:
-    """Folders in which one solver works on one data set.
+    """Folders of one run of a solver on one data set.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ def open_sandbox(data: Dataset) -> Iterator[Sandbox]:
 
 
 def _parent(data: Dataset) -> Path | None:
-    """Return the folder in which images can be linked, if not the usual one."""
+    """Return the folder where images can be linked, if not the usual one."""
     parent, usual = data.root.absolute().parent, Path(tempfile.gettempdir())
     other = usual.stat().st_dev != data.root.stat().st_dev
     return parent if other and os.access(parent, os.W_OK) else None
@@ -117,8 +117,8 @@ def view_of_plugin(sandbox: Sandbox, data: Dataset, solver: str) -> View | None:
 def view_of_import(solver: str) -> View:
     """List the files that the import of a Python plug-in needs.
 
-    sabench's own solvers may write compiled kernels; what another one writes there is forgotten
-    with it, so that it cannot change what later ones run.
+    sabench's own solvers may write compiled kernels; what another solver writes there is discarded,
+    so that it cannot change later runs.
     """
     python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
     folders = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
@@ -183,7 +183,7 @@ def _find_data_sets(shown: Iterable[Path], data: Dataset) -> Iterator[Path]:
 
 
 def _find_secret(shown: Iterable[Path]) -> Iterator[Path]:
-    """Find the paths, also in linked folders, at which a solver would see the secret."""
+    """Find the paths of the secret that a solver could read, also in linked folders."""
     secret = _SECRET.get()
     if secret is None:
         return

@@ -1,4 +1,4 @@
-"""A challenge: private data sets, archives and pages; results of a participant; their scores.
+"""Challenges: private data sets, archives and pages, and the scores of participants.
 
 The bundle for the server Codabench has the format of the server's documentation, version 2: "Yaml
 Structure", "Competition Bundle Structure" and "Submission Docker Container Layout".
@@ -130,8 +130,8 @@ ADMITTED = "admitted"
 def score_submission(reference: Path, submission: Path, out: Path) -> dict[str, float]:
     """Score a submission and write the files that the server reads.
 
-    `scores.json` holds the mean of each score over the data sets, and the share of them whose
-    result is admitted to the ranking. A score that a data set lacks has no mean.
+    `scores.json` holds the mean of each score over the data sets, and the share of data sets with a
+    result admitted to the ranking. A score that a data set lacks has no mean.
     `scores_of_data_sets.json` holds what `sabench score --json` prints for each result, but no
     costs.
 
@@ -243,7 +243,7 @@ def write_bundle(
     Parameters
     ----------
     named : the data sets with their truth, which go to the reference data alone.
-    image : name of the Docker image in which the server scores.
+    image : name of the server's Docker image for scoring.
     public : archive that participants receive.
     """
     reference = folder / "reference_data"
@@ -345,7 +345,7 @@ def make_challenge(
     Parameters
     ----------
     suite : name or file of a suite. The cases that a solver of the task solves are used.
-    secret : the organiser's file, from which the seeds come.
+    secret : the organiser's file, the source of the seeds.
     out : folder of `private` data sets, `participant.zip` and `codabench.zip`.
     task : of all results; None: the only one of the suite's solvers.
     image : Docker image with sabench for a bundle for Codabench; None: no bundle.
@@ -359,7 +359,7 @@ def make_challenge(
     loaded, cases = load_suite(suite, read_secret(secret))
     chosen = _choose_task(cases, task, str(suite))
     wanted = [case for case in cases if chosen in _tasks(case)]
-    # by hash, so that the order tells no case
+    # sorted by hash, so that the order does not disclose the case
     datasets = sorted(_data_sets(wanted, out / "private", jobs), key=lambda data: data.content_hash)
     named = {f"data_{number:03d}": data for number, data in enumerate(datasets)}
     hashes = {name: data.content_hash for name, data in named.items()}
@@ -427,7 +427,7 @@ def participate(
     path : archive or folder of the challenge.
     solver : its name, or the path of a program.
     out : archive to create, by the name .zip.
-    results : folder in which the results are kept.
+    results : folder where the results are stored.
     cards : of the solver.
     parameters, limits : as `solve` takes them.
 

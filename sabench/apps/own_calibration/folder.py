@@ -42,7 +42,7 @@ from sabench.utils.validation import (
 _FARTHEST_PX = 1e6  # of a point from the image's corner
 _FARTHEST_POINT_MM = 1e6  # a kilometre
 _MOST_PIXELS = 20_000_000  # pixels of points in all frames and cameras
-_SIGMA_MM = 0.05  # of a coordinate whose standard deviation is not given
+_SIGMA_MM = 0.05  # standard deviation of a coordinate if none is given
 _AXES = ("x_mm", "y_mm", "z_mm")
 _SIGMAS = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm")
 _SEEN = ("camera", "frame", "point", "column", "row")
@@ -119,7 +119,7 @@ def read_sightings(path: Path, names: Sequence[str], count: int) -> Sightings:
 def read_loose_points(path: Path, names: Sequence[str]) -> Sightings:
     """Read a points.csv with measured places of points without a target.
 
-    Each point of each frame is one of its own: the arrays have as many frames of one point.
+    Points are not matched between frames: each point of each frame becomes a frame of one point.
     """
     lines = list(_lines(path, names))
     for line in lines:
@@ -278,7 +278,7 @@ class CameraSpec(Table):
 
 
 class KnownSpec(Table):
-    """Point of the target, or a whole frame, whose position was measured.
+    """Measured position of a point of the target, or of a complete frame.
 
     Coordinates that were not measured are left out.
     """

@@ -111,7 +111,7 @@ def _values(wall: Wall, nominal: Wall) -> F64:
 
 
 def warn_of_unknowns(unknowns: Sequence[WallUnknown]) -> Iterator[str]:
-    """Say in one sentence what the data do not show of the wall."""
+    """Report in one sentence which unknowns of the wall are not determined."""
     hidden = [unknown for unknown in unknowns if not unknown.shown]
     if hidden:
         listed = " and ".join(_standard_deviation(unknown) for unknown in hidden)
@@ -135,9 +135,9 @@ class Report:
 
     Attributes
     ----------
-    summary : sentences that a reader must know, the most important one first.
+    summary : most important findings, one sentence each, in order of importance.
     unknown : unknowns of lenses, wall and board.
-    compared : fits from which the unknowns were chosen; empty if they were given.
+    compared : fits for choosing the unknowns; empty if they were given.
     noise_px : error of a pixel coordinate, from the residuals.
     misfit_px : the part of it that neighbouring points share: of the model and not of noise.
     true_px : expected mean error of the calibrated cameras, with the misfit; None for solvers
@@ -316,7 +316,7 @@ def _warn_of_depth(case: CalibrationCase, points: F64, depth: float | None) -> I
 def _warn_of_model(
     case: CalibrationCase, answer: Calibration, misfit: float, noise: float
 ) -> Iterator[str]:
-    """Say what residuals that are no noise, and figures far from nominal ones, show."""
+    """Warn of systematic residuals and of values far from the nominal ones."""
     pinholes = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
     if pinholes and misfit > max(_MISFIT * noise, _LEAST_PX):
         yield (

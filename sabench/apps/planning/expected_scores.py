@@ -156,7 +156,7 @@ MODEL = Path(__file__).with_name("expected_scores.json")
 GHOST_FLOOR = 0.01  # ghosts per particle that count as none
 _COST = 0.02  # of Q
 _EDGE = 0.05  # relative: so little outside of the range is inside
-_LEAST, _MOST = 0.005, 0.995  # scores whose logit is taken
+_LEAST, _MOST = 0.005, 0.995  # range of scores for the logit
 
 Values = Mapping[str, float]
 
@@ -327,7 +327,7 @@ _SOURCE = "fitted to measured scenes"
 
 
 def _outside(scene: Scene, model: ScoreModel, features: F64) -> list[Advice]:
-    """Say which figures are outside the range of the fitted scenes, and by how much."""
+    """List the figures outside the range of the fitted scenes, with their ratio to its limit."""
     advice = []
     for number, (name, feature) in enumerate(FEATURES.items()):
         value, low, high = features[number], model.low[number], model.high[number]

@@ -205,7 +205,7 @@ def _largest(values: F64) -> float:
 
 _SAMPLE = 2000  # particles that are imaged
 _LEAST_SNR, _MOST_SATURATED, _LEAST_LIT = 5.0, 0.01, 0.99
-_SMALLEST_PX, _LARGEST_PX = 2.0, 4.0  # diameters of images whose centres can be measured well
+_SMALLEST_PX, _LARGEST_PX = 2.0, 4.0  # image diameters with precisely measurable centres
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def _outlines(
     for camera in view.rig.cameras:
         for ray in _rays(camera, view, plane):
             yield Outline("ray", ray)
-        # make a camera's triangle (3, 2), whose tip is the pinhole
+        # make a camera's triangle (3, 2) with its tip at the pinhole
         length_mm = _CAMERA * (high - low).max()
         tip, forward = (
             np.asarray(axis)[list(plane)] for axis in (camera.center_mm, camera.rotation[2])
@@ -112,7 +112,7 @@ def _faces(wall: WallRecord) -> list[float]:
 
 
 def _contours(values: F64, low: F64, high: F64) -> list[F64]:
-    """Find the lines (n, 2) in mm on which values (row, column) of a window are zero."""
+    """Find the zero lines (n, 2) in mm of the values (row, column) of a window."""
     lines = find_contours(values, 0.0)
     return [low + line[:, ::-1] / (_NODES - 1) * (high - low) for line in lines]
 

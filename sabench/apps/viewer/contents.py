@@ -57,7 +57,7 @@ class Contents:
     title : of the page.
     facts : pairs of a word and what it stands for.
     labels : names of the kinds of particles and bubbles, by `KINDS`.
-    data : data set whose images are shown; None for a rig.
+    data : data set of the images; None for a rig.
     volume : reconstruction (z, y, x) of the first frame, where a result has one.
     sort : heading of what the particles are.
     notes : sentences on what is left out.

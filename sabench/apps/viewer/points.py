@@ -201,7 +201,7 @@ def place_target(found: Calibration, data: Dataset, frame: int) -> Cloud:
 
 
 def _join(estimate: Cloud, true: Cloud, i: I64, j: I64) -> Cloud:
-    """Join an estimate and the truth, whose rows i and j are pairs."""
+    """Join an estimate and the truth; rows i and j are matched."""
     estimate.kind[i] = FOUND
     true.kind[:] = MISSED
     true.kind[j] = TRUE

@@ -22,7 +22,7 @@ _DECIMALS = 4
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Cameras, and what stands around the particles.
+    """Cameras, walls, light and occluders around the particles.
 
     Attributes
     ----------

@@ -99,7 +99,7 @@ def _edges(camera: dict[str, Any], side: int) -> Iterator[F64]:
 
 
 def _symbol(camera: dict[str, Any], plane: list[int], length_mm: float) -> Outline:
-    """Draw a camera as a triangle whose tip is the pinhole."""
+    """Draw a camera as a triangle with its tip at the pinhole."""
     tip, forward = np.array(camera["center"])[plane], np.array(camera["axes"][2])[plane]
     side = np.array([-forward[1], forward[0]])
     back = tip - length_mm * forward
@@ -211,8 +211,8 @@ def view(source: Scene | Dataset | str | Path, result: str | Path | None = None)
     Parameters
     ----------
     source : a scene, a scene file or the name of a bundled scene; `cameras.json` of calibrated
-        cameras, or the folder with it; a data set; or a result file, whose data set lies in the
-        same folder or directly below it.
+        cameras, or the folder with it; a data set; or a result file with its data set in the same
+        folder or directly below it.
     result : result of the data set.
 
     Raises

@@ -14,7 +14,7 @@ from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.validation import validate
 
 FORMAT, VERSION = "sabench-baseline", 1
-DATA = "data set"  # stands for a solver where the figures are those of the data set itself
+DATA = "data set"  # in place of a solver for the figures of the data set itself
 TIMES = ("seconds", "reconstruction_s")
 COSTS = (*TIMES, "peak_mb")
 QUALITY = "quality."  # begins the names of figures that need no truth
@@ -116,7 +116,7 @@ def score_of(task: str, figure: str) -> Score:
 
 
 def kind_of(task: str, figure: str) -> str:
-    """Return the kind of a figure, by which its tolerance is found.
+    """Return the kind of a figure, which selects its tolerance.
 
     It is the figure's name; for a figure of a data set it is the part of the name that cameras and
     frames have in common.

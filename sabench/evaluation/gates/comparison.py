@@ -1,4 +1,4 @@
-"""Regression gates: run a suite again, measure its cases and compare them with a baseline.
+"""Regression gates: run a suite again and compare its figures with a baseline.
 
 A case has the statistics of its data set and the figures of its solvers. Estimates that are wrong
 in a known way are scored too: a bug in a metric that flatters every solver shows in their scores.
@@ -207,7 +207,7 @@ def _solve(case: Case, data: Dataset, solver_entry: SolverEntry, out: Path) -> E
 
 
 def _figures(case: RecordedCase, out: Path) -> dict[str, Any]:
-    """Judge a result without truth; figures have names of their own."""
+    """Score a result without truth; the figures have separate names."""
     scores = judge(case, out).scores
     figures = scores["quality"]["figures"] if scores["quality"] else {}
     return scores | {f"{QUALITY}{key}": value for key, value in figures.items()}

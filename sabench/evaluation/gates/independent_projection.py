@@ -51,7 +51,7 @@ def shoot(spec: CylinderSpec, pinhole: F64, directions: F64) -> tuple[F64, F64]:
 
 
 def aim_at(spec: CylinderSpec, pinhole: F64, points: F64) -> F64:
-    """Find directions (n, 3) in which light leaves a pinhole towards points (n, 3)."""
+    """Find the directions (n, 3) of light from a pinhole to points (n, 3)."""
     aim = points - pinhole
     aim = aim / np.linalg.norm(aim, axis=1, keepdims=True)
     for _ in range(_STEPS):
@@ -152,7 +152,7 @@ def _face(walls: Sequence[Any], pinhole: F64, forward: Any) -> WallSpec:
 
 
 def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
-    """Compute directions (n, 3) in which light leaves a pinhole towards points.
+    """Compute the directions (n, 3) of light from a pinhole to points.
 
     The points are given by their offsets (n, 3) from the pinhole.
     """

@@ -65,7 +65,7 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
     Raises
     ------
     InputError
-        Nothing there, or content that no honest archive has: links, devices, absolute paths, `..`,
+        Nothing there, or forbidden content: links, devices, absolute paths, `..`,
         two members of one name, or too much of anything.
     """
     if path.is_symlink() or not path.exists():
@@ -260,7 +260,7 @@ def pack_results(
 
     Parameters
     ----------
-    files : results, and cards that lie with them.
+    files : results, and cards next to them.
     cards : further solver cards.
 
     Raises

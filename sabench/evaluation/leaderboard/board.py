@@ -28,7 +28,7 @@ _PICTURES_BYTES = 80_000_000
 
 
 def stem_of(record: Record) -> str:
-    """Return the name with which the figures of a result begin."""
+    """Return the common start of the names of a result's figures."""
     return f"{record['solver']}-{record['run_hash'][:8]}"
 
 
@@ -74,7 +74,7 @@ def _pictures(
         wanted = [(0, "images", "images")]
         if not row["recorded"] and tasks.of(row["task"]).captions.truth:
             wanted.append((0, "truth", "truth"))
-        # a failed run may have left a figure of an earlier success, which is not this record's
+        # the file may be a figure of an earlier successful run, not of this failed one
         if not run.get("error"):
             wanted += [
                 (rank, f"row{number}", stem),

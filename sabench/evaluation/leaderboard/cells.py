@@ -20,8 +20,8 @@ def ranks(scores: F64, larger: bool) -> list[int]:
     """Rank entries by their scores (entry, seed) of the same data sets.
 
     A rank is 1 plus the number of entries that are better beyond chance: the 95 % confidence
-    interval of the mean difference over the seeds, paired by seed, excludes zero. Entries that
-    seeds cannot tell apart share a rank, but none is before an entry with a better mean: a large
+    interval of the mean difference over the seeds, paired by seed, excludes zero. Entries without a
+    significant difference share a rank, but none ranks before an entry with a better mean: a large
     scatter improves no rank. A single seed gives no interval; its scores rank as they are.
     """
     gain = np.asarray(scores if larger else -scores, dtype=np.float64)
@@ -43,9 +43,9 @@ def _beat(gain: F64, scores: F64) -> Bool:
 
 
 def ranks_of_distinct(scores: F64, larger: bool, names: Sequence[Hashable]) -> list[int]:
-    """Rank entries, of which those with one name are one result, sent several times.
+    """Rank entries; entries of one name are one result, submitted several times.
 
-    It takes one rank, so that sending it again pushes nobody down.
+    Such a result takes one rank, so that a repeated submission lowers no other rank.
     """
     first = {name: row for row, name in reversed(list(enumerate(names)))}
     rows = sorted(first.values())
@@ -67,7 +67,7 @@ def mean_rank(found: Sequence[int | None], last: Sequence[int]) -> float:
     return sum(most + 1 if rank is None else rank for rank, most in pairs) / len(found)
 
 
-_ENTRY = ("solver", "parameters", "submission")  # on whichever machine it ran
+_ENTRY = ("solver", "parameters", "submission")  # on any machine
 _SAME_DIGITS = 9  # of scores of one result, which another machine's rounding may change beyond
 
 
@@ -112,10 +112,10 @@ class ComparedCase:
 
 
 def compare(results: Sequence[Result]) -> ComparedCase:
-    """Select the data sets on which the results of one case are compared.
+    """Select the data sets for the comparison of the results of one case.
 
     They are those of the run with the most seeds: an entry with fewer is incomplete, so that one
-    lucky seed ranks before nobody. Submissions can add no seed where there is any run. Of runs
+    good seed does not rank it first. Submissions can add no seed where there is any run. Of runs
     with as many, the data that most entries have count, then the newest.
     """
     candidates = [result for result in results if not result.row.get("submission")] or results
@@ -208,7 +208,7 @@ class Cell:
 def fill_column(
     task: Task, cases: list[ComparedCase]
 ) -> tuple[dict[str, Cell], dict[str, Hashable]]:
-    """Make the cells of the entries, and names that tell different results apart."""
+    """Make the cells of the entries, and a name for each different result."""
     entries = list(dict.fromkeys(entry for case in cases for entry in case.results))
     cells = {entry: _cell(task, cases, entry) for entry in entries}
     signed = [[signature(task.name, case.runs(entry)) for case in cases] for entry in entries]

@@ -46,7 +46,7 @@ def every_table() -> list[Table]:
 
 
 def table_of(record: Record) -> Table:
-    """Return the table in which a record stands."""
+    """Return the table of a record."""
     return Table(tasks.of(record["task"]), bool(record.get("recorded")))
 
 
@@ -61,8 +61,8 @@ _RESIDUALS = "The first frame's images of all cameras, then what the particles l
 _MAIN = 3  # scores that are shown before all are asked for, and the two of cost
 _CASE = ("task", "recorded", "case", "scene_hash", "renderer", "split")
 _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
-# degrees of freedom whose Student's quantile the page has; beyond them the last one is a little
-# too wide
+# largest degrees of freedom in the page's table of Student's quantiles; beyond them the last one is
+# a little too wide
 _DEGREES = 100
 # digits of every score on the page: more than any table shows, to keep small differences of pairs
 # correct
@@ -163,7 +163,7 @@ def _table(table: Table) -> dict[str, Any]:
 
 
 def gate_text(task: Task) -> str:
-    """Say in one sentence which rows the first score ranks; "" where it ranks all."""
+    """Describe in one sentence which rows are ranked; "" where all are."""
     if task.gate is None:
         return ""
     gate, first = task.score_of(task.gate.key), task.columns[0]
@@ -171,7 +171,7 @@ def gate_text(task: Task) -> str:
 
 
 def details_of(rows: Sequence[Record]) -> Record:
-    """Collect what the records of a case say of it; older ones lack some values."""
+    """Collect the properties of a case from its records; older ones lack some values."""
     return {
         name: next((row[name] for row in rows if row.get(name)), None)
         for name in ("suite", "difficulty", "axis", "axes")
@@ -202,7 +202,7 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     keys = [score.key for score in table_of(row).columns]
     machine = [row["machine"].get(key) for key in ("cpu", "backend")]
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
-    # return the card of a submission, and the entry whose estimates it repeats
+    # return the card of a submission, and the entry with the same estimates
     optional = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
     # return seconds and first score after iterations of the first run that has them
     steps = next((run["iterations"] for run in runs if run.get("iterations")), None)

@@ -1,4 +1,4 @@
-"""Standings of a task: solvers against easy, standard and hard cases, ranks, and curves.
+"""Standings of a task: solvers over easy, standard and hard cases, and curves.
 
 A curve is a score over one property of the scenes: density, cameras, noise. The page has standings
 as values of JSON, and as plain tables for browsers without scripts.
@@ -66,7 +66,7 @@ class Curve:
 def curves_of(cases: Sequence[Sequence[Record]]) -> list[Curve]:
     """Find all curves among cases, as the page has them.
 
-    Scenes of bundled suites are compared as a whole; of other cases the varied values are known.
+    Scenes of bundled suites are compared by all their facts, other cases by their varied values.
     """
     groups: dict[str, dict[int, Facts]] = {}
     bundled = {table.file.stem: table.file for table in plugins.tables("suite")}
@@ -147,7 +147,7 @@ class Line:
     ----------
     result : one of its rows.
     place : 1 is the best mean rank; None where it misses a column.
-    also : names under which the same result was sent again.
+    also : names of later submissions of the same result.
     """
 
     result: Result
@@ -295,7 +295,7 @@ def _lines(
 
 
 def _seniority(result: Result) -> tuple[bool, str, str, str]:
-    """Compute the key by which the first sender of a result comes first."""
+    """Compute the sort key of a result: the first submission comes first."""
     sent = result.row.get("submission") or {}
     first = min((run.get("date") or "" for run in result.row["runs"]), default="")
     return bool(sent), sent.get("date", ""), first, result.entry
@@ -402,7 +402,7 @@ def _sender(row: Record) -> str:
 
 
 def _names(rows: Sequence[Record]) -> list[str]:
-    """Name entries; those of one name with the parameters in which they differ."""
+    """Name entries; add the differing parameters to equal names."""
     shown = [row.get("label") or row["solver"] for row in rows]
     counts = Counter(shown)
     names = []

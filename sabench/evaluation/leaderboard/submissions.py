@@ -1,7 +1,7 @@
 """Submitted results: checked, matched to data sets, scored and ranked.
 
 Submissions are data only: sabench executes nothing of them. A record discloses neither scene nor
-seed of a private test set, and names the earlier record whose estimates a submission repeats.
+seed of a private test set, and names an earlier record with the same estimates.
 """
 
 import contextlib
@@ -181,11 +181,11 @@ def bundled_records(leaderboard: Path) -> list[Record]:
 
 
 def recognise(record: Record, known: Sequence[Record]) -> str | None:
-    """Name the other solver entry whose estimates a submitted record has, if any.
+    """Name the other solver entry with the same estimates, if any.
 
     Estimates are the same if they are of the same data set and have the same content hash. A run of
-    a solver is not another entry than a result of the solver by its own name. Records that repeat
-    others' estimates themselves do not count.
+    a solver and a result of the same solver name are one entry. Records that repeat others'
+    estimates themselves do not count.
     """
     first = [
         earlier
@@ -257,7 +257,7 @@ def submit(
     ------
     InputError
         A bad name, archive, result or solver card, two results of one data set, solver and
-        parameters, a result whose data set is not in `data`, or one that the submitter has sent
+        parameters, a result of a data set that is not in `data`, or one that the submitter has sent
         today already.
     UncheckedError
         A file could not be checked in the time for it.
@@ -305,7 +305,7 @@ def check_name(name: str) -> None:
 
 
 def _recognised(labels: list[str], records: list[Record], existing: list[Record]) -> list[Record]:
-    """Note in records, and say, whose estimates they repeat."""
+    """Note and print which records repeat the estimates of others."""
     noted: list[Record] = []
     for label, record in zip(labels, records, strict=True):
         if twin := recognise(record, [*existing, *noted]):
