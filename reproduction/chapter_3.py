@@ -355,7 +355,7 @@ def lights() -> list[Light]:
 
 
 def section_3_2_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure what skew costs in pixels, Q and velocity error, against exact triggers.
+    """Measure the effect of skew on pixels, Q and velocity error.
 
     The thesis calls what software triggers leave too large for synthetic aperture PIV, and triggers
     by hardware. In continuous light, a late camera sees particles where they are later; in pulsed

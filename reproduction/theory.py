@@ -142,7 +142,7 @@ def operations(algorithm: Algorithm, setup: Setup) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Normality:
-    """Distance of values from a normal distribution; all three are 0 for a normal one.
+    """Distance of values from a normal distribution; all three are 0 for that one.
 
     Attributes
     ----------

@@ -122,7 +122,7 @@ def _shaped(where: str, fields: Structure, name: str, size: int) -> F64:
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Return why cameras cannot be written: MATLAB's own objects are closed to others."""
+    """Return why cameras cannot be written: MATLAB's objects are proprietary."""
     return "expected a format that cameras can be written in, as opencv"
 
 

@@ -149,7 +149,7 @@ def _scored_part(grid: Grid, estimate: FoundParticles, true: Particles) -> _Scor
 
 
 def _scored_pairs(estimate: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
-    """Match found and true particles; keep pairs with the true particle in the scored part."""
+    """Match found and true particles; keep pairs of true ones in the scored part."""
     i, j = challenge_pairs(estimate, true)
     return i[scored[j]], j[scored[j]]
 

@@ -237,7 +237,7 @@ class Task(ABC):
         return self.case(data)
 
     def seen_by(self, plugin: type[AnySolver]) -> str:
-        """Name the kind of objects that a solver of the task needs, to choose its example."""
+        """Name the kind of objects for the example of one of the task's solvers."""
         return plugin.sees
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""Challenges: private data sets, archives and pages, and the scores of participants.
+"""Challenges: private data sets, archives, pages, and scores of participants.
 
 The bundle for the server Codabench has the format of the server's documentation, version 2: "Yaml
 Structure", "Competition Bundle Structure" and "Submission Docker Container Layout".

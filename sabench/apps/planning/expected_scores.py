@@ -327,7 +327,7 @@ _SOURCE = "fitted to measured scenes"
 
 
 def _outside(scene: Scene, model: ScoreModel, features: F64) -> list[Advice]:
-    """List the figures outside the range of the fitted scenes, with their ratio to its limit."""
+    """List the figures outside the range of the fitted scenes."""
     advice = []
     for number, (name, feature) in enumerate(FEATURES.items()):
         value, low, high = features[number], model.low[number], model.high[number]

@@ -1,4 +1,4 @@
-"""Experiment planning: design for a depth and density, figures of a scene, warnings.
+"""Experiment planning: design for a depth and density, figures, warnings.
 
 The calibration has the errors of nominal cameras in the images; the recording has data rate, buses,
 buffer and times of pulses.

@@ -96,7 +96,7 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
 
 @pytest.fixture
 def sabench_conform() -> Callable[..., None]:
-    """Return `sabench_conform(solver, **parameters)`, which runs the conformance tests.
+    """Return `sabench_conform(solver, **parameters)`, which runs conformance tests.
 
     It fails the test if a law is broken.
     """

@@ -80,7 +80,7 @@ def direct(wall: Wall | CylinderWall | None) -> Route:
 
 
 def reflections(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:
-    """List the routes with reflections: at one face behind the fluid or at two before it.
+    """List the routes with reflections: one behind the fluid or two before it.
 
     Behind it are the faces of the back wall, with layers ordered from the fluid to the air; before
     it, light goes to and fro once between two faces of the wall. Routes with more reflections carry
