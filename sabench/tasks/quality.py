@@ -30,7 +30,7 @@ from sabench.tasks.image_evidence import (
 )
 from sabench.tasks.particles_over_time import link_frames
 from sabench.tasks.solve_and_score import solve
-from sabench.tasks.task import ANY, SHARE, Score
+from sabench.tasks.task import ANY, SHARE, Figures, Score
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing
@@ -67,7 +67,6 @@ FIGURES_OF: dict[str, tuple[Score, ...]] = {
 }
 
 
-Figures = dict[str, float | None]
 _FOLLOWED = 3  # frames
 
 

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sabench import plugins, tasks
 from sabench.tasks.quality import FIGURES
-from sabench.tasks.task import Score
+from sabench.tasks.task import Figures, Score
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.validation import validate
@@ -18,7 +18,6 @@ DATA = "data set"  # in place of a solver for the figures of the data set itself
 TIMES = ("seconds", "reconstruction_s")
 COSTS = (*TIMES, "peak_mb")
 QUALITY = "quality."  # begins the names of figures that need no truth
-Figures = dict[str, float | None]
 
 
 class _Part(BaseModel):
