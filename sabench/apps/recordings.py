@@ -16,7 +16,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
-_REACH_PX = 1.0  # of a peak from where the camera sees its particle
+_REACH_PX = 1.0  # largest distance of a peak from its particle's projection
 _APART_PX = 4.0  # nearer peaks and particles leave a particle out
 
 Matched = Literal["true positions", "triangulated positions"]

@@ -126,7 +126,7 @@ def _light(case: Observation, join: Join) -> F32:
 
 
 def describe(surface: Surface, image: SurfaceImage, points_mm: F64) -> dict[str, Any]:
-    """Say where each pixel of a surface's image lies, and how much of it was seen."""
+    """Describe the pixel positions of a surface's image, and the visible share."""
     u, v = surface.axes_mm
     rotation = surface.pose.rotation
     visible = image.views > 0

@@ -144,7 +144,7 @@ def new(
 
 
 _PATIENCE_S = 180
-_LEAST_GB = 2.0  # what the suite demo needs
+_LEAST_GB = 2.0  # memory for the suite demo
 
 
 @dataclass(frozen=True)

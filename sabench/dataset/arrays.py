@@ -13,7 +13,7 @@ from sabench.utils.errors import InputError
 Named = dict[str, npt.NDArray[Any]]  # arrays by their names in a file
 Fetch = Callable[[str, tuple[int | None, ...], str], npt.NDArray[Any]]  # as `hdf5.read_array`
 AnyArrays = TypeVar("AnyArrays", bound=Arrays)
-_CHUNK = 256  # voxels along a side of the compressed blocks of volumes
+_CHUNK = 256  # voxels along a side of the pieces in which volumes are compressed
 
 
 def group_of(kind: type[Arrays], frame: int = 0, which: str | int = "") -> str:

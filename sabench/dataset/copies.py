@@ -41,7 +41,7 @@ def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) ->
     for name in files:
         place = inside(folder, name)
         if not inside(dataset.root, name).is_file():
-            continue  # the reader raises an error that names the file
+            continue  # whoever reads it finds the fault, and names the file
         place.parent.mkdir(parents=True, exist_ok=True)
         source = inside(dataset.root, name)
         if linked:
@@ -144,7 +144,7 @@ def _copy_file(root: Path, folder: Path, name: str) -> None:
 
 _MOST_FAULTS = 100
 _ROUNDING = {"float64": 1e-9, "float32": 1e-6}  # relative to the largest value of an array
-_FEW = (5, 1e-3)  # pixels, or share of all, with rays that may take another path
+_FEW = (5, 1e-3)  # pixels, or share of all, whose rays may take another path
 _RADIANCE = 1e-3  # of the brightest pixel
 _NOISE = 8.0  # standard deviations of the difference of two grey values
 # arrays of truth that single rays or samples of noise change, with the allowed difference

@@ -23,7 +23,7 @@ from sabench.utils.errors import InputError
 
 # filters that a data set may have, in this order, and the bit of each
 _FILTERS = ((), (h5py.h5z.FILTER_DEFLATE,), (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE))
-_SPARE = 1024  # bytes of a deflate stream beyond 9/8 of its content
+_SPARE = 1024  # bytes by which a deflate stream may exceed 9/8 of what it holds
 
 
 def check_storage(node: Any, where: str) -> None:
@@ -103,7 +103,7 @@ def _deflated(filters: tuple[int, ...], chunk: Any) -> bool:
 _LONGEST = 1 << 20  # characters of an attribute
 _MOST_NAMES = 100_000  # members of a group
 _SMALL = 1 << 26  # bytes that may be read without a check of their cost
-# bytes of a data set without a declared length: 80 million particles
+# of a data set whose length the file itself sets: 80 million particles
 _OPEN_BYTES = 2_000_000_000
 _DENSEST = 1100  # deflate makes at best 1 byte of 1032
 

@@ -152,8 +152,8 @@ class ImportOptions:
     Attributes
     ----------
     pattern : path of an image below the folder, see `find_image_files`.
-    pairs : calibrated camera of each camera of the images, by their names; the others of both are
-        left out. None: by name, or else in order.
+    pairs : calibrated camera of each camera of the images, by their names; cameras without a pair
+        are left out. None: by name, or else in order.
     frames : range of the images of each camera to take.
     raw : layout of raw files.
     masks : folder with an image for each camera, by its name; 0 marks pixels that do not count.

@@ -199,7 +199,7 @@ class FrameGroups:
         return range(row * self._size, (row + 1) * self._size)
 
 
-_OPEN = 128  # number of open shards, two files each
+_OPEN = 128  # shards whose files are open, two each
 Store = StoredShard | FrameGroups
 
 

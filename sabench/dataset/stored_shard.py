@@ -31,7 +31,7 @@ class StoredShard:
 
     Attributes
     ----------
-    entry : what the manifest says of it.
+    entry : its entry in the manifest.
     """
 
     def __init__(self, root: Path, contents: schema.ShardedContents, entry: schema.ShardEntry):

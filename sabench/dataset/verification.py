@@ -88,7 +88,7 @@ def shard_faults(root: Path, contents: schema.ShardedContents, attempt: Try) -> 
     files = [name for entry in contents.shards for name in entry.files]
     size = sum(file.bytes for entry in contents.shards for file in entry.files.values())
     if list(attempt(lambda: read_isolated(_walk_all, root, files, size_bytes=size))):
-        for name in files:  # one of them, in a child process
+        for name in files:  # one of them, in a process of its own
             yield from attempt(partial(probe, inside(root, name)))
         return
     entries = {entry.name: entry for entry in contents.shards}

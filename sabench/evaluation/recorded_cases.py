@@ -86,8 +86,8 @@ class Judged:
 
     Attributes
     ----------
-    scores : what its record says of it.
-    residuals : a PNG of what particles leave of recorded images; None for other results.
+    scores : scores as in its record.
+    residuals : a PNG of the residuals of recorded images; None for other results.
     """
 
     scores: dict[str, Any]

@@ -59,7 +59,7 @@ def version_of(package: str) -> str:
     return importlib.metadata.version(package)
 
 
-_MOST_WARNINGS = 100  # for one file
+_MOST_WARNINGS = 100  # warnings for one file
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "machine", "submission")
 

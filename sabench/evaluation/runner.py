@@ -129,7 +129,7 @@ def build_board(leaderboard: Path) -> Path:
 def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     """Open the case's data set, or generate it.
 
-    An earlier one is used again if it is intact and was made by these versions of sabench, its
+    An earlier data set is reused if it is intact and was made by these versions of sabench, its
     simulation and the renderer. A recording is checked.
 
     Raises

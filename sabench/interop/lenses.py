@@ -25,10 +25,10 @@ from sabench.interop.foreign import note
 from sabench.utils.arrays import F64, nested, triple
 from sabench.utils.errors import InputError
 
-PIXEL_MM = 0.01  # where a file gives focal lengths in pixels; no projection depends on it
+PIXEL_MM = 0.01  # pixel size for files with focal lengths in pixels; no projection depends on it
 F_NUMBER = 8.0  # no format has one
 _ROUNDED = 1e-12  # change of a rotation due to double precision
-_LARGEST_CHANGE = 1e-3  # of a printed rotation's elements
+_LARGEST_CHANGE = 1e-3  # largest correction of a printed rotation's elements
 _SQUARE = 1e-12  # relative difference of focal lengths along columns and rows
 _LEAST_SOLID = 1.38  # refractive index: less than that of glass and plastic, more than water's
 _MOST_AIR = 1.01

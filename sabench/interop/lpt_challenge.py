@@ -35,7 +35,7 @@ LOST_OF_CAMERAS = (
     "walls: the points show their effect",
 )
 FILE = "CalibPoints.txt"
-_NODES = 15  # of the lattice along each edge of the volume
+_NODES = 15  # nodes of the lattice along each edge of the volume
 _HELD = 3  # every third point is held out of the comparison of models
 _SQUARE = 1e-4  # shear and difference of focal lengths of a fit that counts as square pixels
 _NO_WORSE = 1.1  # largest ratio of errors that favours the simpler model

@@ -32,7 +32,7 @@ from sabench.utils.tables import content_lines, read_table, split_numbers
 
 LOST_OF_CAMERAS = ("f-numbers and focal lengths", "the pixel pitch")
 _TSAI, _ZOLOF = "tsai", "extendedzolof"
-_OLD_NAME = re.compile(r"cam(era)?_?\d+")  # of files without a line of the model
+_OLD_NAME = re.compile(r"cam(era)?_?\d+")  # names of files without a line of the model
 # powers of X, Y, Z of the coefficients A; older files have the first 17
 _POWERS = (
     (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (0, 2, 0), (0, 0, 2),

@@ -13,7 +13,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
 
-_MOST_PLACES = 200_000  # in the layer of a camera, but for the frame that exceeds them
+_MOST_PLACES = 200_000  # points in a camera's layer, exceeded by one frame at most
 
 Layer = tuple[Any, dict[str, Any], str]
 

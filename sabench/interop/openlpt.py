@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 
 LEAST_FRAMES = 5  # needed to estimate the optical transfer function
-_TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
-_SKIN_MM = 1e-3  # of fluid that stands for a plate where a wall has none
+_TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # settings of its projection through plates
+_SKIN_MM = 1e-3  # thickness of fluid in place of a plate where a wall has none
 # grey values of a bright particle's peak and of the brightest pixel: two particles may overlap
 _BRIGHT, _WHITE = 160.0, 255
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # it loads numba, which scores do without
     from sabench.interop.image_statistics import FrameStatistics
 
 MOST_CAMERAS = 4
-_AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # of OpenPTV's world in ours
+_AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # axes of OpenPTV's world in ours
 _BRIGHT, _WHITE = 160.0, 255  # grey values of a bright particle's peak and of the brightest pixel
 _BETWEEN = 0.5  # position of a thin wall, as a fraction of the distance to a camera without one
 

@@ -71,7 +71,7 @@ def write_tracks(folder: Path, table: TrackTable, form: TrackFormat, recording: 
     _MODULES[form].write_tracks(folder, table, recording)
 
 
-_AROUND = 0.25  # of the volume's edges, at either side, where particles count as in it
+_AROUND = 0.25  # margin around the volume for particles inside, share of its edges
 _FEW, _MANY = 0.1, 0.5  # shares of particles in the volume that are too few, and usual
 _LISTED = 10  # frames that a sentence lists
 

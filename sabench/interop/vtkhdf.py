@@ -28,8 +28,8 @@ from sabench.utils.progress import progress_bar
 from sabench.worlds.library.overlaps import shapes_of
 from sabench.worlds.tracers import lattice
 
-_NODES = 50  # of the exact field along the volume's longest edge, where the scene names no lattice
-# of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
+_NODES = 50  # nodes of the exact field along the volume's longest edge, by default
+# version of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 _VERSION = 2, 0
 Data = dict[str, npt.NDArray[Any]]
 

@@ -257,7 +257,7 @@ class BubblesTask(FrameByFrame):
         return pictures.backlit(case.images, case.black_dn, case.white_dn)
 
     def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
-        """Compare bubbles by how many are found again."""
+        """Compare bubbles by the share detected in both."""
         return share_near(one.center_mm, other.center_mm, _NEAR_RADII * one.radius_mm) >= _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:

@@ -38,7 +38,7 @@ from sabench.worlds.calibration_targets import exact_pixels
 _HELD_OUT = 500  # points that no calibration receives; thesis, section 4.4.2
 _PARTICLES = 2000
 _ROTATION = 1e-6  # how far a rotation's product with its transpose may be from the identity
-_ALIKE = 0.05  # of nominal cameras' error: how far calibrations by another order may be apart
+_ALIKE = 0.05  # largest effect of the cameras' order, share of the nominal cameras' error
 
 
 class CalibrationTask(Task):

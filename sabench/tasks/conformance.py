@@ -138,7 +138,7 @@ def leave_the_case_alone(trial: _Trial) -> None:
 
 
 def beat_nothing(trial: _Trial) -> None:
-    """Check that the result scores better than that of a solver that found nothing."""
+    """Check that the result scores better than an empty one."""
     out = trial.folder / "result.h5"
     try:
         solve(trial.solver, trial.data, out, parameters=trial.parameters, overwrite=True)

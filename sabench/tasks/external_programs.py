@@ -26,7 +26,7 @@ from sabench.utils.processes.program import Limits, run_limited
 from sabench.utils.progress import console
 from sabench.utils.validation import printable
 
-_CHECK_S = 1800.0  # for reading all of a result
+_CHECK_S = 1800.0  # time limit for reading a result
 
 
 def is_program(solver: str) -> bool:
@@ -162,7 +162,7 @@ def copy_isolated(
 def write_anew(path: Path, root: Path, out: Path, head: Head | None, overwrite: bool) -> None:
     """Read every value of a foreign result under all checks, and write it anew.
 
-    Nothing else of the foreign file is kept.
+    Nothing else of the foreign file is copied.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ from sabench.metrics import reprojection
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.files import inside, read_json
 
-_CERTAIN = 0.3  # of a typical particle's light: dimmer ones have no certain place
-_HIT = 0.3  # of the median light of what has been found: what counts as an image
+_CERTAIN = 0.3  # least light for a precise position, share of a typical particle's light
+_HIT = 0.3  # least light of an image, share of the particles' median light
 _SHIFTS = 5  # multiples of the scramble's shift used to measure chance
 _BLUR_PX = 0.7  # standard deviation of a voxel's image
 

@@ -230,7 +230,7 @@ class ParticlesTask(Task):
         return particles_over_time.link_frames(data.setup, estimates)
 
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
-        """Compare particles by how many are found again."""
+        """Compare particles by the share detected in both."""
         near_mm = _NEAR_VOXELS * min(data.setup.grid.voxel_mm)
         return share_near(one.position_mm, other.position_mm, near_mm) >= _ALIKE
 

@@ -39,8 +39,8 @@ def find_in_each_frame(
     Raises
     ------
     InputError
-        Whatever the solver raises; something else than `FoundParticles` of every frame;
-        trajectories in some of them only.
+        Any error of the solver; something else than `FoundParticles` of every frame; trajectories
+        in some of them only.
     """
     linked = None
     for particles in answers_of_frames(algorithm, name, sequence, frames, FoundParticles, clock):

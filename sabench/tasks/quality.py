@@ -1,8 +1,8 @@
-"""Quality of a result without truth: what its own images say of it.
+"""Quality of a result without truth, estimated from its images.
 
-Particles, or the voxels of a volume, are compared with the images that they came from. Then the
-solver runs again without one camera, which the others must predict, and with one camera scrambled,
-where all that is found is chance.
+Particles, or the voxels of a volume, are compared with the images of the data set. Then the solver
+runs again without one camera, to predict its image from the others, and with one camera scrambled,
+to measure chance detections.
 """
 
 import tempfile
@@ -157,7 +157,7 @@ class _Particles:
         }
 
     def held_out(self, camera: int, again: Result) -> Figures:
-        """Compare a camera's images with what is found without it."""
+        """Compare a camera's images with a result without that camera."""
         shift = scramble_shift(self.data.setup.cameras[camera])
         figures = []
         others = [n for n in range(len(self.data.setup.cameras)) if n != camera]
@@ -177,7 +177,7 @@ class _Particles:
         return _means(figures)
 
     def scrambled(self, camera: int, again: Result) -> Figures:
-        """Count what is found with a scrambled camera, and shown by it."""
+        """Count the particles of a result with a scrambled camera that its images show."""
         shift = scramble_shift(self.data.setup.cameras[camera])
         chance = sum(
             frame.count_shown(camera, other.position_mm, cloud.position_mm, shift)

@@ -29,7 +29,7 @@ preload(
     "sabench.tasks.solve_and_score",
     "sabench.algorithms.refocus",
     "sabench.algorithms.tomography.problem",
-    # what solvers import while they solve, which would count in their seconds
+    # modules that solvers import while they solve, which would add to their run time
     "cv2",
     "sabench.geometry.cylinder_wall",
     "sabench.geometry.camera",

@@ -163,7 +163,7 @@ def answers_of_frames(
     Raises
     ------
     InputError
-        Whatever the solver raises; something else than an `expected` for every frame.
+        Any error of the solver; something else than an `expected` for every frame.
     """
     every = f"frames {frames[0]} to {frames[-1]}" if len(frames) > 1 else f"frame {frames[0]}"
     where = f" on {every}"

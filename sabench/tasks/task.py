@@ -274,7 +274,7 @@ class Task(ABC):
 
     @abstractmethod
     def empty(self, data: Dataset, frame: int) -> Any:
-        """Make the estimate of a solver that found nothing."""
+        """Make an empty estimate."""
 
     @abstractmethod
     def wrong(self, data: Dataset, frame: int) -> Any:

@@ -53,7 +53,7 @@ from sabench.worlds.advection import advect
 from sabench.worlds.library.overlaps import contains
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
-_SCATTERED = 4000  # of a scatter plot at most
+_SCATTERED = 4000  # most points of a scatter plot
 
 
 def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) -> Figure:
@@ -162,8 +162,8 @@ def profile_panel(field: Velocity, exact_mm_s: F64, normal: int) -> Panel:
     return Panel(f"along {along} through the middle", f"{along}, mm", "mm/s", tuple(curves))
 
 
-_POINTS = 5  # of the quadrature across a sheet
-_THIN = 0.5  # of the grid's extent across it: light that is thinner is a sheet
+_POINTS = 5  # points of the quadrature across a sheet
+_THIN = 0.5  # largest thickness of a light sheet, share of the grid's extent across it
 
 
 @dataclass(frozen=True)
@@ -374,7 +374,7 @@ class VelocimetryTask(Task):
 
 
 class _Volumes:
-    """Reconstructed volumes of the frames of a pair; those of the next pair are kept."""
+    """Reconstructed volumes of a pair's frames; those of the next pair are kept."""
 
     def __init__(self, data: Dataset, solver: str) -> None:
         self._data, self._name = data, solver

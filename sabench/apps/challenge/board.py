@@ -122,7 +122,7 @@ def _unpack(path: Path, folder: Path) -> None:
         raise InputError(f"{path}: expected an intact .zip archive, got {error}") from error
 
 
-COSTS = ("seconds", "peak_mb", "reconstruction_s")  # of the participants' machines
+COSTS = ("seconds", "peak_mb", "reconstruction_s")  # costs on the participants' machines
 _LEFT_OUT = (*COSTS, "compile_s", "isolated", "whole_process", "estimate_hash")
 ADMITTED = "admitted"
 
@@ -227,7 +227,7 @@ def page(name: str, challenge: Challenge) -> str:
 _PROGRAM = Path(__file__).with_name("score.py")
 _COMMAND = "command: python3 /app/program/score.py /app/input/ /app/output/\n"
 _DIGITS = 6  # that the server's table shows
-_LIMIT_S = 3600  # for the scores of one submission
+_LIMIT_S = 3600  # time limit for scoring one submission
 _DOCKERFILE = """# Image for the scoring program: put the wheel of sabench next to this file.
 FROM python:3.12-slim
 COPY sabench-{version}-py3-none-any.whl /tmp/

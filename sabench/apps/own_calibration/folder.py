@@ -39,7 +39,7 @@ from sabench.utils.validation import (
     validate,
 )
 
-_FARTHEST_PX = 1e6  # of a point from the image's corner
+_FARTHEST_PX = 1e6  # largest distance of a point from the image's corner
 _FARTHEST_POINT_MM = 1e6  # a kilometre
 _MOST_PIXELS = 20_000_000  # pixels of points in all frames and cameras
 _SIGMA_MM = 0.05  # standard deviation of a coordinate if none is given

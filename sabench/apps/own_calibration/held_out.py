@@ -110,7 +110,7 @@ def solve_case(algorithm: Any, case: CalibrationCase) -> Calibration:
     Raises
     ------
     InputError
-        Whatever the solver raises, in a sentence.
+        Any error of the solver, in a sentence.
     """
     try:
         answer: Calibration = algorithm.solve(case)
@@ -127,8 +127,8 @@ def target_places(
 ) -> F64:
     """Place the target (frame, point, 3) of every frame by some cameras.
 
-    A target seen by pinholes is placed as a rigid body, with the bend that the whole calibration
-    has found. Others are where they are known to be, or where the cameras triangulate them.
+    A target seen by pinholes is placed as a rigid body, with the bend of the complete calibration.
+    Other targets have their measured or triangulated positions.
     """
     if whole.points_mm is None or not places_rigidly(cameras, whole):
         return case.initial_mm if has_places(case) else _triangulated(cameras, case)
@@ -191,7 +191,7 @@ def _off_rigid(points: F64, board: F64) -> F64:
 def _aligned(placed: F64, points: F64, case: CalibrationCase) -> F64:
     """Subtract points from those placed by other cameras, in the frame of the wall.
 
-    Motions that the images do not show are taken out, unless known points determine them.
+    Motions that the images do not determine are removed, unless known points determine them.
     """
     frame = Frame.from_cameras(case.cameras, case.initial_mm)
     aligned, true = frame.motion(placed), frame.motion(points)

@@ -49,7 +49,7 @@ class WallUnknown:
         normal through the world's origin.
     std : smallest standard deviation that the data allow without the nominal value (Cramer-Rao
         bound); None where nothing shows it.
-    shown : whether they say more than a data sheet, a ruler and a spirit level.
+    shown : whether they are more precise than a data sheet, a ruler and a spirit level.
     """
 
     name: str
@@ -300,7 +300,7 @@ def _depth_mm(bound: Limit | None, held_out: HeldOut | None) -> float | None:
 
 
 def _warn_of_depth(case: CalibrationCase, points: F64, depth: float | None) -> Iterator[str]:
-    """Say where the boards do not show the depth, and how to measure it."""
+    """Warn where the boards do not determine the depth."""
     wall = common_plane(case.cameras)
     if wall is None or depth is None:
         return

@@ -29,7 +29,7 @@ _JITTER = 1e-8  # variance on the diagonal, for rounding
 
 @dataclass(frozen=True)
 class Kernel:
-    """Squared exponential of its own length along each feature, plus a linear part.
+    """Squared exponential with one length per feature, plus a linear part.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class GaussianProcess:
 
 
 _NEIGHBOUR = 0.55396  # mean distance of the nearest neighbour x (number density)^(1/3)
-_MOST_COVERED = 0.5  # of the images
+_MOST_COVERED = 0.5  # share of the images
 _DENSITIES = ("per_pixel", "per_mm3", "count")
 
 
@@ -164,7 +164,7 @@ Values = Mapping[str, float]
 class Feature(NamedTuple):
     """Figure of a plan that scores depend on.
 
-    `key` is the scene's key to change; None stands for that of the density.
+    `key` is the scene's key to change; None: the key of the density.
     """
 
     value: Callable[[Values], float]

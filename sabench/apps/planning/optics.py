@@ -27,11 +27,11 @@ from sabench.simulation.rendering.particle_images import (
 from sabench.utils.arrays import F64
 
 DIAMETER = 4.0  # diameter of a Gaussian image in standard deviations: the e^-2 circle
-_OVERLAP = 0.95  # of the volume that all cameras should see
+_OVERLAP = 0.95  # share of the volume that all cameras should see
 _COARSE = 1.5  # pixels: a larger voxel loses resolution
-_LONG = 1.05  # of the distance of focal planes: thesis's voxels are as long, rounded
-_SHARP_PX = 1.0  # of defocus harm nothing, however fine diffraction is
-_WAVELENGTH_NM = 550.0  # of white light
+_LONG = 1.05  # voxel over distance of focal planes: that of the thesis, rounded up
+_SHARP_PX = 1.0  # harmless blur by defocus for any diffraction
+_WAVELENGTH_NM = 550.0  # mean wavelength of white light
 
 
 def plan_view(scene: Scene, view: Viewing) -> Section:

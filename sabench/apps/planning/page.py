@@ -21,8 +21,8 @@ from sabench.scenes import Scene
 from sabench.scenes.illumination import Illumination
 from sabench.utils.arrays import F64
 
-_NODES = 500  # of a section along each side
-_MARGIN, _NEAR = 0.08, 0.6  # around the whole rig, and around the volume, of its size
+_NODES = 500  # nodes of a section along each side
+_MARGIN, _NEAR = 0.08, 0.6  # margins around the rig and the volume, share of their size
 _CAMERA = 0.03  # length of a camera's symbol, of the window
 _AXES = ("x", "y", "z")
 

@@ -228,10 +228,10 @@ def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
     return Plan(lit, rig, viewing, tuple(sections))
 
 
-_STEPS = 20  # of the search for a distance
+_STEPS = 20  # steps of the search for a distance
 _CLOSE = 1e-4  # relative error of the resolution
 _SCORED = 0.99  # share of the scored volume that all cameras should see
-_LENGTHS = ("spacing_mm", "radius_mm", "x_mm", "y_mm")  # of layouts
+_LENGTHS = ("spacing_mm", "radius_mm", "x_mm", "y_mm")  # lengths of layouts
 _DENSITIES = ("count", "per_mm3", "per_pixel")
 
 Values = dict[str, Any]

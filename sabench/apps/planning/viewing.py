@@ -74,7 +74,7 @@ class Section:
 
 
 _STEPS = 4001  # along the volume's middle line
-_REACH = 4.0  # of the larger of the volume's depth and an image's width, on either side
+_REACH = 4.0  # searched depth on either side, in volume depths or image widths
 
 
 @dataclass(frozen=True)

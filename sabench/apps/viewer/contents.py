@@ -55,7 +55,7 @@ class Contents:
     Attributes
     ----------
     title : of the page.
-    facts : pairs of a word and what it stands for.
+    facts : pairs of a label and its text.
     labels : names of the kinds of particles and bubbles, by `KINDS`.
     data : data set of the images; None for a rig.
     volume : reconstruction (z, y, x) of the first frame, where a result has one.
@@ -74,7 +74,7 @@ class Contents:
     notes: tuple[str, ...] = ()
 
     def totals(self) -> dict[str, dict[str, list[int]]]:
-        """Count every frame's particles and bubbles by their kinds, those that there are."""
+        """Count the particles and bubbles of each kind in every frame."""
         return {
             "particles": _totals([frame.particles for frame in self.frames]),
             "bubbles": _totals([frame.bubbles for frame in self.frames]),
@@ -146,7 +146,7 @@ def of_dataset(data: Dataset, result: Result | None = None) -> Contents:
 
 
 def _frame(data: Dataset, number: int, estimates: Estimates | None) -> Frame:
-    """Collect a frame: what a result found, and the truth of everything else."""
+    """Collect a frame: the estimates of a result, and the truth of everything else."""
     nothing = Cloud.of_kind(np.zeros((0, 3)), 0)
     particles = None if estimates is None else estimates.particles(number)
     bubbles = None if estimates is None else estimates.bubbles(number)

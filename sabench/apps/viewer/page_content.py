@@ -241,9 +241,9 @@ class Packer:
         return base64.b64encode(zlib.compress(b"".join(self._parts), 9)).decode()
 
 
-_FAR = 1.5  # of the volume's size, from its middle: what is farther away is left out
-_BEYOND = 0.05  # of the volume's size, on either side: how far projections hold
-_LEVELS, _STEPS = 65_535, 32_767  # of positions, and of velocities
+_FAR = 1.5  # largest drawn distance from the volume's middle, in volume sizes
+_BEYOND = 0.05  # valid margin of projections around the volume, share of its size
+_LEVELS, _STEPS = 65_535, 32_767  # quantization levels of positions and velocities
 _USUAL = 95.0  # percentile of speeds that has the brightest colour
 _PICTURES_BYTES = 5_000_000
 

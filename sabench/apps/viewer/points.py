@@ -148,7 +148,7 @@ def target_points(data: Dataset, frame: int) -> Cloud:
 def classify_particles(found: FoundParticles, data: Dataset, frame: int) -> Cloud:
     """Mark found particles and true ones by the rule of the LPT challenge.
 
-    Without the truth all are found.
+    Without truth, all particles are of the kind FOUND.
     """
     estimate = Cloud.of_kind(found.position_mm, FOUND, found.trajectory, found.velocity_mm_s)
     if not data.has_truth:

@@ -15,7 +15,7 @@ from sabench.geometry.rigid_motion import frame_of_normal
 from sabench.scenes.illumination import Backlight, Illumination
 from sabench.utils.arrays import F64
 
-_MARGIN = 0.04  # of a wall beyond the light paths through it
+_MARGIN = 0.04  # drawn margin of a wall beyond the light paths through it
 _BEYOND = 1.3  # length of the light over the volume's
 _DECIMALS = 4
 

@@ -32,7 +32,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, is_file, is_folder
 from sabench.utils.version import __version__
 
-_MARGIN, _CAMERA = 0.06, 0.03  # of the drawing's larger side
+_MARGIN, _CAMERA = 0.06, 0.03  # margin and camera size, share of the drawing's larger side
 _NAMES = ("x", "y", "z")
 _ARC = np.linspace(0.0, 2.0 * np.pi, 73)[:, None]
 _SIGNS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
@@ -168,7 +168,7 @@ def _camera_rows(contents: Contents) -> list[tuple[str, str, Any]]:
 
 
 _RESULTS = (".h5", ".hdf5")
-_HEIGHT_PX = 760  # in a notebook
+_HEIGHT_PX = 760  # height of a view in a notebook
 
 
 @dataclass(frozen=True)

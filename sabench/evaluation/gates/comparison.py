@@ -89,7 +89,7 @@ def names_of(solver_entries: Sequence[SolverEntry], where: str) -> dict[str, Sol
         (
             entry.label
             or " ".join(
-                # of a program its file's, which is the same on another machine
+                # a program's file name, which is the same on other machines
                 [
                     solver_name(entry.name),
                     *(f"{k}={json.dumps(v)}" for k, v in entry.parameters.items()),
@@ -386,8 +386,8 @@ def _compare_suite(
 def _select_cases(cases: Sequence[Case], solvers: Sequence[SolverEntry]) -> list[Case]:
     """Select the cases that have solvers of the given solvers' tasks.
 
-    They run the given solvers instead of their own. Without given solvers, all cases stay as they
-    are.
+    They run the given solvers instead of those of the suite. Without given solvers, all cases stay
+    as they are.
     """
     if not solvers:
         return list(cases)

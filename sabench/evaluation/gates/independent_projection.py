@@ -126,8 +126,8 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
 def _meet_sensor(image: F64, tilt_deg: tuple[float, float]) -> F64:
     """Find where light through (x, y, 1) meets a tilted sensor.
 
-    The sensor is turned about (0, 0, 1). A place on it is one of an upright sensor under two turns,
-    and two equations say that the light passes there.
+    The sensor is rotated about (0, 0, 1). A position on it is one on an upright sensor after two
+    rotations, which has to lie on the light path: two equations.
     """
     turn = Rotation.from_euler("XY", tilt_deg, degrees=True).as_matrix()
     right, down = turn[:, 0], turn[:, 1]

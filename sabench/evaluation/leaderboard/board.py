@@ -149,11 +149,11 @@ def over_seeds(records: list[Record]) -> list[Record]:
     There is a row for every case, solver and machine. It is the first seed's record with `seeds`,
     `runs` and, in place of every score, its `Mean` over the seeds.
 
-    A score that no seed has is None. `ranked` says whether the first score ranks every seed that
-    has not failed, so that a seed that was left out improves no rank. `error` counts the seeds that
-    failed and gives the first one's reason. `runs` are the records of the seeds. Records of
-    unknown tasks make no rows. Those of recorded data sets have figures without truth in place of
-    scores, and no rank.
+    A score that no seed has is None. `ranked` is true if the first score ranks every seed that has
+    not failed, so that leaving out a seed improves no rank. `error` counts the seeds that failed
+    and gives the first one's reason. `runs` are the records of the seeds. Records of unknown tasks
+    make no rows. Those of recorded data sets have figures without truth in place of scores, and no
+    rank.
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):

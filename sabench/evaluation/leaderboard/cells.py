@@ -68,7 +68,7 @@ def mean_rank(found: Sequence[int | None], last: Sequence[int]) -> float:
 
 
 _ENTRY = ("solver", "parameters", "submission")  # on any machine
-_SAME_DIGITS = 9  # of scores of one result, which another machine's rounding may change beyond
+_SAME_DIGITS = 9  # equal digits of one result's scores on machines with other rounding
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ def _flatten(table: Mapping[str, Any], head: str = "") -> Facts:
 
 
 DIFFICULTIES = ("easy", "standard", "hard")
-_MOST_COLUMNS = 6  # of cases without a difficulty; more of them are averaged in one column
+_MOST_COLUMNS = 6  # columns of cases without a difficulty; more cases are averaged in one
 
 
 @dataclass(frozen=True)
@@ -313,7 +313,7 @@ def _placed(lines: list[Line]) -> list[Line]:
     return sorted(placed, key=lambda line: (line.missing, line.mean_rank, line.result.place))
 
 
-_MOST_LINES = 100  # of one suite, the best first
+_MOST_LINES = 100  # lines of one suite, the best first
 _MOST_STATIC = 200  # lines of the table for browsers without scripts
 
 

@@ -34,7 +34,7 @@ from sabench.utils.progress import console, progress_bar
 from sabench.utils.validation import printable
 from sabench.utils.version import __version__
 
-_SCORE_S = 3600.0  # for one result
+_SCORE_S = 3600.0  # time limit for one result
 
 
 def match_data_sets(files: list[tuple[str, Path]], folders: Sequence[Path]) -> dict[str, Dataset]:
