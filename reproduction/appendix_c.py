@@ -207,10 +207,7 @@ def _final_figure(cameras: int, by_noise: Mapping[float, Draws]) -> Figure:
             for start in starts:
                 every = [by_noise[noise][name, start] for noise in EVERY_NOISE]
                 true, measured = (
-                    [
-                        float(np.mean([getattr(draw, kind)[number] for draw in draws]))
-                        for draws in every
-                    ]
+                    [float(np.mean([getattr(d, kind)[number] for d in draws])) for draws in every]
                     for kind in ("true_px", "measured_px")
                 )
                 curves.append(Curve(f"true, {name}, {start:g}", EVERY_NOISE, true))

@@ -367,9 +367,7 @@ def _panels(
     for number, axis in ((0, "u"), (2, "w")):
         curves = []
         for name in _VOLUMES:
-            means = [
-                mean_of([float(error[number]) for error in rms[setup][name]]) for setup in setups
-            ]
+            means = [mean_of([float(off[number]) for off in rms[setup][name]]) for setup in setups]
             y = [mean.mean if mean else float("nan") for mean in means]
             spread = [(mean.half_width or 0.0) if mean else 0.0 for mean in means]
             curves.append(Curve(name, x, y, spread))

@@ -241,9 +241,8 @@ def _gradient(dark: F32, x: int, y: int, radius: float) -> float:
 
 def _typical(stack: Stack, which: I64) -> int:
     """Select the bubble with the median E at its plane."""
-    levels = [
-        stack.over_depth(int(bubble), stack.potential)[stack.plane(int(bubble))] for bubble in which
-    ]
+    bubbles = which.tolist()
+    levels = [stack.over_depth(n, stack.potential)[stack.plane(n)] for n in bubbles]
     return int(which[np.argsort(levels)[len(levels) // 2]])
 
 

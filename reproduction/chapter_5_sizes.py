@@ -82,9 +82,8 @@ def _ranges(jet: JetFrames) -> Iterator[Item]:
     what, sizes = "radius", radii
     if jet.height == _ELLIPSES:
         what = "semi-axis"
-        sizes = [
-            np.concatenate([bubbles.semi_axes_mm.ravel() for bubbles in frames]) for frames in every
-        ]
+        axes = [[bubbles.semi_axes_mm.ravel() for bubbles in frames] for frames in every]
+        sizes = [np.concatenate(part) for part in axes]
     least, most = jet.printed.axes_mm
     name = f"h = {jet.height} mm: "
     yield from jet_rows(f"{name}smallest {what}, mm", least, *[size.min() for size in sizes])

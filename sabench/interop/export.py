@@ -111,8 +111,7 @@ _TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
 def write_state(root: Path, home: Path) -> None:
     """Write a ParaView state into an export's folder that loads the folder's files.
 
-    `home` is the final path of the folder, for versions of ParaView that do not give a state its
-    own path.
+    `home` is the folder's final path, for a ParaView that does not give it to the state.
     """
     text = _TEMPLATE.read_text(encoding="utf-8").replace("{{ folder }}", repr(str(home)))
     (root / NAME).write_text(text, encoding="utf-8")
@@ -213,14 +212,12 @@ def _particles(data: Dataset, result: Result | None) -> list[FoundParticles]:
         raise InputError(
             f"{result.path}: expected a result with particles, got one of {task.estimate.__name__}"
         )
-    estimates = [task.read(data, result, frame) for frame in frames]
-    return [
-        estimate if isinstance(estimate, FoundParticles) else _of_volume(result, estimate)
-        for estimate in estimates
-    ]
+    return [_particles_of(result, task.read(data, result, frame)) for frame in frames]
 
 
-def _of_volume(result: Result, estimate: Reconstruction) -> FoundParticles:
+def _particles_of(result: Result, estimate: FoundParticles | Reconstruction) -> FoundParticles:
+    if isinstance(estimate, FoundParticles):
+        return estimate
     if estimate.particles_mm is None:
         raise InputError(f"{result.path}: expected a result with particles_mm, got a volume alone")
     return FoundParticles(estimate.particles_mm)

@@ -102,10 +102,8 @@ def _read_netcdf(file: Path) -> dict[str, Array]:
     shape = next((array.values.shape for name, array in variables.items() if name[:1] in "xX"), ())
     fields = {name: array for name, array in variables.items() if array.values.shape == shape}
     if len(shape) == 2:
-        per_row = {
-            name: array for name, array in variables.items() if array.values.shape == shape[:1]
-        }
-        number = per_row or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
+        rows = {name: array for name, array in variables.items() if array.values.shape == shape[:1]}
+        number = rows or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
         fields |= {
             name: Array(np.repeat(array.values[:, None], shape[1], axis=1), array.unit)
             for name, array in number.items()

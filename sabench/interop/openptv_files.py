@@ -190,13 +190,11 @@ def unfit(cameras: Sequence[CameraModel]) -> str | None:
     plain = [camera for camera in cameras if isinstance(camera, Camera)]
     if len(plain) > openptv.MOST_CAMERAS:
         return f"OpenPTV has {openptv.MOST_CAMERAS} cameras at most, got {len(plain)}"
-    fault = next(
-        (f"{camera.name}: {why}" for camera in plain if (why := openptv.unfit(camera))), None
-    )
+    faults = [f"{camera.name}: {why}" for camera in plain if (why := openptv.unfit(camera))]
     sizes = {(camera.rows, camera.columns) for camera in plain}
-    if fault is None and len(sizes) > 1:
+    if not faults and len(sizes) > 1:
         return f"OpenPTV has one size of images, and the cameras have {sorted(sizes)}"
-    return fault or openptv.unlike(plain)
+    return faults[0] if faults else openptv.unlike(plain)
 
 
 def write_cameras(

@@ -70,19 +70,15 @@ def detection_figure(found: AnyBubbles, true: AnyBubbles) -> Figure:
         for bubbles, hit in ((found, i), (true, j))
     )
     kinds = (("missed", true, missed), ("not there", found, ghosts), ("found", true, j))
+    circles = [(kind, balls.center_mm[rows], balls.radius_mm[rows]) for kind, balls, rows in kinds]
     panels = tuple(
         Panel(
             view,
             label,
             "Y, mm",
             tuple(
-                Circles(
-                    kind,
-                    bubbles.center_mm[which, axis],
-                    bubbles.center_mm[which, 1],
-                    bubbles.radius_mm[which],
-                )
-                for kind, bubbles, which in kinds
+                Circles(kind, center_mm[:, axis], center_mm[:, 1], radius_mm)
+                for kind, center_mm, radius_mm in circles
             ),
         )
         for view, label, axis in (("front", "X, mm", 0), ("side", "Z, mm", 2))

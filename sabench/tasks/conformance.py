@@ -165,9 +165,8 @@ def find_nothing_in_the_dark(trial: _Trial) -> None:
     )
     for estimate in estimates:
         if isinstance(estimate, Reconstruction) and trial.task.shown == "particles":
-            _expect(
-                not estimate.volume.any(), "volume: expected zeros without light, got intensities"
-            )
+            dark = not estimate.volume.any()
+            _expect(dark, "volume: expected zeros without light, got intensities")
         if isinstance(estimate, FoundParticles):
             count = len(estimate.position_mm)
             _expect(not count, f"expected no particles without light, got {count}")

@@ -203,13 +203,12 @@ def _fields(data: Dataset) -> dict[str, Make]:
 
 def _calibrations(data: Dataset) -> dict[str, Make]:
     cameras = data.setup.pinholes
+    names = [camera.name for camera in cameras]
     calibrations = {
         "far away": Calibration(
             tuple(_moved(camera, _FAR_MM * (-1) ** number) for number, camera in enumerate(cameras))
         ),
-        "one place": Calibration(
-            tuple(replace(cameras[0], name=camera.name) for camera in cameras)
-        ),
+        "one place": Calibration(tuple(replace(cameras[0], name=name) for name in names)),
         "turned around": Calibration(tuple(replace(camera, rotation=_BACK) for camera in cameras)),
         "rotation 0": Calibration(
             tuple(replace(camera, rotation=((0.0,) * 3,) * 3) for camera in cameras)
@@ -248,9 +247,8 @@ def _moved(camera: Any, away_mm: float) -> Any:
 
 def _distances(data: Dataset, distance_mm: float) -> Calibration:
     cameras: Any = data.setup.cameras
-    return Calibration(
-        tuple(replace(camera, principal_distance_mm=distance_mm) for camera in cameras)
-    )
+    changed = (replace(camera, principal_distance_mm=distance_mm) for camera in cameras)
+    return Calibration(tuple(changed))
 
 
 def _of_every_frame(estimate: Estimate) -> Make:

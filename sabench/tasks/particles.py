@@ -147,9 +147,8 @@ class ParticlesTask(Task):
         for frames in progress_bar(data.setup.sequences(), f"particles by {name}"):
             sequence, reader = image_sequence(data, frames)
             clock, waiting = SolverClock(), list[FoundParticles]()
-            answers = particles_over_time.find_in_each_frame(
-                algorithm, name, sequence, frames, clock
-            )
+            find = particles_over_time.find_in_each_frame
+            answers = find(algorithm, name, sequence, frames, clock)
             for frame, particles in zip(frames, answers, strict=True):
                 if particles.trajectory is None:
                     waiting.append(particles)

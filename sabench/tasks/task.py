@@ -123,11 +123,10 @@ class Tolerance:
     def scores(self) -> tuple[Score, ...]:
         """The curve's values as scores, which records have and tables do not."""
         return tuple(
-            Score(f"{self.of}_within_{distance:g}",
-                  f"{self.heading} within {distance:g} {self.unit}", "",
-                  "larger", 3, "a point of the curve over the matching distance",
+            Score(f"{self.of}_within_{radius:g}", f"{self.heading} within {radius:g} {self.unit}",
+                  "", "larger", 3, "a point of the curve over the matching distance",
                   counted=True, hidden=True, range=SHARE)
-            for distance in self.distances
+            for radius in self.distances
         )  # fmt: skip
 
     def figures(self, values: F64) -> Figures:

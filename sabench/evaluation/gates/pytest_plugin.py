@@ -85,10 +85,8 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
         if report is None:  # a sentence that needs no traceback
             pytest.fail(fault, pytrace=False)
         if report.worse:
-            pytest.fail(
-                "\n".join([report.summary, *(finding.sentence for finding in report.worse)]),
-                pytrace=False,
-            )
+            lines = [report.summary, *(finding.sentence for finding in report.worse)]
+            pytest.fail("\n".join(lines), pytrace=False)
         return report
 
     return run
