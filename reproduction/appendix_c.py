@@ -53,10 +53,9 @@ def appendix_c(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         yield _final_figure(cameras, by_noise)
         yield from _point_rows(cameras, by_noise)
         if cameras in _POINTS:
-            words = (
-                f"Figure {_POINTS[cameras][4:].upper()}: errors of the points, {cameras} cameras"
-            )
-            yield draw_points(_POINTS[cameras], words, by_noise)
+            number = _POINTS[cameras][4:].upper()
+            title = f"Figure {number}: errors of the points, {cameras} cameras"
+            yield draw_points(_POINTS[cameras], title, by_noise)
 
 
 def _follow(cameras: int, seeds: Sequence[int]) -> Rounds:

@@ -157,9 +157,8 @@ def fig_2_7_cameras(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             for solver in _RECONSTRUCTIONS:
                 # compute Q against the true particles, moved to the cameras' own frame. Particles
                 # do not determine where that frame is in the world
-                guess = make_solver(solver, {}).solve(
-                    replace(shot.observation, cameras=rig.cameras)
-                )
+                case = replace(shot.observation, cameras=rig.cameras)
+                guess = make_solver(solver, {}).solve(case)
                 moved = replace(shot.particles, position_mm=rig.motion(shot.particles.position_mm))
                 score = score_frame(shot.observation.grid, moved, shot.views, guess)["q"]
                 assert score is not None

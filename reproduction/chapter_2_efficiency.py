@@ -160,9 +160,8 @@ def _particle_solvers(
             for camera in cameras:
                 exact = camera.project(shot.particles.position_mm)[0]
                 pixels = exact + noise * rng.standard_normal(exact.shape)
-                peaks.append(
-                    sort_peaks(pixels[camera.contains(pixels)], (camera.rows, camera.columns))
-                )
+                size = camera.rows, camera.columns
+                peaks.append(sort_peaks(pixels[camera.contains(pixels)], size))
             every = match_triangles(Apertures.of(cameras), cameras, tuple(peaks), frame.grid, reach)
             best = select_best(every, tuple(peaks))
             tallies.append(_count(shot, select_rows(every, best).position))

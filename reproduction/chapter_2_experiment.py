@@ -316,9 +316,8 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for volumes, solver in _SOLVERS:
             field = measure(solver, _reconstruct(volumes, volume, shots))
             solid[volumes, solver].append(_Solid.of(volume, field))
-            text = (
-                f"seed {seed}, {volumes}, {solver}: {solid[volumes, solver][-1].cut.distance:.3f}"
-            )
+            distance = solid[volumes, solver][-1].cut.distance
+            text = f"seed {seed}, {volumes}, {solver}: {distance:.3f}"
             report(f"{text}, piv2d: {planar[-1].distance:.3f}")
     yield from _sheet_figures(sheet, flat, field, beside_mm)
     yield from _planar_rows(planar, exact)

@@ -251,8 +251,6 @@ def _histogram(title: str, values: F32) -> Panel:
     share = density / values.size / np.diff(edges)
     mean, std = float(values.mean()), float(values.std())
     normal = np.exp(-0.5 * ((middle - mean) / std) ** 2) / std / np.sqrt(2.0 * np.pi)
-    curves = (
-        Curve("measured", list(middle), list(share)),
-        Curve("normal", list(middle), list(normal)),
-    )
+    levels = list(middle)
+    curves = Curve("measured", levels, list(share)), Curve("normal", levels, list(normal))
     return Panel(title, "value, 1 = a bright particle", "density", curves)

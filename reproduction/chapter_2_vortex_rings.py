@@ -300,10 +300,8 @@ def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str
                     name, [shot.observation for shot in shots], scene.interval_s
                 )
             )
-            window = round(_WINDOW_MM / _VOXEL_MM), round(_WINDOW_MM / setup.plane_mm)
-            chosen = common.settings(
-                "piv3d", (window[0], window[0], window[1]), _OVERLAP, pair.grid
-            )
+            across, along = round(_WINDOW_MM / _VOXEL_MM), round(_WINDOW_MM / setup.plane_mm)
+            chosen = common.settings("piv3d", (across, across, along), _OVERLAP, pair.grid)
             field = common.run("piv3d", pair, **chosen)
             places = field.positions_mm.reshape(-1, 3)
             inner = np.abs(places[:, :2]).max(axis=1) <= _SIZE_MM[0] / 2.0 - _MARGIN_MM

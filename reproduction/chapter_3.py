@@ -86,9 +86,8 @@ def table_3_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         seconds[algorithm] = _time_frames(algorithm, scenes[name], frames)
         yield make_row(f"{algorithm}: seconds", None, seconds[algorithm])
     for algorithm, fewer in _FEWER.items():
-        ratios = [
-            slow / fast for slow, fast in zip(seconds[algorithm], seconds["msa"], strict=True)
-        ]
+        pairs = zip(seconds[algorithm], seconds["msa"], strict=True)
+        ratios = [slow / fast for slow, fast in pairs]
         yield make_row(
             f"{algorithm}: seconds over those of msa",
             fewer,

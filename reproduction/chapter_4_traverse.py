@@ -303,14 +303,13 @@ def _turn_deg(positions: F64, reference: F64) -> float:
     return float(np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
 
 
-def _figure(spacings: dict[tuple[str, str], list[F64]]) -> Figure:
+def _figure(steps: dict[tuple[str, str], list[F64]]) -> Figure:
     """Draw the first seed, as the thesis shows its one experiment."""
     numbers = range(1, PLANES)
     panels = []
     for name in SOLVERS:
         curves = tuple(
-            Curve(test, numbers, spacings[name, test][0][0], spacings[name, test][0][1])
-            for test in STEPS
+            Curve(test, numbers, steps[name, test][0][0], steps[name, test][0][1]) for test in STEPS
         )
         panels.append(Panel(name, "k", "spacing of planes k and k + 1, mm", curves))
     return Figure("fig-4-25", "Figure 4-25: spacing of the planes, 0.1 px", tuple(panels))

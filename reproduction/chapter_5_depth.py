@@ -250,8 +250,7 @@ def fig_5_22(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         len(finite) == len(depths) and all(np.diff(finite) < 0.0),
     )
     clouds = tuple(
-        Cloud(f"over {name}", *np.array(pairs, dtype=np.float64).T)
-        for name, pairs in points.items()
+        Cloud(f"over {name}", *np.array(xy, dtype=np.float64).T) for name, xy in points.items()
     )
     panel = Panel("", "h / D", "Y_p / D", clouds, log="xy")
     yield Figure("fig-5-22", "penetration depth of found bubbles", (panel,))

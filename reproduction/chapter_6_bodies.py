@@ -198,8 +198,7 @@ def _curve(
     x: Sequence[float] | None = None,
 ) -> Curve:
     means = [
-        mean_of([figures[key] for figures in draws if np.isfinite(figures.get(key, np.nan))])
-        for key in keys
+        mean_of([row[key] for row in draws if np.isfinite(row.get(key, np.nan))]) for key in keys
     ]
     places = x or list(range(len(keys)))
     measured = [(place, mean) for place, mean in zip(places, means, strict=True) if mean]

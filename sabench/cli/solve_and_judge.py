@@ -206,9 +206,8 @@ def quality(
     if output is not None:
         write_quality(dataset, judged, output, overwrite=overwrite)
     if as_json:
-        options.say_json(
-            {"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes}
-        )
+        record = {"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes}
+        options.say_json(record)
     else:
         _show(judged)
 

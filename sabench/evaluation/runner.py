@@ -145,12 +145,8 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
         # the versions that the content of a data set depends on
-        made_by = {
-            "sabench": __version__,
-            "simulation": SIMULATION,
-            "mitsuba": version_of("mitsuba"),
-        }
-        if made_by.items() <= dataset.manifest.versions.items():
+        tools = {"sabench": __version__, "simulation": SIMULATION, "mitsuba": version_of("mitsuba")}
+        if tools.items() <= dataset.manifest.versions.items():
             console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
@@ -206,9 +202,8 @@ def _rank(
         name = stem_of(head)
         out = work / "results" / f"{case.file_name}-{name}.h5"
         try:
-            record["reference_s"] = solve_timed(
-                solver_entry, dataset, out, iterations=dataset.has_truth
-            )
+            on_the_way = dataset.has_truth
+            record["reference_s"] = solve_timed(solver_entry, dataset, out, iterations=on_the_way)
             judged = (
                 judge(case, out) if isinstance(case, RecordedCase) else Judged(score(dataset, out))
             )

@@ -284,11 +284,8 @@ class Only:
         """
         _check_known("case", self.cases, {case.name for case in cases})
         _check_known("seed", self.seeds, {case.shown_seed for case in cases})
-        _check_known(
-            "solver",
-            self.solvers,
-            {solver_entry.shown for case in cases for solver_entry in case.solvers},
-        )
+        shown = {entry.shown for case in cases for entry in case.solvers}
+        _check_known("solver", self.solvers, shown)
         wanted = (
             case
             for case in cases

@@ -127,9 +127,8 @@ def _frame(
 
 
 def _write_positions(folder: Path, frame: int, positions: Any, row: Any) -> None:
-    (folder / f"found_{frame:05d}.json").write_text(
-        json.dumps(positions.tolist()), encoding="utf-8"
-    )
+    text = json.dumps(positions.tolist())
+    (folder / f"found_{frame:05d}.json").write_text(text, encoding="utf-8")
     four = np.full((4, len(positions)), -1)
     four[: len(row)] = row
     both = enumerate(zip(positions, four.T, strict=True), 1)

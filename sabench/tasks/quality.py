@@ -306,9 +306,8 @@ def _solved_again(
         raise InputError(f"expected a solver that sabench has, got {result.solver}")
     with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
         changed = change(data, number, frames, Path(folder) / "data")
-        yield solve(
-            result.solver, changed, Path(folder) / "result.h5", parameters=result.parameters
-        )
+        out = Path(folder) / "result.h5"
+        yield solve(result.solver, changed, out, parameters=result.parameters)
 
 
 def _read_all(result: Result, frames: int) -> list[FoundParticles]:

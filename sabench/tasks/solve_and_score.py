@@ -186,9 +186,8 @@ def run_plug_in(
         before, start, spent = compile_s(), time.perf_counter(), _cpu_s()
         seconds = tasks.of(algorithm.task).run(algorithm, solver, data, writer)
         share = (_cpu_s() - spent) / (time.perf_counter() - start)
-        writer.set_cost(
-            float(np.mean(seconds)), machine_limits.peak_mb(), compile_s() - before, share
-        )
+        mean_s = float(np.mean(seconds))
+        writer.set_cost(mean_s, machine_limits.peak_mb(), compile_s() - before, share)
 
 
 def _cpu_s() -> float:

@@ -121,9 +121,8 @@ def slice_panel(field: Velocity, normal: int) -> Panel:
         _middle(field.velocity_mm_s, normal)[..., list(_section_axes(normal))],
         np.nan,
     )
-    position_mm = field.low_mm[normal] + field.step_mm[normal] * (
-        field.valid.shape[2 - normal] // 2
-    )
+    node = field.valid.shape[2 - normal] // 2
+    position_mm = field.low_mm[normal] + field.step_mm[normal] * node
     spin = Slice(
         f"vorticity about {'xyz'[normal]}, 1/s",
         *_axes(field, normal),

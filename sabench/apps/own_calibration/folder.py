@@ -516,9 +516,8 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
 
     Frames are in the order of their folders' names.
     """
-    frames = (
-        sorted(entry for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []
-    )
+    entries = folder.iterdir() if folder.is_dir() else ()
+    frames = sorted(entry for entry in entries if entry.is_dir())
     if not frames:
         raise InputError(
             f"{folder}: expected folders with an image of each camera, or a {POINTS} next to it, "

@@ -141,9 +141,8 @@ def run_case(
             )
         ):
             break
-        entry = _solve_again(
-            case, data, solver_entry, out, old.solvers.get(name) if old else None, tolerances
-        )
+        earlier = old.solvers.get(name) if old else None
+        entry = _solve_again(case, data, solver_entry, out, earlier, tolerances)
         now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
     discard(case, data)
     out.unlink(missing_ok=True)
@@ -178,9 +177,8 @@ def _solve_again(
     """Solve and score; repeat where time or memory seem to have grown."""
     entry = _solve(case, data, solver_entry, out)
     for _ in range(_AGAIN):
-        if earlier is None or not _exceeds_tolerance(
-            earlier, entry, tolerances, task_of(solver_entry)
-        ):
+        task = task_of(solver_entry)
+        if earlier is None or not _exceeds_tolerance(earlier, entry, tolerances, task):
             break
         entry = _cheaper(entry, _solve(case, data, solver_entry, out))
     return entry
@@ -307,15 +305,13 @@ def check(
     source = find(suite, "scenes/suites")
     name, file = source.stem, path or default_path(source)
     before = read_baseline(file, name) if file.exists() or not update else None
-    solver_entries = [
-        SolverEntry(name=solver) if isinstance(solver, str) else solver for solver in solvers
-    ]
+    given = [SolverEntry(name=solver) if isinstance(solver, str) else solver for solver in solvers]
     with contextlib.ExitStack() as stack:
         folder = work or Path(
             stack.enter_context(tempfile.TemporaryDirectory(prefix="sabench-check-"))
         )
         report = _compare_suite(
-            suite, before, folder, solvers=solver_entries, exit_first=exit_first and not update
+            suite, before, folder, solvers=given, exit_first=exit_first and not update
         )
     if not update:
         return report

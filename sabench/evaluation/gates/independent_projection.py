@@ -178,10 +178,8 @@ def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
                 depth * middle / np.sqrt(index**2 - middle**2)
                 for index, depth in zip(indices, depths, strict=True)
             )
-        low, high = (
-            np.where(reached < radius, middle, low),
-            np.where(reached < radius, high, middle),
-        )
+        inside = reached < radius
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     invariant = np.asarray((low + high) / 2.0)
     sine = invariant / wall.air_index
     return np.asarray(

@@ -34,10 +34,7 @@ class Table(NamedTuple):
         """Scores that it shows, the one that ranks first, if there is one."""
         if not self.recorded:
             return self.task.columns
-        return (
-            *FIGURES_OF.get(self.task.name, ()),
-            *(score for score in COSTS if not score.hidden),
-        )
+        return (*FIGURES_OF.get(self.task.name, ()), *(cost for cost in COSTS if not cost.hidden))
 
 
 def every_table() -> list[Table]:
