@@ -48,40 +48,39 @@ def appendix_c(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         yield from _round_rows(cameras, rounds)
         yield _start_claim(cameras, seeds)
         yield _round_figure(cameras, rounds)
-        found = {noise: measure(cameras, noise, seeds) for noise in EVERY_NOISE}
-        yield from _final_rows(cameras, found)
-        yield _final_figure(cameras, found)
-        yield from _point_rows(cameras, found)
+        by_noise = {noise: measure(cameras, noise, seeds) for noise in EVERY_NOISE}
+        yield from _final_rows(cameras, by_noise)
+        yield _final_figure(cameras, by_noise)
+        yield from _point_rows(cameras, by_noise)
         if cameras in _POINTS:
-            words = (
-                f"Figure {_POINTS[cameras][4:].upper()}: errors of the points, {cameras} cameras"
-            )
-            yield draw_points(_POINTS[cameras], words, found)
+            number = _POINTS[cameras][4:].upper()
+            title = f"Figure {number}: errors of the points, {cameras} cameras"
+            yield draw_points(_POINTS[cameras], title, by_noise)
 
 
 def _follow(cameras: int, seeds: Sequence[int]) -> Rounds:
     """Follow the alternation from every start at every noise."""
     steps = [(noise, start, seed) for noise in EVERY_NOISE for start in STARTS for seed in seeds]
-    found: Rounds = {}
+    rounds: Rounds = {}
     for noise, start, seed in progress_bar(steps, f"{cameras} cameras: rounds"):
         errors = follow_rounds(board(cameras, BASELINE, noise, start, seed))
-        found.setdefault((noise, start), []).append(errors)
-    return found
+        rounds.setdefault((noise, start), []).append(errors)
+    return rounds
 
 
-def _round_rows(cameras: int, found: Rounds) -> Iterator[Item]:
+def _round_rows(cameras: int, rounds: Rounds) -> Iterator[Item]:
     """Measure the rounds, and decide what section 4.4.2 says of them."""
-    for (noise, start), draws in found.items():
-        before, after = (float(np.mean([own[end] for own in draws])) for end in (0, -1))
+    for (noise, start), draws in rounds.items():
+        before, after = (float(np.mean([errors[end] for errors in draws])) for end in (0, -1))
         number = _FIRST[cameras] + EVERY_NOISE.index(noise)
         yield make_row(
             f"C-{number}, {cameras} cameras, {noise:g} px, start {start:g}: rounds",
             None,
-            [float(len(own) - 1) for own in draws],
+            [float(len(errors) - 1) for errors in draws],
             f"largest mean error {before:.3g} px before, {after:.3g} px after",
         )
-    farthest = [own for noise in EVERY_NOISE for own in found[noise, STARTS[-1]]]
-    needed = [int(np.argmax(np.array(own) < _NEAR_PX)) for own in farthest]
+    farthest = [errors for noise in EVERY_NOISE for errors in rounds[noise, STARTS[-1]]]
+    needed = [int(np.argmax(np.array(errors) < _NEAR_PX)) for errors in farthest]
     yield claim(
         f"{cameras} cameras, start {STARTS[-1]:g}: rounds to {_NEAR_PX:g} px",
         "reduced rapidly to the order of 1 px",
@@ -90,7 +89,7 @@ def _round_rows(cameras: int, found: Rounds) -> Iterator[Item]:
         f"most {max(needed)}; holds up to {_FEW}",
     )
     most = {
-        start: max(len(own) - 1 for noise in EVERY_NOISE for own in found[noise, start])
+        start: max(len(errors) - 1 for noise in EVERY_NOISE for errors in rounds[noise, start])
         for start in STARTS
     }
     yield claim(
@@ -112,9 +111,9 @@ def _start_claim(cameras: int, seeds: Sequence[int]) -> Row:
         given = board(cameras, BASELINE, 0.0, STARTS[-1], seed)
         points = given.case.initial_mm.reshape(-1, 3)
         for camera, pixels in zip(given.cameras, given.case.pixels, strict=True):
-            seen = pixels.reshape(-1, 2)
-            fitted = fit_projective(camera.name, camera.rows, camera.columns, points, seen)
-            errors.append(float(np.linalg.norm(fitted.project(points)[0] - seen, axis=1).mean()))
+            image = pixels.reshape(-1, 2)
+            fitted = fit_projective(camera.name, camera.rows, camera.columns, points, image)
+            errors.append(float(np.linalg.norm(fitted.project(points)[0] - image, axis=1).mean()))
     before = float(np.mean(errors))
     return claim(
         f"{cameras} cameras, start {STARTS[-1]:g}: mean error by linear cameras before, px",
@@ -124,7 +123,7 @@ def _start_claim(cameras: int, seeds: Sequence[int]) -> Row:
     )
 
 
-def _round_figure(cameras: int, found: Rounds) -> Figure:
+def _round_figure(cameras: int, rounds: Rounds) -> Figure:
     """Draw the convergence with the first seed, one panel per noise."""
     first = _FIRST[cameras]
     panels = [
@@ -133,9 +132,9 @@ def _round_figure(cameras: int, found: Rounds) -> Figure:
             "round",
             "largest mean error of a camera, px",
             tuple(
-                Curve(f"start {start:g}", range(len(own)), own)
+                Curve(f"start {start:g}", range(len(errors)), errors)
                 for start in STARTS
-                for own in found[noise, start][:1]
+                for errors in rounds[noise, start][:1]
             ),
             "y",
         )
@@ -145,18 +144,18 @@ def _round_figure(cameras: int, found: Rounds) -> Figure:
     return Figure(f"fig-c-{first}", title, tuple(panels), across=3)
 
 
-def _final_rows(cameras: int, found: Mapping[float, Draws]) -> Iterator[Item]:
+def _final_rows(cameras: int, by_noise: Mapping[float, Draws]) -> Iterator[Item]:
     """Decide what section 4.4.2 says of the final errors (figures C-16 to C-19)."""
     for name in SOLVERS:
         head = f"{_FINAL[cameras]}, {cameras} cameras, {name}"
-        of_seeds = zip(*(found[0.0][name, start] for start in STARTS), strict=True)
-        exact = [_mean_true(own) for own in of_seeds]
+        of_seeds = zip(*(by_noise[0.0][name, start] for start in STARTS), strict=True)
+        exact = [_mean_true(draws) for draws in of_seeds]
         yield make_row(f"{head}, 0 px: true error, px", None, exact, "mean over the starts")
         off = {
             noise: max(
-                abs(float(one.measured_px.mean()) / (noise * np.sqrt(np.pi / 2.0)) - 1.0)
+                abs(float(draw.measured_px.mean()) / (noise * np.sqrt(np.pi / 2.0)) - 1.0)
                 for start in STARTS
-                for one in found[noise][name, start]
+                for draw in by_noise[noise][name, start]
             )
             for noise in NOISES
         }
@@ -168,7 +167,7 @@ def _final_rows(cameras: int, found: Mapping[float, Draws]) -> Iterator[Item]:
             f"by noise: {', '.join(f'{noise:g}: {value:.2g}' for noise, value in off.items())}",
         )
         true = np.array(
-            [[_mean_true(found[noise][name, start]) for start in STARTS] for noise in NOISES]
+            [[_mean_true(by_noise[noise][name, start]) for start in STARTS] for noise in NOISES]
         )
         spread = true.max(axis=1) / true.min(axis=1)
         yield claim(
@@ -194,10 +193,10 @@ def _final_rows(cameras: int, found: Mapping[float, Draws]) -> Iterator[Item]:
 
 
 def _mean_true(draws: Sequence[Found]) -> float:
-    return float(np.mean([one.true_px for one in draws]))
+    return float(np.mean([draw.true_px for draw in draws]))
 
 
-def _final_figure(cameras: int, found: Mapping[float, Draws]) -> Figure:
+def _final_figure(cameras: int, by_noise: Mapping[float, Draws]) -> Figure:
     """Draw errors against the noise, one panel per camera and one curve per start."""
     panels = []
     for number in range(cameras):
@@ -205,9 +204,9 @@ def _final_figure(cameras: int, found: Mapping[float, Draws]) -> Figure:
         curves = [Curve("imposed", EVERY_NOISE, imposed)]
         for name, starts in (("joint", (0.2,)), ("alternating", (0.001, 0.1, 0.2))):
             for start in starts:
-                every = [found[noise][name, start] for noise in EVERY_NOISE]
+                every = [by_noise[noise][name, start] for noise in EVERY_NOISE]
                 true, measured = (
-                    [float(np.mean([getattr(one, kind)[number] for one in own])) for own in every]
+                    [float(np.mean([getattr(d, kind)[number] for d in draws])) for draws in every]
                     for kind in ("true_px", "measured_px")
                 )
                 curves.append(Curve(f"true, {name}, {start:g}", EVERY_NOISE, true))
@@ -219,11 +218,11 @@ def _final_figure(cameras: int, found: Mapping[float, Draws]) -> Figure:
     return Figure(name, title, tuple(panels), across=min(cameras, 5), inch=(3.2, 2.5))
 
 
-def _point_rows(cameras: int, found: Mapping[float, Draws]) -> Iterator[Item]:
+def _point_rows(cameras: int, by_noise: Mapping[float, Draws]) -> Iterator[Item]:
     """Measure the points' errors along X, Y, Z (figures C-20 and C-21)."""
     for name in SOLVERS:
         head = f"{cameras} cameras, {name}"
-        means, scatters = _point_errors(found, name)
+        means, scatters = _point_errors(by_noise, name)
         for noise, mean, scatter in zip(EVERY_NOISE, means, scatters, strict=True):
             every = scatter.mean(axis=0)
             yield make_row(
@@ -270,15 +269,15 @@ def _start_rows(head: str, name: str, means: F64, scatters: F64) -> Iterator[Ite
     )
 
 
-def _point_errors(found: Mapping[float, Draws], name: str) -> tuple[F64, F64]:
+def _point_errors(by_noise: Mapping[float, Draws], name: str) -> tuple[F64, F64]:
     """Compute means and scatters (noise, start, axis) in pixels of the middle."""
     errors = [
-        [[one.errors_mm for one in draws[name, start]] for start in STARTS]
-        for draws in found.values()
+        [[draw.errors_mm for draw in draws[name, start]] for start in STARTS]
+        for draws in by_noise.values()
     ]
     means = [
-        [np.mean([np.abs(one.mean(axis=0)) for one in own], axis=0) for own in every]
+        [np.mean([np.abs(error.mean(axis=0)) for error in draws], axis=0) for draws in every]
         for every in errors
     ]
-    scatters = [[stds(own) for own in every] for every in errors]
+    scatters = [[stds(draws) for draws in every] for every in errors]
     return np.array(means) / D_PIX, np.array(scatters) / D_PIX

@@ -40,7 +40,7 @@ class Entry:
 def read_catalogue() -> list[Entry]:
     """Read all entries, tables first, in the thesis's order."""
     text = (_HERE / "catalogue.toml").read_text(encoding="utf-8")
-    return [Entry(name, **own) for name, own in tomllib.loads(text).items()]
+    return [Entry(name, **fields) for name, fields in tomllib.loads(text).items()]
 
 
 def read_rows(file: Path) -> list[dict[str, Any]]:
@@ -55,10 +55,10 @@ def read_rows(file: Path) -> list[dict[str, Any]]:
         return []
     try:
         rows: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
-        known = all({"item", "name", "verdict"} <= row.keys() for row in rows)
+        valid = all({"item", "name", "verdict"} <= row.keys() for row in rows)
     except (ValueError, AttributeError, TypeError, OSError):
-        known = False
-    if not known:
+        valid = False
+    if not valid:
         raise InputError(f"{file}: expected rows that `sabench reproduce -o` wrote")
     return rows
 
@@ -72,10 +72,10 @@ def judge(entry: Entry, rows: Sequence[Mapping[str, Any]]) -> str:
     """Sum up an entry: a verdict, counts of verdicts, or why there is none."""
     if entry.unmeasured:
         return entry.unmeasured
-    own = rows_of(entry, rows)
-    if not own:
+    measured = rows_of(entry, rows)
+    if not measured:
         return "not measured yet"
-    counts = Counter(str(row["verdict"]) for row in own if row["verdict"] != UNSTATED)
+    counts = Counter(str(row["verdict"]) for row in measured if row["verdict"] != UNSTATED)
     if not counts:
         return "measured; the thesis has no value"
     if len(counts) == 1:

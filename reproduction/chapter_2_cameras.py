@@ -61,10 +61,10 @@ def by_cameras(suite: str) -> list[tuple[int, SceneCase]]:
 def _camera_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     curves: dict[tuple[str, float], dict[int, float]] = {}
     for cameras, case in by_cameras(CAMERAS):
-        found = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
+        frames = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
         per_mm3, note = density(case.scene), f"{per_pixel(case.scene):.3f} ppp"
         for method in METHODS:
-            values = [frame[method].best for frame in found]
+            values = [frame[method].best for frame in frames]
             curves.setdefault((method, per_mm3), {})[cameras] = float(np.mean(values))
             yield make_row(
                 f"Q of {cameras} cameras at {per_mm3:g} per mm3, {method}",
@@ -95,9 +95,9 @@ def _error_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     curves: dict[str, list[list[float]]] = {method: [] for method in METHODS}
     for case in cases(ERRORS):
         errors.append(float(case.axes["calibration.shift_px"]))
-        found = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
+        frames = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
         for method, curve in curves.items():
-            curve.append([frame[method].best for frame in found])
+            curve.append([frame[method].best for frame in frames])
             thesis = ADEQUATE if errors[-1] == _LIMIT_PX else None
             yield make_row(
                 f"Q of 13 cameras with a mapping error of {errors[-1]:g} px, {method}",
@@ -106,9 +106,9 @@ def _error_rows(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
             )
     for method, curve in curves.items():
         limits = [falls_to(ADEQUATE, errors, values) for values in zip(*curve, strict=True)]
-        known = [limit for limit in limits if limit is not None]
+        reached = [limit for limit in limits if limit is not None]
         row = f"mapping error at which Q falls to 0.75, px, {method}"
-        yield make_row(row, _LIMIT_PX, known, better="larger")
+        yield make_row(row, _LIMIT_PX, reached, better="larger")
 
 
 def falls_to(level: float, x: Sequence[float], y: Sequence[float]) -> float | None:
@@ -147,24 +147,23 @@ def fig_2_7_cameras(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
 
     The thesis (figure 2-7b) shifts images; here the errors are those that calibrations make.
     """
-    found: dict[tuple[str, str], list[float]] = {}
+    scores: dict[tuple[str, str], list[float]] = {}
     errors: dict[str, list[float]] = {}
     for seed in seeds:
         scene = particles_behind_glass(pixels)
         shot = simulate(scene, seed=seed)
-        for name, one in _cameras(scene, shot, seed).items():
-            errors.setdefault(name, []).append(one.error_px)
+        for name, rig in _cameras(scene, shot, seed).items():
+            errors.setdefault(name, []).append(rig.error_px)
             for solver in _RECONSTRUCTIONS:
                 # compute Q against the true particles, moved to the cameras' own frame. Particles
                 # do not determine where that frame is in the world
-                guess = make_solver(solver, {}).solve(
-                    replace(shot.observation, cameras=one.cameras)
-                )
-                moved = replace(shot.particles, position_mm=one.motion(shot.particles.position_mm))
+                case = replace(shot.observation, cameras=rig.cameras)
+                guess = make_solver(solver, {}).solve(case)
+                moved = replace(shot.particles, position_mm=rig.motion(shot.particles.position_mm))
                 score = score_frame(shot.observation.grid, moved, shot.views, guess)["q"]
                 assert score is not None
-                found.setdefault((solver, name), []).append(score)
-    for (solver, name), values in found.items():
+                scores.setdefault((solver, name), []).append(score)
+    for (solver, name), values in scores.items():
         yield make_row(
             f"{solver}: Q with the cameras of {name}",
             None,
@@ -173,7 +172,7 @@ def fig_2_7_cameras(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         )
     for solver in _RECONSTRUCTIONS:
         for name in ("refractive_autocal", "volume_self_calibration"):
-            lost = float(np.mean(found[solver, "exact"]) - np.mean(found[solver, name]))
+            lost = float(np.mean(scores[solver, "exact"]) - np.mean(scores[solver, name]))
             yield claim(f"{solver}: Q lost by {name}", "at most 0.01", lost, lost <= 0.01)
 
 
@@ -202,8 +201,8 @@ def boards_behind_glass(scene: Scene, level: bool) -> Scene:
         values.pop(table, None)
     edge = min(scene.volume.size_mm[:2])
     targets = {"generator": "boards", "pitch_mm": 0.075 * edge, **(_TRAVERSED if level else {})}
-    known = [{"frame": 3, "point": point, "sigma_mm": 0.01} for point in (0, 10, 110)]
-    calibration = {"points": 0.01 / max(scene.volume.size_mm), "known": known}
+    measured = [{"frame": 3, "point": point, "sigma_mm": 0.01} for point in (0, 10, 110)]
+    calibration = {"points": 0.01 / max(scene.volume.size_mm), "known": measured}
     return parse_scene(
         values
         | {
@@ -239,8 +238,8 @@ def _cameras(scene: Scene, shot: Shot, seed: int) -> dict[str, Judged]:
     wrong = parse_scene(scene.to_dict() | {"calibration": {"shift_px": _SHIFT_PX}}, "shifted")
     off = simulate(wrong, seed=seed).observation
     judged["no calibration, 2 px off"] = judge_cameras(off.cameras, shot, true, None)
-    made: Calibration = run("volume_self_calibration", off)
-    judged["volume_self_calibration"] = judge_cameras(made.cameras, shot, true, None)
+    estimate: Calibration = run("volume_self_calibration", off)
+    judged["volume_self_calibration"] = judge_cameras(estimate.cameras, shot, true, None)
     return judged
 
 
@@ -257,9 +256,9 @@ def judge_cameras(
     truths = shot.particles.position_mm
     exact = np.stack([camera.project(truths)[0] for camera in true])
     if motion is None:
-        found = triangulate(cameras, exact)
-        known = np.isfinite(found).all(axis=1)
-        motion = fit_rigid_motion(truths[known], found[known])
+        points = triangulate(cameras, exact)
+        finite = np.isfinite(points).all(axis=1)
+        motion = fit_rigid_motion(truths[finite], points[finite])
     again = np.stack([camera.project(motion(truths))[0] for camera in cameras])
     return Judged(cameras, motion, float(np.nanmean(np.linalg.norm(again - exact, axis=-1))))
 
@@ -277,28 +276,28 @@ def section_2_3_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     improve the yield greatly.
     """
     scene = coarsen(load_scene("vortex-ring-experiment"), pixels)
-    found: dict[str, list[Counts]] = {}
+    by_name: dict[str, list[Counts]] = {}
     errors: dict[str, list[float]] = {}
     for seed in seeds:
         for name, judged, counts in _solve(scene, seed):
-            found.setdefault(name, []).append(counts)
+            by_name.setdefault(name, []).append(counts)
             errors.setdefault(name, []).append(judged.error_px)
-    for name, every in found.items():
+    for name, every in by_name.items():
         mean = mean_of(errors[name])
         note = f"cameras are {mean.mean if mean else 0.0:.3f} px off on the average"
-        every_yield = [one.detections / one.truths for one in every]
+        every_yield = [count.detections / count.truths for count in every]
         thesis = 0.13 / 0.23 if name == f"{_SHIFTS_PX[0]:g} px off" else None
         yield make_row(f"{name}: particles found over true ones", thesis, every_yield, note)
-        yield make_row(f"{name}: true %", None, [one.true_percent for one in every])
-        ghosts = [one.ghost_percent for one in every if one.ghost_percent is not None]
+        yield make_row(f"{name}: true %", None, [count.true_percent for count in every])
+        ghosts = [count.ghost_percent for count in every if count.ghost_percent is not None]
         yield make_row(f"{name}: ghost %", None, ghosts)
     for shift in _SHIFTS_PX:
-        yield _claim(found, f"{shift:g} px off")
+        yield _claim(by_name, f"{shift:g} px off")
 
 
-def _claim(found: dict[str, list[Counts]], off: str) -> Row:
+def _claim(by_name: dict[str, list[Counts]], off: str) -> Row:
     exact, before, after = (
-        sum(one.true_percent for one in found[name]) / len(found[name])
+        sum(count.true_percent for count in by_name[name]) / len(by_name[name])
         for name in ("exact cameras", off, f"{off}, self-calibrated")
     )
     regained = (after - before) / (exact - before) if exact > before else None
@@ -321,8 +320,8 @@ def _solve(scene: Scene, seed: int) -> Iterator[tuple[str, Judged, Counts]]:
         name = f"{shift:g} px off"
         off = judge_cameras(wrong.observation.cameras, shot, true, None)
         yield name, off, _count(shot, off)
-        made: Calibration = run("volume_self_calibration", wrong.observation)
-        better = judge_cameras(made.cameras, shot, true, None)
+        estimate: Calibration = run("volume_self_calibration", wrong.observation)
+        better = judge_cameras(estimate.cameras, shot, true, None)
         yield f"{name}, self-calibrated", better, _count(shot, better)
 
 
@@ -331,9 +330,9 @@ def _count(shot: Shot, judged: Judged) -> Counts:
 
     True particles are moved to the cameras' own frame, which particles do not determine.
     """
-    seen = replace(shot.observation, cameras=judged.cameras)
-    grid = seen.grid
-    volume = make_solver("asa", {"k": _K}).solve(seen).volume
-    there = grid.to_voxels(judged.motion(shot.particles.position_mm))
+    case = replace(shot.observation, cameras=judged.cameras)
+    grid = case.grid
+    volume = make_solver("asa", {"k": _K}).solve(case).volume
+    true = grid.to_voxels(judged.motion(shot.particles.position_mm))
     here = detect(volume)
-    return count_thesis(here, there, grid.in_scored(here), grid.in_scored(there))
+    return count_thesis(here, true, grid.in_scored(here), grid.in_scored(true))

@@ -61,10 +61,10 @@ def _trial(scene: Scene, pixels: int | None, method: str) -> Trial:
 
 def _bound_rows(label: str, case: SceneCase, trial: Trial, seeds: Sequence[int]) -> Iterator[Row]:
     for per_mm3 in (density(case.scene), BOUNDED[case.name]):
-        found = [trial(per_mm3, seed) for seed in seeds]
-        first, q = found[0], np.mean([quality.blind for quality in found])
+        qualities = [trial(per_mm3, seed) for seed in seeds]
+        first, q = qualities[0], np.mean([quality.blind for quality in qualities])
         blind = f"k = {first.best_k:.3g}; automatic k = {first.blind_k:.3g}: Q = {q:.3g}"
-        name, values = f"{label}: Q at {per_mm3:g} per mm3", [quality.best for quality in found]
+        name, values = f"{label}: Q at {per_mm3:g} per mm3", [quality.best for quality in qualities]
         yield (
             at_least(name, ADEQUATE, values, blind)
             if per_mm3 == density(case.scene)
@@ -98,7 +98,7 @@ def _density_rows(label: str, case: SceneCase, trial: Trial, seeds: Sequence[int
 def crossings(
     quality: Callable[[float, int], float], start: float, seeds: Sequence[int]
 ) -> list[float]:
-    """Find the density at which Q falls to 0.75, for every seed.
+    """Find the density where Q falls to 0.75, for every seed.
 
     Empty if the first seed has none near `start`.
 
@@ -216,14 +216,14 @@ def fig_2_6(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     for case in curves():
         for part in PARTS:
             scene = with_density(case.scene, part * density(case.scene))
-            found = [measure_quality(coarsen(scene, pixels), seed) for seed in seeds]
+            frames = [measure_quality(coarsen(scene, pixels), seed) for seed in seeds]
             thesis = ADEQUATE if part == 1.0 and case.name not in BOUNDED else None
             for method in METHODS:
                 name = f"{case.name}, {method}: Q at {density(scene):.4g} per mm3"
                 yield make_row(
                     name,
                     thesis,
-                    [frame[method].best for frame in found],
+                    [frame[method].best for frame in frames],
                     f"{per_pixel(scene):.3f} ppp",
                 )
 
@@ -242,13 +242,13 @@ def fig_3_8(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         points: dict[str, list[list[Row]]] = {method: [] for method in METHODS}
         for part in PARTS:
             scene = with_density(case.scene, part * density(case.scene))
-            found = [count_methods(coarsen(scene, pixels), seed) for seed in seeds]
+            frames = [count_methods(coarsen(scene, pixels), seed) for seed in seeds]
             count = round(density(scene) * float(np.prod(scene.volume.size_mm)))
             for method, curve in points.items():
                 curve.append(
                     detection_rows(
                         f"{case.name}, {method}, {count} particles",
-                        [frame[method] for frame in found],
+                        [frame[method] for frame in frames],
                     )
                 )
                 yield from curve[-1]
@@ -266,8 +266,8 @@ def _claims(where: str, true: Sequence[Row], ghosts: Sequence[Row]) -> Iterator[
         falls,
         "share of the variance that a straight line explains",
     )
-    known = [(part, row.measured) for part, row in zip(PARTS, ghosts, strict=True) if row.measured]
-    power = _line(*np.log(np.transpose(known)))[0] if len(known) > 1 else None
+    pairs = [(part, row.measured) for part, row in zip(PARTS, ghosts, strict=True) if row.measured]
+    power = _line(*np.log(np.transpose(pairs)))[0] if len(pairs) > 1 else None
     yield claim(
         f"{where}: ghost %",
         "grows faster than linearly",

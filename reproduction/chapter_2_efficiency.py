@@ -67,9 +67,9 @@ def _synthetic_aperture(seeds: Sequence[int], pixels: int | None) -> Iterator[Ro
             [per_pixel(case.scene) / cameras],
             "the thesis rounds",
         )
-        found = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
+        frames = [measure_quality(coarsen(case.scene, pixels), seed) for seed in seeds]
         for method in METHODS:
-            values = [frame[method].best for frame in found]
+            values = [frame[method].best for frame in frames]
             yield at_least(
                 f"Q of {cameras} cameras, {method}",
                 ADEQUATE,
@@ -123,13 +123,13 @@ def _tomography(name: str, scene: Scene, seeds: Sequence[int]) -> Iterator[Row]:
     scores: dict[str, list[dict[str, float | None]]] = {"mart": [], "mlos_smart": []}
     for seed in seeds:
         shot = simulate_frame(scene, seed)
-        for solver, own in scores.items():
+        for solver, figures in scores.items():
             guess = make_solver(solver, {}).solve(shot.observation)
-            own.append(score_frame(shot.observation.grid, shot.particles, shot.views, guess))
-    for solver, own in scores.items():
-        yield at_least(f"{name}: Q, {solver}", ADEQUATE, _values(own, "q"))
-        yield make_row(f"{name}: {solver}: true %", None, _values(own, "true_percent"))
-        yield make_row(f"{name}: {solver}: ghost %", None, _values(own, "ghost_percent"))
+            figures.append(score_frame(shot.observation.grid, shot.particles, shot.views, guess))
+    for solver, figures in scores.items():
+        yield at_least(f"{name}: Q, {solver}", ADEQUATE, _values(figures, "q"))
+        yield make_row(f"{name}: {solver}: true %", None, _values(figures, "true_percent"))
+        yield make_row(f"{name}: {solver}: ghost %", None, _values(figures, "ghost_percent"))
 
 
 def _values(scores: Sequence[dict[str, float | None]], key: str) -> list[float]:
@@ -148,30 +148,30 @@ def _particle_solvers(
     for seed in seeds:
         shot = simulate_frame(scene, seed)
         case = ImageSequence.of([shot.observation])
-        for solver, own in counts.items():
-            (found,) = run(solver, case)
-            own.append(_count(shot, found.position_mm))
-        for (noise, own), reach in zip(apart.items(), _REACH_PX, strict=False):
+        for solver, tallies in counts.items():
+            (estimate,) = run(solver, case)
+            tallies.append(_count(shot, estimate.position_mm))
+        for (noise, tallies), reach in zip(apart.items(), _REACH_PX, strict=False):
             # match the places of all images with noise, also of those that overlap. Returns
             # positions (n, 3)
-            seen, rng = shot.observation, stream(seed, "image noise")
-            cameras = [camera for camera in seen.cameras if isinstance(camera, Camera)]
+            frame, rng = shot.observation, stream(seed, "image noise")
+            cameras = [camera for camera in frame.cameras if isinstance(camera, Camera)]
             peaks: list[Peaks] = []
             for camera in cameras:
                 exact = camera.project(shot.particles.position_mm)[0]
                 pixels = exact + noise * rng.standard_normal(exact.shape)
-                peaks.append(
-                    sort_peaks(pixels[camera.contains(pixels)], (camera.rows, camera.columns))
-                )
-            every = match_triangles(Apertures.of(cameras), cameras, tuple(peaks), seen.grid, reach)
-            own.append(_count(shot, select_rows(every, select_best(every, tuple(peaks))).position))
-    for solver, own in counts.items():
-        yield from detection_rows(f"{name}: {solver}", own)
-    for noise, own in apart.items():
-        yield from detection_rows(f"{name}: ddpiv, images apart, {noise:g} px noise", own)
+                size = camera.rows, camera.columns
+                peaks.append(sort_peaks(pixels[camera.contains(pixels)], size))
+            every = match_triangles(Apertures.of(cameras), cameras, tuple(peaks), frame.grid, reach)
+            best = select_best(every, tuple(peaks))
+            tallies.append(_count(shot, select_rows(every, best).position))
+    for solver, tallies in counts.items():
+        yield from detection_rows(f"{name}: {solver}", tallies)
+    for noise, tallies in apart.items():
+        yield from detection_rows(f"{name}: ddpiv, images apart, {noise:g} px noise", tallies)
 
 
 def _count(shot: Shot, position_mm: F64) -> Counts:
     grid: Grid = shot.observation.grid
-    here, there = grid.to_voxels(position_mm), grid.to_voxels(shot.particles.position_mm)
-    return count_thesis(here, there, grid.in_scored(here), grid.in_scored(there))
+    here, true = grid.to_voxels(position_mm), grid.to_voxels(shot.particles.position_mm)
+    return count_thesis(here, true, grid.in_scored(here), grid.in_scored(true))

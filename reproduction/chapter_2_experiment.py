@@ -44,8 +44,8 @@ def _reconstruct(solver: str, scene: Scene, shots: Sequence[Shot]) -> VolumePair
 
 def measure(solver: str, pair: VolumePair) -> Velocity:
     """Measure the field between two volumes by the thesis's windows."""
-    made: Velocity = run(solver, pair, **settings(solver, _WINDOW, _OVERLAP, pair.grid))
-    return made
+    velocity: Velocity = run(solver, pair, **settings(solver, _WINDOW, _OVERLAP, pair.grid))
+    return velocity
 
 
 def ring_of(scene: Scene) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     Each is relative to the exact value; circulation also has its spread over angles.
     """
     scene = coarsen(load_scene("vortex-ring-experiment"), pixels)
-    found: dict[tuple[str, str], _Seen] = {}
+    by_solver: dict[tuple[str, str], _Seen] = {}
     for seed in seeds:
         shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
         for volumes in _VOLUMES:
@@ -141,15 +141,15 @@ def fig_2_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             for solver in _PIV:
                 start = time.perf_counter()
                 measured = measure(solver, pair)
-                own = found.setdefault((volumes, solver), _Seen())
-                own.seconds.append((spent, time.perf_counter() - start))
-                _look(own, scene, measured)
-                figures = f"{own.distance[-1]:.3f}, {own.spread[-1]:.1f} %"
+                record = by_solver.setdefault((volumes, solver), _Seen())
+                record.seconds.append((spent, time.perf_counter() - start))
+                _look(record, scene, measured)
+                figures = f"{record.distance[-1]:.3f}, {record.spread[-1]:.1f} %"
                 report(f"seed {seed}, {volumes}, {solver}: {figures}")
                 if seed == seeds[-1] and (volumes, solver) == (_VOLUMES[-1], _PIV[-1]):
                     yield from _figures(scene, measured)
-    for (volumes, solver), own in found.items():
-        yield from _rows(scene, f"{volumes}, {solver}", own)
+    for (volumes, solver), record in by_solver.items():
+        yield from _rows(scene, f"{volumes}, {solver}", record)
 
 
 def _exact_circulations(scene: Scene) -> F64:
@@ -161,7 +161,7 @@ def _exact_circulations(scene: Scene) -> F64:
     return circulations_about(scene, exact_velocity(scene), half_planes(scene)[0], radius, 0.0)
 
 
-def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
+def _look(record: _Seen, scene: Scene, measured: Velocity) -> None:
     ring = ring_of(scene)
     spin = spin_of(measured)
     velocity = sample(measured, measured.velocity_mm_s)
@@ -169,13 +169,13 @@ def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
         core(spin, half, ring["diameter_mm"] / 2.0, ring["core_mm"])
         for half in (half_planes(scene)[0], half_planes(scene)[-1])
     ]
-    own.distance.append((cores[0][0] + cores[1][0]) / ORIFICE_MM)
+    record.distance.append((cores[0][0] + cores[1][0]) / ORIFICE_MM)
     around = circulations(scene, velocity, spin, half_planes(scene))
     true = _exact_circulations(scene)
-    known = ~np.isnan(around).any(axis=0)
-    peaks = around[:, known].max(axis=1) if known.any() else np.full(len(around), np.nan)
-    own.spread.append(100.0 * float((peaks.max() - peaks.min()) / peaks.max()))
-    own.peak.append(float(peaks.mean() / true[known].max()) if known.any() else np.nan)
+    valid = ~np.isnan(around).any(axis=0)
+    peaks = around[:, valid].max(axis=1) if valid.any() else np.full(len(around), np.nan)
+    record.spread.append(100.0 * float((peaks.max() - peaks.min()) / peaks.max()))
+    record.peak.append(float(peaks.mean() / true[valid].max()) if valid.any() else np.nan)
     r = np.linspace(0.0, ring["diameter_mm"], 400)
     points = half_planes(scene)[0].points(r, np.zeros_like(r))
     speeds = [
@@ -183,45 +183,45 @@ def _look(own: _Seen, scene: Scene, measured: Velocity) -> None:
         for values in (velocity, exact_velocity(scene))
     ]
     measured_there = ~np.isnan(speeds[0])
-    own.speed.append(
+    record.speed.append(
         float(speeds[0][measured_there].max() / speeds[1].max()) if measured_there.any() else np.nan
     )
     exact = [
         core(spin_of(at_nodes(scene, measured)), half, ring["diameter_mm"] / 2.0, ring["core_mm"])
         for half in (half_planes(scene)[0], half_planes(scene)[-1])
     ]
-    own.known.append((exact[0][0] + exact[1][0]) / ORIFICE_MM)
-    own.spin.append(abs(cores[0][2] / exact[0][2]))
+    record.known.append((exact[0][0] + exact[1][0]) / ORIFICE_MM)
+    record.spin.append(abs(cores[0][2] / exact[0][2]))
 
 
-def _rows(scene: Scene, name: str, own: _Seen) -> Iterator[Item]:
-    before, after = np.mean(own.seconds, axis=0)
+def _rows(scene: Scene, name: str, record: _Seen) -> Iterator[Item]:
+    before, after = np.mean(record.seconds, axis=0)
     exact = ring_of(scene)["diameter_mm"] / ORIFICE_MM
-    same_nodes = np.mean(own.known)
+    same_nodes = np.mean(record.known)
     note = f"exact {exact:.3f}; of the exact field at the same nodes {same_nodes:.3f}"
     yield make_row(
-        f"{name}: distance of the cores over the orifice", _THESIS["core"], own.distance, note
+        f"{name}: distance of the cores over the orifice", _THESIS["core"], record.distance, note
     )
     yield make_row(
         f"{name}: spread of the circulation over angles, %",
         _THESIS["spread"],
-        own.spread,
+        record.spread,
         "exact 0",
         "smaller",
     )
     yield make_row(
         f"{name}: largest circulation over the exact one of the same rectangles, mean over angles",
         None,
-        own.peak,
+        record.peak,
     )
     yield make_row(
-        f"{name}: largest speed on a line through both cores over the exact one", None, own.speed
+        f"{name}: largest speed on a line through both cores over the exact one", None, record.speed
     )
-    yield make_row(f"{name}: largest vorticity over the exact one", None, own.spin)
+    yield make_row(f"{name}: largest vorticity over the exact one", None, record.spin)
     yield make_row(
         f"{name}: seconds of reconstruction over those of PIV",
         0.18,
-        [before / after for before, after in own.seconds],
+        [before / after for before, after in record.seconds],
         f"{before:.3g} s and {after:.3g} s",
         "smaller",
     )
@@ -280,7 +280,7 @@ _PLANAR, _ACROSS = "piv2d", "3-D plane Z/D_o = 0.11"
 
 @dataclass(frozen=True)
 class _Cut:
-    """Figures of a field in a plane through or beside a ring's axis.
+    """Figures of a field in a plane through or next to a ring's axis.
 
     Attributes
     ----------
@@ -305,7 +305,7 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     beside_mm = sheet.volume.center_mm[2] - float(ring_of(sheet)["center_mm"][2])
     planar: list[_Cut] = []
     exact: list[_Cut] = []
-    solid: dict[tuple[str, str], list[_Solid]] = {one: [] for one in _SOLVERS}
+    solid: dict[tuple[str, str], list[_Solid]] = {key: [] for key in _SOLVERS}
     for seed in seeds:
         first, second = (simulate(sheet, seed=seed, frame=frame).observation for frame in range(2))
         pair = ImagePair(first, second, sheet.time_s(1) - sheet.time_s(0))
@@ -316,14 +316,13 @@ def fig_2_17(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         for volumes, solver in _SOLVERS:
             field = measure(solver, _reconstruct(volumes, volume, shots))
             solid[volumes, solver].append(_Solid.of(volume, field))
-            text = (
-                f"seed {seed}, {volumes}, {solver}: {solid[volumes, solver][-1].cut.distance:.3f}"
-            )
+            distance = solid[volumes, solver][-1].cut.distance
+            text = f"seed {seed}, {volumes}, {solver}: {distance:.3f}"
             report(f"{text}, piv2d: {planar[-1].distance:.3f}")
     yield from _sheet_figures(sheet, flat, field, beside_mm)
     yield from _planar_rows(planar, exact)
-    for (volumes, solver), found in solid.items():
-        yield from _solid_rows(f"{volumes}, {solver}", found, planar)
+    for (volumes, solver), solids in solid.items():
+        yield from _solid_rows(f"{volumes}, {solver}", solids, planar)
 
 
 @dataclass(frozen=True)
@@ -381,13 +380,13 @@ def _fastest(scene: Scene, field: Velocity, halves: Sequence[HalfPlane]) -> floa
 
 def _largest(values: F64) -> float:
     """Find the largest known value; NaN without any."""
-    known = values[~np.isnan(values)]
-    return float(known.max()) if len(known) else float("nan")
+    finite = values[~np.isnan(values)]
+    return float(finite.max()) if len(finite) else float("nan")
 
 
 def _planar_rows(planar: list[_Cut], exact: list[_Cut]) -> Iterator[Item]:
     note = f"exact field at the same nodes {exact[0].distance:.3f}"
-    distances = [one.distance for one in planar]
+    distances = [cut.distance for cut in planar]
     yield make_row(f"{_PLANAR}: distance of the cores over the orifice", 0.82, distances, note)
     for key, text in (
         ("speed", "largest velocity along the ring's motion"),
@@ -398,22 +397,22 @@ def _planar_rows(planar: list[_Cut], exact: list[_Cut]) -> Iterator[Item]:
         yield make_row(f"{_PLANAR}: {text} over the exact field's at the same nodes", None, parts)
 
 
-def _solid_rows(name: str, found: list[_Solid], planar: list[_Cut]) -> Iterator[Item]:
-    pairs = list(zip(found, planar, strict=True))
-    distances = [one.cut.distance for one in found]
+def _solid_rows(name: str, solids: list[_Solid], planar: list[_Cut]) -> Iterator[Item]:
+    pairs = list(zip(solids, planar, strict=True))
+    distances = [solid.cut.distance for solid in solids]
     yield make_row(f"{name}: distance of the cores over the orifice, {_ACROSS}", 0.77, distances)
     for text, thesis, parts in (
-        ("X-Y", 0.94, [one.cut.speed / flat.speed for one, flat in pairs]),
-        ("Y-Z", 0.92, [one.speed_yz / flat.speed for one, flat in pairs]),
+        ("X-Y", 0.94, [solid.cut.speed / flat.speed for solid, flat in pairs]),
+        ("Y-Z", 0.92, [solid.speed_yz / flat.speed for solid, flat in pairs]),
     ):
         yield make_row(f"{name}: largest velocity over piv2d's, {text} profile", thesis, parts)
-    spins = mean_of([one.cut.spin / flat.spin for one, flat in pairs])
+    spins = mean_of([solid.cut.spin / flat.spin for solid, flat in pairs])
     turns = spins.mean if spins else None
     text = f"{name}: largest vorticity over piv2d's, X-Y profile"
     yield claim(text, "below 1", turns, turns is not None and turns < 1.0)
     for where, parts in (
-        ("light sheet", [flat.circulation / one.circulation for one, flat in pairs]),
-        (_ACROSS, [one.cut.circulation / one.circulation for one in found]),
+        ("light sheet", [flat.circulation / solid.circulation for solid, flat in pairs]),
+        (_ACROSS, [solid.cut.circulation / solid.circulation for solid in solids]),
     ):
         off = 100.0 * abs(float(np.mean(parts)) - 1.0)
         text = f"{name}: largest circulation of the {where} from that of planes through the axis, %"
@@ -434,16 +433,16 @@ def _sheet_figures(
     fields = (("planar", flat, beside_mm), ("3-D", field, _SLICE_MM))
     speeds, spins, areas = [], [], list(widths(sheet) ** 2 * ASPECT / 100.0)
     around = []
-    for name, one, offset in fields:
+    for name, velocity, offset in fields:
         half, other = half_planes(sheet, (0.0, 180.0), offset)
         points = half.points(r, np.zeros_like(r))
         for what, values in (
-            (name, sample(one, one.velocity_mm_s)),
+            (name, sample(velocity, velocity.velocity_mm_s)),
             (f"{name}, exact", exact_velocity(sheet)),
         ):
             speeds.append(Curve(what, list(r), list(values(points) @ half.axis)))
-        spins.append(Curve(name, list(r), list(spin_of(one)(points) @ half.normal)))
-        for side, line in zip("+-", _around(sheet, one, (half, other)), strict=True):
+        spins.append(Curve(name, list(r), list(spin_of(velocity)(points) @ half.normal)))
+        for side, line in zip("+-", _around(sheet, velocity, (half, other)), strict=True):
             around.append(Curve(f"{name}, {side}X", areas, list(line / 100.0)))
     yield Figure(
         "fig-2-18-sheet",

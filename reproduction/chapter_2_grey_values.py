@@ -59,38 +59,38 @@ class _Grey:
 
 def fig_2_4(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure how normal refocused images are, and how far particles stand out."""
-    (case,) = [one for one in cases("table-2-1") if one.name == _ARRAY]
-    found = [_look(simulate_frame(coarsen(case.scene, pixels), seed)) for seed in seeds]
-    yield from _rows_of_shape(found)
-    yield from _pictures("fig-2-3", found[0])
-    yield _histograms("fig-2-4", found[0])
+    (case,) = [case for case in cases("table-2-1") if case.name == _ARRAY]
+    frames = [_look(simulate_frame(coarsen(case.scene, pixels), seed)) for seed in seeds]
+    yield from _rows_of_shape(frames)
+    yield from _pictures("fig-2-3", frames[0])
+    yield _histograms("fig-2-4", frames[0])
     scene = coarsen(load_scene(_EXPERIMENT), pixels)
-    seen = [_look(simulate_frame(scene, seed)) for seed in seeds]
-    yield from _pictures("fig-2-14", seen[0])
-    panels = {f"experiment, {seen[0].cameras} cameras": seen}
-    for cameras, one in by_cameras(CAMERAS):
+    recorded = [_look(simulate_frame(scene, seed)) for seed in seeds]
+    yield from _pictures("fig-2-14", recorded[0])
+    panels = {f"experiment, {recorded[0].cameras} cameras": recorded}
+    for cameras, setup in by_cameras(CAMERAS):
         if cameras == _NINE:
-            name = f"{cameras} cameras, {per_pixel(one.scene):.3f} ppp"
-            own = coarsen(one.scene, pixels)
-            panels[name] = [_look(simulate_frame(own, seed)) for seed in seeds]
+            name = f"{cameras} cameras, {per_pixel(setup.scene):.3f} ppp"
+            coarse = coarsen(setup.scene, pixels)
+            panels[name] = [_look(simulate_frame(coarse, seed)) for seed in seeds]
     yield from _rows_of_density(panels)
     yield Figure(
         "fig-2-15",
         "Figure 2-15: grey values of refocused images",
-        tuple(_histogram(name, own[0].refocused) for name, own in panels.items()),
+        tuple(_histogram(name, greys[0].refocused) for name, greys in panels.items()),
     )
 
 
 def _look(shot: Shot) -> _Grey:
     """Refocus planes in the middle of the volume, with all and with one camera."""
-    seen = shot.observation
-    grid = _middle_of(seen.grid)
-    images = seen.normalised_images()
-    centers = np.array([camera.center_mm for camera in seen.cameras])
+    case = shot.observation
+    grid = _middle_of(case.grid)
+    images = case.normalised_images()
+    centers = np.array([camera.center_mm for camera in case.cameras])
     central = int(np.linalg.norm(centers - centers.mean(axis=0), axis=1).argmin())
-    one = np.s_[central : central + 1]
-    refocused = refocus_sum(images, seen.cameras, grid) / np.float32(len(images))
-    single = refocus_sum(images[one], seen.cameras[one], grid)
+    middle = np.s_[central : central + 1]
+    refocused = refocus_sum(images, case.cameras, grid) / np.float32(len(images))
+    single = refocus_sum(images[middle], case.cameras[middle], grid)
     voxels = grid.to_voxels(shot.particles.position_mm)
     inside = grid.in_scored(voxels)
     x, y, z = np.rint(voxels[inside]).astype(int).T
@@ -121,16 +121,16 @@ def _distance(grid: Grid, voxels: F64) -> F64:
 
     padded = np.ones([n + 2 * _AWAY for n in grid.shape], dtype=np.bool_)
     nearest = np.rint(voxels).astype(int) + _AWAY
-    there = ((nearest >= 0) & (nearest < padded.shape[::-1])).all(axis=1)
-    x, y, z = nearest[there].T
+    inside = ((nearest >= 0) & (nearest < padded.shape[::-1])).all(axis=1)
+    x, y, z = nearest[inside].T
     padded[z, y, x] = False
     inner = tuple(np.s_[_AWAY:-_AWAY] for _ in range(3))
     return np.asarray(distance_transform_edt(padded)[inner])
 
 
-def _rows_of_shape(found: Sequence[_Grey]) -> Iterator[Row]:
-    single = [_distance_to_normal(one.single) for one in found]
-    refocused = [_distance_to_normal(one.refocused) for one in found]
+def _rows_of_shape(frames: Sequence[_Grey]) -> Iterator[Row]:
+    single = [_distance_to_normal(frame.single) for frame in frames]
+    refocused = [_distance_to_normal(frame.refocused) for frame in frames]
     yield make_row("one mapped image: largest distance to a normal distribution", None, single)
     yield make_row("refocused image: largest distance to a normal distribution", None, refocused)
     yield claim(
@@ -143,40 +143,40 @@ def _rows_of_shape(found: Sequence[_Grey]) -> Iterator[Row]:
     yield make_row(
         "standard deviation of the refocused image over that of one image, times root N",
         1.0,
-        [_ratio(one, np.ones_like(one.near)) for one in found],
+        [_ratio(frame, np.ones_like(frame.near)) for frame in frames],
         "1 for independent images",
     )
     yield make_row(
         "the same without particles in focus",
         1.0,
-        [_ratio(one, one.away) for one in found],
+        [_ratio(frame, frame.away) for frame in frames],
         f"at {_AWAY} voxels or more from all particles",
     )
-    kept = [one.refocused > one.refocused.mean() + _K * one.refocused.std() for one in found]
+    above = [frame.refocused > _threshold(frame) for frame in frames]
     yield make_row(
         f"threshold at {_K:g} standard deviations: particles that stay, %",
         None,
-        [float(100.0 * np.mean(one.bright > _threshold(one))) for one in found],
+        [float(100.0 * np.mean(frame.bright > _threshold(frame))) for frame in frames],
     )
     yield make_row(
         f"threshold at {_K:g} standard deviations: light that is near particles, %",
         None,
         [
-            float(100.0 * one.refocused[own & one.near].sum() / one.refocused[own].sum())
-            for one, own in zip(found, kept, strict=True)
+            float(100.0 * frame.refocused[mask & frame.near].sum() / frame.refocused[mask].sum())
+            for frame, mask in zip(frames, above, strict=True)
         ],
-        f"by chance {100.0 * found[0].near.mean():.1f}",
+        f"by chance {100.0 * frames[0].near.mean():.1f}",
     )
 
 
-def _ratio(one: _Grey, where: Bool) -> float:
+def _ratio(frame: _Grey, where: Bool) -> float:
     """Divide the deviation by that of a mean of N independent images."""
-    expected = one.single[where].std() / np.sqrt(one.cameras)
-    return float(one.refocused[where].std() / expected)
+    expected = frame.single[where].std() / np.sqrt(frame.cameras)
+    return float(frame.refocused[where].std() / expected)
 
 
-def _threshold(one: _Grey) -> float:
-    return float(one.refocused.mean() + _K * one.refocused.std())
+def _threshold(frame: _Grey) -> float:
+    return float(frame.refocused.mean() + _K * frame.refocused.std())
 
 
 def _distance_to_normal(values: F32) -> float:
@@ -190,13 +190,14 @@ def _distance_to_normal(values: F32) -> float:
 
 def _rows_of_density(panels: dict[str, list[_Grey]]) -> Iterator[Row]:
     ratios, levels = {}, []
-    for name, own in panels.items():
-        values = [one.signal_to_noise for one in own]
+    for name, frames in panels.items():
+        values = [frame.signal_to_noise for frame in frames]
         ratios[name] = float(np.mean(values))
         yield make_row(f"{name}: particles over the mean, in standard deviations", None, values)
-        scale = [float(one.bright.mean()) for one in own]
-        mean = [float(one.refocused.mean()) / size for one, size in zip(own, scale, strict=True)]
-        std = [float(one.refocused.std()) / size for one, size in zip(own, scale, strict=True)]
+        scale = [float(frame.bright.mean()) for frame in frames]
+        pairs = list(zip(frames, scale, strict=True))
+        mean = [float(frame.refocused.mean()) / size for frame, size in pairs]
+        std = [float(frame.refocused.std()) / size for frame, size in pairs]
         yield make_row(f"{name}: mean over a particle's value", None, mean)
         yield make_row(f"{name}: standard deviation over a particle's value", None, std)
         levels.append((float(np.mean(mean)), float(np.mean(std))))
@@ -216,13 +217,13 @@ def _rows_of_density(panels: dict[str, list[_Grey]]) -> Iterator[Row]:
     )
 
 
-def _pictures(name: str, one: _Grey) -> Iterator[Figure]:
+def _pictures(name: str, frame: _Grey) -> Iterator[Figure]:
     """Draw zoomed views of an image, a refocused plane, and what a threshold keeps."""
-    plane = one.refocused[_PLANES // 2]
+    plane = frame.refocused[_PLANES // 2]
     shown = {
-        "one image": one.raw,
+        "one image": frame.raw,
         "refocused": plane,
-        "above the threshold": np.where(plane > _threshold(one), plane, np.float32(0.0)),
+        "above the threshold": np.where(plane > _threshold(frame), plane, np.float32(0.0)),
     }
     panels = tuple(_zoom(title, values, _CROPS[name]) for title, values in shown.items())
     yield Figure(name, f"Figure {name[4:]}: zoomed views", panels)
@@ -235,11 +236,11 @@ def _zoom(title: str, values: F32, size: int) -> Panel:
     return image_panel(title, part)
 
 
-def _histograms(name: str, one: _Grey) -> Figure:
+def _histograms(name: str, frame: _Grey) -> Figure:
     return Figure(
         name,
         "Figure 2-4: grey values, and normal distributions of the same mean and deviation",
-        (_histogram("one mapped image", one.single), _histogram("refocused", one.refocused)),
+        (_histogram("one mapped image", frame.single), _histogram("refocused", frame.refocused)),
     )
 
 
@@ -250,8 +251,6 @@ def _histogram(title: str, values: F32) -> Panel:
     share = density / values.size / np.diff(edges)
     mean, std = float(values.mean()), float(values.std())
     normal = np.exp(-0.5 * ((middle - mean) / std) ** 2) / std / np.sqrt(2.0 * np.pi)
-    curves = (
-        Curve("measured", list(middle), list(share)),
-        Curve("normal", list(middle), list(normal)),
-    )
+    levels = list(middle)
+    curves = Curve("measured", levels, list(share)), Curve("normal", levels, list(normal))
     return Panel(title, "value, 1 = a bright particle", "density", curves)

@@ -101,7 +101,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """
     for ring in RINGS:
         scene = common.coarsen(scene_of(ring), pixels)
-        found: dict[tuple[str, str], list[F64]] = {}
+        intervals: dict[tuple[str, str], list[F64]] = {}
         spent: dict[str, list[float]] = {}
         scattered: dict[tuple[str, str], Panel] = {}
         for seed in seeds:
@@ -113,7 +113,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                     field = common.run(solver, pair, **chosen)
                     spent.setdefault(f"{volumes}, {solver}", []).append(time.perf_counter() - start)
                     off = errors(scene, field)
-                    found.setdefault((volumes, solver), []).append(precision_interval(off))
+                    intervals.setdefault((volumes, solver), []).append(precision_interval(off))
                     scattered[volumes, solver] = error_scatter(f"{volumes}, {solver}", off)
                     if (volumes, solver) == ("block_mart", "piv3d"):
                         yield Figure(
@@ -122,7 +122,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                             (slice_panel(field, 1), slice_panel(field, 0)),
                             across=1,
                         )
-                    widths = np.round(found[volumes, solver][-1], 3)
+                    widths = np.round(intervals[volumes, solver][-1], 3)
                     common.report(f"{ring.name}, {volumes}, {solver}: {widths}")
         yield Figure(
             f"fig-2-9-{_slug(ring)}",
@@ -130,7 +130,7 @@ def table_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             tuple(scattered.values()),
             across=2,
         )
-        yield from _ring_rows(ring, found, spent)
+        yield from _ring_rows(ring, intervals, spent)
 
 
 def _slug(ring: Ring) -> str:
@@ -138,9 +138,9 @@ def _slug(ring: Ring) -> str:
 
 
 def _ring_rows(
-    ring: Ring, found: dict[tuple[str, str], list[F64]], spent: dict[str, list[float]]
+    ring: Ring, intervals: dict[tuple[str, str], list[F64]], spent: dict[str, list[float]]
 ) -> Iterator[Item]:
-    for (volumes, solver), widths in found.items():
+    for (volumes, solver), widths in intervals.items():
         thesis = ring.synthesised if volumes == "synthesised" else ring.reconstructed
         note = f"{np.mean(spent[f'{volumes}, {solver}']):.3g} s" + (
             f", reconstruction {np.mean(spent[volumes]):.3g} s a pair" if spent[volumes][0] else ""
@@ -149,7 +149,7 @@ def _ring_rows(
             yield common.make_row(
                 f"{ring.name}, {volumes}, {solver}: {axis}, voxels",
                 thesis[number],
-                [float(own[number]) for own in widths],
+                [float(width[number]) for width in widths],
                 note,
                 "smaller",
             )
@@ -157,7 +157,7 @@ def _ring_rows(
 
 def scene_of(ring: Ring) -> Scene:
     """Make the scene of a ring and its cameras, with two frames."""
-    (case,) = [one for one in common.cases("table-2-1") if one.name == ring.array]
+    (case,) = [case for case in common.cases("table-2-1") if case.name == ring.array]
     values: dict[str, Any] = case.scene.to_dict()
     values["particles"] = {
         **{
@@ -200,8 +200,8 @@ def _pairs(scene: Scene, seed: int) -> Iterator[tuple[str, VolumePair, float]]:
 def _synthesise(shots: Sequence[Shot], interval_s: float) -> VolumePair:
     """Make the volumes that a perfect reconstruction would give."""
     grid = shots[0].observation.grid
-    one, other = (true_field(grid, shot.particles, shot.views) for shot in shots)
-    return VolumePair(one, other, grid, interval_s)
+    first, other = (true_field(grid, shot.particles, shot.views) for shot in shots)
+    return VolumePair(first, other, grid, interval_s)
 
 
 def errors(scene: Scene, field: Velocity) -> F64:
@@ -260,24 +260,24 @@ def section_2_4(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     largest acceptable ones to further work. Here a core of its first vortex ring is measured in a
     part of its first volume, by windows that are the same in mm whatever the voxels.
     """
-    found: _Found = {}
+    rms: _Found = {}
     for setup in dict.fromkeys(_FIXED + _OWN + _FINE + _SPACED):
-        found[setup] = _measure(setup, seeds, pixels)
-        for name, values in found[setup].items():
+        rms[setup] = _measure(setup, seeds, pixels)
+        for name, values in rms[setup].items():
             for number, axis in enumerate("uvw"):
-                own = [float(one[number]) for one in values]
+                of_axis = [float(error[number]) for error in values]
                 yield common.make_row(
-                    f"{setup.label}, {name}: r.m.s. error of {axis}, pixels", None, own
+                    f"{setup.label}, {name}: r.m.s. error of {axis}, pixels", None, of_axis
                 )
     for name in _VOLUMES[:2]:
-        yield from _claims(name, found)
+        yield from _claims(name, rms)
     yield Figure(
         "section-2-4",
         "r.m.s. error of the velocity, pixels",
         (
-            *_panels("D, the same planes", BASELINES, _FIXED, found),
-            *_panels("D, planes of equation 2.10", BASELINES, _OWN, found),
-            *_panels("planes over equation 2.10, D = 0.4", SPACINGS, _SPACED, found),
+            *_panels("D, the same planes", BASELINES, _FIXED, rms),
+            *_panels("D, planes of equation 2.10", BASELINES, _OWN, rms),
+            *_panels("planes over equation 2.10, D = 0.4", SPACINGS, _SPACED, rms),
         ),
         across=2,
     )
@@ -289,10 +289,10 @@ _Found = dict[Setup, dict[str, list[F64]]]
 def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str, list[F64]]:
     """Measure r.m.s. errors (3,) of u, v, w in pixels, of all volumes and seeds."""
     scene = common.coarsen(scene_at_baseline(setup), pixels)
-    found: dict[str, list[F64]] = {name: [] for name in _VOLUMES}
+    by_name: dict[str, list[F64]] = {name: [] for name in _VOLUMES}
     for seed in seeds:
         shots = [simulate(scene, seed=seed, frame=frame) for frame in range(2)]
-        for name, own in found.items():
+        for name, draws in by_name.items():
             pair = (
                 _synthesise(shots, scene.interval_s)
                 if name == "synthesised"
@@ -300,19 +300,17 @@ def _measure(setup: Setup, seeds: Sequence[int], pixels: int | None) -> dict[str
                     name, [shot.observation for shot in shots], scene.interval_s
                 )
             )
-            window = round(_WINDOW_MM / _VOXEL_MM), round(_WINDOW_MM / setup.plane_mm)
-            chosen = common.settings(
-                "piv3d", (window[0], window[0], window[1]), _OVERLAP, pair.grid
-            )
+            across, along = round(_WINDOW_MM / _VOXEL_MM), round(_WINDOW_MM / setup.plane_mm)
+            chosen = common.settings("piv3d", (across, across, along), _OVERLAP, pair.grid)
             field = common.run("piv3d", pair, **chosen)
             places = field.positions_mm.reshape(-1, 3)
             inner = np.abs(places[:, :2]).max(axis=1) <= _SIZE_MM[0] / 2.0 - _MARGIN_MM
             voxels = np.asarray(scene.grid.voxel_mm) / scene.grid.voxel_mm[0]
-            own.append(
+            draws.append(
                 np.array([root_mean_square(e) for e in (errors(scene, field)[inner] * voxels).T])
             )
-            common.report(f"{setup.label}, {name}, seed {seed}: {own[-1].round(3)}")
-    return found
+            common.report(f"{setup.label}, {name}, seed {seed}: {draws[-1].round(3)}")
+    return by_name
 
 
 def scene_at_baseline(setup: Setup) -> Scene:
@@ -332,14 +330,14 @@ def scene_at_baseline(setup: Setup) -> Scene:
 
 
 def _mean(values: Sequence[F64], axis: int) -> float:
-    return float(np.mean([one[axis] for one in values]))
+    return float(np.mean([value[axis] for value in values]))
 
 
-def _claims(name: str, found: _Found) -> Iterator[Row]:
+def _claims(name: str, rms: _Found) -> Iterator[Row]:
     """Say which baseline and which spacing are best."""
     for setups, planes in ((_FIXED, "the same planes"), (_OWN, "planes of equation 2.10")):
-        across = {own.baseline: _mean(found[own][name], 0) for own in setups}
-        depth = {own.baseline: _mean(found[own][name], 2) for own in setups}
+        across = {setup.baseline: _mean(rms[setup][name], 0) for setup in setups}
+        depth = {setup.baseline: _mean(rms[setup][name], 2) for setup in setups}
         ratio = depth[max(depth)] / depth[min(depth)]
         yield common.claim(
             f"{name}: error of w, {planes}",
@@ -350,7 +348,8 @@ def _claims(name: str, found: _Found) -> Iterator[Row]:
             f"of u at D = {min(across, key=across.__getitem__):g}",
         )
     spaced = {
-        spacing: _mean(found[own][name], 2) for spacing, own in zip(SPACINGS, _SPACED, strict=True)
+        spacing: _mean(rms[setup][name], 2)
+        for spacing, setup in zip(SPACINGS, _SPACED, strict=True)
     }
     yield common.make_row(
         f"{name}: error of w with planes of equation 2.10, over the least of all spacings",
@@ -361,13 +360,13 @@ def _claims(name: str, found: _Found) -> Iterator[Row]:
 
 
 def _panels(
-    label: str, x: Sequence[float], setups: Sequence[Setup], found: _Found
+    label: str, x: Sequence[float], setups: Sequence[Setup], rms: _Found
 ) -> Iterator[Panel]:
     for number, axis in ((0, "u"), (2, "w")):
         curves = []
         for name in _VOLUMES:
-            means = [mean_of([float(one[number]) for one in found[own][name]]) for own in setups]
-            y = [one.mean if one else float("nan") for one in means]
-            spread = [(one.half_width or 0.0) if one else 0.0 for one in means]
+            means = [mean_of([float(off[number]) for off in rms[setup][name]]) for setup in setups]
+            y = [mean.mean if mean else float("nan") for mean in means]
+            spread = [(mean.half_width or 0.0) if mean else 0.0 for mean in means]
             curves.append(Curve(name, x, y, spread))
         yield Panel(f"error of {axis}", label, "pixels", tuple(curves))

@@ -86,9 +86,8 @@ def table_3_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
         seconds[algorithm] = _time_frames(algorithm, scenes[name], frames)
         yield make_row(f"{algorithm}: seconds", None, seconds[algorithm])
     for algorithm, fewer in _FEWER.items():
-        ratios = [
-            slow / fast for slow, fast in zip(seconds[algorithm], seconds["msa"], strict=True)
-        ]
+        pairs = zip(seconds[algorithm], seconds["msa"], strict=True)
+        ratios = [slow / fast for slow, fast in pairs]
         yield make_row(
             f"{algorithm}: seconds over those of msa",
             fewer,
@@ -159,13 +158,13 @@ def fig_3_6(seeds: Sequence[int], pixels: int | None) -> Iterator[Row]:
     """
     curves: dict[str, list[_Point]] = {}
     for cameras, case in by_cameras(CAMERAS):
-        found = [count_methods(coarsen(case.scene, pixels), seed) for seed in seeds]
+        frames = [count_methods(coarsen(case.scene, pixels), seed) for seed in seeds]
         for method in METHODS:
             where = f"at {per_pixel(case.scene):.3f} ppp, {method}"
             predicted = predicted_percent(case.scene)
             note = f"equation 3.14: {predicted:.3g} ghosts per 100 particles"
             true, ghosts = detection_rows(
-                f"{cameras} cameras {where}", [frame[method] for frame in found], note
+                f"{cameras} cameras {where}", [frame[method] for frame in frames], note
             )
             curves.setdefault(where, []).append(
                 _Point(cameras, true.measured, ghosts.measured, predicted)
@@ -255,17 +254,17 @@ def _atkinson_rows(seeds: Sequence[int], refocused: Sequence[_Point]) -> Iterato
     refocused : the curve of the lowest density.
     """
     slices = load_scene("atkinson-1000x1x200")
-    found: dict[str, list[Counts]] = {point: [] for point in _POINTS}
+    by_point: dict[str, list[Counts]] = {point: [] for point in _POINTS}
     for seed in seeds:
         numbers = range(seed * _SLICES, (seed + 1) * _SLICES)
         shots = [simulate(slices, seed=number) for number in numbers]
         for point, (solver, iterations) in _POINTS.items():
             chosen = make_solver(solver, {"iterations": iterations})
-            found[point].append(_add(_count(shot, chosen) for shot in shots))
+            by_point[point].append(_add(_count(shot, chosen) for shot in shots))
     ghosts = []
     for point, (solver, iterations) in _POINTS.items():
         name = f"3 cameras at 0.017 ppp after Atkinson and Soria, {point}, {iterations} x {solver}"
-        rows = detection_rows(name, found[point])
+        rows = detection_rows(name, by_point[point])
         ghosts.append(rows[-1].measured or 0.0)
         yield from rows
     fewer = [point.cameras for point in refocused if (point.ghosts or 0.0) < min(ghosts)]
@@ -279,17 +278,17 @@ def _atkinson_rows(seeds: Sequence[int], refocused: Sequence[_Point]) -> Iterato
 
 
 def _count(shot: Shot, solver: Solver) -> Counts:
-    grid, found = shot.observation.grid, detect(solver.solve(shot.observation).volume)
+    grid, detected = shot.observation.grid, detect(solver.solve(shot.observation).volume)
     truth = grid.to_voxels(shot.particles.position_mm)
-    return count_thesis(found, truth, grid.in_scored(found), grid.in_scored(truth))
+    return count_thesis(detected, truth, grid.in_scored(detected), grid.in_scored(truth))
 
 
 def _add(slices: Iterable[Counts]) -> Counts:
     every = list(slices)
     return Counts(
-        sum(one.truths for one in every),
-        sum(one.detections for one in every),
-        sum(one.matched for one in every),
+        sum(counts.truths for counts in every),
+        sum(counts.detections for counts in every),
+        sum(counts.matched for counts in every),
         None,
     )
 
@@ -355,7 +354,7 @@ def lights() -> list[Light]:
 
 
 def section_3_2_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
-    """Measure what skew costs in pixels, Q and velocity error, beside exact triggers.
+    """Measure the effect of skew on pixels, Q and velocity error.
 
     The thesis calls what software triggers leave too large for synthetic aperture PIV, and triggers
     by hardware. In continuous light, a late camera sees particles where they are later; in pulsed
@@ -367,10 +366,10 @@ def section_3_2_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             costs = [_measure(light, skew, seed, pixels) for seed in seeds]
             label = f"{light.label}, {name}"
             if skew:
-                own = [cost.images for cost in costs]
+                shifts = [cost.images for cost in costs]
                 lost = f"{100.0 * np.mean([cost.lost for cost in costs]):.0f} % of images lost"
-                yield make_row(f"{label}: r.m.s. shift of images, pixels", None, own, lost)
-                large += [light.speed_mm_s / 1000.0] if np.mean(own) > _LARGE else []
+                yield make_row(f"{label}: r.m.s. shift of images, pixels", None, shifts, lost)
+                large += [light.speed_mm_s / 1000.0] if np.mean(shifts) > _LARGE else []
             yield make_row(f"{label}: Q, additive", None, [cost.q for cost in costs])
             yield make_row(f"{label}: r.m.s. error of u, pixels", None, [c.u for c in costs])
             yield make_row(f"{label}: r.m.s. error of w, pixels", None, [c.w for c in costs])
@@ -413,8 +412,8 @@ def _measure(light: Light, skew_s: float, seed: int, pixels: int | None) -> _Cos
         for frame in range(2)
     ]
     shots = [
-        _without(simulate(scene, seed=seed, frame=frame), ~own)
-        for frame, own in enumerate(recorded)
+        _without(simulate(scene, seed=seed, frame=frame), ~mask)
+        for frame, mask in enumerate(recorded)
     ]
     pair = reconstruct("asa", [shot.observation for shot in shots], light.step_s)
     field = run("piv3d", pair, **settings("piv3d", _WINDOW, _OVERLAP, pair.grid))
@@ -440,12 +439,12 @@ def _records(scene: Scene, frame: int, camera: int) -> bool:
 
 
 def _without(shot: Shot, lost: Bool) -> Shot:
-    """Leave out the cameras whose images are dark, as anyone would."""
-    kept = np.flatnonzero(~lost)
-    seen = shot.observation
-    cameras = tuple(seen.cameras[number] for number in kept)
-    observation = replace(seen, images=seen.images[kept], cameras=cameras)
-    return replace(shot, observation=observation, views=[shot.views[number] for number in kept])
+    """Leave out the cameras with dark images."""
+    lit = np.flatnonzero(~lost)
+    case = shot.observation
+    cameras = tuple(case.cameras[number] for number in lit)
+    observation = replace(case, images=case.images[lit], cameras=cameras)
+    return replace(shot, observation=observation, views=[shot.views[number] for number in lit])
 
 
 def _shift_px(shot: Shot) -> float:

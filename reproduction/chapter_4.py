@@ -123,16 +123,16 @@ def draw(scene: Scene, seed: int) -> Board:
     true, placed = build_rig(scene).cameras, place(scene, seed)
     exact = np.stack([exact_pixels(camera, placed.points_mm) for camera in true])
     pixels = np.stack(
-        [found_pixels(scene.detection, own, seed, number)[0] for number, own in enumerate(exact)]
+        [found_pixels(scene.detection, view, seed, number)[0] for number, view in enumerate(exact)]
     )
-    known = prior(scene, placed, seed)
+    given = prior(scene, placed, seed)
     case = CalibrationCase(
         placed.target,
         pixels,
         nominal_cameras(scene, true, seed),
-        known.initial_mm,
-        known.known_mm,
-        known.known_sigma_mm,
+        given.initial_mm,
+        given.known_mm,
+        given.known_sigma_mm,
         scene.unknown,
         bool(scene.calibration and scene.calibration.known_cameras),
     )
@@ -147,8 +147,8 @@ def photograph(scene: Scene, frame: int, camera: int, seed: int) -> U16:
 
 def solve_case(solver: str, given: Board, **parameters: Any) -> Calibration:
     """Solve a case."""
-    made: Calibration = run(solver, given.case, **parameters)
-    return made
+    answer: Calibration = run(solver, given.case, **parameters)
+    return answer
 
 
 def places_of(answer: Calibration, given: Board) -> F64:
@@ -176,8 +176,8 @@ def by_camera(errors: F64) -> F64:
 
 def point_errors(answer: Calibration, given: Board, how: Any = "lateral") -> F64:
     """Compute errors (n, 3) of the boards' points, mm, after an alignment."""
-    found, truths = places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3)
-    return np.asarray(fit_alignment(how, found, truths)(found) - truths)
+    points, truths = places_of(answer, given).reshape(-1, 3), given.points_mm.reshape(-1, 3)
+    return np.asarray(fit_alignment(how, points, truths)(points) - truths)
 
 
 def held_out(
@@ -206,7 +206,7 @@ def with_points(given: Board, points_mm: F64) -> Board:
 
 def stds(errors: Sequence[F64]) -> F64:
     """Compute the root mean square over draws of the scatter along each axis."""
-    return np.asarray(np.sqrt(np.mean([np.nanstd(one, axis=0) ** 2 for one in errors], axis=0)))
+    return np.asarray(np.sqrt(np.mean([np.nanstd(error, axis=0) ** 2 for error in errors], axis=0)))
 
 
 @dataclass(frozen=True)
@@ -231,11 +231,11 @@ Draws = dict[tuple[str, float], list[Found]]  # of a solver and a start
 def measure(cameras: int, noise: float, seeds: Sequence[int]) -> Draws:
     """Calibrate from every initial guess by both solvers."""
     steps = [(start, seed) for start in STARTS for seed in seeds]
-    found: Draws = {(name, start): [] for name in SOLVERS for start in STARTS}
+    draws: Draws = {(name, start): [] for name in SOLVERS for start in STARTS}
     for start, seed in progress_bar(steps, f"{cameras} cameras, {noise:g} px"):
         for name in SOLVERS:
-            found[name, start].append(_measure_one(name, cameras, noise, start, seed))
-    return found
+            draws[name, start].append(_measure_one(name, cameras, noise, start, seed))
+    return draws
 
 
 @functools.cache
@@ -264,11 +264,11 @@ def draw_points(name: str, title: str, found: dict[float, Draws]) -> Figure:
     for noise, draws in found.items():
         means, scatters = [], []
         for solver in SOLVERS:
-            errors = [[one.errors_mm for one in draws[solver, start]] for start in STARTS]
+            errors = [[draw.errors_mm for draw in draws[solver, start]] for start in STARTS]
             mean = np.array(
-                [np.mean([np.abs(one.mean(axis=0)) for one in own], axis=0) for own in errors]
+                [np.mean([np.abs(draw.mean(axis=0)) for draw in draws], axis=0) for draws in errors]
             )
-            scatter = np.array([stds(own) for own in errors])
+            scatter = np.array([stds(draws) for draws in errors])
             means.append(Curve(f"Z, {solver}", STARTS, mean[:, 2].tolist()))
             scatters += [
                 Curve(f"{axis}, {solver}", STARTS, scatter[:, number].tolist())

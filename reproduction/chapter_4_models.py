@@ -70,7 +70,7 @@ def _errors(camera: CameraModel) -> dict[str, F64]:
         "projective": fit_projective(*size, points, images),
         "soloff": fit_soloff(*size, points, images),
         "planes": fit_planes(
-            *size, [points[own] for own in by_plane], [images[own] for own in by_plane]
+            *size, [points[plane] for plane in by_plane], [images[plane] for plane in by_plane]
         ),
     }
     rng = np.random.default_rng(1)

@@ -40,11 +40,11 @@ def table_4_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         yield make_row(
             f"noise of a pixel coordinate {noise:g} px: as drawn",
             noise,
-            [float(np.nanstd(own.case.pixels - own.exact)) for own in drawn],
+            [float(np.nanstd(given.case.pixels - given.exact)) for given in drawn],
         )
     for start in STARTS:
         drawn = [board(13, BASELINE, 0.5, start, seed) for seed in seeds]
-        values = [float(np.std(own.case.initial_mm - own.points_mm)) for own in drawn]
+        values = [float(np.std(given.case.initial_mm - given.points_mm)) for given in drawn]
         yield make_row(
             f"initial error of a point {start:g} of the edge: as drawn",
             start,
@@ -77,8 +77,8 @@ def table_4_1(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 def _pixel_mm(camera: Camera) -> float:
     """Project a short line in the middle of the volume."""
     ends = np.array([[-0.5, 0.0, 35.0], [0.5, 0.0, 35.0]])
-    seen = camera.project(ends)[0]
-    return float(1.0 / np.linalg.norm(seen[1] - seen[0]))
+    image = camera.project(ends)[0]
+    return float(1.0 / np.linalg.norm(image[1] - image[0]))
 
 
 _MEAN, _STD = 0.33, 1.17  # largest mean and scatter with 7 cameras at 2 px, in D_PIX
@@ -92,27 +92,27 @@ def fig_4_12(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """
     panels = []
     for cameras in CAMERAS:
-        found = {}
+        draws = {}
         for noise in NOISES:
-            found[noise] = measure(cameras, noise, seeds)
+            draws[noise] = measure(cameras, noise, seeds)
             for name in SOLVERS:
-                yield from _noise_rows(cameras, noise, name, found[noise])
+                yield from _noise_rows(cameras, noise, name, draws[noise])
         if cameras == 7:
-            yield from _point_rows(found[2.0])
+            yield from _point_rows(draws[2.0])
             yield draw_points(
-                "fig-4-14", "Figures 4-14 and 4-15: errors of the points, 7 cameras", found
+                "fig-4-14", "Figures 4-14 and 4-15: errors of the points, 7 cameras", draws
             )
-        panels.append(_errors_panel(cameras, found))
+        panels.append(_errors_panel(cameras, draws))
     yield Figure("fig-4-12", "Figure 4-12: measured and true reprojection error", tuple(panels))
     yield from _rounds(seeds)
 
 
-def _errors_panel(cameras: int, found: dict[float, Draws]) -> Panel:
+def _errors_panel(cameras: int, draws: dict[float, Draws]) -> Panel:
     """Draw figure 4-12: errors against the imposed noise, by initial guess."""
     imposed = [noise * float(np.sqrt(np.pi / 2.0)) for noise in NOISES]
     joint = [
         np.mean(
-            [one.measured_px.mean() for start in STARTS for one in found[noise]["joint", start]]
+            [draw.measured_px.mean() for start in STARTS for draw in draws[noise]["joint", start]]
         )
         for noise in NOISES
     ]
@@ -123,7 +123,7 @@ def _errors_panel(cameras: int, found: dict[float, Draws]) -> Panel:
     for name, starts in (("joint", (0.2,)), ("alternating", (0.001, 0.01, 0.1, 0.2))):
         for start in starts:
             true = [
-                float(np.mean([one.true_px.mean() for one in found[noise][name, start]]))
+                float(np.mean([draw.true_px.mean() for draw in draws[noise][name, start]]))
                 for noise in NOISES
             ]
             curves.append(Curve(f"true, {name}, start {start:g}", NOISES, true))
@@ -132,20 +132,20 @@ def _errors_panel(cameras: int, found: dict[float, Draws]) -> Panel:
     )
 
 
-def _noise_rows(cameras: int, noise: float, name: str, found: Draws) -> Iterator[Row]:
-    every = [one for (own, _), draws in found.items() if own == name for one in draws]
+def _noise_rows(cameras: int, noise: float, name: str, results: Draws) -> Iterator[Row]:
+    every = [draw for start in STARTS for draw in results[name, start]]
     head = f"{cameras} cameras, {noise:g} px, {name}"
     imposed = noise * float(np.sqrt(np.pi / 2.0))
     yield make_row(
         f"{head}: mean measured error, px",
         imposed,
-        [float(one.measured_px.mean()) for one in every],
+        [float(draw.measured_px.mean()) for draw in every],
         "thesis: equal to the imposed error",
         "smaller",
     )
-    ratios = [float(one.true_px.mean() / one.measured_px.mean()) for one in every]
+    ratios = [float(draw.true_px.mean() / draw.measured_px.mean()) for draw in every]
     by_start = ", ".join(
-        f"{start:g}: {np.mean([one.true_px.mean() for one in found[name, start]]):.3g}"
+        f"{start:g}: {np.mean([draw.true_px.mean() for draw in results[name, start]]):.3g}"
         for start in STARTS
     )
     yield claim(
@@ -157,10 +157,10 @@ def _noise_rows(cameras: int, noise: float, name: str, found: Draws) -> Iterator
     )
 
 
-def _point_rows(found: Draws) -> Iterator[Row]:
+def _point_rows(by_start: Draws) -> Iterator[Row]:
     """Measure the last row of figures 4-14 and 4-15: 7 cameras, 2 px."""
     for name in SOLVERS:
-        every = [one.errors_mm for (own, _), draws in found.items() if own == name for one in draws]
+        every = [draw.errors_mm for start in STARTS for draw in by_start[name, start]]
         scatter = stds(every) / D_PIX
         means = np.abs([errors.mean(axis=0) for errors in every]).max(axis=0) / D_PIX
         note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter)}"
@@ -191,12 +191,12 @@ def _rounds(seeds: Sequence[int]) -> Iterator[Item]:
     curves = []
     for start in STARTS:
         errors = [follow_rounds(board(7, BASELINE, 0.5, start, seed)) for seed in seeds]
-        before, after = (np.mean([own[end] for own in errors]) for end in (0, -1))
+        before, after = (np.mean([rounds[end] for rounds in errors]) for end in (0, -1))
         note = f"largest mean error {before:.3g} px before, {after:.3g} px after"
         yield make_row(
             f"rounds of the alternation, 7 cameras, 0.5 px, start {start:g}",
             None,
-            [float(len(own) - 1) for own in errors],
+            [float(len(rounds) - 1) for rounds in errors],
             note,
         )
         curves.append(Curve(f"start {start:g}", range(len(errors[0])), errors[0]))
@@ -234,8 +234,8 @@ def fig_4_16(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             given = board(8, 0.3, noise, start, seed)
             for name, solver in _SOLVERS.items():
                 errors[name][start].append(point_errors(solve_case(solver, given), given))
-        for name, own in errors.items():
-            scatter[name] = stds([one for draws in own.values() for one in draws]) / D_PIX
+        for name, by_start in errors.items():
+            scatter[name] = stds([error for draws in by_start.values() for error in draws]) / D_PIX
             note = f"X, Y, Z: {', '.join(f'{value:.3g}' for value in scatter[name])}"
             yield make_row(
                 f"8 cameras, {noise:g} px, {name}: scatter along Z, pixels of the middle",
@@ -244,8 +244,8 @@ def fig_4_16(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 note,
             )
         curves = [
-            Curve(name, STARTS, [float(stds(draws)[2]) / D_PIX for draws in own.values()])
-            for name, own in errors.items()
+            Curve(name, STARTS, [float(stds(draws)[2]) / D_PIX for draws in by_start.values()])
+            for name, by_start in errors.items()
         ]
         panels.append(
             Panel(
@@ -323,7 +323,7 @@ def fig_4_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             ]
     for start in STARTS:
         errors = [_pair("refractive_autocal", 0.5, start, seed)[0] for seed in seeds]
-        values = [float(stds([own])[2]) for own in errors]
+        values = [float(stds([error])[2]) for error in errors]
         panels["fig-4-19"].append(_panel(f"start {start:g}", _depths("refractive", errors)))
         yield make_row(
             f"0.5 px, start {start:g}: scatter along Z, mm",
@@ -336,7 +336,7 @@ def fig_4_18(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _depths(label: str, errors: Sequence[F64]) -> Histogram:
-    return Histogram(label, np.concatenate([own[:, 2] - own[:, 2].mean() for own in errors]))
+    return Histogram(label, np.concatenate([error[:, 2] - error[:, 2].mean() for error in errors]))
 
 
 def _panel(title: str, *content: Histogram) -> Panel:

@@ -78,12 +78,12 @@ def make_traverse() -> Scene:
         "roll_deg": 0.0,
         "wander": 0.0,
     }
-    known = [{"frame": MIDDLE, "point": 49}]
+    measured = [{"frame": MIDDLE, "point": 49}]
     values["calibration"] = {
         "center_mm": 5.0,
         "turn_deg": 0.5,
         "focal_percent": 2.0,
-        "known": known,
+        "known": measured,
     }
     return parse_scene(values | {"frames": PLANES}, "traversed grid")
 
@@ -127,11 +127,11 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                 means.setdefault((name, test), []).append(chapter_4.by_camera(errors))
                 scatters.setdefault((name, test), []).append(np.nanstd(errors, axis=(1, 2)))
     for (name, test), draws in means.items():
-        spread = float(np.mean([own.mean() for own in scatters[name, test]]))
+        spread = float(np.mean([draw.mean() for draw in scatters[name, test]]))
         yield make_row(
             f"{name}, {test}: mean reprojection error, px",
             None,
-            [float(own.mean()) for own in draws],
+            [float(draw.mean()) for draw in draws],
             f"standard deviation {spread:.3g} px; worst camera {np.max(draws):.3g} px",
         )
     for name in SOLVERS:
@@ -141,9 +141,9 @@ def fig_4_23(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
-    """Judge the claims on figure 4-23; means are (seed, camera) per test."""
+    """Check the claims on figure 4-23; means are (seed, camera) per test."""
     first = means["test 1"]
-    change = float(max(np.abs(own / first - 1.0).max() for own in means.values()))
+    change = float(max(np.abs(draws / first - 1.0).max() for draws in means.values()))
     yield claim(
         f"{name}: largest change of a camera's mean error between the tests",
         "little impact of the initial planes",
@@ -151,7 +151,7 @@ def _claims(name: str, means: dict[str, F64]) -> Iterator[Item]:
         change <= AGREES,
         "as a share of test 1",
     )
-    largest = float(max(own.max() for own in means.values()))
+    largest = float(max(draws.max() for draws in means.values()))
     yield claim(
         f"{name}: largest mean error of a camera, px",
         "relatively small in each camera",
@@ -209,16 +209,16 @@ def _points(camera: int, plane: int, seed: int) -> dict[str, F64]:
     given = done["test 1"].given
     points = {"true": given.exact[camera, plane], "measured": given.case.pixels[camera, plane]}
     return points | {
-        test: one.answer.cameras[camera].project(one.points_mm[plane])[0]
-        for test, one in done.items()
+        test: traverse.answer.cameras[camera].project(traverse.points_mm[plane])[0]
+        for test, traverse in done.items()
     }
 
 
 def _overlay(title: str, image: U16, points: dict[str, F64]) -> Panel:
-    clouds = (Cloud(name, *own.T) for name, own in points.items() if name != "true")
+    clouds = (Cloud(name, *pixels.T) for name, pixels in points.items() if name != "true")
     rows, columns = image.shape
-    seen = Picture(image.astype(np.float64), (0.0, 0.0), (columns - 1.0, rows - 1.0))
-    return Panel(title, "px", "px", (seen, *clouds))
+    picture = Picture(image.astype(np.float64), (0.0, 0.0), (columns - 1.0, rows - 1.0))
+    return Panel(title, "px", "px", (picture, *clouds))
 
 
 def _detail(title: str, image: U16, points: dict[str, F64]) -> tuple[Panel, Panel]:
@@ -228,14 +228,15 @@ def _detail(title: str, image: U16, points: dict[str, F64]) -> tuple[Panel, Pane
         np.rint(true + side * _ZOOM_PX).astype(int).tolist() for side in (-1, 1)
     )
     cut = image[top : bottom + 1, left : right + 1].astype(np.float64)
-    seen = Picture(cut, (float(left), float(top)), (float(right), float(bottom)))
+    picture = Picture(cut, (float(left), float(top)), (float(right), float(bottom)))
     marks = [
-        (name, own[_POINT].tolist(), (own[_POINT] - true).tolist()) for name, own in points.items()
+        (name, pixels[_POINT].tolist(), (pixels[_POINT] - true).tolist())
+        for name, pixels in points.items()
     ]
     circle = (Curve(name, [at[0]], [at[1]]) for name, at, _ in marks)
     near = tuple(Curve(name, [off[0]], [off[1]]) for name, _, off in marks)
     return (
-        Panel(f"{title}, point {_POINT}", "px", "px", (seen, *circle)),
+        Panel(f"{title}, point {_POINT}", "px", "px", (picture, *circle)),
         Panel("relative to the true point", "columns, px", "rows, px", near),
     )
 
@@ -249,7 +250,7 @@ def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     The cameras are those of the vortex ring's experiment. The experiment's traverse moved the grid
     by 4 mm, to 0.01 mm; here it does so exactly, so that all that is left is the calibration's own.
     """
-    found: dict[tuple[str, str], list[F64]] = {}
+    spacings: dict[tuple[str, str], list[F64]] = {}
     turns: dict[tuple[str, str], list[float]] = {}
     for seed in progress_bar(seeds, "traversed grids"):
         for name, solver in SOLVERS.items():
@@ -257,7 +258,7 @@ def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             for test, step in STEPS.items():
                 positions = calibrate(solver, step, seed).points_mm
                 first = positions if first is None else first
-                found.setdefault((name, test), []).append(
+                spacings.setdefault((name, test), []).append(
                     np.stack(
                         [
                             np.diff(positions[..., 2], axis=0).mean(axis=1),
@@ -266,20 +267,20 @@ def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                     )
                 )
                 turns.setdefault((name, test), []).append(_turn_deg(positions, first))
-    for (name, test), draws in found.items():
-        off = [float(np.abs(own[0] - STEP_MM).max()) for own in draws]
+    for (name, test), draws in spacings.items():
+        off = [float(np.abs(draw[0] - STEP_MM).max()) for draw in draws]
         head = f"{name}, {test} (nominal {STEPS[test]:g} mm)"
         yield make_row(
             f"{head}: largest error of a mean spacing, mm",
             None,
             off,
-            f"points scatter by {np.mean([own[1] for own in draws]):.3g} mm",
+            f"points scatter by {np.mean([draw[1] for draw in draws]):.3g} mm",
         )
         if test == "test 1":
             continue
         between = [
-            float(np.abs(own[0] - ref[0]).max())
-            for own, ref in zip(draws, found[name, "test 1"], strict=True)
+            float(np.abs(draw[0] - ref[0]).max())
+            for draw, ref in zip(draws, spacings[name, "test 1"], strict=True)
         ]
         mean = float(np.mean(between))
         yield claim(
@@ -294,7 +295,7 @@ def fig_4_25(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             turns[name, test],
             "thesis, figure 4-26: seen, without a number",
         )
-    yield _figure(found)
+    yield _figure(spacings)
 
 
 def _turn_deg(positions: F64, reference: F64) -> float:
@@ -302,13 +303,13 @@ def _turn_deg(positions: F64, reference: F64) -> float:
     return float(np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
 
 
-def _figure(found: dict[tuple[str, str], list[F64]]) -> Figure:
+def _figure(steps: dict[tuple[str, str], list[F64]]) -> Figure:
     """Draw the first seed, as the thesis shows its one experiment."""
     numbers = range(1, PLANES)
     panels = []
     for name in SOLVERS:
         curves = tuple(
-            Curve(test, numbers, found[name, test][0][0], found[name, test][0][1]) for test in STEPS
+            Curve(test, numbers, steps[name, test][0][0], steps[name, test][0][1]) for test in STEPS
         )
         panels.append(Panel(name, "k", "spacing of planes k and k + 1, mm", curves))
     return Figure("fig-4-25", "Figure 4-25: spacing of the planes, 0.1 px", tuple(panels))
@@ -347,27 +348,27 @@ def fig_4_28(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     which the thesis takes for true (figure 4-28). Points of two tests are compared before and after
     a similarity brings each test's reference plane to its known place (figures 4-29 to 4-31).
     """
-    found: dict[str, list[Tests]] = {name: [] for name in SOLVERS}
+    by_solver: dict[str, list[Tests]] = {name: [] for name in SOLVERS}
     for seed in progress_bar(seeds, "traversed grids"):
         for name, solver in SOLVERS.items():
-            found[name].append(
+            by_solver[name].append(
                 {test: calibrate(solver, step, seed) for test, step in STEPS.items()}
             )
     refits = {
-        (name, test): [_refit(own, test) for own in draws]
-        for name, draws in found.items()
+        (name, test): [_refit(tests, test) for tests in draws]
+        for name, draws in by_solver.items()
         for test in ("test 2", "test 3")
     }
     for (name, test), draws in refits.items():
         yield make_row(
             f"{name}, {test}: error against test 1 after the refit, px",
             None,
-            [float(own.true.mean()) for own in draws],
+            [float(refit.true.mean()) for refit in draws],
         )
     for test in ("test 2", "test 3"):
         yield from _refit_claims(f"randomised, {test}", refits["randomised", test])
     yield _refit_figure(refits)
-    for name, every in found.items():
+    for name, every in by_solver.items():
         yield from _plane_rows(name, every)
         for figure, pair in _PAIRS.items():
             # measure the differences before and after alignment
@@ -382,8 +383,8 @@ def fig_4_28(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
                     f"X, Y, Z: {note}",
                 )
     for figure, pair in _PAIRS.items():
-        yield from _difference_claims(figure, found["randomised"], pair)
-    yield _difference_figure(found["randomised"][0])
+        yield from _difference_claims(figure, by_solver["randomised"], pair)
+    yield _difference_figure(by_solver["randomised"][0])
 
 
 def _refit(tests: Tests, name: str) -> Refit:
@@ -406,7 +407,7 @@ def _refit(tests: Tests, name: str) -> Refit:
 
 def _refit_claims(head: str, draws: Sequence[Refit]) -> Iterator[Item]:
     """Decide what section 4.4.3 says of figure 4-28."""
-    ratios = [float(own.true.mean() / own.original.mean()) for own in draws]
+    ratios = [float(refit.true.mean() / refit.original.mean()) for refit in draws]
     yield claim(
         f"{head}: error against test 1 over the original error",
         "relatively small",
@@ -414,7 +415,7 @@ def _refit_claims(head: str, draws: Sequence[Refit]) -> Iterator[Item]:
         max(ratios) < _SMALL,
         f"largest of a seed {max(ratios):.3g}; holds below {_SMALL}",
     )
-    change = max(float(np.abs(own.measured / own.original - 1.0).max()) for own in draws)
+    change = max(float(np.abs(refit.measured / refit.original - 1.0).max()) for refit in draws)
     yield claim(
         f"{head}: change of the error against the measured pixels by the refit",
         "equal, with very small discrepancy",
@@ -431,9 +432,9 @@ def _refit_figure(refits: dict[tuple[str, str], list[Refit]]) -> Figure:
         curves = tuple(
             Curve(label, range(1, len(values[0]) + 1), np.mean(values, axis=0).tolist())
             for label, values in (
-                ("against test 1", [own.true for own in draws]),
-                ("original, measured", [own.original for own in draws]),
-                ("refitted, measured", [own.measured for own in draws]),
+                ("against test 1", [refit.true for refit in draws]),
+                ("original, measured", [refit.original for refit in draws]),
+                ("refitted, measured", [refit.measured for refit in draws]),
             )
         )
         panels.append(Panel(f"{name}, {test}", "camera", "mean error, px", curves))
@@ -442,9 +443,9 @@ def _refit_figure(refits: dict[tuple[str, str], list[Refit]]) -> Figure:
 
 def _plane_rows(name: str, draws: Sequence[Tests]) -> Iterator[Item]:
     """Measure scale and rotation of the similarity to the reference plane."""
-    fits = [{test: _to_plane(one) for test, one in own.items()} for own in draws]
+    fits = [{test: _to_plane(traverse) for test, traverse in tests.items()} for tests in draws]
     off = max(
-        abs(np.cbrt(np.linalg.det(fit[:3, :3])) - 1.0) for own in fits for fit in own.values()
+        abs(np.cbrt(np.linalg.det(fit[:3, :3])) - 1.0) for tests in fits for fit in tests.values()
     )
     yield claim(
         f"{name}: largest deviation of the similarity's scale from one",
@@ -456,7 +457,7 @@ def _plane_rows(name: str, draws: Sequence[Tests]) -> Iterator[Item]:
         yield make_row(
             f"{name}, {test}: rotation to the reference plane, degrees",
             None,
-            [_angle_deg(own[test][:3, :3]) for own in fits],
+            [_angle_deg(tests[test][:3, :3]) for tests in fits],
         )
 
 
@@ -465,14 +466,14 @@ def _angle_deg(matrix: F64) -> float:
     return float(np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
 
 
-def _to_plane(one: Traversed) -> F64:
+def _to_plane(traverse: Traversed) -> F64:
     """Fit the similarity (4, 4) of the estimated reference plane to the known one."""
-    return fit_similarity(one.points_mm[MIDDLE], one.given.points_mm[MIDDLE])
+    return fit_similarity(traverse.points_mm[MIDDLE], traverse.given.points_mm[MIDDLE])
 
 
-def _aligned(one: Traversed) -> F64:
-    similarity = _to_plane(one)
-    return np.asarray(one.points_mm @ similarity[:3, :3].T + similarity[:3, 3]).reshape(-1, 3)
+def _aligned(traverse: Traversed) -> F64:
+    similarity = _to_plane(traverse)
+    return np.asarray(traverse.points_mm @ similarity[:3, :3].T + similarity[:3, 3]).reshape(-1, 3)
 
 
 def _differences(tests: Tests, pair: tuple[str, str]) -> tuple[F64, F64, F64]:
@@ -481,17 +482,17 @@ def _differences(tests: Tests, pair: tuple[str, str]) -> tuple[F64, F64, F64]:
     Before alignment, after that of the reference plane, and after the best rigid motion between
     the two tests.
     """
-    one, two = (tests[name].points_mm.reshape(-1, 3) for name in pair)
+    points, two = (tests[name].points_mm.reshape(-1, 3) for name in pair)
     first, second = (_aligned(tests[name]) for name in pair)
-    return one - two, first - second, one - fit_rigid_motion(two, one)(two)
+    return points - two, first - second, points - fit_rigid_motion(two, points)(two)
 
 
 def _measure_differences(draws: Sequence[Tests], pair: tuple[str, str]) -> F64:
     """Measure root mean squares, mm: (seed, before / after / best motion, axis)."""
     return np.array(
         [
-            [np.asarray(np.sqrt(np.mean(part**2, axis=0))) for part in _differences(own, pair)]
-            for own in draws
+            [np.asarray(np.sqrt(np.mean(part**2, axis=0))) for part in _differences(tests, pair)]
+            for tests in draws
         ]
     )
 

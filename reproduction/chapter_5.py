@@ -95,7 +95,7 @@ def detect_jets(seeds: Sequence[int], pixels: int | None) -> Iterator[JetFrames]
 def detect_jet(height: int, scene: Scene, seeds: Sequence[int]) -> JetFrames:
     """Find the bubbles of one jet in one frame for each seed."""
     pairs = [detect_frame(scene, seed) for seed in seeds]
-    return JetFrames(height, scene, [true for true, _ in pairs], [own for _, own in pairs])
+    return JetFrames(height, scene, [true for true, _ in pairs], [bubbles for _, bubbles in pairs])
 
 
 _detected: dict[tuple[str, int, str], tuple[Bubbles, Detections]] = {}
@@ -125,8 +125,8 @@ def true_bubbles(scene: Scene, count: int) -> list[AnyBubbles]:
     key = scene.hash, count
     if key not in _true:
         rig = build_rig(scene, scene.title)
-        made = [Frames(scene, rig, seed).at(0).bubbles for seed in range(1, count + 1)]
-        _true[key] = [one for one in made if one is not None]
+        frames = [Frames(scene, rig, seed).at(0).bubbles for seed in range(1, count + 1)]
+        _true[key] = [bubbles for bubbles in frames if bubbles is not None]
     return _true[key]
 
 
@@ -144,13 +144,13 @@ def jet_rows(
         note = "" if thesis is None else "the scene was built to the thesis's value"
         row = f"{name}, true bubbles of {FRAMES} frames"
         yield make_row(row, thesis, values, note)
-    known = np.isfinite(true) and np.isfinite(found)
+    finite = np.isfinite(true) and np.isfinite(found)
     yield claim(
         f"{name}, found bubbles",
         f"true bubbles of the same frames: {true:.4g}",
         found if np.isfinite(found) else None,
-        bool(known and abs(found - true) <= AGREES * abs(true)),
-        f"{100.0 * (found / true - 1.0):+.1f} %" if known and true else "",
+        bool(finite and abs(found - true) <= AGREES * abs(true)),
+        f"{100.0 * (found / true - 1.0):+.1f} %" if finite and true else "",
     )
 
 
@@ -227,7 +227,7 @@ def _order() -> Iterator[Item]:
     """Decide which column is the speed."""
     flows = np.array([jet.speed_m_s * jet.diameter_mm**2 for jet in JETS.values()])
     printed = np.array([jet.diameter_mm * jet.speed_m_s**2 for jet in JETS.values()])
-    spread, other = (float(100.0 * np.ptp(one) / one.mean()) for one in (flows, printed))
+    spread, other = (float(100.0 * np.ptp(flow) / flow.mean()) for flow in (flows, printed))
     yield claim(
         "V_i D_i^2, columns exchanged: spread, %",
         "one nozzle, one flow rate",
@@ -298,17 +298,18 @@ def table_5_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     for jet in detect_jets(seeds, pixels):
         # draw the true and the found bubbles of the first frame in space
         panels = tuple(
-            Panel(title, "X, mm", "", (Space("radius, mm", one.center_mm, one.radius_mm),))
-            for title, one in (("true", jet.true[0]), ("found", jet.found[0]))
+            Panel(title, "X, mm", "", (Space("radius, mm", bubbles.center_mm, bubbles.radius_mm),))
+            for title, bubbles in (("true", jet.true[0]), ("found", jet.found[0]))
         )
         number = _FIGURES[jet.height]
         yield Figure(f"fig-{number}", f"bubbles, h = {jet.height} mm", panels, inch=(4.6, 6.4))
         scores = [
-            detection_scores(found, true, np.ones(len(true.center_mm)))
-            for found, true in zip(jet.found, jet.true, strict=True)
+            detection_scores(estimate, true, np.ones(len(true.center_mm)))
+            for estimate, true in zip(jet.found, jet.true, strict=True)
         ]
         for key, name in _LARGE.items():
-            yield finite_row(f"h = {jet.height} mm, {SOLVER}: {name}", [one[key] for one in scores])
+            values = [score[key] for score in scores]
+            yield finite_row(f"h = {jet.height} mm, {SOLVER}: {name}", values)
         yield from _table(jet)
 
 
@@ -322,5 +323,5 @@ def _table(jet: JetFrames) -> Iterator[Item]:
         ("weight", "A of equation 5.18", _WEIGHT),
         ("width", "s of equation 5.18", _WIDTH),
     ):
-        own = [float(getattr(figures, key)) for figures in every.values()]
-        yield from jet_rows(f"h = {jet.height} mm: {name}", thesis, *own)
+        values = [float(getattr(figures, key)) for figures in every.values()]
+        yield from jet_rows(f"h = {jet.height} mm: {name}", thesis, *values)

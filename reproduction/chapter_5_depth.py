@@ -59,9 +59,9 @@ def fig_5_21(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 def _profiles(jet: JetFrames, analyses: dict[str, JetFigures]) -> Iterator[Item]:
     """Fit the radial law and the factor of equation 5.22 of one jet."""
     name = f"h = {jet.height} mm: "
-    own = [100.0 * float(figures.concentration.max(initial=0.0)) for figures in analyses.values()]
+    peaks = [100.0 * float(figures.concentration.max(initial=0.0)) for figures in analyses.values()]
     yield from jet_rows(
-        f"{name}largest concentration, %", 8.0 if jet.height == _SHOWN else None, *own
+        f"{name}largest concentration, %", 8.0 if jet.height == _SHOWN else None, *peaks
     )
     for what, thesis, measure in (
         ("k of exp(-k (R / R_.5)^2) (5.19)", LN2, jet_scaling.radial_slope),
@@ -83,11 +83,11 @@ def _pooled(every: Analyses, kind: str) -> tuple[F64, F64]:
     """
     pairs = [
         (
-            (one.depth_mm - one.depth_mm[one.total.argmax()]) / one.penetration_mm,
-            one.total / one.total.max(),
+            (jet.depth_mm - jet.depth_mm[jet.total.argmax()]) / jet.penetration_mm,
+            jet.total / jet.total.max(),
         )
-        for one in (analyses[kind] for analyses in every.values())
-        if _usable(one)
+        for jet in (analyses[kind] for analyses in every.values())
+        if _usable(jet)
     ]
     empty = [(np.zeros(0), np.zeros(0))]
     y, share = (np.concatenate(parts) for parts in zip(*(pairs or empty), strict=True))
@@ -111,7 +111,7 @@ def _prediction(height: int, analyses: dict[str, JetFigures]) -> Iterator[Item]:
     if not all(map(_usable, analyses.values())):
         yield claim(name, "five points are enough", None, False)
         return
-    found, true, many = (jet_scaling.five_points(figures) for figures in analyses.values())
+    estimated, true, many = (jet_scaling.five_points(figures) for figures in analyses.values())
     share = jet_scaling.explained_share(many, analyses["many"])
     yield claim(
         f"{name}, true bubbles of {FRAMES} frames",
@@ -120,24 +120,24 @@ def _prediction(height: int, analyses: dict[str, JetFigures]) -> Iterator[Item]:
         share >= _EXPLAINED,
         f"share of the mean square, {_EXPLAINED} asked for",
     )
-    own = [jet_scaling.explained_share(points, analyses["true"]) for points in (found, true)]
-    yield from jet_rows(name, None, *own)
+    shares = [jet_scaling.explained_share(points, analyses["true"]) for points in (estimated, true)]
+    yield from jet_rows(name, None, *shares)
 
 
 def _figures(every: Analyses) -> Iterator[Item]:
     """Draw found bubbles, and true ones of `FRAMES` frames, over the laws."""
-    usable = {key: one for key, one in every.items() if all(map(_usable, one.values()))}
+    usable = {key: kinds for key, kinds in every.items() if all(map(_usable, kinds.values()))}
     if _SHOWN in usable:
         yield _depth_and_radius(usable[_SHOWN]["found"])
     y = np.linspace(-0.7, 0.7, 29)
     gauss = _WEIGHT * np.exp(-(y**2) / (2.0 * _WIDTH**2)) + 1.0 - _WEIGHT
-    both = {height: one for height, one in usable.items() if height in _COLLAPSED}
+    both = {height: analyses for height, analyses in usable.items() if height in _COLLAPSED}
     lines = np.clip(1.0 + np.where(y < 0.0, RISE, FALL) * y, 0.0, 1.0)
     yield Figure(
         "fig-5-26",
         "total concentration",
         (
-            _over(usable, "Y, mm", "C_Y, mm", lambda one: (one.depth_mm, one.total)),
+            _over(usable, "Y, mm", "C_Y, mm", lambda jet: (jet.depth_mm, jet.total)),
             _over(usable, "Y*", "C_Y over its largest", _total, ("equation 5.18", y, gauss)),
         ),
         inch=(5.6, 4.2),
@@ -154,29 +154,29 @@ def _figures(every: Analyses) -> Iterator[Item]:
                 "C / C_max",
                 (
                     *(
-                        Cloud(_NAMES[kind], *jet_scaling.radial_points(one[kind]))
+                        Cloud(_NAMES[kind], *jet_scaling.radial_points(analyses[kind]))
                         for kind in _NAMES
                     ),
                     law,
                 ),
             )
-            for height, one in usable.items()
+            for height, analyses in usable.items()
         ),
     )
     yield Figure(
         "fig-5-30",
         "largest concentration over depth",
         (
-            _over(usable, "Y, mm", "C_max", lambda one: (one.depth_mm, one.largest)),
+            _over(usable, "Y, mm", "C_max", lambda jet: (jet.depth_mm, jet.largest)),
             _over(both, "Y*", "C*", jet_scaling.scaled_maximum, ("slopes 2.21, -2.87", y, lines)),
         ),
         inch=(5.6, 4.2),
     )
 
 
-def _total(one: JetFigures) -> tuple[F64, F64]:
-    scaled = (one.depth_mm - one.depth_mm[one.total.argmax()]) / one.penetration_mm
-    return scaled, one.total / one.total.max()
+def _total(jet: JetFigures) -> tuple[F64, F64]:
+    scaled = (jet.depth_mm - jet.depth_mm[jet.total.argmax()]) / jet.penetration_mm
+    return scaled, jet.total / jet.total.max()
 
 
 def _over(
@@ -187,8 +187,8 @@ def _over(
     law: tuple[str, F64, F64] | None = None,
 ) -> Panel:
     curves = [
-        Curve(f"{height} mm, {name}", *(list(part) for part in values(one[kind])))
-        for height, one in jets.items()
+        Curve(f"{height} mm, {name}", *(list(part) for part in values(analyses[kind])))
+        for height, analyses in jets.items()
         for kind, name in _NAMES.items()
     ]
     if law is not None:
@@ -196,11 +196,11 @@ def _over(
     return Panel("", x, y, tuple(curves))
 
 
-def _depth_and_radius(one: JetFigures) -> Figure:
+def _depth_and_radius(jet: JetFigures) -> Figure:
     """Draw figure 5-21: C over depth, and over radius in the bin above the drop."""
-    row = int(np.searchsorted(one.depth_mm, one.penetration_mm)) - 1
-    profile = one.concentration[row] / one.concentration[row].max()
-    edge = one.equivalent_mm / 2.0
+    row = int(np.searchsorted(jet.depth_mm, jet.penetration_mm)) - 1
+    profile = jet.concentration[row] / jet.concentration[row].max()
+    edge = jet.equivalent_mm / 2.0
     return Figure(
         "fig-5-21",
         f"concentration, h = {_SHOWN} mm",
@@ -210,16 +210,16 @@ def _depth_and_radius(one: JetFigures) -> Figure:
                 "Y, mm",
                 "C_Y over its largest",
                 (
-                    Curve("found", list(one.depth_mm), list(one.total / one.total.max())),
-                    Curve("Y_p", [one.penetration_mm] * 2, [0.0, 1.0]),
+                    Curve("found", list(jet.depth_mm), list(jet.total / jet.total.max())),
+                    Curve("Y_p", [jet.penetration_mm] * 2, [0.0, 1.0]),
                 ),
             ),
             Panel(
-                f"Y = {one.depth_mm[row]:.0f} mm",
+                f"Y = {jet.depth_mm[row]:.0f} mm",
                 "R, mm",
                 "C over its largest",
                 (
-                    Curve("found", list(one.radius_mm), list(profile)),
+                    Curve("found", list(jet.radius_mm), list(profile)),
                     Curve(f"{100.0 * EDGE:.0f} %: D_eq / 2", [edge] * 2, [0.0, 1.0]),
                 ),
             ),
@@ -235,12 +235,12 @@ def fig_5_22(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         every = jet.analyse()
         depths.append(every["many"].penetration_mm)
         for name, diameter in (("D_i", jet.printed.diameter_mm), ("D_N", NOZZLE_MM)):
-            own = [figures.penetration_mm / diameter for figures in every.values()]
-            points.setdefault(name, []).append((jet.height / diameter, own[0]))
+            ratios = [figures.penetration_mm / diameter for figures in every.values()]
+            points.setdefault(name, []).append((jet.height / diameter, ratios[0]))
             yield from jet_rows(
                 f"h / {name} = {jet.height / diameter:.2f}: Y_p / {name}",
                 jet.printed.penetration_mm / diameter,
-                *own,
+                *ratios,
             )
     finite = [depth for depth in depths if np.isfinite(depth)]
     yield claim(
@@ -250,7 +250,7 @@ def fig_5_22(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         len(finite) == len(depths) and all(np.diff(finite) < 0.0),
     )
     clouds = tuple(
-        Cloud(f"over {name}", *np.array(own, dtype=np.float64).T) for name, own in points.items()
+        Cloud(f"over {name}", *np.array(xy, dtype=np.float64).T) for name, xy in points.items()
     )
     panel = Panel("", "h / D", "Y_p / D", clouds, log="xy")
     yield Figure("fig-5-22", "penetration depth of found bubbles", (panel,))
@@ -266,35 +266,35 @@ def fig_5_28(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     tilted = override(scene, {"bubbles.inclination_deg": [_TILT_DEG, 0.0]}, scene.title)
     jet = detect_jet(_HEIGHT, coarsen(tilted, pixels), seeds)
     try:
-        found, true = (
+        estimated, true = (
             jet_scaling.find_tilt(_centers(every), jet.impact_mm) for every in (jet.found, jet.true)
         )
     except ValueError as error:  # too few bubbles in small images
         yield make_row("tilt towards X, degrees", _TILT_DEG, [], str(error))
         return
-    for axis, thesis, own, there in zip("XZ", (_TILT_DEG, None), found, true, strict=True):
-        note = f"the scene has {thesis or 0.0:g}; the axis of its true bubbles {there:.3f}"
-        yield make_row(f"tilt towards {axis}, degrees", thesis, [own], note)
-    turned = {"as found": (0.0, 0.0), "tilt removed": found}
+    for axis, thesis, tilt, true_tilt in zip("XZ", (_TILT_DEG, None), estimated, true, strict=True):
+        note = f"the scene has {thesis or 0.0:g}; the axis of its true bubbles {true_tilt:.3f}"
+        yield make_row(f"tilt towards {axis}, degrees", thesis, [tilt], note)
+    turned = {"as found": (0.0, 0.0), "tilt removed": estimated}
     figures = {name: _analyse(jet, jet.found, tilt) for name, tilt in turned.items()}
     true_figures = _analyse(jet, jet.true, (_TILT_DEG, 0.0))
-    for name, one in figures.items():
+    for name, analysis in figures.items():
         for key, what in (("equivalent_mm", "D_eq, mm"), ("penetration_mm", "Y_p, mm")):
             yield from jet_rows(
-                f"{name}: {what}", None, getattr(one, key), getattr(true_figures, key)
+                f"{name}: {what}", None, getattr(analysis, key), getattr(true_figures, key)
             )
     yield _figure(figures | {"true bubbles, true tilt": true_figures})
 
 
 def _centers(every: Sequence[AnyBubbles]) -> F64:
-    return np.concatenate([one.center_mm for one in every])
+    return np.concatenate([bubbles.center_mm for bubbles in every])
 
 
 def _analyse(jet: JetFrames, every: Sequence[AnyBubbles], tilt: tuple[float, float]) -> JetFigures:
     volume = jet.scene.volume
     return analyse(
         jet_scaling.straighten(_centers(every), jet.impact_mm, tilt),
-        np.concatenate([one.radius_mm for one in every]),
+        np.concatenate([bubbles.radius_mm for bubbles in every]),
         jet.impact_mm,
         volume.center_mm[1] + volume.size_mm[1] / 2.0 - jet.impact_mm[1],
         EDGE,
@@ -305,11 +305,11 @@ def _analyse(jet: JetFrames, every: Sequence[AnyBubbles], tilt: tuple[float, flo
 def _figure(figures: dict[str, JetFigures]) -> Figure:
     """Draw C over R at the depths above the penetration depth, before and after."""
     panels = []
-    for name, one in figures.items():
-        end = int(np.searchsorted(one.depth_mm, one.penetration_mm))
+    for name, analysis in figures.items():
+        end = int(np.searchsorted(analysis.depth_mm, analysis.penetration_mm))
         curves = [
-            Curve(f"Y = {one.depth_mm[row]:.0f} mm", list(one.radius_mm), list(part))
-            for row, part in enumerate(one.concentration)
+            Curve(f"Y = {analysis.depth_mm[row]:.0f} mm", list(analysis.radius_mm), list(part))
+            for row, part in enumerate(analysis.concentration)
             if max(end - _BINS, 0) <= row < end
         ]
         panels.append(Panel(name, "R, mm", "C", tuple(curves)))

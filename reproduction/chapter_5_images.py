@@ -94,7 +94,7 @@ class Stack:
         return int(np.clip(np.rint(self.voxels[bubble, 2]), 0, len(self.volume) - 1))
 
     def over_depth(self, bubble: int, potential: F32) -> F64:
-        """Return E (plane,) of that window on a bubble's outline in which it is largest."""
+        """Return E (plane,) of the window with the largest E on a bubble's outline."""
         rows, columns = self.rim(bubble)
         _, down, across = potential.shape
         i, j = np.minimum(rows // WINDOW, down - 1), np.minimum(columns // WINDOW, across - 1)
@@ -208,7 +208,7 @@ def _mean(values: Sequence[float | bool]) -> float:
 
 
 def _contrasts(stack: Stack) -> dict[str, float]:
-    """Measure the mean darkness of rims over the rms of that beside bubbles."""
+    """Measure the mean darkness of rims over the rms darkness next to bubbles."""
     out = {}
     for name, images in (("original", stack.before), ("attenuated", stack.after)):
         values = []
@@ -240,8 +240,9 @@ def _gradient(dark: F32, x: int, y: int, radius: float) -> float:
 
 
 def _typical(stack: Stack, which: I64) -> int:
-    """Select the bubble whose E at its plane is the median."""
-    levels = [stack.over_depth(int(one), stack.potential)[stack.plane(int(one))] for one in which]
+    """Select the bubble with the median E at its plane."""
+    bubbles = which.tolist()
+    levels = [stack.over_depth(n, stack.potential)[stack.plane(n)] for n in bubbles]
     return int(which[np.argsort(levels)[len(levels) // 2]])
 
 
@@ -257,9 +258,9 @@ def _depth_figure(stack: Stack, shown: dict[str, int]) -> Figure:
     for kind, bubble in shown.items():
         values = np.sort(stack.over_depth(bubble, stack.potential))
         shares.append(Curve(f"window of the {kind} one", list(values), rank))
-        there = stack.over_depth(bubble, stack.potential)[[stack.plane(bubble)]]
+        level = stack.over_depth(bubble, stack.potential)[[stack.plane(bubble)]]
         marks.append(
-            Cloud(f"{kind} bubble", there, np.searchsorted(values, there, "right") / len(z))
+            Cloud(f"{kind} bubble", level, np.searchsorted(values, level, "right") / len(z))
         )
     return Figure(
         "fig-5-7",
@@ -289,14 +290,14 @@ def _minimum_figure(stack: Stack) -> Figure:
     grid, number = stack.case.grid, len(stack.volume) // 2 // STACK
     dark = stack.after[number]
     depth = np.zeros_like(dark)
-    found = find_outlines(dark, depth, _EDGE, _SMALL_PX).shapes
+    outlines = find_outlines(dark, depth, _EDGE, _SMALL_PX).shapes
     circles = np.column_stack(
         [
-            found[:, :2] * grid.voxel_mm[:2] + np.asarray(grid.low_mm[:2]),
-            np.sqrt(found[:, 2] * found[:, 3]) * grid.voxel_mm[0],
+            outlines[:, :2] * grid.voxel_mm[:2] + np.asarray(grid.low_mm[:2]),
+            np.sqrt(outlines[:, 2] * outlines[:, 3]) * grid.voxel_mm[0],
         ]
     )
-    before, after = (1.0 - one[number].astype(np.float64) for one in (stack.before, stack.after))
+    before, after = (1.0 - dark[number].astype(np.float64) for dark in (stack.before, stack.after))
     return Figure(
         "fig-5-11",
         "minimum image of 50 planes",

@@ -53,7 +53,7 @@ def fig_5_15(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 
 def _radii(every: Sequence[AnyBubbles]) -> list[F64]:
-    return [one.radius_mm for one in every]
+    return [bubbles.radius_mm for bubbles in every]
 
 
 def _edges(jet: JetFrames) -> F64:
@@ -63,11 +63,11 @@ def _edges(jet: JetFrames) -> F64:
 
 def _scores(jet: JetFrames) -> Iterator[Item]:
     frames = [
-        size_scores(found, true)
-        for found, true in zip(_radii(jet.found), _radii(jet.true), strict=True)
+        size_scores(estimate, true)
+        for estimate, true in zip(_radii(jet.found), _radii(jet.true), strict=True)
     ]
     for key, name in _SCORES.items():
-        yield finite_row(f"h = {jet.height} mm: {name}", [one[key] for one in frames])
+        yield finite_row(f"h = {jet.height} mm: {name}", [score[key] for score in frames])
 
 
 def _ranges(jet: JetFrames) -> Iterator[Item]:
@@ -82,20 +82,21 @@ def _ranges(jet: JetFrames) -> Iterator[Item]:
     what, sizes = "radius", radii
     if jet.height == _ELLIPSES:
         what = "semi-axis"
-        sizes = [np.concatenate([one.semi_axes_mm.ravel() for one in frames]) for frames in every]
+        axes = [[bubbles.semi_axes_mm.ravel() for bubbles in frames] for frames in every]
+        sizes = [np.concatenate(part) for part in axes]
     least, most = jet.printed.axes_mm
     name = f"h = {jet.height} mm: "
-    yield from jet_rows(f"{name}smallest {what}, mm", least, *[one.min() for one in sizes])
-    yield from jet_rows(f"{name}largest {what}, mm", most, *[one.max() for one in sizes])
-    yield from jet_rows(f"{name}mean radius, mm", None, *[one.mean() for one in radii[:2]])
-    d32 = [sauter_mm(one) for one in radii[:2]]
+    yield from jet_rows(f"{name}smallest {what}, mm", least, *[size.min() for size in sizes])
+    yield from jet_rows(f"{name}largest {what}, mm", most, *[size.max() for size in sizes])
+    yield from jet_rows(f"{name}mean radius, mm", None, *[radius.mean() for radius in radii[:2]])
+    d32 = [sauter_mm(radius) for radius in radii[:2]]
     yield from jet_rows(f"{name}Sauter mean diameter, mm", None, *d32)
 
 
 def _small(jet: JetFrames) -> Item:
-    own, there = (np.concatenate(_radii(every)) for every in (jet.found, jet.true))
+    estimated, exact = (np.concatenate(_radii(every)) for every in (jet.found, jet.true))
     share, true = (
-        ratio(int(np.sum(2.0 * radii < _SMALL_MM)), len(radii)) for radii in (own, there)
+        ratio(int(np.sum(2.0 * radii < _SMALL_MM)), len(radii)) for radii in (estimated, exact)
     )
     return claim(
         f"h = {jet.height} mm: share of diameters below {_SMALL_MM} mm",
@@ -107,16 +108,16 @@ def _small(jet: JetFrames) -> Item:
 
 
 def _intervals(jet: JetFrames) -> Item:
-    """Count bins whose interval of found bubbles contains the true mean.
+    """Count bins with the true mean in the interval of the found bubbles.
 
     Both are of the same frames.
     """
     edges = _edges(jet)
-    found, true = (counts_per_frame(_radii(every), edges) for every in (jet.found, jet.true))
+    estimated, true = (counts_per_frame(_radii(every), edges) for every in (jet.found, jet.true))
     held = [
-        abs(own.mean - there.mean) <= (own.half_width or 0.0)
-        for own, there in zip(found, true, strict=True)
-        if own.mean or there.mean
+        abs(count.mean - truth.mean) <= (count.half_width or 0.0)
+        for count, truth in zip(estimated, true, strict=True)
+        if count.mean or truth.mean
     ]
     row = make_row(
         f"h = {jet.height} mm: share of bins of {_BIN_MM} mm with the true count in the interval",
@@ -162,15 +163,15 @@ def fig_5_24(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             # compare sizes above Y_p with those in the two bins below. Both sides of the true Y_p
             # of the scene count, as found and true bubbles share it
             middle = jet.printed.penetration_mm
-            found, true = (_shares(jet, every, middle) for every in (jet.found, jet.true))
+            estimated, true = (_shares(jet, every, middle) for every in (jet.found, jet.true))
             name = f"h = {jet.height} mm: share of diameters above {_CUTOFF_MM} mm, %, "
-            yield from jet_rows(f"{name}above Y_p", None, found[0], true[0])
-            yield from jet_rows(f"{name}in two bins below", None, found[1], true[1])
+            yield from jet_rows(f"{name}above Y_p", None, estimated[0], true[0])
+            yield from jet_rows(f"{name}in two bins below", None, estimated[1], true[1])
             yield claim(
                 f"h = {jet.height} mm: that share below over that above Y_p",
                 "a sharp drop of large bubbles",
-                found[1] / found[0] if found[0] else None,
-                found[1] < 0.1 * found[0],
+                estimated[1] / estimated[0] if estimated[0] else None,
+                estimated[1] < 0.1 * estimated[0],
                 "the thesis gives no number; here less than a tenth",
             )
             yield _figure(jet)
@@ -179,8 +180,8 @@ def fig_5_24(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 def _positions(jet: JetFrames, every: Sequence[AnyBubbles]) -> tuple[F64, F64]:
     """Return depths below the surface and diameters (n,) of all bubbles in mm."""
     return (
-        np.concatenate([one.center_mm[:, 1] for one in every]) - jet.impact_mm[1],
-        np.concatenate([2.0 * one.radius_mm for one in every]),
+        np.concatenate([bubbles.center_mm[:, 1] for bubbles in every]) - jet.impact_mm[1],
+        np.concatenate([2.0 * bubbles.radius_mm for bubbles in every]),
     )
 
 

@@ -54,10 +54,10 @@ def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Ite
     """
     for body, name in _SCENES.items():
         scene = common.coarsen(load_scene(name), pixels)
-        found: list[Figures] = []
+        draws: list[Figures] = []
         for seed in seeds:
             shots = tuple(simulate_sequence(scene, seed=seed, backend="mitsuba"))
-            found.append(_measure(scene, seed, shots))
+            draws.append(_measure(scene, seed, shots))
             common.report(f"{body}, seed {seed}: measured")
             if seed == seeds[0]:
                 # draw the middle camera's image, its brightest pixels cut
@@ -67,10 +67,10 @@ def flow_behind_bodies(seeds: Sequence[int], pixels: int | None) -> Iterator[Ite
                 yield Figure(
                     f"flow-behind-{body}", f"tracers around a {body}", panels, inch=(5.5, 4.4)
                 )
-        for cameras, solver, what in found[0]:
-            values = [one[cameras, solver, what] for one in found]
+        for cameras, solver, what in draws[0]:
+            values = [figures[cameras, solver, what] for figures in draws]
             yield common.finite_row(f"{body}, {cameras} cameras, {solver}: {what}", values)
-        yield _flow_figure(body, found)
+        yield _flow_figure(body, draws)
 
 
 def _measure(scene: Scene, seed: int, shots: tuple[Shot, ...]) -> Figures:
@@ -78,19 +78,19 @@ def _measure(scene: Scene, seed: int, shots: tuple[Shot, ...]) -> Figures:
     times = tuple(scene.time_s(frame) for frame in range(2))
     for count, chosen in _CAMERAS.items():
         cases = tuple(_only(shot.observation, chosen) for shot in shots)
-        seen = _Seen(cases, shots, times, tuple(_hidden(shot, chosen) for shot in shots))
-        out[count, "all", "hidden views, %"] = 100.0 * float(seen.hidden[0].mean())
+        recorded = _Seen(cases, shots, times, tuple(_hidden(shot, chosen) for shot in shots))
+        out[count, "all", "hidden views, %"] = 100.0 * float(recorded.hidden[0].mean())
         for solver in _SOLVERS:
             # find the particles of the first frame; recall and ghosts in percent
             hit, scored, ghosts = _match(
-                solver, seen.cases[0], seen.times_s[0], seen.shots[0].particles
+                solver, recorded.cases[0], recorded.times_s[0], recorded.shots[0].particles
             )
             figures = {"recall, %": _percent(hit[scored])}
-            for name, inside in _classes(seen.hidden[0]):
+            for name, inside in _classes(recorded.hidden[0]):
                 figures[f"recall, hidden from {name}, %"] = _percent(hit[scored & inside])
             for what, value in (figures | {"ghosts, %": ghosts}).items():
                 out[count, solver, what] = value
-        for what, value in _velocities(scene, seed, seen).items():
+        for what, value in _velocities(scene, seed, recorded).items():
             out[count, _FIELD, what] = value
     return out
 
@@ -102,8 +102,8 @@ def _only(case: Observation, chosen: tuple[int, ...]) -> Observation:
 
 def _hidden(shot: Shot, chosen: tuple[int, ...]) -> F64:
     """Compute the share (n,) of the cameras that do not see each particle lit."""
-    seen = [shot.views[number].visible & (shot.views[number].photons > 0.0) for number in chosen]
-    return np.asarray(1.0 - np.mean(seen, axis=0))
+    lit = [shot.views[number].visible & (shot.views[number].photons > 0.0) for number in chosen]
+    return np.asarray(1.0 - np.mean(lit, axis=0))
 
 
 def _classes(hidden: F64) -> Iterator[tuple[str, Bool]]:
@@ -123,8 +123,8 @@ def _match(
     """
     grid = case.grid
     sequence = ImageSequence(case.cameras, grid, (time_s,), lambda _: case)
-    found: FoundParticles = next(iter(common.run(solver, sequence)))
-    places, true = grid.to_voxels(found.position_mm), grid.to_voxels(particles.position_mm)
+    estimate: FoundParticles = next(iter(common.run(solver, sequence)))
+    places, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(particles.position_mm)
     i, j = challenge_pairs(places, true)
     hit, ghost = np.zeros(len(true), dtype=np.bool_), np.ones(len(places), dtype=np.bool_)
     hit[j], ghost[i] = True, False
@@ -137,13 +137,13 @@ def _percent(hit: Bool) -> float:
     return 100.0 * float(hit.mean()) if len(hit) else float("nan")
 
 
-def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
+def _velocities(scene: Scene, seed: int, recorded: _Seen) -> dict[str, float]:
     """Compute root mean square errors of displacements in voxels, in the fluid."""
     from scipy.spatial import cKDTree
 
-    grid = seen.cases[0].grid
-    start, end = seen.times_s
-    pair = common.reconstruct("msa", seen.cases, end - start)
+    grid = recorded.cases[0].grid
+    start, end = recorded.times_s
+    pair = common.reconstruct("msa", recorded.cases, end - start)
     field = common.run("piv3d", pair, **common.settings("piv3d", _WINDOW, _OVERLAP, grid))
     points = evaluation_lattice(grid).positions_mm.reshape(-1, 3)
     for body, _ in Phases(scene, seed).bodies(0):
@@ -151,8 +151,8 @@ def _velocities(scene: Scene, seed: int, seen: _Seen) -> dict[str, float]:
     velocity, measured = sample_velocity(field, points)
     exact = common.exact_displacements(scene, points, start, end, seed)
     error = np.linalg.norm((velocity * (end - start) - exact) / np.asarray(grid.voxel_mm), axis=1)
-    near = cKDTree(seen.shots[0].particles.position_mm).query(points, k=_NEAR)[1]
-    hidden = seen.hidden[0][near].mean(axis=1)
+    near = cKDTree(recorded.shots[0].particles.position_mm).query(points, k=_NEAR)[1]
+    hidden = recorded.hidden[0][near].mean(axis=1)
     figures = {"yield, %": _percent(measured), "rms, voxel": _rms(error[measured])}
     for name, inside in _classes(hidden):
         figures[f"rms, hidden from {name}, voxel"] = _rms(error[measured & inside])
@@ -163,22 +163,22 @@ def _rms(error: F64) -> float:
     return float(np.sqrt((error**2).mean())) if len(error) else float("nan")
 
 
-def _flow_figure(body: str, found: Sequence[Figures]) -> Figure:
+def _flow_figure(body: str, draws: Sequence[Figures]) -> Figure:
     """Draw recall and velocity error over hidden views and cameras."""
     labels = list(_HIDDEN)
     recall = [
-        _curve(solver, [(9, solver, f"recall, hidden from {name}, %") for name in labels], found)
+        _curve(solver, [(9, solver, f"recall, hidden from {name}, %") for name in labels], draws)
         for solver in _SOLVERS
     ]
     recalled = [
-        _curve(solver, [(count, solver, "recall, %") for count in _CAMERAS], found, list(_CAMERAS))
+        _curve(solver, [(count, solver, "recall, %") for count in _CAMERAS], draws, list(_CAMERAS))
         for solver in _SOLVERS
     ]
     errors = [
         _curve(
             f"{count} cameras",
             [(count, _FIELD, f"rms, hidden from {name}, voxel") for name in labels],
-            found,
+            draws,
         )
         for count in _CAMERAS
     ]
@@ -194,19 +194,19 @@ def _flow_figure(body: str, found: Sequence[Figures]) -> Figure:
 def _curve(
     label: str,
     keys: Sequence[tuple[int, str, str]],
-    found: Sequence[Figures],
+    draws: Sequence[Figures],
     x: Sequence[float] | None = None,
 ) -> Curve:
     means = [
-        mean_of([one[key] for one in found if np.isfinite(one.get(key, np.nan))]) for key in keys
+        mean_of([row[key] for row in draws if np.isfinite(row.get(key, np.nan))]) for key in keys
     ]
     places = x or list(range(len(keys)))
-    known = [(place, mean) for place, mean in zip(places, means, strict=True) if mean]
+    measured = [(place, mean) for place, mean in zip(places, means, strict=True) if mean]
     return Curve(
         label,
-        [place for place, _ in known],
-        [mean.mean for _, mean in known],
-        [mean.half_width or 0.0 for _, mean in known],
+        [place for place, _ in measured],
+        [mean.mean for _, mean in measured],
+        [mean.half_width or 0.0 for _, mean in measured],
     )
 
 
@@ -233,7 +233,7 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     of the body. The same solvers on the raw images show what separation gains.
     """
     scene = common.coarsen(load_scene("three-phases"), pixels)
-    found: list[dict[str, float]] = []
+    draws: list[dict[str, float]] = []
     for seed in seeds:
         shot = _record(scene, seed)
         visible = np.mean([sight.visible for sight in shot.sights], axis=0)
@@ -244,7 +244,7 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         # compare the body's pixels with those that show it: intersection over union
         body = separate_phases(shot.case, image_diameter_px(shot.case, _LARGEST_MM)).body
         true = np.stack([sight.number <= BODY for sight in shot.sights])
-        found.append(out | _tracers(shot) | {"body: intersection over union": overlap(body, true)})
+        draws.append(out | _tracers(shot) | {"body: intersection over union": overlap(body, true)})
         common.report(f"three phases, seed {seed}: measured")
         if seed == seeds[0]:
             # draw one view and its three parts
@@ -259,8 +259,8 @@ def three_phases(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             }
             panels = tuple(common.image_panel(name, image) for name, image in shown.items())
             yield Figure("three-phases", "three phases", panels, across=2, inch=(4.6, 3.6))
-    for what in found[0]:
-        yield common.finite_row(what, [one[what] for one in found])
+    for what in draws[0]:
+        yield common.finite_row(what, [figures[what] for figures in draws])
 
 
 def _record(scene: Scene, seed: int) -> _Shot:
@@ -271,8 +271,8 @@ def _record(scene: Scene, seed: int) -> _Shot:
     images = [view.particles for view in views if view.particles is not None]
     if frame.bubbles is None or frame.tracers is None:
         raise ValueError(f"{scene.title}: expected bubbles and tracers")
-    seen = np.mean([one.visible & (one.photons > 0.0) for one in images], axis=0)
-    return _Shot(case, frame.bubbles, frame.tracers.particles, seen > 0.5, sights)
+    share = np.mean([image.visible & (image.photons > 0.0) for image in images], axis=0)
+    return _Shot(case, frame.bubbles, frame.tracers.particles, share > 0.5, sights)
 
 
 def _tracers(shot: _Shot) -> dict[str, float]:

@@ -42,7 +42,7 @@ _WORST = "exact cameras moved by 1 px"
 
 def fig_6_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure widths and MTF50 of edges in single images and refocused planes."""
-    found: dict[str, list[EdgeSharpness]] = {}
+    edges: dict[str, list[EdgeSharpness]] = {}
     off: dict[str, list[float]] = {}
     for seed in progress_bar(seeds, "checkerboards"):
         given = _join(draw(_scene(pixels), seed), draw(_reference(pixels), seed))
@@ -60,20 +60,20 @@ def fig_6_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             for shift in _SHIFTS_PX
         }
         cameras = _calibrate(given, off) | {_EXACT: given.cameras, **moved}
-        planes = {name: _refocus(given, images, own) for name, own in cameras.items()}
+        planes = {name: _refocus(given, images, rig) for name, rig in cameras.items()}
         raw = [
             _measure(given, images[number].astype(np.float64), given.exact[number, -1])
             for number in range(len(images))
         ]
-        width, mtf50 = np.mean([[one.width_mm, one.mtf50] for one in raw], axis=0)
-        found.setdefault(_RAW, []).append(EdgeSharpness(float(width), float(mtf50)))
+        width, mtf50 = np.mean([[edge.width_mm, edge.mtf50] for edge in raw], axis=0)
+        edges.setdefault(_RAW, []).append(EdgeSharpness(float(width), float(mtf50)))
         for name, plane in planes.items():
             corners = _grid(given).to_voxels(given.points_mm[-1])[:, :2]
-            found.setdefault(name, []).append(_measure(given, plane, corners))
+            edges.setdefault(name, []).append(_measure(given, plane, corners))
         if seed == seeds[0]:
             shown = images[_MIDDLE], planes
-    for name, every in found.items():
-        yield from _sharpness_rows(name, every, found)
+    for name, every in edges.items():
+        yield from _sharpness_rows(name, every, edges)
     for name, errors in off.items():
         yield claim(
             f"{name}: true mean reprojection error of the worst camera, px",
@@ -82,8 +82,8 @@ def fig_6_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             max(errors) < _ACCURATE_PX,
             f"mean over seeds {np.mean(errors):.3g}; holds below {_ACCURATE_PX}",
         )
-    yield from _claims(found)
-    yield _figure(*shown, found)
+    yield from _claims(edges)
+    yield _figure(*shown, edges)
 
 
 def _scene(pixels: int | None, **changes: Any) -> Scene:
@@ -157,8 +157,8 @@ def _calibrate(given: Board, off: dict[str, list[float]]) -> dict[str, tuple[Cam
 
 def _to_reference(cameras: tuple[CameraModel, ...], given: Board) -> tuple[CameraModel, ...]:
     """Bring linear cameras to the reference plane by a similarity (4.4.3)."""
-    seen = triangulate(cameras, given.case.pixels[:, -1])
-    similarity = np.linalg.inv(fit_similarity(seen, given.points_mm[-1]))
+    points = triangulate(cameras, given.case.pixels[:, -1])
+    similarity = np.linalg.inv(fit_similarity(points, given.points_mm[-1]))
     return tuple(
         replace(camera, matrix=tuple(tuple(row) for row in (camera.matrix @ similarity).tolist()))
         if isinstance(camera, Projective)
@@ -194,19 +194,19 @@ def _measure(given: Board, values: F64, corners: F64) -> EdgeSharpness:
 
 
 def _sharpness_rows(
-    name: str, every: Sequence[EdgeSharpness], found: dict[str, list[EdgeSharpness]]
+    name: str, every: Sequence[EdgeSharpness], edges: dict[str, list[EdgeSharpness]]
 ) -> Iterator[Item]:
-    """Measure width and MTF50, beside those of single images."""
-    raw = np.mean([one.width_mm for one in found[_RAW]])
-    widths = [one.width_mm for one in every]
+    """Measure width and MTF50, relative to single images."""
+    raw = np.mean([edge.width_mm for edge in edges[_RAW]])
+    widths = [edge.width_mm for edge in every]
     note = f"{np.mean(widths) / raw:.3g} of single images"
     yield make_row(f"{name}: width of an edge, 10 to 90 %, mm", None, widths, note)
-    yield make_row(f"{name}: MTF50, cycles / mm", None, [one.mtf50 for one in every])
+    yield make_row(f"{name}: MTF50, cycles / mm", None, [edge.mtf50 for edge in every])
 
 
-def _claims(found: dict[str, list[EdgeSharpness]]) -> Iterator[Item]:
+def _claims(edges: dict[str, list[EdgeSharpness]]) -> Iterator[Item]:
     """Decide what section 6.2 says of the figure."""
-    width = {name: float(np.mean([one.width_mm for one in own])) for name, own in found.items()}
+    width = {name: float(np.mean([edge.width_mm for edge in runs])) for name, runs in edges.items()}
     for name in _SOLVERS:
         yield claim(
             f"{name}: width by calibrated over width by exact cameras",
@@ -216,7 +216,7 @@ def _claims(found: dict[str, list[EdgeSharpness]]) -> Iterator[Item]:
         )
 
 
-def _figure(image: F32, planes: dict[str, F64], found: dict[str, list[EdgeSharpness]]) -> Figure:
+def _figure(image: F32, planes: dict[str, F64], edges: dict[str, list[EdgeSharpness]]) -> Figure:
     """Draw image, refocused plane, and widths against the error of the cameras."""
     panels = [image_panel("(a) one image", image)]
     for title, name in (("(b) refocused, linear calibration", "linear"), ("1 px off", _WORST)):
@@ -226,7 +226,7 @@ def _figure(image: F32, planes: dict[str, F64], found: dict[str, list[EdgeSharpn
         panels.append(Panel(title, "px of an image", "", (Picture(part, (0.0, 0.0), ends),)))
     shifts = [0.0, *_SHIFTS_PX]
     names = [_EXACT, *(f"exact cameras moved by {shift:g} px" for shift in _SHIFTS_PX)]
-    width = {name: float(np.mean([one.width_mm for one in own])) for name, own in found.items()}
+    width = {name: float(np.mean([edge.width_mm for edge in runs])) for name, runs in edges.items()}
     level = (Curve(name, (0.0, shifts[-1]), (width[name],) * 2) for name in (_RAW, *_SOLVERS))
     curve = Curve("exact cameras moved", shifts, [width[name] for name in names])
     panels.append(Panel("", "error of the cameras, px", "width of an edge, mm", (curve, *level)))
@@ -294,7 +294,7 @@ def measure_sharpness(values: F64, corners: F64, pitch_mm: float) -> EdgeSharpne
 def _strips(values: F64, corners: F64, pitch_mm: float) -> list[F64]:
     """Collect distances (mm) and levels (2, k) of edges along the second axis."""
     rows, columns = len(corners), corners.shape[1] - 1
-    found = []
+    strips = []
     for row in range(rows):
         aside, sign = (row + 1, 1.0) if row + 1 < rows else (row - 1, -1.0)
         for column in range(columns):
@@ -304,8 +304,8 @@ def _strips(values: F64, corners: F64, pitch_mm: float) -> list[F64]:
             )
             strip = _strip(values, origin, axes)
             if strip is not None:
-                found.append(strip * np.array([[pitch_mm], [1.0]]))
-    return found
+                strips.append(strip * np.array([[pitch_mm], [1.0]]))
+    return strips
 
 
 def _strip(values: F64, origin: F64, axes: F64) -> F64 | None:

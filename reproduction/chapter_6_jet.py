@@ -35,7 +35,7 @@ def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     One camera's image and refocused planes at several depths are drawn.
     """
     scene = coarsen(load_scene("jet-in-crossflow"), pixels)
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS_OF_FRAMES}
+    scores: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS_OF_FRAMES}
     for seed in seeds:
         _, bubbles, case = render_first_frame(scene, seed)
         if seed == seeds[0]:
@@ -43,24 +43,24 @@ def fig_6_5(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             panels = [image_panel("one view", case.images[len(case.images) // 2])]
             for depth in _DEPTHS_MM:
                 plane = int(np.abs(z - depth).argmin())
-                seen = Picture(
+                picture = Picture(
                     1.0 - volume[plane].astype(np.float64),
                     (float(x[0]), float(y[0])),
                     (float(x[-1]), float(y[-1])),
                 )
-                panels.append(Panel(f"Z = {z[plane]:.1f} mm", "X, mm", "Y, mm", (seen,)))
+                panels.append(Panel(f"Z = {z[plane]:.1f} mm", "X, mm", "Y, mm", (picture,)))
             yield Figure(
                 "fig-6-5", "a liquid jet in a cross-flow", tuple(panels), across=2, inch=(5.0, 4.4)
             )
         for name in _SOLVERS_OF_FRAMES:
-            found[name].append(detection_scores(run(name, case), bubbles, np.ones(len(bubbles))))
-    for name, every in found.items():
+            scores[name].append(detection_scores(run(name, case), bubbles, np.ones(len(bubbles))))
+    for name, every in scores.items():
         for key, what in {
             "f1_large": "F1 of drops of 0.5 mm radius and more",
             "f1": "F1 of all drops",
             "depth_mm": "depth error, mm",
         }.items():
-            yield make_row(f"{name}: {what}", None, [one[key] for one in every])
+            yield make_row(f"{name}: {what}", None, [score[key] for score in every])
 
 
 _LEAST = 0.3  # step of the transmission, mean over the cameras: chosen on seed 1
@@ -87,18 +87,18 @@ def fig_6_6(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     scores: dict[str, list[dict[str, float | None]]] = {"column and ligaments": [], "drops": []}
     for seed in seeds:
         frame, bubbles, case = render_first_frame(scene, seed)
-        found = find_visible(case)
+        edges = find_visible(case)
         column, drops = visible_edges(frame, bubbles)
         if seed == seeds[0]:
-            yield _edges_figure(case.grid, found, np.concatenate([column, drops]))
-        every = edge_scores(found, np.concatenate([column, drops]))
+            yield _edges_figure(case.grid, edges, np.concatenate([column, drops]))
+        every = edge_scores(edges, np.concatenate([column, drops]))
         for name, truth in zip(scores, (column, drops), strict=True):
-            scores[name].append(edge_scores(found, truth) | {"precision": every["precision"]})
+            scores[name].append(edge_scores(edges, truth) | {"precision": every["precision"]})
     for name, several in scores.items():
         for key, what in _WHAT.items():
             if key == "precision" and name == "drops":
                 continue
-            values = [value for one in several if (value := one[key]) is not None]
+            values = [value for score in several if (value := score[key]) is not None]
             yield make_row(what if key == "precision" else f"{name}: {what}", None, values)
 
 
@@ -134,11 +134,11 @@ def _shapes(bubbles: Bubbles) -> Iterator[tuple[F64, F64]]:
     yield from zip(np.linalg.inv(bubbles.to_ball), bubbles.center_mm, strict=True)
 
 
-def _edges_figure(grid: Grid, found: F64, truth: F64) -> Figure:
+def _edges_figure(grid: Grid, edges: F64, truth: F64) -> Figure:
     """Draw found and true edges, coloured by their depths."""
     panels = [
         Panel(name, "X, mm", "Y, mm", (_depth_map(grid, points),))
-        for name, points in (("found in refocused planes", found), ("visible rim", truth))
+        for name, points in (("found in refocused planes", edges), ("visible rim", truth))
     ]
     return Figure("fig-6-6", "edges of a liquid jet and their depths", tuple(panels), inch=(7, 6))
 
@@ -187,11 +187,12 @@ def drops_over_time(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     counts: dict[str, list[Counted]] = {name: [] for name in (_TRUTH, *_SOLVERS_OVER_TIME)}
     scores: dict[str, list[dict[str, float]]] = {name: [] for name in _SOLVERS_OVER_TIME}
     for seed in seeds:
-        truth, found = _detect(scene, seed)
-        counts[_TRUTH].append(count_drops([one.id for one in truth], truth))
+        truth, detected = _detect(scene, seed)
+        counts[_TRUTH].append(count_drops([drops.id for drops in truth], truth))
         times = [scene.time_s(frame) for frame in range(scene.frames)]
-        for name, every in found.items():
-            centers, radii = [one.center_mm for one in every], [one.radius_mm for one in every]
+        for name, every in detected.items():
+            centers = [drops.center_mm for drops in every]
+            radii = [drops.radius_mm for drops in every]
             numbers = link(centers, radii, times)
             counts[name].append(count_drops(numbers, every))
             scores[name].append(
@@ -206,12 +207,12 @@ def drops_over_time(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
 
 def _detect(scene: Scene, seed: int) -> tuple[list[Bubbles], dict[str, list[AnyBubbles]]]:
     """Render all frames and detect their drops by every solver."""
-    truth, found = list[Bubbles](), {name: list[AnyBubbles]() for name in _SOLVERS_OVER_TIME}
+    truth, detected = list[Bubbles](), {name: list[AnyBubbles]() for name in _SOLVERS_OVER_TIME}
     for _, bubbles, case in render_frames(scene, seed):
         truth.append(bubbles)
-        for name, every in found.items():
+        for name, every in detected.items():
             every.append(run(name, case))
-    return truth, found
+    return truth, detected
 
 
 def count_drops(trajectory: Sequence[I64], drops: Sequence[AnyBubbles]) -> Counted:
@@ -220,10 +221,10 @@ def count_drops(trajectory: Sequence[I64], drops: Sequence[AnyBubbles]) -> Count
     Small ones are as wide as a few pixels. A trajectory passes with those of its detections that
     are large.
     """
-    kept = [one.radius_mm >= LARGE_MM for one in drops]
-    radii = [one.radius_mm[large] for one, large in zip(drops, kept, strict=True)]
-    along = [one.center_mm[large, 0] for one, large in zip(drops, kept, strict=True)]
-    numbers = [number[large] for number, large in zip(trajectory, kept, strict=True)]
+    masks = [bubbles.radius_mm >= LARGE_MM for bubbles in drops]
+    radii = [bubbles.radius_mm[large] for bubbles, large in zip(drops, masks, strict=True)]
+    along = [bubbles.center_mm[large, 0] for bubbles, large in zip(drops, masks, strict=True)]
+    numbers = [number[large] for number, large in zip(trajectory, masks, strict=True)]
     with np.errstate(invalid="ignore"):
         sauter = [2.0 * np.divide((r**3).sum(), (r**2).sum()) for r in radii]
     mean = [2.0 * float(r.mean()) if len(r) else np.nan for r in radii]
@@ -236,17 +237,17 @@ def count_drops(trajectory: Sequence[I64], drops: Sequence[AnyBubbles]) -> Count
     )
 
 
-def _recall(found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> dict[str, float]:
+def _recall(detected: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> dict[str, float]:
     """Compute recall and ghosts of large drops in percent, over all frames."""
-    hits, there, ghosts = 0, 0, 0
-    for one, true in zip(found, truth, strict=True):
-        i, j = match(one.center_mm, true.center_mm, true.radius_mm)
+    hits, total, ghosts = 0, 0, 0
+    for bubbles, true in zip(detected, truth, strict=True):
+        i, j = match(bubbles.center_mm, true.center_mm, true.radius_mm)
         hits += int((true.radius_mm[j] >= LARGE_MM).sum())
-        there += int((true.radius_mm >= LARGE_MM).sum())
-        ghost = np.setdiff1d(np.arange(len(one.center_mm)), i)
-        ghosts += int((one.radius_mm[ghost] >= LARGE_MM).sum())
+        total += int((true.radius_mm >= LARGE_MM).sum())
+        ghost = np.setdiff1d(np.arange(len(bubbles.center_mm)), i)
+        ghosts += int((bubbles.radius_mm[ghost] >= LARGE_MM).sum())
     return {
-        "recall_percent": 100.0 * hits / max(there, 1),
+        "recall_percent": 100.0 * hits / max(total, 1),
         "ghost_percent": 100.0 * ghosts / max(hits, 1),
     }
 
@@ -254,23 +255,23 @@ def _recall(found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> dict[st
 def _rows(
     name: str,
     truth: Sequence[Counted],
-    found: Sequence[Counted],
+    detected: Sequence[Counted],
     scores: Sequence[dict[str, float]],
 ) -> Iterator[Item]:
-    pairs = list(zip(found, truth, strict=True))
+    pairs = list(zip(detected, truth, strict=True))
     figures = {
-        "drops, found over true": [one.number.mean() / true.number.mean() for one, true in pairs],
+        "drops, found over true": [got.number.mean() / true.number.mean() for got, true in pairs],
         "mean diameter, found over true": [
-            np.nanmean(one.mean_mm) / np.nanmean(true.mean_mm) for one, true in pairs
+            np.nanmean(got.mean_mm) / np.nanmean(true.mean_mm) for got, true in pairs
         ],
         "Sauter diameter, found over true": [
-            np.nanmean(one.sauter_mm) / np.nanmean(true.sauter_mm) for one, true in pairs
+            np.nanmean(got.sauter_mm) / np.nanmean(true.sauter_mm) for got, true in pairs
         ],
         "passages, counted over true": [
-            one.passed[-1] / max(true.passed[-1], 1.0) for one, true in pairs
+            got.passed[-1] / max(true.passed[-1], 1.0) for got, true in pairs
         ],
     } | {
-        what: [one[key] for one in scores]
+        what: [score[key] for score in scores]
         for key, what in {
             "recall_percent": "recall, %",
             "ghost_percent": "ghosts, %",
@@ -300,14 +301,14 @@ def _drops_figure(scene: Scene, counts: dict[str, list[Counted]]) -> Figure:
 
 
 def _curve(name: str, times: list[float], kind: str, counts: dict[str, list[Counted]]) -> Curve:
-    series = np.array([getattr(one, kind) for one in counts[name]])
+    series = np.array([getattr(counted, kind) for counted in counts[name]])
     means = [mean_of(values[np.isfinite(values)].tolist()) for values in series.T]
-    known = [(time, mean) for time, mean in zip(times, means, strict=True) if mean]
+    measured = [(time, mean) for time, mean in zip(times, means, strict=True) if mean]
     return Curve(
         name,
-        [time for time, _ in known],
-        [mean.mean for _, mean in known],
-        [mean.half_width or 0.0 for _, mean in known],
+        [time for time, _ in measured],
+        [mean.mean for _, mean in measured],
+        [mean.half_width or 0.0 for _, mean in measured],
     )
 
 

@@ -30,7 +30,7 @@ _METHODS = ("additive", "multiplicative", "dark", "mart")
 def fig_1_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure cells read, contrast and separation, per method and in single views."""
     scene = coarsen(load_scene("see-through"), pixels)
-    found: dict[str, list[dict[str, float]]] = {}
+    readings: dict[str, list[dict[str, float]]] = {}
     panels: list[Panel] = []
     for seed in seeds:
         frame, _, case = render_first_frame(scene, seed)
@@ -39,15 +39,15 @@ def fig_1_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
             reading(cells, code.dark)
             for cells in single_views(case.images, frame.rig.cameras, code.points_mm)
         ]
-        found.setdefault("single views, mean", []).append(
-            {key: float(np.nanmean([one[key] for one in single])) for key in single[0]}
+        readings.setdefault("single views, mean", []).append(
+            {key: float(np.nanmean([view[key] for view in single])) for key in single[0]}
         )
-        found.setdefault("best single view", []).append(
-            max(single, key=lambda one: one["read_percent"])
+        readings.setdefault("best single view", []).append(
+            max(single, key=lambda view: view["read_percent"])
         )
         for method in _METHODS:
             volume = run("see_through", case, method=method).volume
-            found.setdefault(method, []).append(
+            readings.setdefault(method, []).append(
                 reading(read_volume(case.grid, volume, code.points_mm), code.dark)
             )
             if seed == seeds[0]:
@@ -55,17 +55,17 @@ def fig_1_3(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
         if seed == seeds[0]:
             panels = [*_views(scene, seed, case, code), *panels]
     yield Figure("fig-1-3", "a code behind bubbles", tuple(panels), across=3)
-    for name, every in found.items():
+    for name, every in readings.items():
         yield make_row(
             f"{name}: cells read, %",
             None,
-            [one["read_percent"] for one in every],
+            [read["read_percent"] for read in every],
             "guessing gives 50",
         )
-        yield make_row(f"{name}: d'", None, [one["separation"] for one in every])
-        yield make_row(f"{name}: contrast", None, [one["contrast"] for one in every])
+        yield make_row(f"{name}: d'", None, [read["separation"] for read in every])
+        yield make_row(f"{name}: contrast", None, [read["contrast"] for read in every])
     best, blind = (
-        np.array([one["read_percent"] for one in found[name]])
+        np.array([read["read_percent"] for read in readings[name]])
         for name in ("additive", "best single view")
     )
     yield claim(
@@ -98,33 +98,33 @@ Readings = dict[str, list[dict[str, float]]]
 def section_2_2_2(seeds: Sequence[int], pixels: int | None) -> Iterator[Item]:
     """Measure cells read and separation on the cylinder and in the best plane."""
     scene = coarsen(load_scene("curved-wall"), pixels)
-    found: Readings = {}
+    readings: Readings = {}
     for seed in seeds:
         case, code = render_first_frame(scene, seed)[2], code_of(scene, seed, 0)
         single = [
             reading(cells, code.dark)
             for cells in single_views(case.images, case.cameras, code.points_mm)
         ]
-        best = max(single, key=lambda one: one["read_percent"])
-        found.setdefault("best single view", []).append(best)
+        best = max(single, key=lambda view: view["read_percent"])
+        readings.setdefault("best single view", []).append(best)
         panels = [image_panel("(a) one view", case.images[len(case.images) // 2], y="")]
         for join in _JOINS:
-            panels += _measure(scene, seed, case, join, found)
+            panels += _measure(scene, seed, case, join, readings)
         if seed == seeds[0]:
             yield Figure(
                 "section-2-2-2", "a code on a cylinder behind bubbles", tuple(panels), across=3
             )
-    yield from _table(found)
+    yield from _table(readings)
 
 
-def _table(found: Readings) -> Iterator[Item]:
-    for name, every in found.items():
-        reads = [one["read_percent"] for one in every]
+def _table(readings: Readings) -> Iterator[Item]:
+    for name, every in readings.items():
+        reads = [read["read_percent"] for read in every]
         yield make_row(f"{name}: cells read, %", None, reads, "guessing gives 50")
-        yield make_row(f"{name}: d'", None, [one["separation"] for one in every])
+        yield make_row(f"{name}: d'", None, [read["separation"] for read in every])
     for join in _JOINS:
         curved, flat = (
-            np.array([one["separation"] for one in found[f"{join}, {where}"]])
+            np.array([read["separation"] for read in readings[f"{join}, {where}"]])
             for where in ("cylinder", "best plane")
         )
         yield claim(
@@ -137,9 +137,9 @@ def _table(found: Readings) -> Iterator[Item]:
 
 
 def _measure(
-    scene: Scene, seed: int, case: Observation, join: Join, found: Readings
+    scene: Scene, seed: int, case: Observation, join: Join, readings: Readings
 ) -> list[Panel]:
-    """Read the code on the cylinder, and in the plane in which it is read best."""
+    """Read the code on the cylinder, and in the plane with the best reading."""
     code, flat = code_of(scene, seed, 0), _flat_code(scene, seed)
     plate = scene.world.solids[0]
     reach = 2.0 * np.abs(flat.points_mm).max(axis=(0, 1)) + _MARGIN_MM
@@ -150,10 +150,10 @@ def _measure(
         radius_mm=plate["bend_radius_mm"],
     )
     image = refocus_frame(case, curved, join)[0].values
-    found.setdefault(f"{join}, cylinder", []).append(_read(curved, image, flat.points_mm, code))
+    readings.setdefault(f"{join}, cylinder", []).append(_read(curved, image, flat.points_mm, code))
     planes = [_read_plane(case, join, code, z) for z in _depths(code)]
-    best, shown = max(planes, key=lambda one: one[0]["separation"])
-    found.setdefault(f"{join}, best plane", []).append(best)
+    best, shown = max(planes, key=lambda plane: plane[0]["separation"])
+    readings.setdefault(f"{join}, best plane", []).append(best)
     return [
         image_panel(f"{join}: {name}", values, y="")
         for name, values in (("cylinder", image), ("best plane", shown))
@@ -178,13 +178,13 @@ def _read_plane(
 ) -> tuple[dict[str, float], F32]:
     """Read the code in a plane of constant Z, where the middle camera sees its cells."""
     eye = case.cameras[len(case.cameras) // 2]
-    seen = eye.carry(code.points_mm.reshape(-1, 3), z_mm)
-    reach = 2.0 * np.abs(seen).max(axis=0) + _MARGIN_MM
+    cells = eye.carry(code.points_mm.reshape(-1, 3), z_mm)
+    reach = 2.0 * np.abs(cells).max(axis=0) + _MARGIN_MM
     plane = Plane(
         center_mm=(0.0, 0.0, z_mm), size_mm=(float(reach[0]), float(reach[1])), pixel_mm=_PIXEL_MM
     )
     image = refocus_frame(case, plane, join)[0].values
-    points = np.column_stack([seen, np.zeros(len(seen))]).reshape(code.points_mm.shape)
+    points = np.column_stack([cells, np.zeros(len(cells))]).reshape(code.points_mm.shape)
     return _read(plane, image, points, code), image
 
 

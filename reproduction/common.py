@@ -48,7 +48,7 @@ def make_row(
 
 
 def verdict(measured: float, thesis: float | None, better: Better = "neither") -> str:
-    """Judge whether a value is the thesis's to within `AGREES`, else better or worse.
+    """Compare a value with the thesis's: equal to within `AGREES`, better or worse.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def verdict(measured: float, thesis: float | None, better: Better = "neither") -
 
 
 def at_least(name: str, thesis: float, values: Sequence[float], note: str = "") -> Row:
-    """Make a row of a value for which the thesis gives a lower bound."""
+    """Make a row of a value with a lower bound in the thesis."""
     row = make_row(name, thesis, values, note)
     reached = row.measured is not None and row.measured >= thesis
     return replace(row, verdict="reproduced" if reached else "below")
@@ -103,18 +103,18 @@ def coarsen(scene: Scene, pixels: int | None) -> Scene:
     if "count" in given:
         values["particles.count"] = round(given["count"] / factor**2)
     if scene.cameras.each:
-        values["cameras.each"] = [_coarsen_camera(one, factor) for one in scene.cameras.each]
+        values["cameras.each"] = [_coarsen_camera(camera, factor) for camera in scene.cameras.each]
     return override(scene, values, scene.title)
 
 
-def _coarsen_camera(one: CameraSpec, factor: float) -> dict[str, Any]:
+def _coarsen_camera(camera: CameraSpec, factor: float) -> dict[str, Any]:
     """Make a camera's own table for larger pixels."""
-    own: dict[str, Any] = one.model_dump(exclude_none=True)
-    if one.pixel_mm is not None:
-        own["pixel_mm"] = one.pixel_mm * factor
-    if one.principal_point_px is not None:
-        own["principal_point_px"] = [(x + 0.5) / factor - 0.5 for x in one.principal_point_px]
-    return own
+    table: dict[str, Any] = camera.model_dump(exclude_none=True)
+    if camera.pixel_mm is not None:
+        table["pixel_mm"] = camera.pixel_mm * factor
+    if camera.principal_point_px is not None:
+        table["principal_point_px"] = [(x + 0.5) / factor - 0.5 for x in camera.principal_point_px]
+    return table
 
 
 def density(scene: Scene) -> float:
@@ -156,8 +156,8 @@ def run(solver: str, problem: Any, **parameters: Any) -> Any:
 
 def reconstruct(solver: str, observations: Sequence[Observation], interval_s: float) -> VolumePair:
     """Reconstruct the volumes of two frames."""
-    one, other = (make_solver(solver, {}).solve(case).volume for case in observations)
-    return VolumePair(one, other, observations[0].grid, interval_s)
+    first, other = (make_solver(solver, {}).solve(case).volume for case in observations)
+    return VolumePair(first, other, observations[0].grid, interval_s)
 
 
 def exact_displacements(
@@ -195,7 +195,7 @@ def settings(
     A coarse copy of an array has fewer voxels: windows are then as large as fit, in whole steps.
     """
     fitting = tuple(
-        min(own, 4 * (there // 4)) for own, there in zip(window, grid.shape[::-1], strict=True)
+        min(edge, 4 * (most // 4)) for edge, most in zip(window, grid.shape[::-1], strict=True)
     )
     same = {"window": fitting, "overlap": overlap}
-    return same | ({"first_window": tuple(2 * own for own in fitting)} if solver == "piv3d" else {})
+    return same | ({"first_window": tuple(2 * n for n in fitting)} if solver == "piv3d" else {})

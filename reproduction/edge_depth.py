@@ -97,14 +97,14 @@ def count_views(
 
     Light passes `step_mm` outside of it and none as far inside.
     """
-    seen = np.zeros(len(rim.position_mm))
+    views = np.zeros(len(rim.position_mm))
     for camera, mask in zip(cameras, silhouettes, strict=True):
         covered = [
             _look_up(camera, mask, rim.position_mm + sign * step_mm * rim.normal)
             for sign in (1.0, -1.0)
         ]
-        seen += (covered[0] == 0) & (covered[1] == 1)
-    return seen / len(cameras)
+        views += (covered[0] == 0) & (covered[1] == 1)
+    return views / len(cameras)
 
 
 def _look_up(camera: CameraModel, mask: Bool, points_mm: F64) -> F64:
@@ -136,10 +136,10 @@ def edge_scores(found_mm: F64, truth_mm: F64) -> dict[str, float | None]:
     apart, nearest = cKDTree(found_mm[:, :2]).query(truth_mm[:, :2])
     located = apart <= LATERAL_MM
     errors = (found_mm[nearest] - truth_mm)[:, 2]
-    own = errors[located]
+    off = errors[located]
     scaled = np.array([1.0 / LATERAL_MM, 1.0 / LATERAL_MM, 1.0 / NEAR_MM])
     back, _ = cKDTree(truth_mm * scaled).query(found_mm * scaled, p=np.inf)
-    median, bias = (np.median(np.abs(own)), np.median(own)) if len(own) else (np.nan, np.nan)
+    median, bias = (np.median(np.abs(off)), np.median(off)) if len(off) else (np.nan, np.nan)
     return {
         "located": float(located.mean()),
         "median_mm": finite_or_none(median),

@@ -110,7 +110,7 @@ def slopes(jets: Sequence[JetFigures]) -> tuple[float, float]:
 
 
 def _through_one(parts: list[tuple[F64, F64]]) -> float:
-    y, c = (np.concatenate(one) for one in zip(*parts, strict=True))
+    y, c = (np.concatenate(column) for column in zip(*parts, strict=True))
     return float(np.sum(y * (c - 1.0)) / np.sum(y**2)) if len(y) else float("nan")
 
 
@@ -157,8 +157,8 @@ def explained_share(points: FivePoints, jet: JetFigures) -> float:
 
     One is a perfect prediction.
     """
-    there = points.concentration(jet.depth_mm[:, None], jet.radius_mm[None])
-    return 1.0 - float(np.mean((there - jet.concentration) ** 2) / np.mean(jet.concentration**2))
+    model = points.concentration(jet.depth_mm[:, None], jet.radius_mm[None])
+    return 1.0 - float(np.mean((model - jet.concentration) ** 2) / np.mean(jet.concentration**2))
 
 
 _SWEEPS = 3

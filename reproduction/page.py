@@ -22,35 +22,35 @@ def add_results(app: Any, name: str, source: list[str]) -> None:
 def render() -> str:
     """Write verdicts and findings as Markdown."""
     findings = tomllib.loads(_FINDINGS.read_text(encoding="utf-8"))["section"]
-    return "\n".join([*_verdicts(), *(line for one in findings for line in _section(one))])
+    return "\n".join([*_verdicts(), *(line for section in findings for line in _section(section))])
 
 
 def _verdicts() -> Iterator[str]:
     yield "\n## Measurements\n"
     yield _table(
         ("command", "contents", "seeds"),
-        [(f"`{name}`", one.title, str(one.seeds)) for name, one in MEASUREMENTS.items()],
+        [(f"`{name}`", entry.title, str(entry.seeds)) for name, entry in MEASUREMENTS.items()],
     )
     yield "\n## Recorded verdicts\n"
     entries = judged(read_rows(MEASURED))
     keys = ("name", "shows", "verdict", "item")
     yield _table(
         ("name", "contents", "verdict", "measured by"),
-        [[one[key] for key in keys] for one in entries],
+        [[entry[key] for key in keys] for entry in entries],
     )
 
 
-def _section(one: Mapping[str, Any]) -> Iterator[str]:
+def _section(section: Mapping[str, Any]) -> Iterator[str]:
     """Write a section: a chapter's, or that of a command with its values."""
-    command = one.get("command")
-    yield f"\n### {one['title']}: `{command}`\n" if command else f"\n## {one['title']}\n"
-    for table in one.get("table", ()):
+    command = section.get("command")
+    yield f"\n### {section['title']}: `{command}`\n" if command else f"\n## {section['title']}\n"
+    for table in section.get("table", ()):
         yield table.get("caption", "")
         yield _table(table["columns"], table["rows"]) + "\n"
-    yield one.get("text", "")
-    for image, caption in one.get("images", ()):
-        own = (_OWN_IMAGES / f"{image}.png").is_file()
-        folder = "../../reproduction/images" if own else "../images"
+    yield section.get("text", "")
+    for image, caption in section.get("images", ()):
+        local = (_OWN_IMAGES / f"{image}.png").is_file()
+        folder = "../../reproduction/images" if local else "../images"
         yield f"![{caption}]({folder}/{image}.png)"
 
 

@@ -7,7 +7,7 @@ first mapping. Voxels are pixels of the middle plane along x and y and numbers o
 
 **Additive** refocusing is equation 3.3 with exact projections onto the scene's grid.
 
-The threshold with the best Q needs the truth: it judges thresholds, and no solver can use it.
+The threshold with the best Q needs the truth: it scores thresholds, and no solver can use it.
 """
 
 from __future__ import annotations
@@ -106,10 +106,10 @@ class Refocused:
         This is the thesis's procedure. The volume is left thresholded.
         """
         quality, grid = self.quality(), self.case.grid
-        found = detect(extract(self.volume, quality.best_k, "reduced"))
+        peaks = detect(extract(self.volume, quality.best_k, "reduced"))
         return Judged(
             quality,
-            count_thesis(found, self.truths, grid.in_scored(found), grid.in_scored(self.truths)),
+            count_thesis(peaks, self.truths, grid.in_scored(peaks), grid.in_scored(self.truths)),
         )
 
 
@@ -123,10 +123,10 @@ def additive(shot: Shot) -> Refocused:
 
     Every voxel of the scene's grid is the mean of all cameras.
     """
-    seen = shot.observation
-    volume = refocus_sum(seen.normalised_images(), seen.cameras, seen.grid)
-    volume /= np.float32(len(seen.cameras))
-    return Refocused.from_shot(shot, seen.grid, shot.particles, volume)
+    case = shot.observation
+    volume = refocus_sum(case.normalised_images(), case.cameras, case.grid)
+    volume /= np.float32(len(case.cameras))
+    return Refocused.from_shot(shot, case.grid, shot.particles, volume)
 
 
 METHODS: Mapping[str, Callable[[Shot], Refocused]] = {
@@ -135,16 +135,16 @@ METHODS: Mapping[str, Callable[[Shot], Refocused]] = {
 }
 
 
-_seen: dict[tuple[str, int], Mapping[str, Judged]] = {}
+_judged: dict[tuple[str, int], Mapping[str, Judged]] = {}
 
 
 def judge_methods(scene: Scene, seed: int) -> Mapping[str, Judged]:
     """Refocus one frame by each method; cached, because several tables use it."""
     key = scene.hash, seed
-    if key not in _seen:
+    if key not in _judged:
         shot = simulate_frame(scene, seed)
-        _seen[key] = {name: method(shot).judge() for name, method in METHODS.items()}
-    return _seen[key]
+        _judged[key] = {name: method(shot).judge() for name, method in METHODS.items()}
+    return _judged[key]
 
 
 def measure_quality(scene: Scene, seed: int) -> dict[str, Quality]:
@@ -178,13 +178,13 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
 
     Particles are in the space of these voxels.
 
-    Equations 2.1 to 2.3. Cameras whose shifts are no whole numbers, as in unevenly spaced arrays,
-    are interpolated bilinearly, as the thesis says. Mapped images are as large as the images, so
-    that a shifted one adds zeros to one side of a plane (section 2.2.4): what a tilted camera sees
-    beyond is lost.
+    Equations 2.1 to 2.3. Cameras with fractional shifts, as in unevenly spaced arrays, are
+    interpolated bilinearly, as in the thesis. Mapped images are as large as the images, so that a
+    shifted one adds zeros to one side of a plane (section 2.2.4): what a tilted camera sees beyond
+    is lost.
     """
-    seen, cameras = shot.observation, shot.observation.cameras
-    grid, (center, neighbour) = seen.grid, _two_innermost(cameras)
+    case, cameras = shot.observation, shot.observation.cameras
+    grid, (center, neighbour) = case.grid, _two_innermost(cameras)
     depths, shift = _shift_of_depth(center, neighbour, grid)
     numbers = np.arange(np.ceil(shift.min()), np.floor(shift.max()) + 1)
     planes = np.column_stack([np.zeros((len(numbers), 2)), np.interp(numbers, shift, depths)])
@@ -193,7 +193,7 @@ def published_volume(shot: Shot) -> tuple[Grid, Particles, F32]:
     slab = _as_large_as_images(make_slab(cameras, grid, 0, grid.shape[0]), center, grid)
     mapped = np.empty((len(cameras), *slab.shape), dtype=np.float32)
     resample(
-        coefficients_of(seen.normalised_images(), LINEAR),
+        coefficients_of(case.normalised_images(), LINEAR),
         LINEAR,
         *rectifying_maps(slab, cameras, grid),
         0.0,

@@ -1,4 +1,4 @@
-"""Rows written to a file, and a page of them with curves beside the values."""
+"""Rows written to a file, and a page of them with curves next to the values."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -36,7 +36,7 @@ def measure(
     folder : folder of plots and of a page of all values.
     """
     chosen = resolve(names)
-    kept = read_rows(output) if output else []
+    earlier = read_rows(output) if output else []
     announce_compiling()
     rows: list[dict[str, Any]] = []
     plots: dict[str, list[Figure]] = {}
@@ -50,9 +50,9 @@ def measure(
             rows.append(asdict(item))
             values = f"{significant(item.measured)}, thesis {significant(item.thesis)}"
             console.print(f"{item.name}: {values}: {item.verdict}", markup=False, highlight=False)
-        kept = [row for row in kept if row["item"] != name]
+        earlier = [row for row in earlier if row["item"] != name]
         if output:  # an interrupted run keeps what is complete
-            _write(output, canonical_json([*kept, *rows]).encode())
+            _write(output, canonical_json([*earlier, *rows]).encode())
         if folder:
             _write(folder / "index.html", _page(rows, plots).encode())
     return rows
@@ -65,12 +65,12 @@ def _write(file: Path, content: bytes) -> None:
 
 
 def _page(rows: Sequence[Mapping[str, Any]], plots: Mapping[str, Sequence[Figure]]) -> str:
-    """Render a page beside whose file the plots lie as NAME.png."""
+    """Render a page with its plots as files NAME.png next to it."""
     now = {row["item"] for row in rows}
     recorded = [row for row in read_rows(MEASURED) if row["item"] not in now]
     values = {
         "entries": judged([*recorded, *rows]),
-        "items": {name: list(own) for name, own in groupby(rows, lambda row: row["item"])},
+        "items": {name: list(group) for name, group in groupby(rows, lambda row: row["item"])},
         "measurements": MEASUREMENTS,
         "plots": plots,
         "small": any(row["pixels"] for row in rows),

@@ -82,7 +82,7 @@ def planes(depth_mm: float, spacing_mm: float) -> float:
 
 @dataclass(frozen=True)
 class Setup:
-    """Quantities for which Table 3.1 counts operations.
+    """Quantities with counts of operations in Table 3.1.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ def operations(algorithm: Algorithm, setup: Setup) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Normality:
-    """Distance of values from a normal distribution, for which all three are 0.
+    """Distance of values from a normal distribution; all three are 0 for that one.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Statistics of a data set's images, and of anybody's recordings beside them."""
+"""Statistics of the images of data sets and of real recordings."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -16,7 +16,7 @@ from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.progress import progress_bar
 
-_REACH_PX = 1.0  # of a peak from where the camera sees its particle
+_REACH_PX = 1.0  # largest distance of a peak from its particle's projection
 _APART_PX = 4.0  # nearer peaks and particles leave a particle out
 
 Matched = Literal["true positions", "triangulated positions"]
@@ -32,7 +32,7 @@ class Measured:
     frames : number of images of each camera, at most.
     white_dn : grey values of saturated pixels, of each camera.
     ratio : of a particle's flux between cameras; None without a calibration.
-    matched : what tells which peaks of the cameras are one particle's.
+    matched : source of the correspondences between the peaks of the cameras.
     """
 
     cameras: dict[str, statistics.CameraStatistics]
@@ -44,10 +44,10 @@ class Measured:
     def medians(self) -> dict[str, float | None]:
         """Give each figure's median over the cameras, and those of the ratio.
 
-        None where the images do not tell.
+        None where the images do not determine it.
         """
-        every = [asdict(one) for one in self.cameras.values()]
-        out = {key: _median([one[key] for one in every]) for key in every[0]}
+        every = [asdict(camera) for camera in self.cameras.values()]
+        out = {key: _median([figures[key] for figures in every]) for key in every[0]}
         if self.ratio is not None:
             out["ln_ratio"] = _finite(self.ratio.plain)
             out["ln_ratio_robust"] = _finite(self.ratio.robust)
@@ -55,24 +55,24 @@ class Measured:
 
     def to_json(self) -> dict[str, Any]:
         """Give all figures as JSON holds them."""
-        own = {
-            name: {key: _finite(value) for key, value in asdict(one).items()}
-            for name, one in self.cameras.items()
+        cameras = {
+            name: {key: _finite(value) for key, value in asdict(camera).items()}
+            for name, camera in self.cameras.items()
         }
         pairs = self.ratio.pairs if self.ratio else None
         return {
             "frames": self.frames,
             "white_dn": self.white_dn,
             "median": self.medians(),
-            "cameras": own,
+            "cameras": cameras,
             "ratio_matched_by": self.matched,
             "ratio_pairs": pairs,
         }
 
 
 def _median(values: list[float]) -> float | None:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.median(known)) if known else None
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.median(finite)) if finite else None
 
 
 def _finite(value: float) -> float | None:
@@ -100,10 +100,10 @@ def measure(path: Path, most: int, white_dn: float | None = None) -> Measured:
             )
         return measure_dataset(open_dataset(path), most)
     frames, cameras, white = 0, {}, {}
-    for one in read_recordings(path, most, white_dn):
-        cameras[one.name] = statistics.measure_camera(one.frames, one.white_dn)
-        white[one.name] = one.white_dn
-        frames = max(frames, len(one.frames))
+    for recording in read_recordings(path, most, white_dn):
+        cameras[recording.name] = statistics.measure_camera(recording.frames, recording.white_dn)
+        white[recording.name] = recording.white_dn
+        frames = max(frames, len(recording.frames))
     return Measured(cameras, frames, white)
 
 
@@ -137,8 +137,8 @@ def _white(dataset: Dataset, number: int) -> float:
 def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
     """Give the flux (camera, particle) of isolated particle images, frame by frame."""
     for frame in range(frames):
-        seen = _pixels(dataset, frame)
-        images = [dataset.raw_image(number, frame) for number in range(len(seen))]
+        sightings = _pixels(dataset, frame)
+        images = [dataset.raw_image(number, frame) for number in range(len(sightings))]
         yield np.stack(
             [
                 statistics.flux_near(
@@ -147,7 +147,7 @@ def _fluxes(dataset: Dataset, frames: int) -> Iterator[F64]:
                     _REACH_PX,
                     _APART_PX,
                 )
-                for number, (image, pixels) in enumerate(zip(images, seen, strict=True))
+                for number, (image, pixels) in enumerate(zip(images, sightings, strict=True))
             ]
         )
 
@@ -158,6 +158,6 @@ def _pixels(dataset: Dataset, frame: int) -> list[F64]:
         views = dataset.views(frame)
         return [np.where(view.visible[:, None], view.pixel, np.nan) for view in views]
     case = dataset.observation(frame)
-    found = triangulate_particles(case, fit_cameras(case), TriangulationSettings())
-    projected = [camera.project(found.position_mm) for camera in case.cameras]
+    particles = triangulate_particles(case, fit_cameras(case), TriangulationSettings())
+    projected = [camera.project(particles.position_mm) for camera in case.cameras]
     return [np.where(valid[:, None], pixel, np.nan) for pixel, valid in projected]

@@ -126,10 +126,10 @@ def _light(case: Observation, join: Join) -> F32:
 
 
 def describe(surface: Surface, image: SurfaceImage, points_mm: F64) -> dict[str, Any]:
-    """Say where each pixel of a surface's image lies, and how much of it was seen."""
+    """Describe the pixel positions of a surface's image, and the visible share."""
     u, v = surface.axes_mm
     rotation = surface.pose.rotation
-    seen = image.views > 0
+    visible = image.views > 0
     return {
         "parameters": surface.model_dump(mode="json"),
         "rows": len(v),
@@ -144,8 +144,8 @@ def describe(surface: Surface, image: SurfaceImage, points_mm: F64) -> dict[str,
             for row in (0, len(v) - 1)
             for column in (0, len(u) - 1)
         },
-        "seen_percent": 100.0 * float(seen.mean()),
-        "views_mean": float(image.views[seen].mean()) if seen.any() else 0.0,
+        "seen_percent": 100.0 * float(visible.mean()),
+        "views_mean": float(image.views[visible].mean()) if visible.any() else 0.0,
         "views_most": int(image.views.max()),
     }
 

@@ -83,25 +83,26 @@ def _show_records(records: list[dict[str, Any]]) -> None:
     rows = over_seeds(records)
     cases = list(dict.fromkeys(row["case"] for row in rows))
     for table in every_table():
-        own = sorted(
+        selected = sorted(
             (row for row in rows if table_of(row).name == table.name),
             key=lambda row: (cases.index(row["case"]), *rank_of(row)),
         )
-        if own:
-            columns = _shown_columns(table, own)
+        if selected:
+            columns = _shown_columns(table, selected)
             headings = ["case", "solver", "seeds", *(column.key for column in columns)]
-            tables.show(headings, [_record_cells(row, columns) for row in own], keys=3)
+            tables.show(headings, [_record_cells(row, columns) for row in selected], keys=3)
 
 
 def _shown_columns(table: Table, rows: list[dict[str, Any]]) -> tuple[Score, ...]:
     """List the columns of a table: of figures without truth, those that a row has."""
     if not table.recorded:
         return table.columns
-    return tuple(one for one in table.columns if any(row[one.key] for row in rows))
+    return tuple(column for column in table.columns if any(row[column.key] for row in rows))
 
 
 def _record_cells(row: dict[str, Any], columns: tuple[Score, ...]) -> list[str]:
-    figures = ["-" if row[one.key] is None else row[one.key].text(one.decimals) for one in columns]
+    values = [(row[column.key], column.decimals) for column in columns]
+    figures = ["-" if value is None else value.text(decimals) for value, decimals in values]
     return [row["case"], row.get("label") or row["solver"], str(len(row["seeds"])), *figures]
 
 
@@ -168,10 +169,10 @@ def check(
 def show_report(report: Report) -> None:
     """Print what got worse as a table, other changes as lines, and a summary."""
     rows = []
-    for one in report.worse:
-        figures = (one.before, one.now, one.change, one.tolerance)
+    for finding in report.worse:
+        figures = (finding.before, finding.now, finding.change, finding.tolerance)
         texts = ["-" if value is None else f"{value:.6g}" for value in figures]
-        rows.append([one.case, one.solver, one.text or one.figure, *texts])
+        rows.append([finding.case, finding.solver, finding.text or finding.figure, *texts])
     if rows:
         headings = ["case", "solver", "figure", "baseline", "now", "change", "tolerance"]
         tables.show(headings, rows, keys=3)
@@ -202,22 +203,22 @@ def submit(
     folders = data or [Path("work/datasets")]
     standings = send(result, name, folders, leaderboard, cards=card or ())
     if as_json:
-        options.say_json([{**one.record, "rank": one.rank, "of": one.of} for one in standings])
+        options.say_json([{**row.record, "rank": row.rank, "of": row.of} for row in standings])
         return
     headings = ["case", "seed", "solver", "first score", "rank", "best other"]
-    tables.show(headings, [_standing_cells(one) for one in standings], keys=3)
+    tables.show(headings, [_standing_cells(standing) for standing in standings], keys=3)
     _say_page(leaderboard / "index.html")
 
 
-def _standing_cells(one: Standing) -> list[str]:
+def _standing_cells(standing: Standing) -> list[str]:
     from sabench import tasks
 
-    first = tasks.of(one.record["task"]).columns[0]
-    value = one.record[first.key]
+    first = tasks.of(standing.record["task"]).columns[0]
+    value = standing.record[first.key]
     score = "-" if value is None else f"{first.key} {value:.{first.decimals}f}"
-    rival = f"{one.best[0]}: {one.best[1]:.{first.decimals}f}" if one.best else "-"
-    rank = f"{one.rank} of {one.of}" if one.rank else "-"
-    return [*(str(one.record[key]) for key in ("case", "seed", "solver")), score, rank, rival]
+    rival = f"{standing.best[0]}: {standing.best[1]:.{first.decimals}f}" if standing.best else "-"
+    rank = f"{standing.rank} of {standing.of}" if standing.rank else "-"
+    return [*(str(standing.record[key]) for key in ("case", "seed", "solver")), score, rank, rival]
 
 
 def board(leaderboard: options.Leaderboard = Path("leaderboard")) -> None:
@@ -258,8 +259,8 @@ def challenge(
 
     announce_compiling()
     chosen = cast("TaskName | None", task)  # `make_challenge` checks the word
-    made = make_challenge(suite, hidden, output, task=chosen, image=codabench, jobs=jobs)
-    count = f"{len(made.data_sets)} data set(s) of the task {made.task}"
+    test_set = make_challenge(suite, hidden, output, task=chosen, image=codabench, jobs=jobs)
+    count = f"{len(test_set.data_sets)} data set(s) of the task {test_set.task}"
     options.say(f"{output / PARTICIPANT}: images and cameras of {count}, for participants")
     if codabench is not None:
         options.say(f"{output / BUNDLE}: bundle for the server, with the truth: keep it private")

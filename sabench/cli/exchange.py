@@ -77,7 +77,7 @@ def import_result(
     from sabench.interop.tracks import import_result as make
 
     with notes_shown():
-        made = make(
+        file = make(
             dataset,
             found,
             output,
@@ -87,8 +87,8 @@ def import_result(
             solver=name,
             overwrite=overwrite,
         )
-    tracks = "no" if made.trajectories is None else str(made.trajectories)
-    say(f"{made.path}: {made.particles} particles in {made.frames} frames, {tracks} trajectories")
+    tracks = "no" if file.trajectories is None else str(file.trajectories)
+    say(f"{file.path}: {file.particles} particles in {file.frames} frames, {tracks} trajectories")
 
 
 @contextlib.contextmanager
@@ -101,5 +101,5 @@ def notes_shown() -> Iterator[None]:
         try:
             yield
         finally:
-            for one in caught:
-                print(f"note: {one.message}", file=sys.stderr)
+            for warning in caught:
+                print(f"note: {warning.message}", file=sys.stderr)

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 def _pairs(words: list[str]) -> dict[str, str]:
     parted = [word.partition("=") for word in words]
-    if not all(of and own for of, _, own in parted):
+    if not all(of and camera for of, _, camera in parted):
         raise InputError(f"--pair: expected IMAGES=CAMERA, got {', '.join(words)}")
-    return {of: own for of, _, own in parted}
+    return {of: camera for of, _, camera in parted}
 
 
 def _numbers(option: str, text: str, expected: str, count: int) -> list[float]:
     try:
-        values = [float(one) for one in text.split(",")]
+        values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
     if len(values) != count:
@@ -44,10 +44,10 @@ def _box(text: str) -> Box:
 
 def _frames(text: str) -> slice:
     try:
-        parts = [int(one) if one else None for one in text.split(":")]
+        parts = [int(part) if part else None for part in text.split(":")]
     except ValueError:
         parts = []
-    if not 2 <= len(parts) <= 3 or any(one is not None and one < 0 for one in parts):
+    if not 2 <= len(parts) <= 3 or any(part is not None and part < 0 for part in parts):
         raise InputError(f"--frames: expected START:STOP or START:STOP:STEP, got {text!r}")
     return slice(*parts)
 
@@ -79,9 +79,9 @@ class _Key:
 
 def _with_keys(command: Callable[..., None]) -> Callable[..., None]:
     """Give a command the options of `_KEYS` in place of its parameter `keys`."""
-    own = inspect.signature(command, eval_str=True)
-    before = [one for one in own.parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD]
-    after = [one for one in own.parameters.values() if one.kind is one.KEYWORD_ONLY]
+    bare = inspect.signature(command, eval_str=True)
+    before = [arg for arg in bare.parameters.values() if arg.kind is arg.POSITIONAL_OR_KEYWORD]
+    after = [arg for arg in bare.parameters.values() if arg.kind is arg.KEYWORD_ONLY]
     keys = []
     for name, key in _KEYS.items():
         declared = option(key.metavar, key.help, key.flag, min=key.least)
@@ -93,9 +93,9 @@ def _with_keys(command: Callable[..., None]) -> Callable[..., None]:
                 annotation=Annotated[key.kind, declared],
             )
         )
-    signature = own.replace(parameters=[*before, *keys, *after])
+    signature = bare.replace(parameters=[*before, *keys, *after])
     command.__signature__ = signature  # type: ignore[attr-defined]
-    command.__annotations__ = {one.name: one.annotation for one in signature.parameters.values()}
+    command.__annotations__ = {arg.name: arg.annotation for arg in signature.parameters.values()}
     return command
 
 
@@ -213,7 +213,7 @@ def import_recording(
     given = {name: value for name, value in keys.items() if value not in (None, [])}
     readers = {name: key.read for name, key in _KEYS.items() if key.read}
     options = ImportOptions(
-        **{name: readers[name](one) if name in readers else one for name, one in given.items()}
+        **{name: readers[name](text) if name in readers else text for name, text in given.items()}
     )
     size = _first_size(folder, options.pattern) if form else None
     lit = None if options.volume_mm is None else _grid(options.volume_mm)
@@ -221,14 +221,14 @@ def import_recording(
         source = read_camera_source(
             cameras or folder, cast("CameraFormat | None", form), unit=unit, size=size, grid=lit
         )
-    made = make(folder, source.cameras, output, options, source.grid, overwrite=overwrite)
+    data = make(folder, source.cameras, output, options, source.grid, overwrite=overwrite)
     if as_json:
-        say_json(_import_record(made))
+        say_json(_import_record(data))
     else:
-        _show_import(made, output)
+        _show_import(data, output)
 
 
-def _show_import(made: Imported, out: Path) -> None:
+def _show_import(data: Imported, out: Path) -> None:
     rows = [
         (
             name,
@@ -237,29 +237,29 @@ def _show_import(made: Imported, out: Path) -> None:
             f"{level.bit_depth}",
             f"{100.0 * level.saturated:.3f}",
         )
-        for name, level in made.levels.items()
+        for name, level in data.levels.items()
     ]
     tables.show(("camera", "black", "white", "bits", "saturated %"), rows)
-    grid = made.grid
+    grid = data.grid
     x, y, z = (
         f"{low - step / 2:.4g} to {low + step * (count - 0.5):.4g}"
         for low, step, count in zip(grid.low_mm, grid.voxel_mm, grid.shape[::-1], strict=True)
     )
     voxels = " x ".join(f"{edge:.4g}" for edge in grid.voxel_mm)
     say(f"volume: x {x}, y {y}, z {z} mm; voxels of {voxels} mm")
-    for note in made.notes:
+    for note in data.notes:
         say(f"note: {note}")
-    say(f"{out}: {made.frames} frame(s) of {len(made.levels)} camera(s), recorded, without truth")
+    say(f"{out}: {data.frames} frame(s) of {len(data.levels)} camera(s), recorded, without truth")
 
 
-def _import_record(made: Imported) -> dict[str, object]:
+def _import_record(data: Imported) -> dict[str, object]:
     from dataclasses import asdict
 
     return {
-        "frames": made.frames,
-        "cameras": {name: asdict(level) for name, level in made.levels.items()},
-        "grid": asdict(made.grid),
-        "notes": made.notes,
+        "frames": data.frames,
+        "cameras": {name: asdict(level) for name, level in data.levels.items()},
+        "grid": asdict(data.grid),
+        "notes": data.notes,
     }
 
 

@@ -44,20 +44,20 @@ def list_all(
     entries, faults = _entries(kind)
     if task is not None:
         solvers = [entry for entry in entries if entry.kind == "solver"]
-        known = sorted({entry.group for entry in solvers})
-        if solvers and task not in known:
-            raise InputError(f"--task: expected one of {', '.join(known)}, got {task!r}")
+        groups = sorted({entry.group for entry in solvers})
+        if solvers and task not in groups:
+            raise InputError(f"--task: expected one of {', '.join(groups)}, got {task!r}")
         entries = [entry for entry in solvers if entry.group == task]
     for fault in faults:
         print(f"warning: {fault}", file=sys.stderr)
     if as_json:
         options.say_json([_record(entry) for entry in entries])
     elif sys.stdout.isatty():  # lines are cut to the width of the terminal
-        for (kind, group), members in itertools.groupby(entries, lambda one: (one.kind, one.group)):
-            own = list(members)
+        for (kind, group), members in itertools.groupby(entries, lambda row: (row.kind, row.group)):
+            rows = list(members)
             options.say(typer.style(f"{kind}s: {group}" if group else f"{kind}s", bold=True))
-            names = max(len(entry.name) for entry in own)
-            for entry in own:
+            names = max(len(entry.name) for entry in rows)
+            for entry in rows:
                 columns = tables.width() - names - 4
                 options.say(f"  {entry.name:<{names}}  {tables.shorten(entry.summary, columns)}")
     else:
@@ -72,8 +72,8 @@ def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
     faults: list[str] = []
     for plural in plugins.KINDS:
         if kind in (None, plural[:-1]):
-            found, broken = plugins.readable(plural)
-            entries += sorted(found, key=lambda entry: (entry.group, entry.name))
+            loaded, broken = plugins.readable(plural)
+            entries += sorted(loaded, key=lambda entry: (entry.group, entry.name))
             faults += broken
     if kind in (None, "scene"):
         entries += plugins.tables("scene")
@@ -84,8 +84,8 @@ def _entries(kind: str | None) -> tuple[list[Entry], list[str]]:
 
 def _record(entry: Entry) -> dict[str, str]:
     group = {"solver": "task", "generator": "makes"}.get(entry.kind)
-    own = {group: entry.group} if group else {}
-    head = {"kind": entry.kind, "name": entry.name, **own}
+    extra = {group: entry.group} if group else {}
+    head = {"kind": entry.kind, "name": entry.name, **extra}
     return {**head, "summary": entry.summary, "file": str(entry.file)}
 
 
@@ -144,7 +144,7 @@ def new(
 
 
 _PATIENCE_S = 180
-_LEAST_GB = 2.0  # what the suite demo needs
+_LEAST_GB = 2.0  # memory for the suite demo
 
 
 @dataclass(frozen=True)
@@ -264,11 +264,11 @@ def warmup(
 
     announce_compiling()
     warmed = []
-    for one in warm_up(solvers or ()):
-        warmed.append(one)
+    for run in warm_up(solvers or ()):
+        warmed.append(run)
         if not as_json:
-            options.say(f"{one.compile_s:6.1f} s {one.solver}{': ' + one.text if one.text else ''}")
+            options.say(f"{run.compile_s:6.1f} s {run.solver}{': ' + run.text if run.text else ''}")
     if as_json:
-        options.say_json([asdict(one) for one in warmed])
-    if any(one.verdict == "broken" for one in warmed):
+        options.say_json([asdict(run) for run in warmed])
+    if any(run.verdict == "broken" for run in warmed):
         raise typer.Exit(1)

@@ -60,17 +60,17 @@ def plan(
     recorder = Recorder(bus_mb_s, memory_gb, gap_us)
     wanted = {"depth": depth, "density": density, "resolution": resolution, "output": output}
     if any(value is not None for value in wanted.values()):
-        made = make(_design(scene, wanted, overwrite=overwrite), recorder)
+        planned = make(_design(scene, wanted, overwrite=overwrite), recorder)
     elif scene is None:
         raise InputError("SCENE: expected a scene file, or the name of a bundled scene, got none")
     else:
-        made = make(scene, recorder)
+        planned = make(scene, recorder)
     if page is not None:
-        _write_page(made, page, overwrite=overwrite)
+        _write_page(planned, page, overwrite=overwrite)
     if as_json:
-        options.say_json(made.to_dict())
+        options.say_json(planned.to_dict())
     else:
-        _show(made)
+        _show(planned)
         if output is not None:
             options.say(f"{output}: the scene that is wanted")
         if page is not None:
@@ -92,23 +92,23 @@ def _design(scene: str | None, wanted: dict[str, Any], *, overwrite: bool) -> Sc
     return designed
 
 
-def _write_page(made: Plan, file: Path, *, overwrite: bool) -> None:
+def _write_page(planned: Plan, file: Path, *, overwrite: bool) -> None:
     from sabench.apps.planning.page import render
     from sabench.utils.files import complete_or_nothing
 
     with complete_or_nothing(file, overwrite=overwrite) as partial:
-        partial.write_text(render(made), encoding="utf-8")
+        partial.write_text(render(planned), encoding="utf-8")
 
 
-def _show(made: Plan) -> None:
+def _show(planned: Plan) -> None:
     rows = [
-        (section.title if number == 0 else "", one.key, one.text, one.meaning, one.source)
-        for section in made.sections
-        for number, one in enumerate(section.quantities)
+        (section.title if number == 0 else "", entry.key, entry.text, entry.meaning, entry.source)
+        for section in planned.sections
+        for number, entry in enumerate(section.quantities)
     ]
-    options.say(made.scene.title)
+    options.say(planned.scene.title)
     tables.show_wrapped(("", "figure", "value", "meaning", "equation or source"), rows)
-    for advice in made.advice:
+    for advice in planned.advice:
         options.say(f"warning: {advice.key}: {advice.sentence}")
 
 
@@ -184,16 +184,16 @@ def generate(
         "jobs": jobs,
         "scheduler": scheduler,
     }
-    own = {"split": split, "truth": truth, "compression": compression, "shard-size": shard_size}
-    given = {name: value for name, value in own.items() if value is not None}
+    shards = {"split": split, "truth": truth, "compression": compression, "shard-size": shard_size}
+    given = {name: value for name, value in shards.items() if value is not None}
     if samples is not None:
         _generate_samples(loaded, output, samples, given, common)
         return
     if given:
         raise InputError(f"--{next(iter(given))}: expected --samples with it, got none")
-    made = make(loaded, output, **common)
-    size = f"{made.setup.frames} frame(s) of {len(made.setup.cameras)} cameras"
-    options.say(f"{made.root}: {size}, {made.manifest.renderer}, hash {made.content_hash[:12]}")
+    data = make(loaded, output, **common)
+    size = f"{data.setup.frames} frame(s) of {len(data.setup.cameras)} cameras"
+    options.say(f"{data.root}: {size}, {data.manifest.renderer}, hash {data.content_hash[:12]}")
 
 
 def _generate_samples(
@@ -211,9 +211,9 @@ def _generate_samples(
         chosen["compression"] = given["compression"]
     if "shard-size" in given:
         chosen["size"] = given["shard-size"]
-    made = generate_samples(scene, output, samples=samples, **chosen, **common)
-    splits = ", ".join(f"{count} {name}" for name, count in made.splits.items())
-    options.say(f"{made.root}: {splits} samples, hash {made.content_hash[:12]}")
+    data = generate_samples(scene, output, samples=samples, **chosen, **common)
+    splits = ", ".join(f"{count} {name}" for name, count in data.splits.items())
+    options.say(f"{data.root}: {splits} samples, hash {data.content_hash[:12]}")
 
 
 def _shares(text: str) -> list[float]:

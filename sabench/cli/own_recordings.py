@@ -103,7 +103,7 @@ def _show_calibration(report: Report, out: Path) -> None:
         ]
         what = "frames" if held.frames <= len(report.frames) else "points"
         lost = f" ({held.failed} fits failed)" if held.failed else ""
-        good = ", ".join(text for text, there in figures if there)
+        good = ", ".join(text for text, measured in figures if measured)
         options.say(f"{held.frames} {what} held out{lost}: {good}")
     where = "along the wall's X and Y and its normal"
     for label, std in (("misfit included", report.std_mm), ("noise alone", report.noise_std_mm)):
@@ -117,9 +117,10 @@ def _show_calibration(report: Report, out: Path) -> None:
             f"expected error of the distance of all points from the wall: {report.depth_mm:.3g} mm"
         )
     walls = []
-    for one in report.wall:
-        values = [tables.format_number(value, 4) for value in (one.nominal, one.found, one.std)]
-        walls.append([one.name, one.unit or "-", *values, "yes" if one.shown else "no"])
+    for unknown in report.wall:
+        figures = unknown.nominal, unknown.found, unknown.std
+        values = [tables.format_number(figure, 4) for figure in figures]
+        walls.append([unknown.name, unknown.unit or "-", *values, "yes" if unknown.shown else "no"])
     if walls:
         tables.show(["unknown of the wall", "unit", "nominal", "found", "bound", "shown"], walls)
     options.say(f"{out}: cameras.json, report.json, target.csv, errors.png, residuals/")
@@ -179,17 +180,17 @@ def compare_statistics(
     both = measure_dataset(data, frames), measure(recording, frames, white)
     if as_json:
         options.say_json(
-            dict(zip(("dataset", "recording"), (one.to_json() for one in both), strict=True))
+            dict(zip(("dataset", "recording"), (source.to_json() for source in both), strict=True))
         )
         return
-    columns = [one.medians() for one in both]
+    columns = [source.medians() for source in both]
     rows = [
-        (label, *(cell(one.get(key), factor, decimals) for one in columns))
+        (label, *(cell(column.get(key), factor, decimals) for column in columns))
         for label, key, factor, decimals in ROWS
     ]
     tables.show(("median over the cameras", "data set", "recording"), rows)
-    for name, one in zip(("data set", "recording"), both, strict=True):
-        options.say(f"{name}: {_describe(one)}")
+    for name, source in zip(("data set", "recording"), both, strict=True):
+        options.say(f"{name}: {_describe(source)}")
 
 
 def cell(value: float | None, factor: float, decimals: int) -> str:
@@ -249,7 +250,7 @@ def preprocess(
         with complete_or_nothing(output, overwrite=overwrite) as file:
             file.write_bytes(draw(preview_figure(shown)))
     if as_json:
-        options.say_json([_record(one, false_alarms) for one in shown.stages])
+        options.say_json([_record(stage, false_alarms) for stage in shown.stages])
     else:
         _show(shown, false_alarms, output)
 
@@ -274,14 +275,14 @@ def _show(shown: Preview, false_alarms: float, output: Path | None) -> None:
         ("after", "black", "noise", "threshold", "peaks", "false at most"),
         [
             (
-                one.name,
-                f"{one.black_dn:.1f}",
-                f"{one.noise_dn:.2f}",
-                f"{one.threshold_dn:.1f}",
-                f"{len(one.peaks)}",
-                f"{one.expected_false:.1f}",
+                stage.name,
+                f"{stage.black_dn:.1f}",
+                f"{stage.noise_dn:.2f}",
+                f"{stage.threshold_dn:.1f}",
+                f"{len(stage.peaks)}",
+                f"{stage.expected_false:.1f}",
             )
-            for one in shown.stages
+            for stage in shown.stages
         ],
     )
     options.say(

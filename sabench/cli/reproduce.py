@@ -59,7 +59,7 @@ def reproduce(
         if as_json:
             say_json(entries)
             return
-        cells = [[one["name"], one["shows"], one["verdict"], one["item"]] for one in entries]
+        cells = [[row["name"], row["shows"], row["verdict"], row["item"]] for row in entries]
         tables.show_wrapped(["name", "shows", "verdict", "measured by"], cells)
     elif names:
         rows = load_reproduction("report").measure(names, seeds, pixels, output, figures)

@@ -152,7 +152,7 @@ def refocus(
     from sabench.dataset.verification import probe_dataset
 
     probe_dataset(dataset)
-    made = make(
+    info = make(
         dataset,
         output,
         surface,
@@ -162,11 +162,11 @@ def refocus(
         overwrite=overwrite,
     ).summary
     if as_json:
-        options.say_json(made)
+        options.say_json(info)
         return
     options.say(
-        f"{output}: {surface} of {made['rows']} x {made['columns']} pixels of "
-        f"{made['pixel_mm']:g} mm, {made['seen_percent']:.1f} % seen, by {made['views_mean']:.1f} "
+        f"{output}: {surface} of {info['rows']} x {info['columns']} pixels of "
+        f"{info['pixel_mm']:g} mm, {info['seen_percent']:.1f} % seen, by {info['views_mean']:.1f} "
         "cameras on average: image.exr, image.png, points.exr, surface.json"
     )
 
@@ -206,9 +206,8 @@ def quality(
     if output is not None:
         write_quality(dataset, judged, output, overwrite=overwrite)
     if as_json:
-        options.say_json(
-            {"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes}
-        )
+        record = {"figures": judged.figures, "cameras": judged.cameras, "notes": judged.notes}
+        options.say_json(record)
     else:
         _show(judged)
 
@@ -216,16 +215,16 @@ def quality(
 def _show(judged: Quality) -> None:
     from sabench.tasks.quality import FIGURES
 
-    known = {key: one for key, one in FIGURES.items() if judged.figures[key] is not None}
+    shown = {key: score for key, score in FIGURES.items() if judged.figures[key] is not None}
     rows = [
-        (key, tables.format_number(judged.figures[key], one.decimals), one.meaning)
-        for key, one in known.items()
+        (key, tables.format_number(judged.figures[key], score.decimals), score.meaning)
+        for key, score in shown.items()
     ]
     tables.show(("figure", "value", "meaning"), rows)
-    of_cameras = [key for key in known if any(key in one for one in judged.cameras.values())]
+    of_cameras = [key for key in shown if any(key in camera for camera in judged.cameras.values())]
     lines = [
-        (name, *(tables.format_number(one.get(key), known[key].decimals) for key in of_cameras))
-        for name, one in judged.cameras.items()
+        (name, *(tables.format_number(camera.get(key), shown[key].decimals) for key in of_cameras))
+        for name, camera in judged.cameras.items()
     ]
     tables.show(("camera", *of_cameras), lines)
     for note in judged.notes:
@@ -262,15 +261,15 @@ def view(
 
     announce_compiling()
     refuse_existing(output, overwrite=overwrite)
-    made = make(what, result)
-    made.save(output, overwrite=overwrite)
+    page = make(what, result)
+    page.save(output, overwrite=overwrite)
     if as_json:
-        options.say_json({"page": str(output), **made.summary, "notes": made.notes})
+        options.say_json({"page": str(output), **page.summary, "notes": page.notes})
         return
-    shown = made.summary
+    shown = page.summary
     options.say(
         f"{output}: {shown['cameras']} camera(s), {shown['frames']} frame(s), {shown['particles']} "
         f"particles, {shown['bubbles']} bubbles, {shown['bytes'] / 1e6:.1f} MB"
     )
-    for note in made.notes:
+    for note in page.notes:
         options.say(f"note: {note}")

@@ -47,7 +47,7 @@ def show(headings: Sequence[str], rows: Rows, keys: int = 1) -> None:
 
 
 def show_wrapped(headings: Sequence[str], rows: Rows) -> None:
-    """Print a table whose last columns hold sentences, which are wrapped at words."""
+    """Print a table with sentences in its last columns, wrapped at words."""
     _print(headings, rows, wrap=True)
 
 

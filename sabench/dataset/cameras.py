@@ -261,7 +261,7 @@ def check_setup(value: Any, path: Path) -> CamerasFile:
 
 
 def read_true_cameras(root: Path, nominal: CamerasFile) -> tuple[Camera, ...]:
-    """Read the true cameras of a data set whose cameras.json holds others.
+    """Read the true cameras of a data set with nominal ones in cameras.json.
 
     They have the same names and image sizes, and are behind the same walls unless the file has
     others.

@@ -1,6 +1,6 @@
 """Copies of a data set: observation side, archives, comparison.
 
-Processors round differently, so the bytes of two honest copies differ. Tolerances are ten times
+Processors round differently, so the bytes of two correct copies differ. Tolerances are ten times
 and more what `benchmarks/instruction_sets.py` measures: see docs/developing/decisions.md.
 """
 
@@ -29,7 +29,7 @@ from sabench.utils.progress import progress_bar
 def copy_observation(dataset: Dataset, folder: Path, *, linked: bool = False) -> None:
     """Make a data set of the observation side alone in a folder.
 
-    Its manifest has the content hash of the whole, so that results of it are results of the whole.
+    Its manifest has the content hash of the complete data set, so that results apply to both.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def _compare_images(one: Dataset, first: Path, second: Path) -> Iterator[str]:
 
 
 def _other_grey(one: U16, other: U16, sensor: Sensor) -> Bool:
-    """Find pixels whose grey values are no two draws of one mean.
+    """Find pixels with grey values that are not two draws of one mean.
 
     The rejections in a Poisson generator let a change of the last digit shift all later draws, so
     that equal radiance may have other noise.

@@ -1,7 +1,7 @@
 """Untrusted HDF5 files: no outside links; shapes, kinds and chunks checked.
 
-HDF5 inflates a deflate stream to its end, whatever its chunk should hold: a file of some MB fills
-gigabytes. A stream that ends early leaves a part of the chunk undefined.
+HDF5 inflates a deflate stream to its end, even beyond the size of its chunk: a file of some MB
+fills gigabytes. A stream that ends early leaves a part of the chunk undefined.
 """
 
 import contextlib
@@ -61,7 +61,7 @@ def check_streams(node: Any, where: str) -> None:
 
     It takes the memory of one chunk. `check_storage` comes before.
 
-    Raises InputError for a stream that is damaged, or whose length is not that of its chunk.
+    Raises InputError for a damaged stream, or one of another length than its chunk.
     """
     if not node.chunks:
         return
@@ -96,7 +96,7 @@ def _chunks(node: Any) -> list[Any]:
 
 
 def _deflated(filters: tuple[int, ...], chunk: Any) -> bool:
-    """Say whether a chunk is compressed: a writer leaves out what does not help."""
+    """Return whether a chunk is compressed: a writer leaves out what does not help."""
     return bool(filters) and not chunk.filter_mask >> (len(filters) - 1) & 1
 
 

@@ -99,8 +99,8 @@ def check_numbers(files: Files, chosen: slice, notes: list[str]) -> None:
     """Check by numbers of files that no camera lacks a frame of the others.
 
     Frames are paired in order, so that all after a gap would be paired with other cameras' earlier
-    ones. Files without numbers, those whose least step differs between cameras, as of times, and
-    cameras of a single file are not checked.
+    ones. Not checked are files without numbers, numbers with different least steps between cameras
+    (such as times), and cameras of a single file.
 
     Parameters
     ----------
@@ -147,13 +147,13 @@ _ENOUGH = 0.5  # share of the grid that a camera should see
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Facts of a recording that its images and calibration do not tell.
+    """Properties of a recording that its images and calibration do not contain.
 
     Attributes
     ----------
     pattern : path of an image below the folder, see `find_image_files`.
-    pairs : calibrated camera of each camera of the images, by their names; the others of both are
-        left out. None: by name, or else in order.
+    pairs : calibrated camera of each camera of the images, by their names; cameras without a pair
+        are left out. None: by name, or else in order.
     frames : range of the images of each camera to take.
     raw : layout of raw files.
     masks : folder with an image for each camera, by its name; 0 marks pixels that do not count.

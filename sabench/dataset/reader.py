@@ -165,7 +165,7 @@ class Dataset(StoredFrames):
 
     @property
     def recorded(self) -> bool:
-        """True for images that real cameras recorded, of which no truth is known."""
+        """True for images recorded by real cameras, without truth."""
         return isinstance(self.contents, RecordedManifest)
 
     @property

@@ -160,7 +160,7 @@ class RecordedWriter:
 def recorded_writer(
     target: Path, source: str, *, overwrite: bool = False
 ) -> Iterator[RecordedWriter]:
-    """Open a writer whose parts become the recorded data set at `target`.
+    """Open a writer of the recorded data set at `target`.
 
     It appears when the block ends without an error; otherwise nothing is left of it.
 

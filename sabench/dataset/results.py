@@ -41,12 +41,11 @@ AnEstimate = TypeVar("AnEstimate", bound=Estimate)
 class Result:
     """Result file: its data set, its solver and the costs.
 
-    A cost that the file does not give is None. `seconds` leaves out `compile_s`, the time in which
-    kernels were compiled or loaded. `isolated` tells whether the solver saw the
-    observation side only.
-    `whole_process` tells whether the seconds are those of a program's whole process. `cpu_share`
-    is the CPU seconds per second of the solver's process while it solved: below one it waited,
-    above one it used several cores.
+    A cost that the file does not give is None. `seconds` excludes `compile_s`, the time for
+    compiling or loading kernels. `isolated`: the solver received the observation side only.
+    `whole_process`: `seconds` is the run time of a program's process. `cpu_share` is the CPU
+    seconds per second of the solver's process while it solved: below one it waited, above one it
+    used several cores.
     """
 
     path: Path

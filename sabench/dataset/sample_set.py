@@ -50,7 +50,7 @@ S = TypeVar("S", bound=AnySample, covariant=True)
 
 @dataclass(frozen=True)
 class Batch(Generic[S]):
-    """Samples whose images have one shape.
+    """Samples with images of equal shape.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Batch(Generic[S]):
         return [_moves(one.particles[first], one.particles[second]) for one in self.samples]
 
     def arrays(self, particles: int | None = None) -> dict[str, npt.NDArray[Any]]:
-        """Give arrays whose first axis is the sample, for libraries of machine learning.
+        """Yield arrays with samples along the first axis, for machine learning libraries.
 
         `number` and `images`; with `particles`, the largest number of them in any frame, also
         `position_mm` (sample, frame, particle, 3), zero where there is none, and `present` (sample,
@@ -201,7 +201,7 @@ class SampleSet(Sequence[StoredSample]):
         ----------
         shuffle : seed of their order, such as the number of the epoch; by default that on disk. Of
             very many shards, it is that of groups of shards, and of the samples in each group.
-        start : batches to leave out: an epoch goes on as if they had been read.
+        start : batches to leave out: an epoch resumes as if they had been read.
         part : (k, n) for every n-th batch from the k-th on: n processes share an epoch.
         """
         if batch < 1:

@@ -77,7 +77,7 @@ class Contents(Record):
 class Manifest(Contents):
     """manifest.json: contents and origin of a data set.
 
-    `identity` is that of every copy, on whatever processor it was made: see `identity_of`. Data
+    `identity` is the same for all copies, independent of the processor: see `identity_of`. Data
     sets of before have none.
     """
 

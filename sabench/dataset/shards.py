@@ -1,9 +1,9 @@
 """Shards of independent samples: which sample is in which, and their writer.
 
-A sample's split follows from a hash of its number, and a shard holds samples of one split: none can
-get into two splits, however many samples there are and whoever makes them. Observations of many
-samples are in one file, their truth in another. A process that is killed leaves neither; the entry
-of a shard is written last and completes it.
+A sample's split follows from a hash of its number, and a shard holds samples of one split: no
+sample can be in two splits, for any number of samples and workers. Observations of many samples are
+in one file, their truth in another. A process that is killed leaves neither; the entry of a shard
+is written last and completes it.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ from sabench.utils.validation import validate
 def split_of(number: int, shares: Sequence[float]) -> str:
     """Name the split of a sample: "train", "validation", "test", "split-3" and on.
 
-    By a hash of its number, so that a sample stays in its split however many are made.
+    It follows from a hash of its number, so that it does not depend on the number of samples.
     """
     check_shares(shares)
     place = zlib.crc32(number.to_bytes(8, "little")) / 2.0**32 * sum(shares)
@@ -144,7 +144,7 @@ class Kept:
 
 
 class ShardFolder:
-    """Folder in which processes make the shards of one data set.
+    """Folder where processes make the shards of one data set.
 
     Attributes
     ----------

@@ -251,7 +251,7 @@ def _try(read: Callable[[], object]) -> Iterator[str]:
 
 
 def _sentence(error: Exception) -> str:
-    """Say what is wrong in one short sentence; of several faults it gives the first."""
+    """Describe the fault in one short sentence; of several faults it gives the first."""
     if isinstance(error, InputError) and len(error.faults) > 1:
         return one_line(f"{str(error).splitlines()[0]} {error.faults[0]}, ...", _LONGEST)
     return one_line(str(error), _LONGEST)

@@ -41,7 +41,7 @@ class DatasetWriter:
         self._check()
 
     def take(self, file: Path, name: str, entry: schema.FileEntry) -> None:
-        """Link a file whose size and checksum are known; the original also remains."""
+        """Link a file of known size and checksum; the original also remains."""
         path = self.root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -81,7 +81,7 @@ def dataset_writer(
     shows: tuple[Shown, ...] = (),
     overwrite: bool = False,
 ) -> Iterator[DatasetWriter]:
-    """Open a writer whose frames become the data set at `target`.
+    """Open a writer of the data set at `target`.
 
     The data set appears when the block ends without an error; otherwise nothing is left of it.
 

@@ -41,7 +41,7 @@ LONGEST_LINE = 100_000  # bytes of a record
 _LONGEST_NAME, _LONGEST_TEXT, _LONGEST_FAULT = 200, 10_000, 300  # characters
 _DEEPEST = 20  # tables and lists within each other
 _LONGEST_S = 1e6
-_ROUNDING = 1e-6  # by which a score may be beyond its range
+_ROUNDING = 1e-6  # margin of rounding around the range of a score
 _YEARS = (2000, 2100)
 
 
@@ -235,10 +235,10 @@ def parse(line: bytes) -> Record:
         raise ValueError(f"a {type(value).__name__}")
     # count tables and lists within each other, without recursion
     depth, level = 0, [value]
-    while level := [one for one in level if isinstance(one, dict | list)]:
+    while level := [part for part in level if isinstance(part, dict | list)]:
         depth += 1
         level = [
-            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
+            inner for part in level for inner in (part.values() if isinstance(part, dict) else part)
         ]
     if depth > _DEEPEST:
         raise ValueError(f"more than {_DEEPEST} tables and lists within each other")
@@ -268,9 +268,9 @@ def _faults(scores: Iterable[Score], values: Record) -> Iterator[str]:
 
 def _other_faults(task: str, values: Record) -> Iterator[str]:
     """Find faults of unknown keys: each holds one short value."""
-    known = {score.key for score in tasks.of(task).all_scores}
+    keys = {score.key for score in tasks.of(task).all_scores}
     for key, value in values.items():
-        if key in known:
+        if key in keys:
             continue
         if len(key) > _LONGEST_NAME or not key.isprintable():
             yield f"expected short printable keys, got {printable(key)!r}"

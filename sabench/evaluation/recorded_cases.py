@@ -1,4 +1,4 @@
-"""Recorded data sets as cases of suites, and their results judged without truth."""
+"""Recorded data sets as cases of suites, scored without truth."""
 
 import os
 import re
@@ -86,8 +86,8 @@ class Judged:
 
     Attributes
     ----------
-    scores : what its record says of it.
-    residuals : a PNG of what particles leave of recorded images; None for other results.
+    scores : scores as in its record.
+    residuals : a PNG of the residuals of recorded images; None for other results.
     """
 
     scores: dict[str, Any]
@@ -95,7 +95,7 @@ class Judged:
 
 
 def judge(case: RecordedCase, out: Path) -> Judged:
-    """Judge a result of a recorded case by its images; its costs come with it.
+    """Score a result of a recorded case by its images; its costs come with it.
 
     Results of tasks that have no figures without truth have their costs alone.
     """

@@ -59,7 +59,7 @@ def version_of(package: str) -> str:
     return importlib.metadata.version(package)
 
 
-_MOST_WARNINGS = 100  # for one file
+_MOST_WARNINGS = 100  # warnings for one file
 
 _RUN = ("scene_hash", "seed", "split", "renderer", "solver", "parameters", "machine", "submission")
 
@@ -198,5 +198,5 @@ def same_data(one: Record, other: Record) -> bool:
 
     Copies made on different processors have one identity and different content hashes.
     """
-    known = one.get("identity") is not None and one.get("identity") == other.get("identity")
-    return known or bool(one["dataset"] == other["dataset"])
+    same = one.get("identity") is not None and one.get("identity") == other.get("identity")
+    return same or bool(one["dataset"] == other["dataset"])

@@ -25,12 +25,12 @@ class Row:
 
     Attributes
     ----------
-    thesis : its value, or its claim in words; None where it says nothing.
+    thesis : its value, or its claim in words; None without one.
     measured : mean over the seeds; None where there is no such value.
     verdict : in words.
     ci95 : half width of the 95 % confidence interval of `measured`; None for a single seed.
-    seeds : how many values the mean is of.
-    note : what else was seen.
+    seeds : number of values.
+    note : further observation.
     item : name of the measurement.
     pixels : side of small images of a quick trial; None at full size.
     """

@@ -54,7 +54,7 @@ def run_suite(
     secret: Path | None = None,
     jobs: int = 1,
 ) -> list[Record]:
-    """Generate, solve, score and record a whole suite, then rebuild the page.
+    """Generate, solve, score and record a suite, then rebuild the page.
 
     Returns the records.
 
@@ -72,16 +72,16 @@ def run_suite(
     """
     with hide_from_solvers(secret):
         suite, cases = load_suite(path, read_secret(secret) if secret else None)
-        known = {} if fresh else _known_records(leaderboard)
+        existing = {} if fresh else _known_records(leaderboard)
         records, wanted = [], only.select(cases)
         for number, case in enumerate(wanted, 1):
             heads = [(entry, _describe(case, entry, str(path))) for entry in case.solvers]
             keys = [key_of(head, _COMPUTED) for _, head in heads]
-            missing = [pair for pair, key in zip(heads, keys, strict=True) if key not in known]
-            records += [known[key] for key in keys if key in known]
+            missing = [pair for pair, key in zip(heads, keys, strict=True) if key not in existing]
+            records += [existing[key] for key in keys if key in existing]
             done = "" if missing else ", known"
             _say(f"data set {number} of {len(wanted)}: {case.name}, {case.words}{done}")
-            _say_changed(heads[0][1], known)
+            _say_changed(heads[0][1], existing)
             if missing:
                 dataset = dataset_of(case, work, fresh, jobs)
                 for record in _rank(case, dataset, missing, suite, work, leaderboard):
@@ -102,10 +102,10 @@ def _known_records(leaderboard: Path) -> dict[str, Record]:
     }
 
 
-def _say_changed(head: Record, known: dict[str, Record]) -> None:
-    """Say that a recording is not the one of earlier records, which stay on the page."""
+def _say_changed(head: Record, existing: dict[str, Record]) -> None:
+    """Print a message for a recording that differs from the one of earlier records."""
     same = ("suite", "case", "recorded")
-    for record in known.values() if head["recorded"] else ():
+    for record in existing.values() if head["recorded"] else ():
         if key_of(record, same) == key_of(head, same) and record["dataset"] != head["scene_hash"]:
             _say(
                 f"recording {head['case']}: it has changed since its record of {record['date']}, "
@@ -129,7 +129,7 @@ def build_board(leaderboard: Path) -> Path:
 def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     """Open the case's data set, or generate it.
 
-    An earlier one is used again if it is intact and was made by these versions of sabench, its
+    An earlier data set is reused if it is intact and was made by these versions of sabench, its
     simulation and the renderer. A recording is checked.
 
     Raises
@@ -145,12 +145,8 @@ def dataset_of(case: Case, work: Path, fresh: bool, jobs: int = 1) -> Dataset:
     if folder.is_dir() and not fresh and not verify(folder):
         dataset = open_dataset(folder)
         # the versions that the content of a data set depends on
-        made_by = {
-            "sabench": __version__,
-            "simulation": SIMULATION,
-            "mitsuba": version_of("mitsuba"),
-        }
-        if made_by.items() <= dataset.manifest.versions.items():
+        tools = {"sabench": __version__, "simulation": SIMULATION, "mitsuba": version_of("mitsuba")}
+        if tools.items() <= dataset.manifest.versions.items():
             console.print(f"data set {folder} is intact: used again")
             return dataset
     renderer: Renderer = "mitsuba" if case.renderer == "mitsuba" else "splat"
@@ -206,9 +202,8 @@ def _rank(
         name = stem_of(head)
         out = work / "results" / f"{case.file_name}-{name}.h5"
         try:
-            record["reference_s"] = solve_timed(
-                solver_entry, dataset, out, iterations=dataset.has_truth
-            )
+            on_the_way = dataset.has_truth
+            record["reference_s"] = solve_timed(solver_entry, dataset, out, iterations=on_the_way)
             judged = (
                 judge(case, out) if isinstance(case, RecordedCase) else Judged(score(dataset, out))
             )

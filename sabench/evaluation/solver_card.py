@@ -77,23 +77,23 @@ def read_cards(inside: Sequence[tuple[str, Path]], given: Sequence[Path]) -> dic
     InputError
         As `read_card`, and two cards of one solver.
     """
-    found: dict[str, tuple[str, SolverCard]] = {}
+    by_solver: dict[str, tuple[str, SolverCard]] = {}
     for name, path in [*inside, *((str(path), path) for path in given)]:
         card = read_card(path, name)
-        if card.solver in found:
+        if card.solver in by_solver:
             raise InputError(
                 f"{printable(name)}: solver: expected one card of {card.solver!r}, but "
-                f"{printable(found[card.solver][0])} is one, too"
+                f"{printable(by_solver[card.solver][0])} is one, too"
             )
-        found[card.solver] = name, card
-    return {solver: card for solver, (_, card) in found.items()}
+        by_solver[card.solver] = name, card
+    return {solver: card for solver, (_, card) in by_solver.items()}
 
 
 def check_solvers(cards: dict[str, SolverCard], solvers: Sequence[str]) -> None:
     """Refuse a card that belongs to no result."""
     for solver in cards:
         if solver not in solvers:
-            there = printable(", ".join(sorted(set(solvers))), 200)
+            names = printable(", ".join(sorted(set(solvers))), 200)
             raise InputError(
-                f"solver card: solver: expected the solver of a result ({there}), got {solver!r}"
+                f"solver card: solver: expected the solver of a result ({names}), got {solver!r}"
             )

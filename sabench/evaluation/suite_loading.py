@@ -54,7 +54,7 @@ class Secret(BaseModel):
             hmac.new(self.secret.encode(), purpose.encode(), hashlib.sha256).digest()
             for purpose in purposes
         )
-        return tuple(int.from_bytes(one[:8], "big") >> 1 for one in drawn)
+        return tuple(int.from_bytes(mac[:8], "big") >> 1 for mac in drawn)
 
 
 def read_secret(path: Path) -> Secret:
@@ -99,11 +99,11 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
         name, or cases that differ from the frozen ones.
     """
     file = find(path, "scenes/suites")
-    own = _resolve(_read_suite(file), file)
-    specs = [_resolve(spec, file) for spec in _specs(own)]
+    suite = _resolve(_read_suite(file), file)
+    specs = [_resolve(spec, file) for spec in _specs(suite)]
     recordings = [
-        _resolve(spec.model_copy(update={"solvers": spec.solvers or own.solvers}), file)
-        for spec in own.recordings
+        _resolve(spec.model_copy(update={"solvers": spec.solvers or suite.solvers}), file)
+        for spec in suite.recordings
     ]
     if (count := len(specs) + len(recordings)) > _MOST_CASES:
         raise InputError(f"{file}: scenes, cases: expected at most {_MOST_CASES}, got {count}")
@@ -112,8 +112,8 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
     _check_names([*names, *(recording_name(spec, file) for spec in recordings)], file)
     recorded = [open_recording(spec, file) for spec in recordings]
     load = functools.cache(load_scene)  # most cases of a suite share their scene
-    first = [case for spec in specs for case in _cases(spec, own, file, load)]
-    _check_frozen(own, [*first, *recorded], file)
+    first = [case for spec in specs for case in _cases(spec, suite, file, load)]
+    _check_frozen(suite, [*first, *recorded], file)
     if secret is not None and not first:
         raise InputError(
             f"{file}: expected scenes, of which a private test set is made, got recordings alone"
@@ -121,9 +121,9 @@ def load_suite(path: str | Path, secret: Secret | None = None) -> tuple[Suite, l
     seeded = [
         replace(case, seed=seed, number=number)
         for case in first
-        for number, seed in _seeds(own, case, file.stem, secret)
+        for number, seed in _seeds(suite, case, file.stem, secret)
     ]
-    return own, [*seeded, *([] if secret else recorded)]
+    return suite, [*seeded, *([] if secret else recorded)]
 
 
 def _read_suite(file: Path) -> Suite:
@@ -145,7 +145,7 @@ def is_public(scene_hash: str, seed: int) -> bool:
 
 @functools.cache
 def scenes_of(file: Path) -> Mapping[str, Scene]:
-    """Read a bundled suite's scenes, whose geometry is known to be good, by hash."""
+    """Read a bundled suite's scenes by hash; their geometry needs no check."""
     read = functools.cache(read_scene)
     variants = (_variants(spec, file, read) for spec in _specs(_read_suite(file)))
     return {scene.hash: scene for *_, scene in itertools.chain.from_iterable(variants)}
@@ -180,17 +180,17 @@ def _seeds(
 
 def _check_frozen(suite: Suite, cases: list[Case], file: Path) -> None:
     """Check that the data sets of a frozen suite have not changed."""
-    found = digest(
+    current = digest(
         [
             suite.version,
             list(suite.seeds),
             [[case.name, case.data_hash, case.difficulty, case.axis] for case in cases],
         ]
     )
-    if suite.frozen not in (None, found):
+    if suite.frozen not in (None, current):
         raise InputError(
             f"{file}: frozen: expected the cases and seeds of version {suite.version}, whose hash "
-            f"is {suite.frozen}, got others with {found}: "
+            f"is {suite.frozen}, got others with {current}: "
             "a change needs a new version and its hash"
         )
 
@@ -219,8 +219,8 @@ def _resolve_solver(solver: SolverEntry, file: Path) -> SolverEntry:
         describe_solver(solver.name, solver.parameters)
         return solver
     if solver.task is None:
-        known = ", ".join(get_args(TaskName))
-        raise InputError(f"{file}: program {solver.name}: task: expected one of {known}, got none")
+        names = ", ".join(get_args(TaskName))
+        raise InputError(f"{file}: program {solver.name}: task: expected one of {names}, got none")
     return solver.model_copy(update={"name": str(find_program(solver.name, file.parent))})
 
 

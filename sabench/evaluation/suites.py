@@ -25,7 +25,7 @@ from sabench.utils.code_hash import code_hash
 from sabench.utils.errors import InputError
 from sabench.utils.processes.program import Limits, limits_of
 
-RECORDED = "recorded"  # stands for the renderer of a recording
+RECORDED = "recorded"  # in place of the renderer of a recording
 _SAFE = r"[A-Za-z0-9][A-Za-z0-9._-]*"  # as a part of a file name on every system
 
 
@@ -106,7 +106,7 @@ class CaseSpec(Changes):
 
 
 class QualityOptions(_Table):
-    """Options of the figures that judge results of a recording without truth."""
+    """Options of the quality figures of a recording without truth."""
 
     frames: int = Field(1, ge=1, description="first frames that are compared with their images")
     again: bool = Field(
@@ -115,7 +115,7 @@ class QualityOptions(_Table):
 
 
 class RecordingSpec(_Table):
-    """One recorded data set; a text stands for a table with its folder alone."""
+    """One recorded data set; a text is short for a table with its folder alone."""
 
     folder: str = Field(min_length=1, description="absolute, or next to the suite")
     name: str | None = Field(None, pattern=f"^{_SAFE}$", description="by default the folder's")
@@ -159,8 +159,9 @@ class Suite(Changes):
     def _has_cases(self) -> Suite:
         if not self.scenes and not self.cases and not self.recordings:
             raise ValueError("scenes, cases, recordings: expected at least one of them")
-        own = [*(case.solvers for case in self.cases), *(one.solvers for one in self.recordings)]
-        if not self.solvers and (self.scenes or not all(own)):
+        solvers = [case.solvers for case in self.cases]
+        solvers += [recording.solvers for recording in self.recordings]
+        if not self.solvers and (self.scenes or not all(solvers)):
             raise ValueError("solvers: expected at least one for every case")
         return self
 
@@ -283,34 +284,32 @@ class Only:
         """
         _check_known("case", self.cases, {case.name for case in cases})
         _check_known("seed", self.seeds, {case.shown_seed for case in cases})
-        _check_known(
-            "solver",
-            self.solvers,
-            {solver_entry.shown for case in cases for solver_entry in case.solvers},
-        )
+        shown = {entry.shown for case in cases for entry in case.solvers}
+        _check_known("solver", self.solvers, shown)
         wanted = (
             case
             for case in cases
             if _among(case.name, self.cases) and _among(case.shown_seed, self.seeds)
         )
-        own = [
+        selected = [
             replace(
-                case, solvers=tuple(one for one in case.solvers if _among(one.shown, self.solvers))
+                case,
+                solvers=tuple(entry for entry in case.solvers if _among(entry.shown, self.solvers)),
             )
             for case in wanted
         ]
-        return [case for case in own if case.solvers]
+        return [case for case in selected if case.solvers]
 
 
 def _among(value: Any, wanted: tuple[Any, ...]) -> bool:
     return not wanted or value in wanted
 
 
-def _check_known(what: str, wanted: tuple[Any, ...], known: set[Any]) -> None:
+def _check_known(what: str, wanted: tuple[Any, ...], available: set[Any]) -> None:
     for value in wanted:
-        if value not in known:
+        if value not in available:
             raise InputError(
-                f"--{what} {value}: expected one of {', '.join(str(one) for one in sorted(known))}"
+                f"--{what} {value}: expected one of {', '.join(map(str, sorted(available)))}"
             )
 
 

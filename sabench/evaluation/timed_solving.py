@@ -53,7 +53,7 @@ def _work(table: Any) -> float:
     return total
 
 
-# Where many solvers are run, it pays to load all that one of them may need.
+# Import all modules that solvers may need once, before many solvers run.
 preload(
     "sabench.evaluation.timed_solving", "tifffile", *(f"sabench.tasks.{name}" for name in NAMES)
 )

@@ -66,9 +66,9 @@ def read_cameras(
     unit : of the file's lengths; None: mm, and lengths that cannot be mm are refused.
     size : rows and columns of the images, for formats that leave them out.
     grid : measured volume, which polynomial cameras need.
-    points : known points (n, 3) in the file's world and their pixels (camera, n, 2), by which
-        refractive indices that the file has exchanged are recognised. Without points, indices that
-        look exchanged are said and kept.
+    points : known points (n, 3) in the file's world and their pixels (camera, n, 2), to recognise
+        exchanged refractive indices in the file. Without points, a note reports indices
+        that look exchanged.
 
     Raises InputError for an unknown format or unit, a file that is missing or broken, a camera that
     is missing, or lengths in another unit.
@@ -94,7 +94,7 @@ def write_cameras(
     grid: Grid | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write cameras into a new folder, and say what the format cannot carry.
+    """Write cameras into a new folder, and note what the format cannot store.
 
     With a grid, OpenPTV's world has its origin in the grid's centre, its Y axis up and its Z axis
     towards the cameras; `foreign.read_world` finds it. The point list needs the grid, and so
@@ -144,8 +144,8 @@ def losses(form: CameraFormat) -> tuple[str, ...]:
 
 def _check_form(form: str) -> None:
     if form not in get_args(CameraFormat):
-        known = ", ".join(get_args(CameraFormat))
-        raise InputError(f"cameras: expected a format of {known}, got {form!r}")
+        formats = ", ".join(get_args(CameraFormat))
+        raise InputError(f"cameras: expected a format of {formats}, got {form!r}")
 
 
 def _extent(size: tuple[int, int] | None, grid: Grid | None) -> Extent:
@@ -183,9 +183,9 @@ def read_camera_source(
 ) -> CameraSource:
     """Read calibrated cameras from a file or folder.
 
-    They are a `cameras.json` of `sabench calibrate` or of a data set, a folder that holds one, the
-    result file of a solver of the task `calibration`, as `volume_self_calibration`, or files of
-    another program, of which `interop.cameras.read_cameras` tells more.
+    Sources are a `cameras.json` of `sabench calibrate` or of a data set, a folder with one, the
+    result file of a solver of the task `calibration`, such as `volume_self_calibration`, or files
+    of another program (see `interop.cameras.read_cameras`).
 
     Parameters
     ----------

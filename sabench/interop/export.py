@@ -48,15 +48,15 @@ def write(root: Path, data: Dataset) -> None:
     (root / "images").mkdir()
     for frame in progress_bar(range(data.setup.frames), "export"):
         bubbles = data.bubbles(frame)
-        seen = data.observation(frame)
-        for camera, image in zip(data.setup.cameras, seen.images, strict=True):
+        observation = data.observation(frame)
+        for camera, image in zip(data.setup.cameras, observation.images, strict=True):
             entry = _image(len(images) + 1, frame, camera)
-            light = (image - seen.black_dn) / (seen.white_dn - seen.black_dn)
+            light = (image - observation.black_dn) / (observation.white_dn - observation.black_dn)
             (root / entry["file_name"]).write_bytes(_png(light))
             images.append(entry)
-            for one in _annotations(bubbles, data.sight(frame, camera)):
-                own = {"id": len(annotations) + 1, "image_id": entry["id"]}
-                annotations.append(own | one)
+            for annotation in _annotations(bubbles, data.sight(frame, camera)):
+                ids = {"id": len(annotations) + 1, "image_id": entry["id"]}
+                annotations.append(ids | annotation)
     values = {"images": images, "annotations": annotations, "categories": [_CATEGORY]}
     (root / "annotations.json").write_text(canonical_json(values), encoding="utf-8")
 
@@ -109,9 +109,9 @@ _TEMPLATE = Path(__file__).with_name("paraview_state.py.j2")
 
 
 def write_state(root: Path, home: Path) -> None:
-    """Write a state into an export's folder, whose files it finds when it is loaded.
+    """Write a ParaView state into an export's folder that loads the folder's files.
 
-    The folder will lie at `home`, for a ParaView that does not tell the state's own path.
+    `home` is the folder's final path, for a ParaView that does not give it to the state.
     """
     text = _TEMPLATE.read_text(encoding="utf-8").replace("{{ folder }}", repr(str(home)))
     (root / NAME).write_text(text, encoding="utf-8")
@@ -135,8 +135,8 @@ def export(
 ) -> Path:
     """Write a data set or a result of it into a folder for another program.
 
-    A `ForeignFormatWarning` says what the format cannot store. Raises InputError for a missing data
-    set or result, one without particles, an unknown format, cameras that the format cannot
+    A `ForeignFormatWarning` lists what the format cannot store. Raises InputError for a missing
+    data set or result, one without particles, an unknown format, cameras that the format cannot
     describe, or an existing folder.
 
     Parameters
@@ -155,34 +155,34 @@ def export(
             f"{data.root}: expected a data set with particles or bubbles, "
             "got one with a calibration target"
         )
-    found = open_result(result, data) if result is not None else None
+    opened = open_result(result, data) if result is not None else None
     program = _PROGRAMS.get(to)
     if program:
         check_writable(data.setup.cameras, program)
     with complete_or_nothing(Path(out), overwrite=overwrite) as root:
         root.mkdir()
         if to == "vtk":
-            vtkhdf.write(root, data, found)
+            vtkhdf.write(root, data, opened)
             write_state(root, Path(out).absolute())
         elif to == "coco":
-            if found is not None:
+            if opened is not None:
                 raise InputError(
-                    f"{found.path}: expected no result for coco, which has true bubbles"
+                    f"{opened.path}: expected no result for coco, which has true bubbles"
                 )
             write(root, data)
-        elif program and found is None:
+        elif program and opened is None:
             write_into(root, data.setup.cameras, program, data.setup.grid)
             _OBSERVATIONS[program](root, data, Path(out).absolute())
         else:
-            _write_particles(root, data, found, to)
+            _write_particles(root, data, opened, to)
     return Path(out)
 
 
 def _write_particles(
-    root: Path, data: Dataset, found: Result | None, to: TrackFormat | ProgramFormat
+    root: Path, data: Dataset, result: Result | None, to: TrackFormat | ProgramFormat
 ) -> None:
     setup, world = data.setup, ForeignWorld()
-    table = of_estimates(_particles(data, found))
+    table = of_estimates(_particles(data, result))
     cameras: Sequence[CameraModel] = setup.cameras
     program = _PROGRAMS.get(to)
     if program:
@@ -193,33 +193,34 @@ def _write_particles(
     write_tracks(root, table.into(world), to, recording)
 
 
-def _particles(data: Dataset, found: Result | None) -> list[FoundParticles]:
+def _particles(data: Dataset, result: Result | None) -> list[FoundParticles]:
     frames = progress_bar(range(data.setup.frames), "export")
-    if found is None:
+    if result is None:
         if "particles" not in data.shows:
             raise InputError(f"{data.root}: expected a data set with particles, or a result")
         true = (data.particles(frame) for frame in frames)
         return [
             FoundParticles(
-                one.position_mm,
-                trajectory=one.id.astype(np.int64),
-                velocity_mm_s=np.asarray(one.velocity_mm_s, dtype=np.float64),
+                particles.position_mm,
+                trajectory=particles.id.astype(np.int64),
+                velocity_mm_s=np.asarray(particles.velocity_mm_s, dtype=np.float64),
             )
-            for one in true
+            for particles in true
         ]
-    task = tasks.of(found.task)
+    task = tasks.of(result.task)
     if task.estimate not in (FoundParticles, Reconstruction):
         raise InputError(
-            f"{found.path}: expected a result with particles, got one of {task.estimate.__name__}"
+            f"{result.path}: expected a result with particles, got one of {task.estimate.__name__}"
         )
-    estimates = [task.read(data, found, frame) for frame in frames]
-    return [one if isinstance(one, FoundParticles) else _of_volume(found, one) for one in estimates]
+    return [_particles_of(result, task.read(data, result, frame)) for frame in frames]
 
 
-def _of_volume(found: Result, one: Reconstruction) -> FoundParticles:
-    if one.particles_mm is None:
-        raise InputError(f"{found.path}: expected a result with particles_mm, got a volume alone")
-    return FoundParticles(one.particles_mm)
+def _particles_of(result: Result, estimate: FoundParticles | Reconstruction) -> FoundParticles:
+    if isinstance(estimate, FoundParticles):
+        return estimate
+    if estimate.particles_mm is None:
+        raise InputError(f"{result.path}: expected a result with particles_mm, got a volume alone")
+    return FoundParticles(estimate.particles_mm)
 
 
 def _write_for_openptv(root: Path, data: Dataset, home: Path) -> None:

@@ -61,7 +61,7 @@ class ForeignWorld:
         return np.asarray(points_mm @ np.asarray(self.axes) + np.asarray(self.origin_mm))
 
     def write(self, folder: Path) -> None:
-        """Write the file by which results come back into our world."""
+        """Write the file that converts results back into the world of the data set."""
         record = {"origin_mm": self.origin_mm, "axes": self.axes}
         (folder / WORLD_FILE).write_text(canonical_json(record), encoding="utf-8")
 
@@ -111,11 +111,11 @@ class TrackTable:
 
     def rows(self, chosen: Bool | I64) -> TrackTable:
         """Return some of the particles."""
-        kept = {
+        columns = {
             name: None if getattr(self, name) is None else getattr(self, name)[chosen]
             for name in _OPTIONAL
         }
-        return TrackTable(self.frame[chosen], self.position_mm[chosen], **kept)
+        return TrackTable(self.frame[chosen], self.position_mm[chosen], **columns)
 
     def sorted(self) -> TrackTable:
         """Sort the particles by frame, those of a frame as they were."""
@@ -136,8 +136,8 @@ class TrackTable:
 
     def _turned(self, position: F64, axes: F64) -> TrackTable:
         velocity, acceleration = (
-            None if one is None else one @ axes
-            for one in (self.velocity_mm_s, self.acceleration_mm_s2)
+            None if vector is None else vector @ axes
+            for vector in (self.velocity_mm_s, self.acceleration_mm_s2)
         )
         return replace(
             self, position_mm=position, velocity_mm_s=velocity, acceleration_mm_s2=acceleration
@@ -148,13 +148,13 @@ class TrackTable:
 
         Raises InputError for two particles of one trajectory.
         """
-        one = self.of_frame(frame)
+        part = self.of_frame(frame)
         return FoundParticles(
-            one.position_mm,
-            one.intensity,
-            one.trajectory,
-            velocity_mm_s=one.velocity_mm_s,
-            acceleration_mm_s2=one.acceleration_mm_s2,
+            part.position_mm,
+            part.intensity,
+            part.trajectory,
+            velocity_mm_s=part.velocity_mm_s,
+            acceleration_mm_s2=part.acceleration_mm_s2,
         )
 
 
@@ -186,20 +186,20 @@ class Recording:
 def of_estimates(found: Sequence[FoundParticles]) -> TrackTable:
     """Make the table of the estimates of frames 0, 1, ...
 
-    What some frames lack is left out of all.
+    Quantities that are missing in some frames are left out.
     """
-    counts = [len(one.position_mm) for one in found]
+    counts = [len(frame.position_mm) for frame in found]
     parts = {
-        name: [getattr(one, name) for one in found]
+        name: [getattr(frame, name) for frame in found]
         for name in ("position_mm", *_OPTIONAL)
-        if all(getattr(one, name) is not None for one in found)
+        if all(getattr(frame, name) is not None for frame in found)
     }
     joined = {name: np.concatenate(part) for name, part in parts.items()}
     return TrackTable(np.repeat(np.arange(len(found)), counts), **joined)
 
 
 def number_strangers(trajectory: I64) -> I64:
-    """Give particles without a trajectory (below zero) numbers of their own."""
+    """Give each particle without a trajectory (below zero) a new number."""
     out, lone = trajectory.copy(), trajectory < 0
     out[lone] = trajectory.max(initial=-1) + 1 + np.arange(lone.sum())
     return out

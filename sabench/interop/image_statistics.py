@@ -1,4 +1,4 @@
-"""Image statistics of a frame, from which other programs' settings follow."""
+"""Image statistics of a frame, to derive other programs' settings."""
 
 from dataclasses import dataclass
 
@@ -39,9 +39,10 @@ def measure_frame(frame: Observation) -> FrameStatistics:
     images = frame.normalised_images()
     floor = max(_FLOOR, *(_NOISE * background_noise(image) for image in images))
     peaks = [find_peaks(image, floor).pixels for image in images]
-    count = int(np.median([len(one) for one in peaks]))
+    count = int(np.median([len(pixels) for pixels in peaks]))
     grid = frame.grid
-    low, voxel, shape = (np.asarray(one) for one in (grid.low_mm, grid.voxel_mm, grid.shape[::-1]))
+    low, voxel = np.asarray(grid.low_mm), np.asarray(grid.voxel_mm)
+    shape = np.asarray(grid.shape[::-1])
     middle = low + voxel * (shape - 1) / 2.0
     step = np.array([voxel[0], 0.0, 0.0])
     shift = [

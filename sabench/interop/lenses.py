@@ -25,10 +25,10 @@ from sabench.interop.foreign import note
 from sabench.utils.arrays import F64, nested, triple
 from sabench.utils.errors import InputError
 
-PIXEL_MM = 0.01  # where a file gives focal lengths in pixels; no projection depends on it
+PIXEL_MM = 0.01  # pixel size for files with focal lengths in pixels; no projection depends on it
 F_NUMBER = 8.0  # no format has one
-_ROUNDED = 1e-12  # change of a rotation that is that of double precision
-_LARGEST_CHANGE = 1e-3  # of a printed rotation's elements
+_ROUNDED = 1e-12  # change of a rotation due to double precision
+_LARGEST_CHANGE = 1e-3  # largest correction of a printed rotation's elements
 _SQUARE = 1e-12  # relative difference of focal lengths along columns and rows
 _LEAST_SOLID = 1.38  # refractive index: less than that of glass and plastic, more than water's
 _MOST_AIR = 1.01
@@ -82,7 +82,7 @@ class Extent:
 
 
 def nearest_rotation(matrix: F64, where: str, focal_px: float) -> F64:
-    """Find the rotation nearest to a printed matrix, and say how far it is.
+    """Find the rotation nearest to a printed matrix, and note the distance.
 
     The nearest in the Frobenius norm comes from the singular value decomposition (Horn, Hilden and
     Negahdaripour, J. Opt. Soc. Am. A 5 (1988) 1127).
@@ -189,27 +189,27 @@ def center_of(rotation: F64, translation: F64) -> F64:
 
 
 def check_media(where: str, indices: Sequence[float]) -> None:
-    """Say if refractive indices, from the camera to the fluid, look exchanged.
+    """Warn if refractive indices, from the camera to the fluid, look exchanged.
 
     They are kept: the file's orientations were fitted with them.
     """
     camera, fluid, solid = indices[0], indices[-1], max([1.0, *indices[1:-1]])
     exchanged = len(indices) > 2 and solid < _LEAST_SOLID <= fluid
     if exchanged or camera > _MOST_AIR >= fluid:
-        known = ", ".join(f"{index:g}" for index in indices)
+        listed = ", ".join(f"{index:g}" for index in indices)
         wrong = "wall and fluid" if exchanged else "the camera's side and the fluid"
         note(
-            f"{where}: the refractive indices {known}, from the camera to the fluid, look as if "
+            f"{where}: the refractive indices {listed}, from the camera to the fluid, look as if "
             f"{wrong} were exchanged; they are kept, because the orientations were fitted with "
             "them"
         )
 
 
 def check_unit(path: Any, cameras: Sequence[CameraModel], unit: str | None) -> None:
-    """Refuse cameras whose distances are those of another unit than mm.
+    """Refuse cameras with distances that suggest another unit than mm.
 
-    Cameras of a tank stand centimetres to metres apart. Nothing is checked where the user names
-    the unit.
+    Cameras of a tank are centimetres to metres apart. Nothing is checked where the user names the
+    unit.
     """
     centers = np.array([camera.center_mm for camera in cameras])
     if unit is not None or len(centers) < 2:
@@ -230,7 +230,7 @@ def scaled_camera(camera: CameraModel, factor: float) -> CameraModel:
         return camera
     if isinstance(camera, Soloff):
         middle, half = (
-            triple(factor * np.asarray(one)) for one in (camera.middle_mm, camera.half_mm)
+            triple(factor * np.asarray(vector)) for vector in (camera.middle_mm, camera.half_mm)
         )
         return replace(camera, middle_mm=middle, half_mm=half)
     if isinstance(camera, Projective):
@@ -252,7 +252,7 @@ def _scaled_wall(wall: WallRecord | None, factor: float) -> WallRecord | None:
     return replace(wall, point_mm=triple(np.asarray(wall.point_mm) * factor), layers=layers)
 
 
-_CLEARLY = 0.5  # largest ratio of residuals at which the exchanged indices are taken
+_CLEARLY = 0.5  # largest ratio of residuals that favours the exchanged indices
 
 
 def choose_indices(
@@ -304,6 +304,6 @@ def _exchanged(camera: CameraModel) -> CameraModel:
 def _residual_px(cameras: Sequence[CameraModel], points_mm: F64, pixels: F64) -> float:
     """Compute the root mean square reprojection error; infinite without a point."""
     pairs = zip(cameras, pixels, strict=True)
-    miss = np.concatenate([camera.project(points_mm)[0] - own for camera, own in pairs])
-    seen = miss[np.isfinite(miss).all(axis=1)]
-    return float(np.sqrt(np.mean(np.sum(seen**2, axis=1)))) if len(seen) else float("inf")
+    miss = np.concatenate([camera.project(points_mm)[0] - image for camera, image in pairs])
+    finite = miss[np.isfinite(miss).all(axis=1)]
+    return float(np.sqrt(np.mean(np.sum(finite**2, axis=1)))) if len(finite) else float("inf")

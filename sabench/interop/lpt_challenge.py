@@ -4,9 +4,9 @@ Cameras are lists of points: X Y Z and the pixels x1 y1 x2 y2 ... of all. Pixel 
 of the first pixel. The reader fits a model to each camera; a camera that does not see a point has
 NaN.
 
-Particles have one file for each frame, whose number ends its name. Three lines of Tecplot's head
-(title, variables, zone) come before X Y Z in mm and, where particles are tracked, their number.
-Files without the head are read, too.
+Particles have one file for each frame, with the number at the end of its name. Three lines of
+Tecplot's head (title, variables, zone) come before X Y Z in mm and, where particles are tracked,
+their number. Files without the head are read, too.
 """
 
 import re
@@ -35,16 +35,16 @@ LOST_OF_CAMERAS = (
     "walls: the points show their effect",
 )
 FILE = "CalibPoints.txt"
-_NODES = 15  # of the lattice along each edge of the volume
+_NODES = 15  # nodes of the lattice along each edge of the volume
 _HELD = 3  # every third point is held out of the comparison of models
 _SQUARE = 1e-4  # shear and difference of focal lengths of a fit that counts as square pixels
-_NO_WORSE = 1.1  # times the other's error up to which the simpler model is chosen
+_NO_WORSE = 1.1  # largest ratio of errors that favours the simpler model
 
 
 def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """Fit a pinhole or a Soloff polynomial to each camera of a point list.
 
-    The one with the smaller error at points that were held out is taken, and its error is said.
+    The model with the smaller error at held-out points is used, and a note gives its error.
 
     Raises InputError for a missing file, columns that are no pairs, too few points, or a missing
     size of the images.
@@ -69,14 +69,14 @@ def fit_camera(
     where: str, name: str, size: tuple[int, int], points_mm: F64, pixels: F64
 ) -> CameraModel:
     """Fit a camera to points (n, 3) and pixels (n, 2); rows with NaN are left out."""
-    seen = np.isfinite(points_mm).all(axis=1) & np.isfinite(pixels).all(axis=1)
-    points, image = points_mm[seen], pixels[seen]
+    valid = np.isfinite(points_mm).all(axis=1) & np.isfinite(pixels).all(axis=1)
+    points, image = points_mm[valid], pixels[valid]
     held = np.arange(len(points)) % _HELD == 0
     errors = {}
     for fit in (fit_projective, fit_soloff):
         try:
-            made = fit(name, *size, points[~held], image[~held])
-            miss = made.project(points[held])[0] - image[held]
+            trial = fit(name, *size, points[~held], image[~held])
+            miss = trial.project(points[held])[0] - image[held]
             errors[fit] = float(np.sqrt(np.mean(miss**2)))
         except InputError as error:
             fault = error
@@ -155,15 +155,15 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
     if not files:
         raise InputError(f"{path}: expected files NAME_N.dat or .txt, N the frame, found none")
     read = [(file, _read_frame(file, number, unit)) for number, file in files]
-    parts = [one for _, one in read if len(one)] or [read[0][1]]
-    linked = [one.trajectory is not None for one in parts]
+    parts = [part for _, part in read if len(part)] or [read[0][1]]
+    linked = [part.trajectory is not None for part in parts]
     if any(linked) and not all(linked):
-        odd = next(file for file, one in read if len(one) and one.trajectory is None)
+        odd = next(file for file, part in read if len(part) and part.trajectory is None)
         raise InputError(f"{odd}: expected a number for each particle, as in other files, got none")
     if not any(linked):
         note(f"{path}: its particles have no numbers of tracks")
     names = ("frame", "position_mm", *(("trajectory",) if all(linked) else ()))
-    return TrackTable(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
+    return TrackTable(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _read_frame(file: Path, number: int, unit: str | None) -> TrackTable:
@@ -191,10 +191,10 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     """Write particles_0000.dat and so on."""
     names = '"X" "Y" "Z"' + ("" if table.trajectory is None else ' "PartID"')
     for frame in range(recording.frames):
-        own = table.of_frame(frame)
-        rows = [" ".join(map(repr, row)) for row in own.position_mm.tolist()]
-        if own.trajectory is not None:
-            rows = [f"{row} {n}" for row, n in zip(rows, own.trajectory.tolist(), strict=True)]
-        head = f'Title = "Snapshot {frame}"\nVariables = {names}\nZone I={len(own)}, F=POINT\n'
+        part = table.of_frame(frame)
+        rows = [" ".join(map(repr, row)) for row in part.position_mm.tolist()]
+        if part.trajectory is not None:
+            rows = [f"{row} {n}" for row, n in zip(rows, part.trajectory.tolist(), strict=True)]
+        head = f'Title = "Snapshot {frame}"\nVariables = {names}\nZone I={len(part)}, F=POINT\n'
         text = head + "".join(f"{row}\n" for row in rows)
         (folder / f"particles_{frame:04d}.dat").write_text(text, encoding="utf-8")

@@ -34,14 +34,15 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     Raises InputError for a missing file, no structure of a camera in it, or one without a lens or a
     place.
     """
-    found = _structures_of_hdf5(path) if _is_hdf5(path) else _structures_of_mat(path)
-    cameras = {name: one for name, one in found.items() if "K" in one or "IntrinsicMatrix" in one}
+    structures = _structures_of_hdf5(path) if _is_hdf5(path) else _structures_of_mat(path)
+    lenses = {"K", "IntrinsicMatrix"}
+    cameras = {name: fields for name, fields in structures.items() if lenses & fields.keys()}
     if not cameras:
         raise InputError(
             f"{path}: expected structures with K or IntrinsicMatrix, R and t (made with toStruct), "
-            f"found {', '.join(found) or 'none'}"
+            f"found {', '.join(structures) or 'none'}"
         )
-    return [_camera(path, name, one, extent) for name, one in sorted(cameras.items())]
+    return [_camera(path, name, fields, extent) for name, fields in sorted(cameras.items())]
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -51,18 +52,18 @@ def _is_hdf5(path: Path) -> bool:
 
 
 def _structures_of_hdf5(path: Path) -> dict[str, Structure]:
-    """Read the structures of version 7.3, whose arrays are stored transposed."""
-    found = {}
+    """Read the structures of version 7.3, which stores arrays transposed."""
+    structures = {}
     with open_hdf5(path) as file:
         for name in list(file):
             node = file[name] if isinstance(file.get(name, getlink=True), h5py.HardLink) else None
             if isinstance(node, h5py.Group):
                 fields = [field for field in _FIELDS if field in node]
-                found[name] = {
+                structures[name] = {
                     field: read_array(file, f"{name}/{field}", (None, None), "fiu").T.astype(float)
                     for field in fields
                 }
-    return found
+    return structures
 
 
 def _structures_of_mat(path: Path) -> dict[str, Structure]:
@@ -74,17 +75,17 @@ def _structures_of_mat(path: Path) -> dict[str, Structure]:
         content: dict[str, Any] = loadmat(path, squeeze_me=False, struct_as_record=True)
     except (MatReadError, ValueError, TypeError, NotImplementedError, OSError) as error:
         raise InputError(f"{path}: expected a MATLAB file, got {error}") from error
-    found = {}
+    structures = {}
     for name, value in content.items():
         fields = getattr(value, "dtype", np.dtype(float)).names
         if fields and value.size == 1:
-            kept = {field: value[field].flat[0] for field in fields if field in _FIELDS}
-            found[name] = {
-                field: np.asarray(one, dtype=np.float64)
-                for field, one in kept.items()
-                if getattr(one, "dtype", np.dtype(object)).kind in "fiu"
+            wanted = {field: value[field].flat[0] for field in fields if field in _FIELDS}
+            structures[name] = {
+                field: np.asarray(array, dtype=np.float64)
+                for field, array in wanted.items()
+                if getattr(array, "dtype", np.dtype(object)).kind in "fiu"
             }
-    return found
+    return structures
 
 
 def _camera(path: Path, name: str, fields: Structure, extent: Extent) -> CameraModel:
@@ -121,7 +122,7 @@ def _shaped(where: str, fields: Structure, name: str, size: int) -> F64:
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Say that cameras cannot be written: MATLAB's own objects are closed to others."""
+    """Return why cameras cannot be written: MATLAB's objects are proprietary."""
     return "expected a format that cameras can be written in, as opencv"
 
 

@@ -32,7 +32,7 @@ from sabench.utils.tables import content_lines, read_table, split_numbers
 
 LOST_OF_CAMERAS = ("f-numbers and focal lengths", "the pixel pitch")
 _TSAI, _ZOLOF = "tsai", "extendedzolof"
-_OLD_NAME = re.compile(r"cam(era)?_?\d+")  # of files without a line of the model
+_OLD_NAME = re.compile(r"cam(era)?_?\d+")  # names of files without a line of the model
 # powers of X, Y, Z of the coefficients A; older files have the first 17
 _POWERS = (
     (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (0, 2, 0), (0, 0, 2),
@@ -48,10 +48,10 @@ def read_cameras(path: Path, extent: lenses.Extent) -> list[CameraModel]:
     """
     files = sorted(path.iterdir()) if path.is_dir() else []
     old = [file for file in files if _OLD_NAME.fullmatch(file.name) and file.is_file()]
-    found = [file for file in files if _is_camera(file)] or old if path.is_dir() else [path]
-    if not found:
+    paths = [file for file in files if _is_camera(file)] or old if path.is_dir() else [path]
+    if not paths:
         raise InputError(f"{path}: expected camera files of MyPTV, found none")
-    return [_read_camera(file, extent) for file in found]
+    return [_read_camera(file, extent) for file in paths]
 
 
 def _is_camera(path: Path) -> bool:
@@ -245,7 +245,7 @@ LOST_OF_TRACKS = (
 )
 _NAMES = ("smoothed_trajectories", "trajectories", "particles")
 _SMOOTHED = 11  # columns
-_SIDE = 3.0  # of blobs, whose size is not known
+_SIDE = 3.0  # width of blobs of unknown size, in pixels
 
 
 def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> foreign.TrackTable:
@@ -308,16 +308,15 @@ def write_tracks(folder: Path, table: foreign.TrackTable, recording: foreign.Rec
     interval_s = recording.interval_s
     # blobs of each particle (n, camera) count from 0 in each frame; -1 where a camera does not
     # see it
-    found = np.full((len(table), len(recording.cameras)), -1.0)
+    blobs = np.full((len(table), len(recording.cameras)), -1.0)
     for column, camera in enumerate(recording.cameras):
         pixels, valid = camera.project(table.position_mm)
-        seen = np.flatnonzero(valid & camera.contains(pixels))
-        frame = table.frame[seen]
+        visible = np.flatnonzero(valid & camera.contains(pixels))
+        frame = table.frame[visible]
         first = np.searchsorted(frame, frame)
-        found[seen, column] = np.arange(len(seen)) - first
-        size = np.tile([_SIDE, _SIDE, _SIDE**2], (len(seen), 1))
-        _write(folder / f"blobs_cam{column + 1}", np.column_stack([pixels[seen], size, frame]))
-    blobs = found
+        blobs[visible, column] = np.arange(len(visible)) - first
+        size = np.tile([_SIDE, _SIDE, _SIDE**2], (len(visible), 1))
+        _write(folder / f"blobs_cam{column + 1}", np.column_stack([pixels[visible], size, frame]))
     tail = np.column_stack([blobs, np.zeros(len(table)), table.frame])
     _write(folder / "particles", np.column_stack([table.position_mm, tail]))
     if table.trajectory is None:

@@ -1,7 +1,7 @@
-"""Tables of tracks whose columns have names: CSV and other text, NetCDF, MATLAB.
+"""Tables of tracks with named columns: CSV and other text, NetCDF, MATLAB.
 
 Names are those that programs in use write; the case of letters and what follows a unit's bracket do
-not matter. Other columns are left out, and said. NetCDF is written in the classic format (NetCDF
+not matter. Other columns are left out, with a note. NetCDF is written in the classic format (NetCDF
 3), which every reader takes; MATLAB loads its file with `load tracks.mat`.
 """
 
@@ -44,7 +44,7 @@ _MATLAB_HEADER = (
 
 @dataclass(frozen=True)
 class NamedColumns:
-    """Format of tables of tracks whose columns have names.
+    """Format of tables of tracks with named columns.
 
     Attributes
     ----------
@@ -69,19 +69,19 @@ class NamedColumns:
     def write_tracks(self, folder: Path, table: TrackTable, recording: Recording) -> None:
         """Write the file of a folder."""
         times = np.asarray(recording.times_s, dtype=np.float64)
-        found: dict[str, npt.NDArray[Any]] = {"frame": table.frame, "time_s": times[table.frame]}
+        columns: dict[str, npt.NDArray[Any]] = {"frame": table.frame, "time_s": times[table.frame]}
         if table.trajectory is not None:
-            found["trajectory"] = table.trajectory
+            columns["trajectory"] = table.trajectory
         for name, values in (
             ("{}_mm", table.position_mm),
             ("velocity_{}_mm_s", table.velocity_mm_s),
             ("acceleration_{}_mm_s2", table.acceleration_mm_s2),
         ):
             if values is not None:
-                found |= {name.format(axis): values[:, i] for i, axis in enumerate(_AXES)}
+                columns |= {name.format(axis): values[:, i] for i, axis in enumerate(_AXES)}
         if table.intensity is not None:
-            found["intensity"] = table.intensity
-        self.write(folder / self.file, found)
+            columns["intensity"] = table.intensity
+        self.write(folder / self.file, columns)
 
 
 def _read_text(file: Path) -> dict[str, Array]:
@@ -92,40 +92,40 @@ def _read_text(file: Path) -> dict[str, Array]:
 
 
 def _write_text(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
-    rows = zip(*(np.asarray(one).tolist() for one in columns.values()), strict=True)
+    rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _read_netcdf(file: Path) -> dict[str, Array]:
     variables = read_all_arrays(file, ".nc")
-    shape = next((one.values.shape for name, one in variables.items() if name[:1] in "xX"), ())
-    kept = {name: one for name, one in variables.items() if one.values.shape == shape}
+    shape = next((array.values.shape for name, array in variables.items() if name[:1] in "xX"), ())
+    fields = {name: array for name, array in variables.items() if array.values.shape == shape}
     if len(shape) == 2:
-        own = {name: one for name, one in variables.items() if one.values.shape == shape[:1]}
-        number = own or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
-        kept |= {
-            name: Array(np.repeat(one.values[:, None], shape[1], axis=1), one.unit)
-            for name, one in number.items()
+        rows = {name: array for name, array in variables.items() if array.values.shape == shape[:1]}
+        number = rows or {"trajectory": Array(np.arange(shape[0], dtype=np.float64), None)}
+        fields |= {
+            name: Array(np.repeat(array.values[:, None], shape[1], axis=1), array.unit)
+            for name, array in number.items()
         }
-    there = np.ones(shape, dtype=bool)
-    for one in kept.values() if len(shape) == 2 else ():
-        there &= np.isfinite(one.values)
-    left = [name for name in variables if name not in kept]
+    finite = np.ones(shape, dtype=bool)
+    for array in fields.values() if len(shape) == 2 else ():
+        finite &= np.isfinite(array.values)
+    left = [name for name in variables if name not in fields]
     if left:
         note(f"{file}: left out the variables {', '.join(left)}, of another shape than x")
-    return {name: Array(one.values[there].ravel(), one.unit) for name, one in kept.items()}
+    return {name: Array(array.values[finite].ravel(), array.unit) for name, array in fields.items()}
 
 
 def _write_netcdf(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
     from scipy.io import netcdf_file
 
     count = len(columns["frame"])
-    with netcdf_file(file, "w", version=2) as made:
-        made.createDimension("obs", count)
+    with netcdf_file(file, "w", version=2) as netcdf:
+        netcdf.createDimension("obs", count)
         for name, values in columns.items():
             kind, stored = _storable(file.name, name, values)
-            variable = made.createVariable(name, kind, ("obs",))
+            variable = netcdf.createVariable(name, kind, ("obs",))
             variable[:] = stored
             unit = next((unit for end, unit in _NETCDF_UNITS.items() if name.endswith(end)), None)
             if unit:
@@ -135,7 +135,7 @@ def _write_netcdf(file: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
 def _storable(
     file: str, name: str, values: npt.NDArray[Any]
 ) -> tuple[str, npt.NDArray[np.generic]]:
-    """Choose a type of NetCDF 3, whose whole numbers have 32 bits."""
+    """Choose a type of NetCDF 3; its integers have 32 bits."""
     if values.dtype.kind == "f":
         return "f8", values
     if np.abs(values).max(initial=0) > 2**31 - 1:
@@ -147,12 +147,12 @@ def _storable(
 def _read_matlab(file: Path) -> dict[str, Array]:
     """Read the vectors of a file; matrices and structures are left out."""
     vectors = {
-        name: Array(one.values.ravel(), one.unit)
-        for name, one in read_all_arrays(file, ".mat").items()
-        if one.values.size == max(one.values.shape, default=0)
+        name: Array(array.values.ravel(), array.unit)
+        for name, array in read_all_arrays(file, ".mat").items()
+        if array.values.size == max(array.values.shape, default=0)
     }
-    longest = max((one.values.size for one in vectors.values()), default=0)
-    return {name: one for name, one in vectors.items() if one.values.size == longest}
+    longest = max((array.values.size for array in vectors.values()), default=0)
+    return {name: array for name, array in vectors.items() if array.values.size == longest}
 
 
 def _write_matlab(path: Path, columns: Mapping[str, npt.NDArray[Any]]) -> None:
@@ -181,13 +181,13 @@ def table_of_columns(where: str, columns: Columns, unit: str | None) -> TrackTab
     Raises InputError for no frame or time, no positions, or values that are not finite or, where
     they are numbers of frames and trajectories, not whole.
     """
-    known = {name.strip().lower(): name for name in columns}
+    by_name = {name.strip().lower(): name for name in columns}
     used = list[str]()
 
     def find(names: tuple[str, ...]) -> str | None:
-        found = next((known[name] for name in names if name in known), None)
-        used.extend([found] if found else [])
-        return found
+        column = next((by_name[name] for name in names if name in by_name), None)
+        used.extend([column] if column else [])
+        return column
 
     position = _vector(where, columns, find, (_POSITION,), unit, "position")
     if position is None:
@@ -253,32 +253,32 @@ def _vector(
 def _factor(where: str, name: str, column: Array, unit: str | None, kind: str) -> float:
     """Return a column's unit in mm, mm/s or mm/s2: the given one, its own, or mm."""
     ending = re.search(r"_(mm_s2|mm_s|mm|m)$", name.lower())
-    own = column.unit or (_UNITS[f"_{ending[1]}"] if ending else None)
-    if kind == "velocity" and own and unit is None:
-        return speed_mm_s(None, Array(column.values, own), f"{where}: {name}", "unit")
-    if kind == "acceleration" and own and unit is None:
-        length = re.sub(r"(?:/|\s+)s.*$", "", own)
+    stated = column.unit or (_UNITS[f"_{ending[1]}"] if ending else None)
+    if kind == "velocity" and stated and unit is None:
+        return speed_mm_s(None, Array(column.values, stated), f"{where}: {name}", "unit")
+    if kind == "acceleration" and stated and unit is None:
+        length = re.sub(r"(?:/|\s+)s.*$", "", stated)
     else:
-        length = unit or own or "mm"
+        length = unit or stated or "mm"
     return length_mm(length, column, f"{where}: {name}", "unit")
 
 
 def _whole(where: str, name: str, values: npt.NDArray[Any]) -> I64:
-    found = _finite(where, name, values)
-    broken = np.flatnonzero((found != np.rint(found)) | (np.abs(found) > 2**53))
+    numbers = _finite(where, name, values)
+    broken = np.flatnonzero((numbers != np.rint(numbers)) | (np.abs(numbers) > 2**53))
     if len(broken):
         raise InputError(
-            f"{where}: {name}: expected whole numbers, got {found[broken[0]]:g} in row "
+            f"{where}: {name}: expected whole numbers, got {numbers[broken[0]]:g} in row "
             f"{broken[0] + 1}"
         )
-    return found.astype(np.int64)
+    return numbers.astype(np.int64)
 
 
 def _finite(where: str, name: str, values: npt.NDArray[Any]) -> F64:
-    found = np.asarray(values, dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(found))
+    numbers = np.asarray(values, dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(numbers))
     if len(bad):
         raise InputError(
-            f"{where}: {name}: expected finite numbers, got {found[bad[0]]} in row {bad[0] + 1}"
+            f"{where}: {name}: expected finite numbers, got {numbers[bad[0]]} in row {bad[0] + 1}"
         )
-    return found
+    return numbers

@@ -13,7 +13,7 @@ from sabench.dataset.reader import Dataset, open_dataset
 from sabench.utils.arrays import F64, U16
 from sabench.utils.errors import InputError
 
-_MOST_PLACES = 200_000  # in the layer of a camera, but for the frame that exceeds them
+_MOST_PLACES = 200_000  # points in a camera's layer, exceeded by one frame at most
 
 Layer = tuple[Any, dict[str, Any], str]
 
@@ -33,11 +33,11 @@ class Frames:
 
     def __getitem__(self, key: Any) -> U16:
         first, *others = key if isinstance(key, tuple) else (key,)
-        numbers = np.arange(len(self))[first]
-        if np.ndim(numbers) == 0:
-            image: U16 = self._data.raw_image(self._camera, int(numbers))[tuple(others)]
+        frames = np.arange(len(self))[first]
+        if np.ndim(frames) == 0:
+            image: U16 = self._data.raw_image(self._camera, int(frames))[tuple(others)]
             return image
-        images = [self._data.raw_image(self._camera, int(one))[tuple(others)] for one in numbers]
+        images = [self._data.raw_image(self._camera, int(frame))[tuple(others)] for frame in frames]
         return np.stack(images)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> U16:

@@ -39,7 +39,7 @@ def read_cameras(path: Path, extent: Extent) -> list[CameraModel]:
     """
     files = [path]
     if path.is_dir():
-        files = sorted(one for one in path.iterdir() if one.suffix.lower() in _SUFFIXES)
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)
     if not files:
         raise InputError(f"{path}: expected files that end in {', '.join(_SUFFIXES)}, found none")
     return [_read_camera(file, extent) for file in files]
@@ -101,9 +101,9 @@ def _value(node: Any) -> Any:
 
 
 def _name(nodes: dict[str, Any], names: Sequence[str]) -> str | None:
-    """Find the first of several names in a file, whatever the case of their letters."""
-    there = {name.lower(): name for name in nodes}
-    return next((there[name.lower()] for name in names if name.lower() in there), None)
+    """Find the first of several names in a file, ignoring case."""
+    lowered = {name.lower(): name for name in nodes}
+    return next((lowered[name.lower()] for name in names if name.lower() in lowered), None)
 
 
 def _matrix(
@@ -139,7 +139,7 @@ def _size(path: Path, nodes: dict[str, Any], extent: Extent) -> tuple[int, int]:
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Say why OpenCV's format cannot describe cameras; None if it can."""
+    """Return why OpenCV's format cannot describe cameras; None if it can."""
     for camera in cameras:
         if not isinstance(camera, Camera):
             return f"{camera.name}: expected a pinhole, got {type(camera).__name__}"
@@ -154,8 +154,8 @@ def write_cameras(
     folder: Path, cameras: Sequence[Camera], world: ForeignWorld, points_mm: F64 | None
 ) -> None:
     """Write a YAML file for each camera, named as the camera."""
-    for one in cameras:
-        camera = one.upright()
+    for given in cameras:
+        camera = given.upright()
         lens, rotation = camera.distortion, np.asarray(camera.rotation)
         (column, row), focal = camera.principal_point_px, camera.focal_px
         matrix = np.array([[focal, 0.0, column], [0.0, focal, row], [0.0, 0.0, 1.0]])

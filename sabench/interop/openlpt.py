@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 
 LEAST_FRAMES = 5  # needed to estimate the optical transfer function
-_TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # of its projection through plates
-_SKIN_MM = 1e-3  # of fluid that stands for a plate where a wall has none
+_TOLERANCE, _ITERATIONS, _RATE = 1e-9, 1000, 0.1  # settings of its projection through plates
+_SKIN_MM = 1e-3  # thickness of fluid in place of a plate where a wall has none
 # grey values of a bright particle's peak and of the brightest pixel: two particles may overlap
 _BRIGHT, _WHITE = 160.0, 255
 
@@ -50,8 +50,8 @@ class Settings:
     radius_px : of a particle's image.
     move_mm : largest displacement from frame to frame about the mean one of a neighbourhood.
     spacing_mm : distance of neighbouring particles, and of the nodes of the field of displacements.
-    reach_mm : radius around these nodes in which particles contribute.
-    tolerance_px, tolerance_mm : distances within which lines of sight count as intersecting.
+    reach_mm : radius of the particles averaged at these nodes.
+    tolerance_px, tolerance_mm : tolerances of intersections of lines of sight.
     mm_per_px : at the centre of the volume.
     threads : 0 for all.
     """
@@ -146,12 +146,12 @@ def camera_text(camera: Camera) -> str:
 
 
 def missing() -> str | None:
-    """Say how to install the program, or return None if it is installed."""
+    """Return how to install the program; None if it is installed."""
     return python.missing("pyopenlpt", "openlpt")
 
 
 def unfit(camera: Camera) -> str | None:
-    """Say why OpenLPT cannot describe a camera; None if it can."""
+    """Return why OpenLPT cannot describe a camera; None if it can."""
     if camera.wall and not isinstance(camera.wall, Wall):
         return "OpenLPT supports plane walls, and this wall is a cylinder"
     lens = camera.distortion
@@ -328,28 +328,28 @@ def read_files(files: Sequence[Path], unit: str | None) -> TrackTable:
     frame, position, number = list[I64](), [np.zeros((0, 3))], list[I64]()
     before = 0
     for file in files:
-        made = _read_file(file, unit)
-        own = np.asarray(made.trajectory) + before
-        before = int(own.max(initial=before - 1)) + 1
-        frame.append(made.frame)
-        position.append(made.position_mm)
-        number.append(own)
-    numbers = [np.concatenate([_NONE, *one]) for one in (frame, number)]
+        part = _read_file(file, unit)
+        shifted = np.asarray(part.trajectory) + before
+        before = int(shifted.max(initial=before - 1)) + 1
+        frame.append(part.frame)
+        position.append(part.position_mm)
+        number.append(shifted)
+    numbers = [np.concatenate([_NONE, *column]) for column in (frame, number)]
     return TrackTable(numbers[0], np.concatenate(position), numbers[1]).sorted()
 
 
 def _read_file(file: Path, unit: str | None) -> TrackTable:
     """Read columns by names; pixels of cameras, which follow, are left out."""
     table = read_table(file, 5)
-    there = [name.strip() for name in table.names]
+    names = [name.strip() for name in table.names]
     if not len(table.values):
         return TrackTable(_NONE, np.zeros((0, 3)), _NONE)
-    missing = next((name for name in _HEAD if name not in there), None)
+    missing = next((name for name in _HEAD if name not in names), None)
     if missing:
         raise InputError(
-            f"{file}: expected a column {missing}, got {', '.join(there) or 'no names'}"
+            f"{file}: expected a column {missing}, got {', '.join(names) or 'no names'}"
         )
-    columns = {name: Array(table.values[:, there.index(name)], None) for name in _HEAD}
+    columns = {name: Array(table.values[:, names.index(name)], None) for name in _HEAD}
     return table_of_columns(str(file), columns, unit)
 
 

@@ -91,7 +91,7 @@ def _read_plates(path: Path, lines: Sequence[tuple[int, str]]) -> Wall | None:
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Say why OpenLPT cannot describe cameras; None if it can."""
+    """Return why OpenLPT cannot describe cameras; None if it can."""
     for camera in cameras:
         if not isinstance(camera, Camera):
             return f"{camera.name}: OpenLPT has pinholes with Brown-Conrady's distortion only"

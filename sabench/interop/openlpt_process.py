@@ -37,8 +37,8 @@ def _reconstruct(lpt: Any, folder: Path, settings: Any) -> None:
     for camera, images in enumerate(sequences):
         config._otf.estimateUniformOTFFromImage(camera, config, images)
     for frame in range(settings._frame_end + 1):
-        found = lpt.IPR(cameras).runIPR(config, [images[frame] for images in sequences])
-        rows = [" ".join(repr(value[0]) for value in one._pt_center.to_list()) for one in found]
+        objects = lpt.IPR(cameras).runIPR(config, [images[frame] for images in sequences])
+        rows = [" ".join(repr(value[0]) for value in obj._pt_center.to_list()) for obj in objects]
         (folder / f"found_{frame:05d}.txt").write_text("\n".join(rows) + "\n", encoding="utf-8")
         print(f"Total time for frame {frame}", flush=True)
 

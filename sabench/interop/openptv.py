@@ -33,9 +33,9 @@ if TYPE_CHECKING:  # it loads numba, which scores do without
     from sabench.interop.image_statistics import FrameStatistics
 
 MOST_CAMERAS = 4
-_AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # of OpenPTV's world in ours
+_AXES = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))  # axes of OpenPTV's world in ours
 _BRIGHT, _WHITE = 160.0, 255  # grey values of a bright particle's peak and of the brightest pixel
-_BETWEEN = 0.5  # fraction of the distance to a camera where the glass stands if there is none
+_BETWEEN = 0.5  # position of a thin wall, as a fraction of the distance to a camera without one
 
 
 @dataclass(frozen=True)
@@ -82,12 +82,12 @@ def derive_settings(
 
 
 def missing() -> str | None:
-    """Say how to install the program, or return None if it is installed."""
+    """Return how to install the program; None if it is installed."""
     return python.missing("optv", "optv")
 
 
 def unfit(camera: Camera) -> str | None:
-    """Say why OpenPTV cannot describe a camera; None if it can."""
+    """Return why OpenPTV cannot describe a camera; None if it can."""
     if camera.wall and not isinstance(camera.wall, Wall):
         return "OpenPTV supports plane walls, and this wall is a cylinder"
     if camera.wall and len(camera.wall.layers) > 1:
@@ -106,7 +106,7 @@ def unfit(camera: Camera) -> str | None:
 
 
 def unlike(cameras: Sequence[Camera]) -> str | None:
-    """Say why OpenPTV cannot describe cameras together; None if it can."""
+    """Return why OpenPTV cannot describe cameras together; None if it can."""
     first = cameras[0]
     for camera in cameras:
         if media_of(camera) != media_of(first):
@@ -196,7 +196,7 @@ def media_of(camera: Camera) -> dict[str, Any]:
 
 
 def to_8_bits(images: F32) -> U8:
-    """Scale images, in which a bright particle's peak is 1, to grey values."""
+    """Scale images to grey values; a bright particle's peak is 1."""
     return np.asarray(np.clip(np.rint(_BRIGHT * images), 0, _WHITE).astype(np.uint8))
 
 
@@ -251,10 +251,10 @@ def solve(folder: Path, grid: Grid, frames: int) -> list[FoundParticles]:
         for frame in range(frames)
     ]
     world = world_of(grid)
-    tracks = join_links([len(one) for one in positions], read_json(folder / "links.json"))
+    tracks = join_links([len(points) for points in positions], read_json(folder / "links.json"))
     return [
-        FoundParticles(world.back(one), None, number)
-        for one, number in zip(positions, tracks, strict=True)
+        FoundParticles(world.back(points), None, number)
+        for points, number in zip(positions, tracks, strict=True)
     ]
 
 
@@ -266,8 +266,8 @@ def join_links(counts: list[int], links: list[list[int]]) -> list[I64]:
     out: list[I64] = []
     born = 0
     for frame, count in enumerate(counts):
-        known = frame < len(links) and len(links[frame]) == count
-        before = np.array(links[frame] if known else [-1] * count, dtype=np.int64)
+        complete = frame < len(links) and len(links[frame]) == count
+        before = np.array(links[frame] if complete else [-1] * count, dtype=np.int64)
         number = np.full(count, -1, dtype=np.int64)
         if frame:
             linked = (before >= 0) & (before < counts[frame - 1])

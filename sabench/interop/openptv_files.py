@@ -85,10 +85,10 @@ def _find_control(path: Path) -> Path:
     if path.is_file():
         return path
     places = [path / "parameters" / "ptv.par", path / "ptv.par"]
-    found = next((place for place in places if place.is_file()), None)
-    if found is None:
+    control = next((place for place in places if place.is_file()), None)
+    if control is None:
         raise InputError(f"{path}: expected an OpenPTV project with parameters/ptv.par, found none")
-    return found
+    return control
 
 
 def _number(path: Path, lines: Sequence[tuple[int, str]], index: int) -> float:
@@ -183,18 +183,18 @@ def _camera(
 
 
 def unfit(cameras: Sequence[CameraModel]) -> str | None:
-    """Say why OpenPTV cannot describe cameras; None if it can."""
-    odd = next((one.name for one in cameras if not isinstance(one, Camera)), None)
+    """Return why OpenPTV cannot describe cameras; None if it can."""
+    odd = next((camera.name for camera in cameras if not isinstance(camera, Camera)), None)
     if odd:
         return f"{odd}: OpenPTV has pinholes with Brown-Conrady's distortion only"
-    plain = [one for one in cameras if isinstance(one, Camera)]
+    plain = [camera for camera in cameras if isinstance(camera, Camera)]
     if len(plain) > openptv.MOST_CAMERAS:
         return f"OpenPTV has {openptv.MOST_CAMERAS} cameras at most, got {len(plain)}"
-    own = next((f"{one.name}: {why}" for one in plain if (why := openptv.unfit(one))), None)
-    sizes = {(one.rows, one.columns) for one in plain}
-    if own is None and len(sizes) > 1:
+    faults = [f"{camera.name}: {why}" for camera in plain if (why := openptv.unfit(camera))]
+    sizes = {(camera.rows, camera.columns) for camera in plain}
+    if not faults and len(sizes) > 1:
         return f"OpenPTV has one size of images, and the cameras have {sorted(sizes)}"
-    return own or openptv.unlike(plain)
+    return faults[0] if faults else openptv.unlike(plain)
 
 
 def write_cameras(
@@ -267,7 +267,7 @@ LOST_OF_TRACKS = (
     "light of each camera, covariances and probabilities",
     "sizes of targets (they are 3 x 3 pixels)",
 )
-_SIDE = 3  # of targets, whose size is not known
+_SIDE = 3  # width of targets of unknown size, in pixels
 _CAMERAS = 4  # columns of rt_is
 
 
@@ -279,23 +279,23 @@ def read_tracks(path: Path, unit: str | None, interval_s: float | None) -> Track
     Raises InputError for a missing file, or a broken one.
     """
     places = [path / "res", path] if path.is_dir() else [path.parent]
-    found = [
+    series = [
         (kind, files)
         for place in places
         if place.is_dir()
         for kind in ("ptv_is", "rt_is")
         if (files := list(numbered_files(place, rf"{kind}\.(?P<frame>\d+)")))
     ]
-    if not found:
+    if not series:
         raise InputError(f"{path}: expected files ptv_is.N or rt_is.N, in it or in res, found none")
-    kind, files = found[0]
+    kind, files = series[0]
     if kind == "rt_is":
         note(f"{path}: found no ptv_is files: the particles have no trajectories")
     first = 2 if kind == "ptv_is" else 1
     tables = [_read_frame(file, 5 if kind == "ptv_is" else 4) for _, file in files]
-    counts = [len(one) for one in tables]
+    counts = [len(table) for table in tables]
     factor = 1.0 if unit is None else unit_mm(unit)
-    position = np.concatenate([one[:, first : first + 3] for one in tables]) * factor
+    position = np.concatenate([table[:, first : first + 3] for table in tables]) * factor
     frame = np.repeat([number for number, _ in files], counts).astype(np.int64)
     trajectory = _join([number for number, _ in files], tables) if kind == "ptv_is" else None
     return TrackTable(frame, position, trajectory)
@@ -334,25 +334,25 @@ def write_tracks(folder: Path, table: TrackTable, recording: Recording) -> None:
     (folder / "res").mkdir()
     (folder / "img").mkdir(exist_ok=True)
     parts = [table.of_frame(frame) for frame in range(frames)]
-    for frame, own in enumerate(parts):
-        seen = _write_targets(folder, own, cameras, FIRST + frame)
-        rows = np.full((len(own), _CAMERAS), -1)
-        rows[:, : len(cameras)] = seen[:, :_CAMERAS]
+    for frame, part in enumerate(parts):
+        targets = _write_targets(folder, part, cameras, FIRST + frame)
+        rows = np.full((len(part), _CAMERAS), -1)
+        rows[:, : len(cameras)] = targets[:, :_CAMERAS]
         lines = [
             f"{n:4d} {x!r} {y!r} {z!r} " + " ".join(map(str, row))
             for n, ((x, y, z), row) in enumerate(
-                zip(own.position_mm.tolist(), rows.tolist(), strict=True), 1
+                zip(part.position_mm.tolist(), rows.tolist(), strict=True), 1
             )
         ]
         _write(folder / "res" / f"rt_is.{FIRST + frame}", lines)
-    for frame, own in enumerate(parts):
-        before = _rows_in(own, parts[frame - 1]) if frame else np.full(len(own), -1)
-        after = _rows_in(own, parts[frame + 1]) if frame + 1 < frames else np.full(len(own), -1)
+    for frame, part in enumerate(parts):
+        before = _rows_in(part, parts[frame - 1]) if frame else np.full(len(part), -1)
+        after = _rows_in(part, parts[frame + 1]) if frame + 1 < frames else np.full(len(part), -1)
         after[after < 0] = -2
         lines = [
             f"{a:4d} {b:4d} {x!r} {y!r} {z!r}"
             for a, b, (x, y, z) in zip(
-                before.tolist(), after.tolist(), own.position_mm.tolist(), strict=True
+                before.tolist(), after.tolist(), part.position_mm.tolist(), strict=True
             )
         ]
         _write(folder / "res" / f"ptv_is.{FIRST + frame}", lines)
@@ -362,36 +362,36 @@ def _write(path: Path, lines: Sequence[str]) -> None:
     path.write_text("\n".join([str(len(lines)), *lines]) + "\n", encoding="utf-8")
 
 
-def _rows_in(own: TrackTable, other: TrackTable) -> I64:
+def _rows_in(table: TrackTable, other: TrackTable) -> I64:
     """Find the rows of the same trajectories in another frame; -1 for none."""
-    if own.trajectory is None or other.trajectory is None or not len(other):
-        return np.full(len(own), -1)
+    if table.trajectory is None or other.trajectory is None or not len(other):
+        return np.full(len(table), -1)
     order = np.argsort(other.trajectory)
-    place = np.searchsorted(other.trajectory[order], own.trajectory).clip(max=len(other) - 1)
+    place = np.searchsorted(other.trajectory[order], table.trajectory).clip(max=len(other) - 1)
     rows = order[place]
-    return np.where(other.trajectory[rows] == own.trajectory, rows, -1)
+    return np.where(other.trajectory[rows] == table.trajectory, rows, -1)
 
 
 def _write_targets(
-    folder: Path, own: TrackTable, cameras: Sequence[CameraModel], number: int
+    folder: Path, table: TrackTable, cameras: Sequence[CameraModel], number: int
 ) -> I64:
     """Write projections of particles as targets, sorted by row as OpenPTV needs.
 
     Returns each particle's target in each camera (n, camera); -1 where the camera does not see it.
     """
-    found = np.full((len(own), len(cameras)), -1)
-    grey = np.full(len(own), 100.0) if own.intensity is None else own.intensity
+    targets = np.full((len(table), len(cameras)), -1)
+    grey = np.full(len(table), 100.0) if table.intensity is None else table.intensity
     for column, camera in enumerate(cameras):
-        pixels, valid = camera.project(own.position_mm)
-        seen = np.flatnonzero(valid & camera.contains(pixels))
-        seen = seen[np.argsort(pixels[seen, 1], kind="stable")]
-        found[seen, column] = np.arange(len(seen))
+        pixels, valid = camera.project(table.position_mm)
+        visible = np.flatnonzero(valid & camera.contains(pixels))
+        visible = visible[np.argsort(pixels[visible, 1], kind="stable")]
+        targets[visible, column] = np.arange(len(visible))
         lines = [
             f"{n:4d} {x + 0.5:9.4f} {y + 0.5:9.4f} {_SIDE**2:5d} {_SIDE:5d} {_SIDE:5d} "
             f"{max(1, round(grey[row])):5d} {row:5d}"
             for n, ((x, y), row) in enumerate(
-                zip(pixels[seen].tolist(), seen.tolist(), strict=True)
+                zip(pixels[visible].tolist(), visible.tolist(), strict=True)
             )
         ]
         _write(folder / "img" / f"cam{column + 1}.{number}_targets", lines)
-    return found
+    return targets

@@ -2,8 +2,8 @@
 
 `openptv.write_project` makes the folder.
 
-The steps are those of its own window, pyptv: particle images, correspondences, positions, then
-tracking out of the files of these.
+The steps are those of its graphical program, pyptv: particle images, correspondences, positions,
+then tracking out of the files of these.
 """
 
 import json
@@ -102,10 +102,10 @@ def _frame(
     )
     targets, flat = [], []
     for number, image in enumerate(images):
-        own = target_recognition(np.ascontiguousarray(image), chosen, number, control)
-        own.sort_y()
-        targets.append(own)
-        flat.append(MatchedCoords(own, control, cameras[number]))
+        blobs = target_recognition(np.ascontiguousarray(image), chosen, number, control)
+        blobs.sort_y()
+        targets.append(blobs)
+        flat.append(MatchedCoords(blobs, control, cameras[number]))
     pixels, rows, _ = correspondences(targets, flat, cameras, volume, control)
     row = (
         np.concatenate([part.reshape(len(cameras), -1) for part in rows], axis=1).astype(int)
@@ -115,21 +115,20 @@ def _frame(
     row = row[:, (row >= 0).sum(axis=0) >= min(_LEAST, len(cameras))]
     positions = np.zeros((0, 3))
     if row.shape[1]:
-        seen = np.array([one.get_by_pnrs(own) for one, own in zip(flat, row, strict=True)])
+        matched = np.array([points.get_by_pnrs(ids) for points, ids in zip(flat, row, strict=True)])
         positions, _ = point_positions(
-            np.ascontiguousarray(seen.transpose(1, 0, 2)), control, cameras, volume
+            np.ascontiguousarray(matched.transpose(1, 0, 2)), control, cameras, volume
         )
-    for number, own in enumerate(targets):
-        own.write(f"img/cam{number}.".encode(), frame + 1)
+    for number, blobs in enumerate(targets):
+        blobs.write(f"img/cam{number}.".encode(), frame + 1)
     _write_positions(folder, frame, positions, row)
     print(f"sabench frame {frame}", flush=True)
     return len(positions)
 
 
 def _write_positions(folder: Path, frame: int, positions: Any, row: Any) -> None:
-    (folder / f"found_{frame:05d}.json").write_text(
-        json.dumps(positions.tolist()), encoding="utf-8"
-    )
+    text = json.dumps(positions.tolist())
+    (folder / f"found_{frame:05d}.json").write_text(text, encoding="utf-8")
     four = np.full((4, len(positions)), -1)
     four[: len(row)] = row
     both = enumerate(zip(positions, four.T, strict=True), 1)

@@ -36,8 +36,8 @@ _MODULES: dict[str, ModuleType | NamedColumns] = {
 def check_form(form: str) -> None:
     """Raise an InputError for a format of tracks that is not known."""
     if form not in get_args(TrackFormat):
-        known = ", ".join(get_args(TrackFormat))
-        raise InputError(f"tracks: expected a format of {known}, got {form!r}")
+        formats = ", ".join(get_args(TrackFormat))
+        raise InputError(f"tracks: expected a format of {formats}, got {form!r}")
 
 
 def read_tracks(
@@ -62,7 +62,7 @@ def read_tracks(
 
 
 def write_tracks(folder: Path, table: TrackTable, form: TrackFormat, recording: Recording) -> None:
-    """Write particles into a folder, and say what the format cannot carry.
+    """Write particles into a folder, and note what the format cannot store.
 
     The particles are in the world of the files.
     """
@@ -71,7 +71,7 @@ def write_tracks(folder: Path, table: TrackTable, form: TrackFormat, recording: 
     _MODULES[form].write_tracks(folder, table, recording)
 
 
-_AROUND = 0.25  # of the volume's edges, at either side, where particles count as in it
+_AROUND = 0.25  # margin around the volume for particles inside, share of its edges
 _FEW, _MANY = 0.1, 0.5  # shares of particles in the volume that are too few, and usual
 _LISTED = 10  # frames that a sentence lists
 
@@ -106,7 +106,7 @@ def import_result(
     """Make a result file of the particles that another program found in a data set.
 
     A file `sabench-world.json` that `export` has written next to them, or up to two folders above,
-    tells the world of the positions; without it, it is that of the data set.
+    defines the coordinate system of the positions. By default it is that of the data set.
 
     Parameters
     ----------
@@ -130,14 +130,14 @@ def import_result(
     with result_writer(
         Path(out), data, solver or form, "particles", parameters, overwrite=overwrite
     ) as writer:
-        for frame, one in enumerate(estimates):
-            writer.add(one, frame)
+        for frame, estimate in enumerate(estimates):
+            writer.add(estimate, frame)
     tracks = None if table.trajectory is None else len(np.unique(table.trajectory))
     return Imported(Path(out), len(table), setup.frames, tracks)
 
 
 def _renumbered(source: Path, table: TrackTable, first: int | None, frames: int) -> TrackTable:
-    """Count frames from 0, and say which have no particle."""
+    """Count frames from 0, and note those without particles."""
     if not len(table):
         raise InputError(f"{source}: expected particles, found none")
     begin = int(table.frame[0]) if first is None else first
@@ -152,13 +152,13 @@ def _renumbered(source: Path, table: TrackTable, first: int | None, frames: int)
         more = f" and {len(empty) - _LISTED} more" if len(empty) > _LISTED else ""
         note(
             f"{source}: no particles in the frames "
-            f"{', '.join(str(one) for one in empty[:_LISTED] + begin)}{more}"
+            f"{', '.join(str(number) for number in empty[:_LISTED] + begin)}{more}"
         )
     return replace(table, frame=frame)
 
 
 def _check_places(source: Path, table: TrackTable, grid: Grid, unit: str | None) -> None:
-    """Refuse positions in another unit; say if they lie outside the volume."""
+    """Refuse positions in another unit; note if they lie outside the volume."""
     share = _share_inside(grid, table.position_mm)
     if share >= _FEW:
         return

@@ -28,8 +28,8 @@ from sabench.utils.progress import progress_bar
 from sabench.worlds.library.overlaps import shapes_of
 from sabench.worlds.tracers import lattice
 
-_NODES = 50  # of the exact field along the volume's longest edge, where the scene names no lattice
-# of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
+_NODES = 50  # nodes of the exact field along the volume's longest edge, by default
+# version of VTKHDF: https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/index.html
 _VERSION = 2, 0
 Data = dict[str, npt.NDArray[Any]]
 
@@ -55,9 +55,9 @@ def write(root: Path, data: Dataset, found: Result | None) -> None:
     else:
         task = tasks.of(found.task)
         if task.estimate not in _WRITERS:
-            known = " or ".join(kind.__name__ for kind in _WRITERS)
+            names = " or ".join(kind.__name__ for kind in _WRITERS)
             raise InputError(
-                f"{found.path}: expected a result of {known}, got one of {task.estimate.__name__}"
+                f"{found.path}: expected a result of {names}, got one of {task.estimate.__name__}"
             )
         for frame in progress_bar(task.frames(data), "export"):
             _WRITERS[task.estimate](root, data, frame, task.read(data, found, frame))
@@ -100,16 +100,16 @@ def _export_truth(root: Path, data: Dataset) -> None:
             write_surfaces(root / f"bodies_{frame:04d}.vtkhdf", data.solids(frame))
 
 
-def _write_reconstruction(root: Path, data: Dataset, frame: int, found: Reconstruction) -> None:
-    grid, values = data.setup.grid, {"intensity": found.volume}
+def _write_reconstruction(root: Path, data: Dataset, frame: int, estimate: Reconstruction) -> None:
+    grid, values = data.setup.grid, {"intensity": estimate.volume}
     write_lattice(root / f"volume_{frame:04d}.vtkhdf", grid.low_mm, grid.voxel_mm, values)
-    if found.particles_mm is not None:
-        write_points(root / f"particles_{frame:04d}.vtkhdf", found.particles_mm, {})
+    if estimate.particles_mm is not None:
+        write_points(root / f"particles_{frame:04d}.vtkhdf", estimate.particles_mm, {})
 
 
 def _write_velocity(root: Path, data: Dataset, frame: int, field: Velocity) -> None:
-    own = field.in_own_axes()
-    slopes = gradient(own.velocity_mm_s, own.step_mm)
+    local = field.in_own_axes()
+    slopes = gradient(local.velocity_mm_s, local.step_mm)
     values = _field(field, slopes) | {"valid": field.valid.astype(np.uint8)}
     if field.plane_axes is not None:
         values["vorticity_1_s"] = vorticity(slopes)[..., 2:] * field.axes[2]
@@ -121,24 +121,24 @@ def _write_velocity(root: Path, data: Dataset, frame: int, field: Velocity) -> N
     write_lattice(path, field.low_mm, field.step_mm, values, field.axes)
 
 
-def _write_detections(root: Path, data: Dataset, frame: int, found: Detections) -> None:
-    values = _shapes(found)
+def _write_detections(root: Path, data: Dataset, frame: int, estimate: Detections) -> None:
+    values = _shapes(estimate)
     if data.has_truth:
         true = data.bubbles(frame)
-        i, j = match(found.center_mm, true.center_mm, true.radius_mm)
-        which = np.full(len(found.center_mm), -1)
+        i, j = match(estimate.center_mm, true.center_mm, true.radius_mm)
+        which = np.full(len(estimate.center_mm), -1)
         which[i] = j
         hit = which >= 0
-        known = true[which[hit]]
+        matched = true[which[hit]]
         identity, error_mm, radius = (
             np.full(len(hit), -1),
             np.full((len(hit), 3), np.nan),
             np.full(len(hit), np.nan),
         )
         identity[hit], error_mm[hit], radius[hit] = (
-            known.id,
-            found.center_mm[hit] - known.center_mm,
-            found.radius_mm[hit] - known.radius_mm,
+            matched.id,
+            estimate.center_mm[hit] - matched.center_mm,
+            estimate.radius_mm[hit] - matched.radius_mm,
         )
         values |= {
             "matched": hit.astype(np.uint8),
@@ -146,22 +146,22 @@ def _write_detections(root: Path, data: Dataset, frame: int, found: Detections) 
             "error_mm": error_mm,
             "radius_error_mm": radius,
         }
-    write_points(root / f"bubbles_{frame:04d}.vtkhdf", found.center_mm, values)
+    write_points(root / f"bubbles_{frame:04d}.vtkhdf", estimate.center_mm, values)
 
 
-def _write_particles(root: Path, data: Dataset, frame: int, found: FoundParticles) -> None:
-    given = {"intensity": found.intensity, "track": found.trajectory}
-    about: Data = {name: one for name, one in given.items() if one is not None}
+def _write_particles(root: Path, data: Dataset, frame: int, cloud: FoundParticles) -> None:
+    given = {"intensity": cloud.intensity, "track": cloud.trajectory}
+    about: Data = {name: array for name, array in given.items() if array is not None}
     if data.has_truth:
         true, grid = data.particles(frame), data.setup.grid
-        i, j = challenge_pairs(grid.to_voxels(found.position_mm), grid.to_voxels(true.position_mm))
-        identity = np.full(len(found.position_mm), -1)
+        i, j = challenge_pairs(grid.to_voxels(cloud.position_mm), grid.to_voxels(true.position_mm))
+        identity = np.full(len(cloud.position_mm), -1)
         identity[i] = true.id[j]
         about |= {"matched": (identity >= 0).astype(np.uint8), "true_id": identity}
         missed = ~np.isin(true.id, identity) & grid.in_scored(grid.to_voxels(true.position_mm))
         path = root / f"missed_{frame:04d}.vtkhdf"
         write_points(path, true.position_mm[missed], {"id": true.id[missed]})
-    write_points(root / f"particles_{frame:04d}.vtkhdf", found.position_mm, about)
+    write_points(root / f"particles_{frame:04d}.vtkhdf", cloud.position_mm, about)
 
 
 _WRITERS: dict[type[Estimate], Callable[[Path, Dataset, int, Any], None]] = {
@@ -227,7 +227,7 @@ def write_lattice(
 
 def write_points(path: Path, points_mm: F64, data: Data) -> None:
     """Write points (n, 3) with values as VTK's poly data."""
-    values = {f"PointData/{name}": one for name, one in data.items()}
+    values = {f"PointData/{name}": array for name, array in data.items()}
     _write_cells(path, points_mm, "Vertices", np.arange(len(points_mm))[:, None], values)
 
 
@@ -258,9 +258,9 @@ def write_rig(path: Path, cameras: Sequence[CameraModel], grid: Grid) -> None:
         paths = light_paths(camera, border_pixels(camera), low, high)
         along = np.stack([paths[:, :-1], paths[:, 1:]], axis=2).reshape(-1, 2, 3)
         around = np.stack([paths, np.roll(paths, -1, axis=0)], axis=2)[:, 1:].reshape(-1, 2, 3)
-        seen = [one for one in (*along, *around) if np.isfinite(one).all()]
-        lines += seen
-        owner += [number] * len(seen)
+        segments = [segment for segment in (*along, *around) if np.isfinite(segment).all()]
+        lines += segments
+        owner += [number] * len(segments)
     ends = np.arange(2 * len(lines)).reshape(-1, 2)
     points = np.concatenate(lines)
     _write_cells(path, points, "Lines", ends, {"CellData/camera": np.array(owner)})
@@ -275,11 +275,11 @@ def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) 
         root = _begin(file, "PolyData", {})
         root["NumberOfPoints"], root["Points"] = np.array([len(points_mm)]), points_mm
         for name in ("Vertices", "Lines", "Polygons", "Strips"):
-            own = cells if name == kind else cells[:0]
+            part = cells if name == kind else cells[:0]
             group = root.create_group(name)
-            group["NumberOfConnectivityIds"] = np.array([own.size])
-            group["NumberOfCells"], group["Connectivity"] = np.array([len(own)]), own.ravel()
-            group["Offsets"] = own.shape[1] * np.arange(len(own) + 1)
+            group["NumberOfConnectivityIds"] = np.array([part.size])
+            group["NumberOfCells"], group["Connectivity"] = np.array([len(part)]), part.ravel()
+            group["Offsets"] = part.shape[1] * np.arange(len(part) + 1)
         for name, values in data.items():
             root[name] = values
         check()
@@ -288,7 +288,7 @@ def _write_cells(path: Path, points_mm: F64, kind: str, cells: I64, data: Data) 
 def _begin(file: Any, kind: str, head: Data) -> Any:
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = np.array(_VERSION)
-    root.attrs["Type"] = np.bytes_(kind)  # VTK wants a string of fixed length
+    root.attrs["Type"] = np.bytes_(kind)  # VTK requires a string of fixed length
     for name, values in head.items():
         root.attrs[name] = values
     root.create_group("PointData")

@@ -259,7 +259,7 @@ class Frames:
 
 
 def light_in_fluid(scene: Scene) -> Scene:
-    """Return a scene whose laser is as its window leaves it.
+    """Return a scene with its laser light as it leaves the window.
 
     Raises as `enter_fluid`.
     """

@@ -89,8 +89,8 @@ def generate(
     name : of the scene in the manifest; by default the file's stem.
     overwrite : replace an existing data set.
     jobs : processes that share the work on this machine.
-    scheduler : address of a Dask scheduler whose workers do the work, in place of `jobs`; they must
-        see the folder of `out`.
+    scheduler : address of a Dask scheduler, in place of `jobs`; its workers must see the
+        folder of `out`.
 
     Raises InputError for a bad scene or seed, an existing folder, no working Mitsuba when it was
     asked for, or frames that failed again and again.

@@ -1,8 +1,8 @@
 """Independent samples of a scene: in memory batch after batch, and into shards.
 
-A sample is what `generate` would make of the scene with a seed of its own: other particles, other
-noise, and other values of the keys that the scene's `vary` lists. Sample n depends on the seed and
-n alone, so that a stream goes on anywhere, with any size of batches.
+A sample equals what `generate` makes of the scene with the sample's seed: other
+particles, other noise, and other values of the keys that the scene's `vary` lists. Sample n depends
+on the seed and n alone, so that a stream can resume anywhere, with any batch size.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def stream(
     ----------
     scene : with particles alone; also a file, or the name of a bundled scene.
     batch : samples together; the last batch may have fewer.
-    start : number of the first sample: the stream goes on as if those before had been made.
+    start : number of the first sample: the stream resumes as if those before had been made.
     samples : number after the last; by default the stream has no end.
     split : a name and shares, such as ("train", (80, 10, 10)): only the samples that `split_of`
         puts into "train", "validation" or "test".
@@ -112,7 +112,7 @@ def stream(
     key : that `stream_key` gave when the stream was begun, for one that goes on.
     part : (k, n) for every n-th batch from the k-th on: n processes share the work.
 
-    Raises InputError as `simulate`; a range of `vary` at whose ends no scene can be, unless
+    Raises InputError as `simulate`; a range of `vary` with an impossible scene at its ends, unless
     impossible samples are redrawn; cameras that differ in number or size; another key.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
@@ -259,7 +259,7 @@ class ShardJob:
         return scene.frames, cameras, scene.cameras.rows, scene.cameras.columns
 
     def write(self, root: Path) -> None:
-        """Write it to the folder in which its shards are made.
+        """Write it to the folder of its shards.
 
         Raises InputError if shards of something else are there.
         """
@@ -280,7 +280,7 @@ class ShardJob:
         return {**counts, **kept, "scene": self.job.scene.hash, "stream": self.job.key}
 
     def changes(self, root: Path) -> list[str]:
-        """List what differs from the job whose shards are in a folder, if there is one."""
+        """List the differences from the job of the shards in a folder, if there is one."""
         if not (root / PLAN).is_file():
             return []
         before, now = read_json(root / PLAN), self._plan

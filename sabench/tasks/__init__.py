@@ -49,8 +49,8 @@ def of_data(data: Dataset, asked: str | None = None) -> Task:
         A task that the data set cannot serve.
     """
     possible = [task for task in every() if task.accepts(data)]
-    own = next(task for task in possible if task.shown == data.shows[-1])
-    chosen = next((task for task in possible if task.name == asked), None) if asked else own
+    default = next(task for task in possible if task.shown == data.shows[-1])
+    chosen = next((task for task in possible if task.name == asked), None) if asked else default
     if chosen is None:
         names = " or ".join(task.name for task in possible)
         raise InputError(f"task: expected {names} for {data.root}, got {asked!r}")

@@ -66,19 +66,19 @@ def detection_figure(found: AnyBubbles, true: AnyBubbles) -> Figure:
     """Draw the found, missed and false bubbles across X-Y and Z-Y."""
     i, j = match(found.center_mm, true.center_mm, true.radius_mm)
     ghosts, missed = (
-        np.setdiff1d(np.arange(len(one.radius_mm)), hit) for one, hit in ((found, i), (true, j))
+        np.setdiff1d(np.arange(len(bubbles.radius_mm)), hit)
+        for bubbles, hit in ((found, i), (true, j))
     )
     kinds = (("missed", true, missed), ("not there", found, ghosts), ("found", true, j))
+    circles = [(kind, balls.center_mm[rows], balls.radius_mm[rows]) for kind, balls, rows in kinds]
     panels = tuple(
         Panel(
             view,
             label,
             "Y, mm",
             tuple(
-                Circles(
-                    kind, one.center_mm[which, axis], one.center_mm[which, 1], one.radius_mm[which]
-                )
-                for kind, one, which in kinds
+                Circles(kind, center_mm[:, axis], center_mm[:, 1], radius_mm)
+                for kind, center_mm, radius_mm in circles
             ),
         )
         for view, label, axis in (("front", "X, mm", 0), ("side", "Z, mm", 2))
@@ -185,9 +185,9 @@ class BubblesTask(FrameByFrame):
         """Find every frame's bubbles and link them; return the seconds of each frame."""
         seconds, every = [], []
         for frame in self.frames(data):
-            found, took = self.call(algorithm, name, data, frame)
+            estimate, took = self.call(algorithm, name, data, frame)
             seconds.append(took)
-            every.append(found)
+            every.append(estimate)
             memory.trim()
         self._store(data, every, writer)
         return seconds
@@ -213,14 +213,14 @@ class BubblesTask(FrameByFrame):
     def wrong(self, data: Dataset, frame: int) -> Detections:
         """Move, enlarge and rotate most true bubbles, and add some that are not there."""
         true = data.bubbles(frame)
-        kept = np.flatnonzero(np.arange(len(true)) % 5 != 3)
-        far = true.radius_mm[kept, None] * (1.5 + np.sin(kept + frame)[:, None])
+        rows = np.flatnonzero(np.arange(len(true)) % 5 != 3)
+        far = true.radius_mm[rows, None] * (1.5 + np.sin(rows + frame)[:, None])
         aside = np.array([0.08, -0.05, 0.2]) * far
         ghosts = np.asarray(true.center_mm)[::6] + 2.5 * true.radius_mm[::6, None]
         return Detections(
-            np.concatenate([true.center_mm[kept] + aside, ghosts]),
-            np.concatenate([true.semi_axes_mm[kept] * [1.05, 0.97, 1.02], true.semi_axes_mm[::6]]),
-            np.concatenate([true.turn[kept] @ _WRONG_ROTATION, true.turn[::6]]),
+            np.concatenate([true.center_mm[rows] + aside, ghosts]),
+            np.concatenate([true.semi_axes_mm[rows] * [1.05, 0.97, 1.02], true.semi_axes_mm[::6]]),
+            np.concatenate([true.turn[rows] @ _WRONG_ROTATION, true.turn[::6]]),
         )
 
     def score(self, data: Dataset, source: Source) -> Figures:
@@ -228,32 +228,32 @@ class BubblesTask(FrameByFrame):
 
         The scores of a jet and of trajectories come from all frames together.
         """
-        frames, found, every = [], [], []
+        frames, estimates, every = [], [], []
         for frame in progress_bar(self.frames(data), "score"):
             estimate, true = self.read(data, source, frame), data.bubbles(frame)
             if isinstance(source, Result):
                 where = f"{source.path}: {frame_group(frame)}/bubbles"
                 check_number(len(estimate.center_mm), len(true), where)
             cameras = data.setup.cameras
-            seen = np.mean([data.sight(frame, camera).visible for camera in cameras], axis=0)
-            frames.append(detection_scores(estimate, true, seen))
-            found.append(estimate)
+            visibility = np.mean([data.sight(frame, camera).visible for camera in cameras], axis=0)
+            frames.append(detection_scores(estimate, true, visibility))
+            estimates.append(estimate)
             every.append(true)
         if isinstance(source, Result):
-            _check_all_or_none(source, found)
-        numbers = trajectories(data.setup, found)
+            _check_all_or_none(source, estimates)
+        numbers = trajectories(data.setup, estimates)
         times = [data.setup.time_s(frame) for frame in self.frames(data)]
-        links = trajectory_scores(found, numbers, every, times, data.setup.sequences())
+        links = trajectory_scores(estimates, numbers, every, times, data.setup.sequences())
         over_time = {key: finite_or_none(value) for key, value in links.items()}
-        return mean_of_each(frames) | _jet_scores(data, found, every) | over_time
+        return mean_of_each(frames) | _jet_scores(data, estimates, every) | over_time
 
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
-        seen = data.observation(0)
-        return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
+        case = data.observation(0)
+        return pictures.backlit(case.images, case.black_dn, case.white_dn)
 
     def alike(self, data: Dataset, one: Detections, other: Detections) -> bool:
-        """Compare bubbles by how many are found again."""
+        """Compare bubbles by the share detected in both."""
         return share_near(one.center_mm, other.center_mm, _NEAR_RADII * one.radius_mm) >= _ALIKE
 
     def picture(self, data: Dataset, source: Source) -> bytes:
@@ -275,8 +275,8 @@ def trajectories(setup: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
     The numbers are the solver's own, or come from linking. A trajectory of linked bubbles lies
     within one group of pulses.
     """
-    own = [one.id if isinstance(one, Bubbles) else one.trajectory for one in found]
-    given = [number for number in own if number is not None]
+    numbers = [frame.id if isinstance(frame, Bubbles) else frame.trajectory for frame in found]
+    given = [number for number in numbers if number is not None]
     if given and len(given) == len(found):
         return given
     out: list[I64] = []
@@ -285,33 +285,33 @@ def trajectories(setup: CamerasFile, found: Sequence[AnyBubbles]) -> list[I64]:
             *((found[n].center_mm, found[n].radius_mm) for n in frames), strict=True
         )
         part = link(centers, radii, [setup.time_s(n) for n in frames])
-        first = max((int(one.max(initial=-1)) for one in out), default=-1) + 1
-        out.extend(first + one for one in part)
+        first = max((int(ids.max(initial=-1)) for ids in out), default=-1) + 1
+        out.extend(first + ids for ids in part)
     return out
 
 
-def _check_all_or_none(result: Result, found: Sequence[Detections]) -> None:
+def _check_all_or_none(result: Result, estimates: Sequence[Detections]) -> None:
     """Raise an InputError for a result that has trajectories in some frames only."""
-    missing = [number for number, one in enumerate(found) if one.trajectory is None]
-    if 0 < len(missing) < len(found):
+    missing = [number for number, estimate in enumerate(estimates) if estimate.trajectory is None]
+    if 0 < len(missing) < len(estimates):
         raise InputError(
             f"{result.path}: {frame_group(missing[0])}/bubbles/track: "
             "expected one in every frame or in none, found none here"
         )
 
 
-def _jet_scores(data: Dataset, found: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:
+def _jet_scores(data: Dataset, every: Sequence[AnyBubbles], truth: Sequence[AnyBubbles]) -> Figures:
     """Score a jet's figures against the same analysis of the true bubbles.
 
     None for a scene without a jet.
     """
     if jet_of(data.scene) is None:
         return dict.fromkeys(JET)
-    estimate, true = (jet_figures(data.scene, one) for one in (found, truth))
+    estimate, true = (jet_figures(data.scene, bubbles) for bubbles in (every, truth))
     pairs = {key: (getattr(estimate, name), getattr(true, name)) for key, name in JET.items()}
     return {
-        key: finite_or_none(100.0 * abs(one / other - 1.0)) if other else None
-        for key, (one, other) in pairs.items()
+        key: finite_or_none(100.0 * abs(figure / other - 1.0)) if other else None
+        for key, (figure, other) in pairs.items()
     }
 
 
@@ -329,8 +329,8 @@ def jet_figures(scene: Scene, every: Sequence[AnyBubbles]) -> JetFigures:
         raise InputError(f"{scene.title}: bubbles.generator: expected plunging_jet, got no jet")
     impact, volume = np.asarray(jet["impact_mm"]), scene.volume
     return analyse(
-        np.concatenate([one.center_mm for one in every]),
-        np.concatenate([one.radius_mm for one in every]),
+        np.concatenate([bubbles.center_mm for bubbles in every]),
+        np.concatenate([bubbles.radius_mm for bubbles in every]),
         impact,
         volume.center_mm[1] + volume.size_mm[1] / 2.0 - impact[1],
         EDGE,

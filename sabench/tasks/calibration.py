@@ -1,6 +1,6 @@
 """Task `calibration`: solvers turn the points of a target into cameras.
 
-The cameras are scored by the pixels to which they project points.
+The cameras are scored by the pixels of projected points.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ from sabench.worlds.calibration_targets import exact_pixels
 _HELD_OUT = 500  # points that no calibration receives; thesis, section 4.4.2
 _PARTICLES = 2000
 _ROTATION = 1e-6  # how far a rotation's product with its transpose may be from the identity
-_ALIKE = 0.05  # of nominal cameras' error: how far calibrations by another order may be apart
+_ALIKE = 0.05  # largest effect of the cameras' order, share of the nominal cameras' error
 
 
 class CalibrationTask(Task):
@@ -236,9 +236,10 @@ def score_calibration(data: Dataset, answer: Calibration) -> Figures:
     points_mm = np.asarray(volume.center_mm) + aside
     pixels = np.full((len(data.true_cameras), _HELD_OUT, 2), np.nan)
     for number, camera in enumerate(data.true_cameras):
-        there, valid = camera.project(points_mm)
-        seen = valid & camera.contains(there)
-        pixels[number, seen] = there[seen] + noise_px * rng.standard_normal((int(seen.sum()), 2))
+        projected, valid = camera.project(points_mm)
+        visible = valid & camera.contains(projected)
+        noise = noise_px * rng.standard_normal((int(visible.sum()), 2))
+        pixels[number, visible] = projected[visible] + noise
     held_out = points_mm, pixels
     others = held_out_scores(answer.cameras, data.true_cameras, *held_out, motion, aligned)
     return scores | others

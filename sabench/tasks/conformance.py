@@ -1,4 +1,4 @@
-"""Laws that every solver obeys, bundled or not, and compilation ahead of time.
+"""Conformance tests of solvers, bundled or not, and compilation ahead of time.
 
 `check_solver` tests the laws on a small data set of the solver's task, generated from
 `scenes/conformance/`. `sabench conform` and the fixture `sabench_conform` of the pytest plug-in
@@ -90,13 +90,13 @@ class _Trial:
         if reason:
             raise _SkippedError(f"the solver declines the case: {reason}")
         answer = algorithm.solve(case)
-        found: list[Estimate] = list(answer) if isinstance(case, ImageSequence) else [answer]
-        for one in found:
-            if not isinstance(one, self.task.estimate):
-                kind, got = self.task.estimate.__name__, type(one).__name__
+        estimates: list[Estimate] = list(answer) if isinstance(case, ImageSequence) else [answer]
+        for estimate in estimates:
+            if not isinstance(estimate, self.task.estimate):
+                kind, got = self.task.estimate.__name__, type(estimate).__name__
                 raise AssertionError(f"expected {kind}, got {got}")
-            one.check(**dict(zip("zyx", self.data.setup.grid.shape, strict=True)))
-        return found
+            estimate.check(**dict(zip("zyx", self.data.setup.grid.shape, strict=True)))
+        return estimates
 
 
 def describe_itself(trial: _Trial) -> None:
@@ -115,30 +115,30 @@ def describe_itself(trial: _Trial) -> None:
 
 def return_declared_arrays(trial: _Trial) -> None:
     """Check that estimates have the declared arrays, with finite values."""
-    case, found = trial.first
+    case, estimates = trial.first
     expected = len(case) if isinstance(case, ImageSequence) else 1
-    _expect(len(found) == expected, f"expected {expected} estimates, got {len(found)}")
+    _expect(len(estimates) == expected, f"expected {expected} estimates, got {len(estimates)}")
 
 
 def repeat_itself(trial: _Trial) -> None:
     """Check that the same case gives the same estimate, bit for bit."""
-    for one, other in zip(trial.first[1], trial.solve(trial.case()), strict=True):
-        for (declared, a), (_, b) in zip(one.arrays(), other.arrays(), strict=True):
+    for estimate, other in zip(trial.first[1], trial.solve(trial.case()), strict=True):
+        for (declared, a), (_, b) in zip(estimate.arrays(), other.arrays(), strict=True):
             same = a.shape == b.shape and np.array_equal(a, b)
             _expect(same, f"{declared.name}: expected the same values twice, got others")
 
 
 def leave_the_case_alone(trial: _Trial) -> None:
     """Check that the solver does not change the arrays that it receives."""
-    for one, other in zip(_arrays(trial.first[0]), _arrays(trial.case()), strict=True):
+    for array, other in zip(_arrays(trial.first[0]), _arrays(trial.case()), strict=True):
         _expect(
-            np.array_equal(one, other, equal_nan=one.dtype.kind == "f"),
+            np.array_equal(array, other, equal_nan=array.dtype.kind == "f"),
             "expected the case's arrays unchanged, got other values",
         )
 
 
 def beat_nothing(trial: _Trial) -> None:
-    """Check that the result scores better than that of a solver that found nothing."""
+    """Check that the result scores better than an empty one."""
     out = trial.folder / "result.h5"
     try:
         solve(trial.solver, trial.data, out, parameters=trial.parameters, overwrite=True)
@@ -146,13 +146,13 @@ def beat_nothing(trial: _Trial) -> None:
         raise _SkippedError(str(error)) from error
     task = trial.task
     first, gate = task.columns[0], task.gate
-    own, nothing = score(trial.data, out), task.score(trial.data, "empty")
-    _expect(own[first.key] is not None, f"{first.key}: expected a figure, got none")
+    scores, nothing = score(trial.data, out), task.score(trial.data, "empty")
+    _expect(scores[first.key] is not None, f"{first.key}: expected a figure, got none")
     if gate is not None:
-        admitted = f"{gate.key}: expected at least {gate.least:g}, got {own[gate.key]}"
-        _expect(task.admits(own), admitted)
-    better = f"{first.key}: expected better than {nothing[first.key]}, got {own[first.key]}"
-    _expect(task.rank(own) < task.rank(nothing), better)
+        admitted = f"{gate.key}: expected at least {gate.least:g}, got {scores[gate.key]}"
+        _expect(task.admits(scores), admitted)
+    better = f"{first.key}: expected better than {nothing[first.key]}, got {scores[first.key]}"
+    _expect(task.rank(scores) < task.rank(nothing), better)
 
 
 def find_nothing_in_the_dark(trial: _Trial) -> None:
@@ -160,14 +160,15 @@ def find_nothing_in_the_dark(trial: _Trial) -> None:
 
     Solvers of other tasks may refuse such images with an InputError.
     """
-    found = trial.solve(
+    estimates = trial.solve(
         _with_images(trial.case(), lambda images, black: np.full_like(images, black))
     )
-    for one in found:
-        if isinstance(one, Reconstruction) and trial.task.shown == "particles":
-            _expect(not one.volume.any(), "volume: expected zeros without light, got intensities")
-        if isinstance(one, FoundParticles):
-            count = len(one.position_mm)
+    for estimate in estimates:
+        if isinstance(estimate, Reconstruction) and trial.task.shown == "particles":
+            dark = not estimate.volume.any()
+            _expect(dark, "volume: expected zeros without light, got intensities")
+        if isinstance(estimate, FoundParticles):
+            count = len(estimate.position_mm)
             _expect(not count, f"expected no particles without light, got {count}")
 
 
@@ -188,9 +189,10 @@ def survive_a_covered_camera(trial: _Trial) -> None:
 def take_cameras_in_any_order(trial: _Trial) -> None:
     """Check that cameras in reverse order give a similar estimate."""
     backward = trial.solve(_reverse_cameras(trial.case()))
-    for one, other in zip(trial.first[1], backward, strict=True):
+    for estimate, other in zip(trial.first[1], backward, strict=True):
         _expect(
-            trial.task.alike(trial.data, one, other), "expected a similar estimate, got another one"
+            trial.task.alike(trial.data, estimate, other),
+            "expected a similar estimate, got another one",
         )
 
 
@@ -361,5 +363,5 @@ def warm_up(solvers: Sequence[str] = ()) -> Iterator[Warmed]:
     with tempfile.TemporaryDirectory(prefix="sabench-warmup-") as scratch:
         for name in names:
             before = compile_s()
-            found = next(check_solver(name, folder=Path(scratch), laws=(beat_nothing,)))
-            yield Warmed(name, compile_s() - before, found.verdict, found.text)
+            finding = next(check_solver(name, folder=Path(scratch), laws=(beat_nothing,)))
+            yield Warmed(name, compile_s() - before, finding.verdict, finding.text)

@@ -26,7 +26,7 @@ from sabench.utils.processes.program import Limits, run_limited
 from sabench.utils.progress import console
 from sabench.utils.validation import printable
 
-_CHECK_S = 1800.0  # for reading all of a result
+_CHECK_S = 1800.0  # time limit for reading a result
 
 
 def is_program(solver: str) -> bool:
@@ -117,7 +117,7 @@ def run_program(
 
 @dataclass(frozen=True)
 class Head:
-    """Head of a result that is written anew, whatever its file says.
+    """Head of a rewritten result, which replaces that of its file.
 
     Attributes
     ----------
@@ -140,8 +140,8 @@ class Head:
 def open_foreign(path: Path, data: Dataset, name: str) -> Result:
     """Open the result file of a solver that is not sabench's own, named so in errors."""
     if path.is_symlink() or not path.is_file():
-        found = "a link" if path.is_symlink() else "no file"
-        raise InputError(f"{name}: expected its result at {path}, found {found} there")
+        got = "a link" if path.is_symlink() else "no file"
+        raise InputError(f"{name}: expected its result at {path}, found {got} there")
     probe(path)
     return open_result(path, data)
 
@@ -162,7 +162,7 @@ def copy_isolated(
 def write_anew(path: Path, root: Path, out: Path, head: Head | None, overwrite: bool) -> None:
     """Read every value of a foreign result under all checks, and write it anew.
 
-    Nothing else of the foreign file is kept.
+    Nothing else of the foreign file is copied.
 
     Parameters
     ----------
@@ -170,17 +170,17 @@ def write_anew(path: Path, root: Path, out: Path, head: Head | None, overwrite: 
     """
     data = open_dataset(root)
     result = open_result(path, data)
-    known = head or Head(result.solver, result.parameters)
+    header = head or Head(result.solver, result.parameters)
     task = tasks.of(result.task)
     with result_writer(
-        out, data, known.solver, task.name, known.parameters, overwrite=overwrite
+        out, data, header.solver, task.name, header.parameters, overwrite=overwrite
     ) as writer:
         task.copy(data, result, writer)
-        if known.seconds is not None:
-            writer.set_cost(known.seconds, known.peak_mb, known.compile_s, known.cpu_share)
-        if known.reconstruction_s is not None:
-            writer.set_reconstruction(known.reconstruction_s)
-        if known.isolated:
+        if header.seconds is not None:
+            writer.set_cost(header.seconds, header.peak_mb, header.compile_s, header.cpu_share)
+        if header.reconstruction_s is not None:
+            writer.set_reconstruction(header.reconstruction_s)
+        if header.isolated:
             writer.set_isolated()
-        if known.whole_process:
+        if header.whole_process:
             writer.set_whole_process()

@@ -24,9 +24,9 @@ from sabench.metrics import reprojection
 from sabench.utils.arrays import F32, F64, U16, Bool
 from sabench.utils.files import inside, read_json
 
-_CERTAIN = 0.3  # of a typical particle's light: dimmer ones have no certain place
-_HIT = 0.3  # of the median light of what has been found: what counts as an image
-_SHIFTS = 5  # multiples of the scramble's shift at which chance is measured
+_CERTAIN = 0.3  # least light for a precise position, share of a typical particle's light
+_HIT = 0.3  # least light of an image, share of the particles' median light
+_SHIFTS = 5  # multiples of the scramble's shift used to measure chance
 _BLUR_PX = 0.7  # standard deviation of a voxel's image
 
 
@@ -52,22 +52,22 @@ class FrameEvidence:
     ----------
     case : the frame.
     images : (camera, row, column).
-    known : the same shape, pixels that count.
+    valid : the same shape, pixels that count.
     statistics : widths and light of particle images, and noise.
     """
 
     case: Observation
     images: F64
-    known: Bool
+    valid: Bool
     statistics: ImageStatistics
 
     @classmethod
     def of(cls, case: Observation) -> FrameEvidence:
         """Clear a frame's images and measure them."""
         clear = dark_images(case)
-        known = ~(clear.flaws.unknown | clear.saturated)
+        valid = ~(clear.flaws.unknown | clear.saturated)
         images = clear.images.astype(np.float64)
-        return cls(case, images, known, measure_images(images, known))
+        return cls(case, images, valid, measure_images(images, valid))
 
     def fit(self, positions_mm: F64) -> list[reprojection.LightFit]:
         """Fit the light of particles (n, 3) in every camera."""
@@ -84,16 +84,16 @@ class FrameEvidence:
         return good
 
     def explained(self, camera: int, left: F64) -> float:
-        """Compute the share of an image's light that is not left of it."""
+        """Compute the share of an image's light that the particles explain."""
         noise = float(self.statistics.noise[camera])
-        return reprojection.explained_share(self.images[camera], left, self.known[camera], noise)
+        return reprojection.explained_share(self.images[camera], left, self.valid[camera], noise)
 
     def compare(
         self, camera: int, positions_mm: F64, found_mm: F64, shift: tuple[int, int]
     ) -> Shown:
         """Compare a camera's light at particles found without it, with it, and elsewhere.
 
-        Light counts by its rank among that of other places, whose mean is one half: particles show
+        Light is ranked among the light at other positions (mean rank one half): particles show
         `true_share` of the excess of those found with the camera.
 
         Parameters
@@ -113,15 +113,15 @@ class FrameEvidence:
                 ]
             )
         )
-        known = self._light(camera, self._pixels(camera, found_mm))
-        if not (len(light) and len(known) and len(elsewhere)):
+        expected = self._light(camera, self._pixels(camera, found_mm))
+        if not (len(light) and len(expected) and len(elsewhere)):
             return Shown(float("nan"), float("nan"))
         excess = [
-            float(np.searchsorted(elsewhere, one).mean()) / len(elsewhere) - 0.5
-            for one in (light, known)
+            float(np.searchsorted(elsewhere, sample).mean()) / len(elsewhere) - 0.5
+            for sample in (light, expected)
         ]
         share = excess[0] / excess[1] if excess[1] > 0.0 else float("nan")
-        chance = float((elsewhere > _HIT * np.median(known)).mean())
+        chance = float((elsewhere > _HIT * np.median(expected)).mean())
         return Shown(float(np.clip(share, 0.0, 1.0)), chance)
 
     def count_shown(
@@ -131,27 +131,27 @@ class FrameEvidence:
 
         Parameters
         ----------
-        found_mm : (m, 3) found with the camera, whose light says what an image is.
+        found_mm : (m, 3) found with the camera; their light gives the threshold of an image.
         shift : rows and columns.
         """
         size = np.array([self.case.cameras[camera].columns, self.case.cameras[camera].rows])
         pixels = self._pixels(camera, positions_mm) + 0.5 - np.array(shift[::-1])
-        known = self._light(camera, self._pixels(camera, found_mm))
-        if not len(known):
+        expected = self._light(camera, self._pixels(camera, found_mm))
+        if not len(expected):
             return 0
         light = self._light(camera, pixels % size - 0.5)
-        return int((light > _HIT * np.median(known)).sum())
+        return int((light > _HIT * np.median(expected)).sum())
 
     def correlation(self, camera: int, positions_mm: F64, others: Sequence[int]) -> float:
         """Correlate a camera's image with the one that other cameras' light predicts."""
         lights = [
             self._fit(other, positions_mm).light / self.statistics.light[other] for other in others
         ]
-        seen = np.isfinite(lights)
-        light = np.where(seen, lights, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+        finite = np.isfinite(lights)
+        light = np.where(finite, lights, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
         patches = self._patches(camera, self._pixels(camera, positions_mm))
         drawn = reprojection.draw(self.images[camera].shape, patches, light[patches.rows])
-        return correlate(self.images[camera], drawn, self.known[camera])
+        return correlate(self.images[camera], drawn, self.valid[camera])
 
     def _pixels(self, camera: int, positions_mm: F64) -> F64:
         pixels, valid = self.case.cameras[camera].project(positions_mm)
@@ -160,7 +160,7 @@ class FrameEvidence:
     def _patches(self, camera: int, pixels: F64) -> reprojection.Patches:
         sigma = self.statistics.sigma[camera]
         return reprojection.cut_patches(
-            self.images[camera].shape, pixels, sigma, self.known[camera]
+            self.images[camera].shape, pixels, sigma, self.valid[camera]
         )
 
     def _light(self, camera: int, pixels: F64) -> F64:
@@ -183,7 +183,7 @@ def volume_correlation(case: Observation, camera: int, volume: F32) -> float:
     Every voxel shines as a Gaussian of the size of a pixel.
     """
     image = case.repaired.images[camera].astype(np.float64) - case.black_dn
-    known = ~case.repaired.flaws.unknown[camera]
+    pixel_valid = ~case.repaired.flaws.unknown[camera]
     drawn = np.zeros(image.shape)
     x, y, z = case.grid.axes_mm
     for plane, depth in zip(volume, z, strict=True):
@@ -191,14 +191,14 @@ def volume_correlation(case: Observation, camera: int, volume: F32) -> float:
         points = np.column_stack([x[column], y[row], np.full(len(row), depth)])
         pixels, valid = case.cameras[camera].project(points)
         pixels = np.where(valid[:, None], pixels, np.nan)
-        patches = reprojection.cut_patches(image.shape, pixels, np.full(2, _BLUR_PX), known)
+        patches = reprojection.cut_patches(image.shape, pixels, np.full(2, _BLUR_PX), pixel_valid)
         drawn += reprojection.draw(
             image.shape, patches, plane[row, column].astype(np.float64)[patches.rows]
         )
-    return correlate(image, drawn, known)
+    return correlate(image, drawn, pixel_valid)
 
 
-_SHARE = (0.37, 0.41)  # of an image's rows and columns, by which a scrambled one is shifted
+_SHARE = (0.37, 0.41)  # shift of a scrambled image as a share of its rows and columns
 
 
 def without_camera(data: Dataset, number: int, frames: int, out: Path) -> Dataset:
@@ -216,12 +216,12 @@ def with_scrambled_camera(data: Dataset, number: int, frames: int, out: Path) ->
 
 
 def scramble_shift(camera: CameraModel) -> tuple[int, int]:
-    """Compute the rows and columns by which a camera's images are shifted."""
+    """Compute the shift of a camera's images in rows and columns."""
     return round(_SHARE[0] * camera.rows), round(_SHARE[1] * camera.columns)
 
 
 def _copy(
-    data: Dataset, kept: Any, frames: int, out: Path, scrambled: int | None = None
+    data: Dataset, cameras: Any, frames: int, out: Path, scrambled: int | None = None
 ) -> Dataset:
     setup = data.setup
     keys = read_json(inside(data.root, schema.CAMERAS))
@@ -231,13 +231,13 @@ def _copy(
     if "times_s" in keys:
         keys["times_s"] = keys["times_s"][:frames]
     if levels := keys["sensor"].get("by_camera"):
-        keys["sensor"]["by_camera"] = [levels[number] for number in kept]
+        keys["sensor"]["by_camera"] = [levels[number] for number in cameras]
     with recorded_writer(out, data.root.name) as writer:
-        for number in kept:
+        for number in cameras:
             camera = setup.cameras[number]
             shift = scramble_shift(camera) if number == scrambled else (0, 0)
             _copy_images(writer, data, number, frames, shift)
-        writer.set_cameras([setup.cameras[number] for number in kept], **keys)
+        writer.set_cameras([setup.cameras[number] for number in cameras], **keys)
     return open_dataset(out)
 
 

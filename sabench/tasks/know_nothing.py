@@ -1,4 +1,4 @@
-"""Estimates that hold nothing of the observations, by which scores are tested.
+"""Estimates made without the observations, to test the scores.
 
 Each of them must be refused with one sentence, or rank no better than `Task.empty`. They are what
 an estimate can choose: where it lies, how much it contains, what it leaves out, and how large its
@@ -30,13 +30,13 @@ _HUGE = 1e300
 
 @dataclass(frozen=True)
 class Trial:
-    """Outcome of one estimate that knows nothing.
+    """Outcome of one estimate made without the observations.
 
     Attributes
     ----------
     name : of the estimate.
     figures : its scores; None where it was refused.
-    refusal : the sentence with which it was refused; "" where it was scored.
+    refusal : error message; "" where it was scored.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Trial:
 
 
 def try_all(task: Task, data: Dataset, out: Path) -> Iterator[Trial]:
-    """Score every estimate that knows nothing, as a result file written to `out`."""
+    """Score every estimate of a task as a result file written to `out`."""
     for name, make in estimates(task, data).items():
         with result_writer(out, data, "nobody", task.name, {}, overwrite=True) as writer:
             for frame in task.frames(data):
@@ -57,7 +57,7 @@ def try_all(task: Task, data: Dataset, out: Path) -> Iterator[Trial]:
 
 
 def estimates(task: Task, data: Dataset) -> dict[str, Make]:
-    """Make the estimates of a task that know nothing, by their names."""
+    """Make the estimates of a task, by their names."""
     makers: dict[type[Estimate], Callable[[Dataset], dict[str, Make]]] = {
         Reconstruction: _volumes,
         FoundParticles: _particles,
@@ -101,7 +101,7 @@ def _volumes(data: Dataset) -> dict[str, Make]:
 
 
 def _clouds(data: Dataset) -> dict[str, Callable[[int], F64]]:
-    """Make clouds (n, 3) of points that know nothing, in mm."""
+    """Make clouds (n, 3) of points in mm without the observations."""
     grid = data.setup.grid
     size = np.asarray(grid.voxel_mm) * grid.shape[::-1]
     middle = (np.asarray(grid.low_mm) + size / 2.0)[None]
@@ -172,15 +172,15 @@ def _fields(data: Dataset) -> dict[str, Make]:
         rng = np.random.default_rng(frame)
         return field(velocity_mm_s=rng.normal(0.0, 1e3, (4, 4, 4, 3)))
 
-    one, few = np.zeros((4, 4, 4), dtype=np.bool_), np.zeros((4, 4, 4), dtype=np.bool_)
-    one[1, 2, 1], few[::2, ::2] = True, True
+    single, few = np.zeros((4, 4, 4), dtype=np.bool_), np.zeros((4, 4, 4), dtype=np.bool_)
+    single[1, 2, 1], few[::2, ::2] = True, True
     node = {"velocity_mm_s": np.zeros((1, 1, 1, 3)), "valid": np.ones((1, 1, 1), dtype=np.bool_)}
     fields = {
         "at rest": field(),
         "constant": field(velocity_mm_s=np.full((4, 4, 4, 3), 1e3)),
         "far away": field(low_mm=(_FAR_MM, _FAR_MM, 0.0)),
         "nothing valid": field(valid=np.zeros((4, 4, 4), dtype=np.bool_)),
-        "one valid node": field(valid=one),
+        "one valid node": field(valid=single),
         "a quarter of the nodes": field(valid=few),
         "one node": field(**node),
         "one wide node": field(**node, step_mm=(1e9, 1e9, 1e9)),
@@ -197,20 +197,21 @@ def _fields(data: Dataset) -> dict[str, Make]:
         "1e11": field(velocity_mm_s=np.full((4, 4, 4, 3), 1e11)),
         "first node at 1e300": field(low_mm=(_HUGE, 0.0, 0.0)),
     }
-    made: dict[str, Make] = {name: _of_every_frame(one) for name, one in fields.items()}
-    return made | {"random": noise}
+    makers: dict[str, Make] = {name: _of_every_frame(estimate) for name, estimate in fields.items()}
+    return makers | {"random": noise}
 
 
 def _calibrations(data: Dataset) -> dict[str, Make]:
     cameras = data.setup.pinholes
-    made = {
+    names = [camera.name for camera in cameras]
+    calibrations = {
         "far away": Calibration(
-            tuple(_moved(one, _FAR_MM * (-1) ** number) for number, one in enumerate(cameras))
+            tuple(_moved(camera, _FAR_MM * (-1) ** number) for number, camera in enumerate(cameras))
         ),
-        "one place": Calibration(tuple(replace(cameras[0], name=one.name) for one in cameras)),
-        "turned around": Calibration(tuple(replace(one, rotation=_BACK) for one in cameras)),
+        "one place": Calibration(tuple(replace(cameras[0], name=name) for name in names)),
+        "turned around": Calibration(tuple(replace(camera, rotation=_BACK) for camera in cameras)),
         "rotation 0": Calibration(
-            tuple(replace(one, rotation=((0.0,) * 3,) * 3) for one in cameras)
+            tuple(replace(camera, rotation=((0.0,) * 3,) * 3) for camera in cameras)
         ),
         "distance 0": _distances(data, 0.0),
         "distance -100": _distances(data, -100.0),
@@ -223,7 +224,7 @@ def _calibrations(data: Dataset) -> dict[str, Make]:
         two = used.copy()
         two[:2, 0, 0] = True
         rng = np.random.default_rng(0)
-        made |= {
+        calibrations |= {
             "nothing used": Calibration(cameras, None, used),
             "one point used": Calibration(cameras, None, two),
             "points NaN": Calibration(cameras, np.full(shape, np.nan)),
@@ -233,7 +234,7 @@ def _calibrations(data: Dataset) -> dict[str, Make]:
             "constant points": Calibration(cameras, np.zeros(shape)),
             "random points": Calibration(cameras, rng.normal(0.0, 100.0, shape), used),
         }
-    return {name: _of_every_frame(one) for name, one in made.items()}
+    return {name: _of_every_frame(calibration) for name, calibration in calibrations.items()}
 
 
 _BACK: Any = tuple(triple(row) for row in rotation_matrices(np.array([0.0, np.pi, 0.0])))
@@ -246,7 +247,8 @@ def _moved(camera: Any, away_mm: float) -> Any:
 
 def _distances(data: Dataset, distance_mm: float) -> Calibration:
     cameras: Any = data.setup.cameras
-    return Calibration(tuple(replace(one, principal_distance_mm=distance_mm) for one in cameras))
+    changed = (replace(camera, principal_distance_mm=distance_mm) for camera in cameras)
+    return Calibration(tuple(changed))
 
 
 def _of_every_frame(estimate: Estimate) -> Make:
@@ -255,7 +257,7 @@ def _of_every_frame(estimate: Estimate) -> Make:
 
 def _unchecked(kind: type[Estimate], **values: Any) -> Any:
     """Make an estimate without its checks, as a file of another program may hold it."""
-    made = object.__new__(kind)
+    estimate = object.__new__(kind)
     for name, value in values.items():
-        object.__setattr__(made, name, value)
-    return made
+        object.__setattr__(estimate, name, value)
+    return estimate

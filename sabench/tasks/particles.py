@@ -147,16 +147,17 @@ class ParticlesTask(Task):
         for frames in progress_bar(data.setup.sequences(), f"particles by {name}"):
             sequence, reader = image_sequence(data, frames)
             clock, waiting = SolverClock(), list[FoundParticles]()
-            found = particles_over_time.find_in_each_frame(algorithm, name, sequence, frames, clock)
-            for frame, one in zip(frames, found, strict=True):
-                if one.trajectory is None:
-                    waiting.append(one)
+            find = particles_over_time.find_in_each_frame
+            answers = find(algorithm, name, sequence, frames, clock)
+            for frame, particles in zip(frames, answers, strict=True):
+                if particles.trajectory is None:
+                    waiting.append(particles)
                 else:
-                    writer.add(numbers.assign(one), frame)
-            for frame, one in zip(
+                    writer.add(numbers.assign(particles), frame)
+            for frame, particles in zip(
                 frames, particles_over_time.link_sequence(waiting, sequence.times_s), strict=False
             ):
-                writer.add(numbers.assign(one), frame)
+                writer.add(numbers.assign(particles), frame)
             numbers.begin_sequence()
             seconds += [max(clock.seconds - reader.seconds, 0.0) / len(frames)] * len(frames)
             memory.trim()
@@ -164,8 +165,8 @@ class ParticlesTask(Task):
 
     def copy(self, data: Dataset, result: Result, writer: ResultWriter) -> None:
         """Write the particles of a foreign result anew, linked if it has no trajectories."""
-        for frame, one in enumerate(self._all(data, result)):
-            writer.add(one, frame)
+        for frame, particles in enumerate(self._all(data, result)):
+            writer.add(particles, frame)
 
     def truth(self, data: Dataset, frame: int) -> FoundParticles:
         """Make the true particles, with their identities."""
@@ -179,12 +180,12 @@ class ParticlesTask(Task):
     def wrong(self, data: Dataset, frame: int) -> FoundParticles:
         """Drop and move true particles, add ghosts, and swap some trajectories."""
         true, voxel = data.particles(frame), np.asarray(data.setup.grid.voxel_mm)
-        kept = np.flatnonzero(true.id % 7 != 3)
-        angle = true.id[kept] + 0.5 * frame
+        rows = np.flatnonzero(true.id % 7 != 3)
+        angle = true.id[rows] + 0.5 * frame
         aside = np.stack([np.sin(angle), np.cos(1.3 * angle), np.sin(0.7 * angle + 1.0)], axis=1)
-        moved = true.position_mm[kept] + 0.4 * voxel * aside
+        moved = true.position_mm[rows] + 0.4 * voxel * aside
         ghosts = true.position_mm[::6] + voxel * [5.0, -4.0, 6.0]
-        numbers = true.id[kept].astype(np.int64)
+        numbers = true.id[rows].astype(np.int64)
         if frame % 2 and len(numbers) > 3:
             numbers[[0, 1, 2]] = numbers[[1, 2, 0]]
         first = int(true.id.max(initial=-1)) + 1 + 100_000 * frame
@@ -197,15 +198,15 @@ class ParticlesTask(Task):
         The scores of trajectories come from all frames together.
         """
         truth = [data.particles(frame) for frame in self.frames(data)]
-        found = self._all(data, source, truth)
-        pairs = list(zip(found, truth, strict=True))
+        estimates = self._all(data, source, truth)
+        pairs = list(zip(estimates, truth, strict=True))
         frames = [
-            score_frame(data, one, true, frame)
-            for frame, (one, true) in zip(
+            score_frame(data, estimate, true, frame)
+            for frame, (estimate, true) in zip(
                 self.frames(data), progress_bar(pairs, "score"), strict=True
             )
         ]
-        return mean_of_each(frames) | particles_over_time.score_over_time(data, found, truth)
+        return mean_of_each(frames) | particles_over_time.score_over_time(data, estimates, truth)
 
     def _all(
         self, data: Dataset, source: Source, truth: Sequence[Particles] = ()
@@ -214,21 +215,21 @@ class ParticlesTask(Task):
 
         With the true ones, far too many particles raise an InputError.
         """
-        found: list[FoundParticles] = [self.read(data, source, n) for n in self.frames(data)]
+        estimates: list[FoundParticles] = [self.read(data, source, n) for n in self.frames(data)]
         if isinstance(source, Result):
             for frame, true in enumerate(truth):
                 where = f"{source.path}: {frame_group(frame)}/particles"
-                check_number(len(found[frame].position_mm), len(true.position_mm), where)
-        missing = [number for number, one in enumerate(found) if one.trajectory is None]
-        if isinstance(source, Result) and 0 < len(missing) < len(found):
+                check_number(len(estimates[frame].position_mm), len(true.position_mm), where)
+        missing = [number for number, frame in enumerate(estimates) if frame.trajectory is None]
+        if isinstance(source, Result) and 0 < len(missing) < len(estimates):
             raise InputError(
                 f"{source.path}: {frame_group(missing[0])}/particles/track: "
                 "expected one in every frame or in none, found none here"
             )
-        return particles_over_time.link_frames(data.setup, found)
+        return particles_over_time.link_frames(data.setup, estimates)
 
     def alike(self, data: Dataset, one: FoundParticles, other: FoundParticles) -> bool:
-        """Compare particles by how many are found again."""
+        """Compare particles by the share detected in both."""
         near_mm = _NEAR_VOXELS * min(data.setup.grid.voxel_mm)
         return share_near(one.position_mm, other.position_mm, near_mm) >= _ALIKE
 
@@ -242,12 +243,12 @@ class ParticlesTask(Task):
     def error_picture(self, data: Dataset, result: Result) -> bytes:
         """Draw found, missed and false particles in the same slice as a PNG."""
         grid, true = data.setup.grid, data.particles(0).position_mm
-        found = self.read(data, result, 0).position_mm
-        i, j = particle_detection.challenge_pairs(grid.to_voxels(found), grid.to_voxels(true))
+        positions = self.read(data, result, 0).position_mm
+        i, j = particle_detection.challenge_pairs(grid.to_voxels(positions), grid.to_voxels(true))
         kinds = (
             (true[j], pictures.FOUND),
             (np.delete(true, j, axis=0), pictures.MISSED),
-            (np.delete(found, i, axis=0), pictures.GHOSTS),
+            (np.delete(positions, i, axis=0), pictures.GHOSTS),
         )
         sigma_mm = _DRAWN_VOXELS * grid.voxel_mm[0]
         parts = [(synthesise(grid, p, np.ones(len(p)), sigma_mm), c) for p, c in kinds]
@@ -257,19 +258,19 @@ class ParticlesTask(Task):
 def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame: int) -> Figures:
     """Score one frame's particles."""
     grid = data.setup.grid
-    found, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)
-    scored = grid.in_scored(found), grid.in_scored(true)
-    counts = particle_detection.count_challenge(found, true, *scored)
-    a, b = particle_detection.challenge_pairs(found, true)
+    detected, true = grid.to_voxels(estimate.position_mm), grid.to_voxels(truth.position_mm)
+    scored = grid.in_scored(detected), grid.in_scored(true)
+    counts = particle_detection.count_challenge(detected, true, *scored)
+    a, b = particle_detection.challenge_pairs(detected, true)
     i, j = a[scored[1][b]], b[scored[1][b]]
     ghosts = scored[0].copy()
     ghosts[a] = False
     whole = counts.precision + counts.recall
     error = estimate.position_mm[i] - truth.position_mm[j]
     apart = np.linalg.norm(error, axis=1)
-    duplicates = particle_detection.count_duplicates(found, true, scored[0])
+    duplicates = particle_detection.count_duplicates(detected, true, scored[0])
     curve = particle_detection.f1_over_distance(
-        found, true, *scored, particle_detection.MATCHING_DISTANCES
+        detected, true, *scored, particle_detection.MATCHING_DISTANCES
     )
     return {
         "f1": 2.0 * counts.precision * counts.recall / whole if whole else 0.0,
@@ -289,7 +290,7 @@ def score_frame(data: Dataset, estimate: FoundParticles, truth: Particles, frame
 
 
 def _claims(estimate: FoundParticles, error: F64, i: I64, ghosts: Bool) -> Figures:
-    """Score what an estimate claims of its errors; None where it claims nothing.
+    """Score the error estimates of a result; None where it has none.
 
     Errors (k, 3) belong to the rows i of matched particles; ghosts are marked.
     """

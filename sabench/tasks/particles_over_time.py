@@ -39,21 +39,21 @@ def find_in_each_frame(
     Raises
     ------
     InputError
-        Whatever the solver raises; something else than `FoundParticles` of every frame;
-        trajectories in some of them only.
+        Any error of the solver; something else than `FoundParticles` of every frame; trajectories
+        in some of them only.
     """
     linked = None
-    for one in answers_of_frames(algorithm, name, sequence, frames, FoundParticles, clock):
-        linked = one.trajectory is not None if linked is None else linked
-        if linked != (one.trajectory is not None):
+    for particles in answers_of_frames(algorithm, name, sequence, frames, FoundParticles, clock):
+        linked = particles.trajectory is not None if linked is None else linked
+        if linked != (particles.trajectory is not None):
             raise InputError(
                 f"solver {name}: expected trajectories in every frame or in none, got them in some"
             )
-        yield one
+        yield particles
 
 
 class TrajectoryNumbers:
-    """Numbers of trajectories from 0 on, in the order in which they appear.
+    """Numbers of trajectories from 0, in order of appearance.
 
     A solver's own may be any integers. No trajectory leads from one sequence to the next.
     """
@@ -69,8 +69,8 @@ class TrajectoryNumbers:
     def assign(self, one: FoundParticles) -> FoundParticles:
         """Replace the numbers of a frame's trajectories."""
         numbers = [
-            self._known.setdefault(own, self._first + len(self._known))
-            for own in np.asarray(one.trajectory).tolist()
+            self._known.setdefault(number, self._first + len(self._known))
+            for number in np.asarray(one.trajectory).tolist()
         ]
         return replace(one, trajectory=np.array(numbers, dtype=np.int64))
 
@@ -81,9 +81,9 @@ def link_sequence(
     """Link the particles of a sequence's frames, which have no trajectories."""
     if not found:
         return []
-    positions = [one.position_mm for one in found]
-    numbers = link(positions, [np.ones(len(one)) for one in positions], list(times_s))
-    return [replace(one, trajectory=own) for one, own in zip(found, numbers, strict=True)]
+    positions = [frame.position_mm for frame in found]
+    numbers = link(positions, [np.ones(len(points)) for points in positions], list(times_s))
+    return [replace(frame, trajectory=ids) for frame, ids in zip(found, numbers, strict=True)]
 
 
 def link_frames(setup: CamerasFile, found: Sequence[FoundParticles]) -> list[FoundParticles]:
@@ -95,9 +95,9 @@ def link_frames(setup: CamerasFile, found: Sequence[FoundParticles]) -> list[Fou
     numbers, out = TrajectoryNumbers(), list[FoundParticles]()
     for frames in setup.sequences():
         part = [found[frame] for frame in frames]
-        if any(one.trajectory is None for one in part):
+        if any(particles.trajectory is None for particles in part):
             part = link_sequence(part, [setup.time_s(frame) for frame in frames])
-        out += [numbers.assign(one) for one in part]
+        out += [numbers.assign(particles) for particles in part]
         numbers.begin_sequence()
     return out
 
@@ -107,10 +107,10 @@ def score_over_time(
 ) -> Figures:
     """Score trajectories.
 
-    Only those particles count that lie in the scored part, or belong to a true particle that does.
+    Only particles in the scored part count, and those matched to a true particle there.
     """
     grid, times = data.setup.grid, [data.setup.time_s(n) for n in range(data.setup.frames)]
-    parts = [_scored_part(grid, one, true) for one, true in zip(found, truth, strict=True)]
+    parts = [_scored_part(grid, answer, true) for answer, true in zip(found, truth, strict=True)]
     sequences = data.setup.sequences()
     linked = (
         [part.found.position_mm for part in parts],
@@ -134,23 +134,23 @@ class _ScoredPart:
     pairs: tuple[I64, I64]
 
 
-def _scored_part(grid: Grid, found: FoundParticles, true: Particles) -> _ScoredPart:
+def _scored_part(grid: Grid, estimate: FoundParticles, true: Particles) -> _ScoredPart:
     """Select those in the scored part, and those paired with a true one there."""
-    there = grid.in_scored(grid.to_voxels(true.position_mm))
-    voxels = grid.to_voxels(found.position_mm)
-    i, j = _scored_pairs(voxels, grid.to_voxels(true.position_mm), there)
-    kept = grid.in_scored(voxels)
-    kept[i] = True
+    inner = grid.in_scored(grid.to_voxels(true.position_mm))
+    voxels = grid.to_voxels(estimate.position_mm)
+    i, j = _scored_pairs(voxels, grid.to_voxels(true.position_mm), inner)
+    counted = grid.in_scored(voxels)
+    counted[i] = True
     scored = Particles(
-        true.id[there], true.position_mm[there], true.diameter_mm[there], true.velocity_mm_s[there]
+        true.id[inner], true.position_mm[inner], true.diameter_mm[inner], true.velocity_mm_s[inner]
     )
-    pairs = (np.cumsum(kept) - 1)[i], (np.cumsum(there) - 1)[j]
-    return _ScoredPart(found.rows(kept), scored, pairs)
+    pairs = (np.cumsum(counted) - 1)[i], (np.cumsum(inner) - 1)[j]
+    return _ScoredPart(estimate.rows(counted), scored, pairs)
 
 
-def _scored_pairs(found: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
-    """Match found and true particles; keep pairs whose truth is in the scored part."""
-    i, j = challenge_pairs(found, true)
+def _scored_pairs(estimate: F64, true: F64, scored: Bool) -> tuple[I64, I64]:
+    """Match found and true particles; keep pairs of true ones in the scored part."""
+    i, j = challenge_pairs(estimate, true)
     return i[scored[j]], j[scored[j]]
 
 
@@ -164,13 +164,13 @@ def _sighting(grid: Grid, part: _ScoredPart) -> Sightings:
 def _motion_scores(
     parts: Sequence[_ScoredPart], times: Sequence[float], sequences: Sequence[range]
 ) -> dict[str, float]:
-    """Score accelerations, and velocities if they are claimed."""
+    """Score accelerations, and velocities if the result has them."""
     claimed = [part.found.velocity_mm_s for part in parts]
     scores = {}
-    if all(one is not None for one in claimed):
+    if all(velocity is not None for velocity in claimed):
         pairs = [
-            (np.asarray(one)[part.pairs[0]], part.true.velocity_mm_s[part.pairs[1]])
-            for one, part in zip(claimed, parts, strict=True)
+            (np.asarray(velocity)[part.pairs[0]], part.true.velocity_mm_s[part.pairs[1]])
+            for velocity, part in zip(claimed, parts, strict=True)
         ]
         off, percent = median_errors(*claimed_errors(pairs))
         scores = {"velocity_mm_s": off, "velocity_percent": percent}
@@ -186,14 +186,15 @@ def _motion_scores(
 def _accelerations_of(parts: Sequence[_ScoredPart], duration: float) -> tuple[F64, F64]:
     """Pair estimated and true accelerations in the middle one of three frames."""
     middle = parts[1]
-    rows, true = accelerations([(one.true.id, one.true.position_mm) for one in parts], duration)
+    rows, true = accelerations([(part.true.id, part.true.position_mm) for part in parts], duration)
     i, j = middle.pairs
     if middle.found.acceleration_mm_s2 is not None:
-        own, estimate = np.arange(len(middle.found.position_mm)), middle.found.acceleration_mm_s2
+        ids, estimate = np.arange(len(middle.found.position_mm)), middle.found.acceleration_mm_s2
     else:
-        own, estimate = accelerations(
-            [(np.asarray(one.found.trajectory), one.found.position_mm) for one in parts], duration
+        ids, estimate = accelerations(
+            [(np.asarray(part.found.trajectory), part.found.position_mm) for part in parts],
+            duration,
         )
-    _, a, k = np.intersect1d(own, i, return_indices=True)
+    _, a, k = np.intersect1d(ids, i, return_indices=True)
     _, b, m = np.intersect1d(rows, j[k], return_indices=True)
     return estimate[a[m]], true[b]

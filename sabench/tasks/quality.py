@@ -1,8 +1,8 @@
-"""Quality of a result without truth: what its own images say of it.
+"""Quality of a result without truth, estimated from its images.
 
-Particles, or the voxels of a volume, are compared with the images that they came from. Then the
-solver runs again without one camera, which the others must predict, and with one camera scrambled,
-where all that is found is chance.
+Particles, or the voxels of a volume, are compared with the images of the data set. Then the solver
+runs again without one camera, to predict its image from the others, and with one camera scrambled,
+to measure chance detections.
 """
 
 import tempfile
@@ -30,14 +30,14 @@ from sabench.tasks.image_evidence import (
 )
 from sabench.tasks.particles_over_time import link_frames
 from sabench.tasks.solve_and_score import solve
-from sabench.tasks.task import ANY, SHARE, Score
+from sabench.tasks.task import ANY, SHARE, Figures, Score
 from sabench.utils.arrays import F64
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing
 from sabench.utils.progress import progress_bar
 
 # fmt: off
-FIGURES = {one.key: one for one in (
+FIGURES = {score.key: score for score in (
     Score("residual_px", "residual px", "px", "smaller", 3,
           "RMS distance of particles' images from their projections, px"),
     Score("explained", "explained", "", "larger", 3,
@@ -67,7 +67,6 @@ FIGURES_OF: dict[str, tuple[Score, ...]] = {
 }
 
 
-Figures = dict[str, float | None]
 _FOLLOWED = 3  # frames
 
 
@@ -93,7 +92,7 @@ class Quality:
 def quality(
     dataset: Dataset | str | Path, result: str | Path, *, frames: int = 1, solve_again: bool = True
 ) -> Quality:
-    """Judge a result by the images that it came from.
+    """Estimate the quality of a result from its images.
 
     Parameters
     ----------
@@ -126,70 +125,71 @@ class _Particles:
         self.evidence = [FrameEvidence.of(data.observation(frame)) for frame in range(frames)]
         self.found = _read_all(result, frames)
         self.fits = [
-            one.fit(found.position_mm) for one, found in zip(self.evidence, self.found, strict=True)
+            frame.fit(cloud.position_mm)
+            for frame, cloud in zip(self.evidence, self.found, strict=True)
         ]
 
     def compared(self, camera: int) -> Figures:
         """Compare one camera's images with the particles."""
         pairs = list(zip(self.evidence, self.fits, strict=True))
-        shifts = [one.certain_shifts(camera, fits[camera]) for one, fits in pairs]
+        shifts = [frame.certain_shifts(camera, fits[camera]) for frame, fits in pairs]
         return {
             "residual_px": finite_or_none(
                 root_mean_square(np.linalg.norm(np.concatenate(shifts), axis=1))
             ),
             "explained": mean_of_finite(
-                one.explained(camera, fits[camera].left) for one, fits in pairs
+                frame.explained(camera, fits[camera].left) for frame, fits in pairs
             ),
         }
 
     def over_time(self) -> Figures:
-        """Judge the trajectories of the first sequence."""
+        """Compute the figures of the first sequence's trajectories."""
         frames = self.data.setup.sequences()[0]
-        found = link_frames(self.data.setup, _read_all(self.result, self.data.setup.frames))
-        numbers = [found[frame].trajectory for frame in frames]
-        known = [np.asarray(one) for one in numbers]
-        if len(known) < _FOLLOWED:
+        linked = link_frames(self.data.setup, _read_all(self.result, self.data.setup.frames))
+        numbers = [linked[frame].trajectory for frame in frames]
+        trajectories = [np.asarray(ids) for ids in numbers]
+        if len(trajectories) < _FOLLOWED:
             return {"jitter_mm": None, "followed": None}
-        positions = [found[frame].position_mm for frame in frames]
+        positions = [linked[frame].position_mm for frame in frames]
         return {
-            "jitter_mm": finite_or_none(jitter_mm(known, positions)),
-            "followed": finite_or_none(share_followed(known, _FOLLOWED)),
+            "jitter_mm": finite_or_none(jitter_mm(trajectories, positions)),
+            "followed": finite_or_none(share_followed(trajectories, _FOLLOWED)),
         }
 
     def held_out(self, camera: int, again: Result) -> Figures:
-        """Compare a camera's images with what is found without it."""
+        """Compare a camera's images with a result without that camera."""
         shift = scramble_shift(self.data.setup.cameras[camera])
         figures = []
         others = [n for n in range(len(self.data.setup.cameras)) if n != camera]
-        for one, all_found, found in zip(
+        for frame, all_found, cloud in zip(
             self.evidence, self.found, _read_all(again, self.frames), strict=True
         ):
-            shown = one.compare(camera, found.position_mm, all_found.position_mm, shift)
-            ghosts = (1.0 - shown.true_share) * len(found.position_mm) * shown.chance
+            shown = frame.compare(camera, cloud.position_mm, all_found.position_mm, shift)
+            ghosts = (1.0 - shown.true_share) * len(cloud.position_mm) * shown.chance
             rest = len(all_found.position_mm) - ghosts
             figures.append(
                 {
                     "held_out": shown.true_share,
-                    "held_out_correlation": one.correlation(camera, found.position_mm, others),
+                    "held_out_correlation": frame.correlation(camera, cloud.position_mm, others),
                     "ghost_percent": 100.0 * ghosts / rest if rest > 0.0 else None,
                 }
             )
         return _means(figures)
 
     def scrambled(self, camera: int, again: Result) -> Figures:
-        """Count what is found with a scrambled camera, and shown by it."""
+        """Count the particles of a result with a scrambled camera that its images show."""
         shift = scramble_shift(self.data.setup.cameras[camera])
         chance = sum(
-            one.count_shown(camera, other.position_mm, found.position_mm, shift)
-            for one, found, other in zip(
+            frame.count_shown(camera, other.position_mm, cloud.position_mm, shift)
+            for frame, cloud, other in zip(
                 self.evidence, self.found, _read_all(again, self.frames), strict=True
             )
         )
-        whole = sum(len(found.position_mm) for found in self.found)
+        whole = sum(len(cloud.position_mm) for cloud in self.found)
         return {"chance_percent": 100.0 * chance / whole if whole else None}
 
     def left(self) -> F64:
-        """Return what is left of the first frame's images."""
+        """Return the residuals of the first frame's images."""
         return np.stack([fit.left for fit in self.fits[0]])
 
 
@@ -220,10 +220,11 @@ class _Volumes:
         return {"held_out_correlation": self._correlation(again, camera)}
 
     def scrambled(self, camera: int, again: Result) -> Figures:
-        """Compare the intensity that is left with a scrambled camera."""
+        """Compare the intensities with and without a scrambled camera."""
+        frames = range(self.frames)
         chance, whole = (
-            sum(float(one.read(Reconstruction, frame).volume.sum()) for frame in range(self.frames))
-            for one in (again, self.result)
+            sum(float(result.read(Reconstruction, frame).volume.sum()) for frame in frames)
+            for result in (again, self.result)
         )
         return {"chance_percent": 100.0 * chance / whole if whole else None}
 
@@ -246,11 +247,11 @@ def write_quality(
 
 
 def residual_picture(data: Dataset, left: F64) -> bytes:
-    """Draw the first frame's images, each above what is left of it, as a PNG."""
-    seen = data.observation(0)
-    grey = np.clip(np.rint(left + seen.black_dn), 0.0, 65535.0).astype(np.uint16)
-    both = np.concatenate([seen.images, grey], axis=1)
-    return pictures.montage(both, seen.black_dn, seen.white_dn)
+    """Draw the first frame's images, each above its residual, as a PNG."""
+    case = data.observation(0)
+    grey = np.clip(np.rint(left + case.black_dn), 0.0, 65535.0).astype(np.uint16)
+    both = np.concatenate([case.images, grey], axis=1)
+    return pictures.montage(both, case.black_dn, case.white_dn)
 
 
 def middle_residuals(data: Dataset, result: Result) -> bytes | None:
@@ -260,11 +261,11 @@ def middle_residuals(data: Dataset, result: Result) -> bytes | None:
     """
     if result.task != "particles":
         return None
-    seen, left = data.observation(0), _Particles(data, result, 1).left()
+    case, left = data.observation(0), _Particles(data, result, 1).left()
     middle = len(left) // 2
-    grey = np.clip(np.rint(left[middle] + seen.black_dn), 0.0, 65535.0).astype(np.uint16)
-    both = np.stack([seen.images[middle], grey])
-    return pictures.montage(both, seen.black_dn, seen.white_dn)
+    grey = np.clip(np.rint(left[middle] + case.black_dn), 0.0, 65535.0).astype(np.uint16)
+    both = np.stack([case.images[middle], grey])
+    return pictures.montage(both, case.black_dn, case.white_dn)
 
 
 def _judge(judge: Any, *, solve_again: bool) -> Quality:
@@ -305,9 +306,8 @@ def _solved_again(
         raise InputError(f"expected a solver that sabench has, got {result.solver}")
     with tempfile.TemporaryDirectory(prefix="sabench-") as folder:
         changed = change(data, number, frames, Path(folder) / "data")
-        yield solve(
-            result.solver, changed, Path(folder) / "result.h5", parameters=result.parameters
-        )
+        out = Path(folder) / "result.h5"
+        yield solve(result.solver, changed, out, parameters=result.parameters)
 
 
 def _read_all(result: Result, frames: int) -> list[FoundParticles]:
@@ -315,7 +315,7 @@ def _read_all(result: Result, frames: int) -> list[FoundParticles]:
 
 
 def _means(figures: list[Any]) -> Figures:
-    """Average each figure of cameras or frames, some of which may lack it."""
-    keys = dict.fromkeys(key for one in figures for key in one)
+    """Average each figure over the cameras or frames that have it."""
+    keys = dict.fromkeys(key for row in figures for key in row)
     every: list[Mapping[str, float | None]] = figures
-    return {key: mean_of_finite(one.get(key) for one in every) for key in keys}
+    return {key: mean_of_finite(row.get(key) for row in every) for key in keys}

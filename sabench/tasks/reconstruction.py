@@ -118,9 +118,9 @@ class ReconstructionTask(FrameByFrame):
         seconds = list[float]()
         for frames in progress_bar(data.setup.sequences(), f"volumes by {name}"):
             clock = SolverClock()
-            found = self.call_sequence(algorithm, name, data, frames, clock)
-            for frame, one in zip(frames, found, strict=True):
-                writer.add(one, frame)
+            volumes = self.call_sequence(algorithm, name, data, frames, clock)
+            for frame, volume in zip(frames, volumes, strict=True):
+                writer.add(volume, frame)
             seconds += [clock.seconds / len(frames)] * len(frames)
             memory.trim()
         return seconds
@@ -136,9 +136,9 @@ class ReconstructionTask(FrameByFrame):
 
         case = data.observation(0)
         self.check_case(case, f"{data.root}: frame 0")
-        found, took = call_iterations(algorithm, name, case, store)
-        check_estimate(found, name, data, 0)
-        writer.add(found, 0)
+        volume, took = call_iterations(algorithm, name, case, store)
+        check_estimate(volume, name, data, 0)
+        writer.add(volume, 0)
         return [took, *self.run_frames(algorithm, name, data, writer, self.frames(data)[1:])]
 
     def call_sequence(
@@ -150,10 +150,10 @@ class ReconstructionTask(FrameByFrame):
         """
         self.check_case(data.observation(frames[0]), f"{data.root}: frame {frames[0]}")
         sequence, reader = image_sequence(data, frames)
-        found = answers_of_frames(algorithm, name, sequence, frames, Reconstruction, clock)
-        for frame, one in zip(frames, found, strict=True):
-            check_estimate(one, name, data, frame)
-            yield one
+        volumes = answers_of_frames(algorithm, name, sequence, frames, Reconstruction, clock)
+        for frame, volume in zip(frames, volumes, strict=True):
+            check_estimate(volume, name, data, frame)
+            yield volume
         clock.seconds = max(clock.seconds - reader.seconds, 0.0)
 
     def check_case(self, case: Observation, source: str) -> None:
@@ -252,18 +252,18 @@ def check_memory(case: Observation, source: str) -> None:
 
     These are `_VOLUMES` volumes and the images as float32.
     """
-    there, images = memory.available_mb(), case.images.size * 4 / 1e6
+    available, images = memory.available_mb(), case.images.size * 4 / 1e6
     (planes, rows, columns), voxel = case.grid.shape, _VOLUMES * 4 / 1e6
     need = images + planes * rows * columns * voxel
-    if there is None or need <= there:
+    if available is None or need <= available:
         return
-    voxels = max(0, int((there - images) / voxel))
+    voxels = max(0, int((available - images) / voxel))
     whole = voxels // (rows * columns)
     largest = f"{whole} of its planes" if whole else f"{voxels} of its voxels"
     raise InputError(
         f"{source}: grid: expected it to fit into memory, but its "
         f"{planes} x {rows} x {columns} voxels (z, y, x) need {need:.0f} MB "
-        f"where {there:.0f} MB are there: at most {largest} fit"
+        f"where {available:.0f} MB are there: at most {largest} fit"
     )
 
 

@@ -115,8 +115,8 @@ class SeeThroughTask(FrameByFrame):
 
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera, bright behind the bubbles, as a PNG."""
-        seen = data.observation(0)
-        return pictures.backlit(seen.images, seen.black_dn, seen.white_dn)
+        case = data.observation(0)
+        return pictures.backlit(case.images, case.black_dn, case.white_dn)
 
     def alike(self, data: Dataset, one: Reconstruction, other: Reconstruction) -> bool:
         """Compare planes by their correlation: MART and its kin depend on the order."""

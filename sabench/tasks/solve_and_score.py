@@ -29,7 +29,7 @@ preload(
     "sabench.tasks.solve_and_score",
     "sabench.algorithms.refocus",
     "sabench.algorithms.tomography.problem",
-    # what solvers import while they solve, which would count in their seconds
+    # modules that solvers import while they solve, which would add to their run time
     "cv2",
     "sabench.geometry.cylinder_wall",
     "sabench.geometry.projection_kernels",
@@ -162,13 +162,13 @@ def run_plug_in(
     isolated: bool,
     iterations: bool = False,
 ) -> None:
-    """Run a plug-in on an observation side, in a process of its own."""
+    """Run a plug-in on an observation side in a child process."""
     from sabench.utils.compiled import compile_s, load_registries  # numba takes half a second
 
     data = open_dataset(observation)
     algorithm = make_algorithm(solver, parameters)
     if algorithm.sees not in data.shows:
-        shown = " and ".join(_SHOWN[one] for one in data.shows)
+        shown = " and ".join(_SHOWN[kind] for kind in data.shows)
         raise InputError(
             f"solver {solver}: expected a data set that shows {_SHOWN[algorithm.sees]}, but "
             f"this one shows {shown}"
@@ -186,7 +186,8 @@ def run_plug_in(
         before, start, spent = compile_s(), time.perf_counter(), _cpu_s()
         seconds = tasks.of(algorithm.task).run(algorithm, solver, data, writer)
         share = (_cpu_s() - spent) / (time.perf_counter() - start)
-        writer.set_cost(float(np.mean(seconds)), memory.peak_mb(), compile_s() - before, share)
+        mean_s = float(np.mean(seconds))
+        writer.set_cost(mean_s, memory.peak_mb(), compile_s() - before, share)
 
 
 def _cpu_s() -> float:
@@ -199,12 +200,12 @@ def score(
 ) -> dict[str, Any]:
     """Score a result file, or the best or worst possible estimates.
 
-    The words `truth` and `empty` stand for the best and the worst possible estimates.
+    The words `truth` and `empty` mean the best and the worst possible estimates.
 
     Parameters
     ----------
-    task : task whose scores apply to `truth` or `empty`, where a data set serves several. None: the
-        first task for the kind of objects that the data set shows. A result file has its own.
+    task : task for scoring `truth` or `empty`, where a data set serves several. None: the first
+        task for the kind of objects that the data set shows. A result file has its own.
 
     Returns
     -------
@@ -219,7 +220,7 @@ def score(
     """
     data = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     _ = data.manifest  # raises where there is no truth
-    word = next((one for one in WORDS if one == str(result)), None)
+    word = next((name for name in WORDS if name == str(result)), None)
     if word is None and not Path(result).exists():
         raise InputError(f"{result}: expected a result file, or truth or empty, found no file")
     opened = None if word else open_result(result, data)

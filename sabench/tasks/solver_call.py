@@ -16,7 +16,7 @@ from sabench.utils.errors import DeclinedError, InputError
 
 @dataclass
 class SolverClock:
-    """Seconds in which a solver ran, without compilation."""
+    """Run time of a solver in seconds, without compilation."""
 
     seconds: float = 0.0
 
@@ -42,8 +42,8 @@ class SolverClock:
 def _place_of(error: Exception) -> str:
     """Name the innermost file and line, but of libraries, that raised."""
     frames = traceback.extract_tb(error.__traceback__)
-    own = [one for one in frames if not one.filename.startswith(sys.prefix)]
-    place = (own or frames)[-1]
+    user_frames = [frame for frame in frames if not frame.filename.startswith(sys.prefix)]
+    place = (user_frames or frames)[-1]
     return f"{Path(place.filename).name}, line {place.lineno}"
 
 
@@ -55,7 +55,7 @@ def call_iterations(
 ) -> tuple[Reconstruction, float]:
     """Call an iterative solver, and store its estimates after some iterations.
 
-    These are the iterations 1, 2, 3, 5, 8, ... The clock stands still while an estimate is made and
+    These are the iterations 1, 2, 3, 5, 8, ... The clock is stopped while an estimate is made and
     stored.
 
     Parameters
@@ -64,7 +64,7 @@ def call_iterations(
 
     Returns and raises as `call_solver` does.
     """
-    clock, number, kept, following = SolverClock(), 0, 1, 2
+    clock, number, due, following = SolverClock(), 0, 1, 2
     with clock.running(name):
         reason = algorithm.skip(case)
         steps = iter(()) if reason else algorithm.iterations(case)
@@ -77,20 +77,20 @@ def call_iterations(
         if latest is None:
             break
         number, make = number + 1, latest
-        if number == kept:
-            store(number, clock.seconds, _made(make, name, SolverClock()))
-            kept, following = following, kept + following
+        if number == due:
+            store(number, clock.seconds, _run_make(make, name, SolverClock()))
+            due, following = following, due + following
     if make is None:
         raise InputError(f"solver {name}: expected an iteration at least, got none")
-    return _made(make, name, clock), clock.seconds
+    return _run_make(make, name, clock), clock.seconds
 
 
-def _made(make: Callable[[], Reconstruction], name: str, clock: SolverClock) -> Reconstruction:
+def _run_make(make: Callable[[], Reconstruction], name: str, clock: SolverClock) -> Reconstruction:
     with clock.running(name):
-        found = make()
-    if not isinstance(found, Reconstruction):
-        raise InputError(f"solver {name}: expected Reconstruction, got {type(found).__name__}")
-    return found
+        estimate = make()
+    if not isinstance(estimate, Reconstruction):
+        raise InputError(f"solver {name}: expected Reconstruction, got {type(estimate).__name__}")
+    return estimate
 
 
 def call_solver(
@@ -136,9 +136,9 @@ class FrameReader:
     def __call__(self, number: int) -> Observation:
         """Read a frame of the sequence, counted from its first."""
         start = time.perf_counter()
-        seen = self.data.observation(self.frames[number])
+        observation = self.data.observation(self.frames[number])
         self.seconds += time.perf_counter() - start
-        return seen
+        return observation
 
 
 def image_sequence(data: Dataset, frames: range) -> tuple[ImageSequence, FrameReader]:
@@ -163,28 +163,28 @@ def answers_of_frames(
     Raises
     ------
     InputError
-        Whatever the solver raises; something else than an `expected` for every frame.
+        Any error of the solver; something else than an `expected` for every frame.
     """
     every = f"frames {frames[0]} to {frames[-1]}" if len(frames) > 1 else f"frame {frames[0]}"
     where = f" on {every}"
     answer, took = call_solver(algorithm, name, sequence, Iterable, where)
     clock.seconds += took
-    found, count = iter(answer), 0
+    answers, count = iter(answer), 0
     while True:
         with clock.running(name, where):
-            one = next(found, None)
-        if one is None and count == len(frames):
+            estimate = next(answers, None)
+        if estimate is None and count == len(frames):
             return
-        if count == len(frames) or not isinstance(one, expected):
-            raise InputError(_not_each(name, expected, len(frames), count, one))
+        if count == len(frames) or not isinstance(estimate, expected):
+            raise InputError(_not_each(name, expected, len(frames), count, estimate))
         count += 1
-        yield one
+        yield estimate
 
 
-def _not_each(name: str, expected: type[Any], frames: int, count: int, one: object) -> str:
+def _not_each(name: str, expected: type[Any], frames: int, count: int, answer: object) -> str:
     got = f"{count} of them"
     if count == frames:
         got = "more"
-    elif one is not None:
-        got = f"a {type(one).__name__} for one"
+    elif answer is not None:
+        got = f"a {type(answer).__name__} for one"
     return f"solver {name}: expected {expected.__name__} for each of {frames} frames, got {got}"

@@ -42,8 +42,8 @@ class Score:
     key : its name in records, baselines and JSON.
     heading : of its column in tables.
     unit : "" for numbers without a unit.
-    better : the direction in which it improves: towards larger or smaller absolute values, towards
-        1, or neither ("steady": it describes the data, and any change is worth a look).
+    better : the direction of improvement: towards larger or smaller absolute values, towards 1, or
+        neither ("steady": it describes the data, and any change is worth a look).
     decimals : shown in tables.
     meaning : one phrase.
     counted : whether it is a share of things that are counted, and so changes in steps.
@@ -64,7 +64,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Gate:
-    """Condition under which the first score ranks an estimate.
+    """Condition for the first score to rank an estimate.
 
     Estimates that do not meet it share the last rank: their first score could be good by chance, or
     by what they leave out.
@@ -104,7 +104,7 @@ COSTS = (
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Curve of a score over the distance within which detections match.
+    """Curve of a score over the matching distance of detections.
 
     Attributes
     ----------
@@ -123,15 +123,15 @@ class Tolerance:
     def scores(self) -> tuple[Score, ...]:
         """The curve's values as scores, which records have and tables do not."""
         return tuple(
-            Score(f"{self.of}_within_{one:g}", f"{self.heading} within {one:g} {self.unit}",
+            Score(f"{self.of}_within_{radius:g}", f"{self.heading} within {radius:g} {self.unit}",
                   "", "larger", 3, "a point of the curve over the matching distance",
                   counted=True, hidden=True, range=SHARE)
-            for one in self.distances
+            for radius in self.distances
         )  # fmt: skip
 
     def figures(self, values: F64) -> Figures:
         """Name the values of the curve."""
-        return {one.key: float(value) for one, value in zip(self.scores, values, strict=True)}
+        return {score.key: float(value) for score, value in zip(self.scores, values, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class Task(ABC):
     scores : its own, the most important one first; `all_scores` adds the costs.
     gate : which estimates the first score ranks; None: all that have it.
     tolerance : curve that its results have besides; None: no score depends on a distance.
-    sufficient : first score from which on seconds are compared: nobody is fast at a worse one.
+    sufficient : first score needed for a rank by run time.
     captions : of its figures.
     picture_has_truth : whether the figure of an estimate needs the truth.
     """
@@ -205,7 +205,7 @@ class Task(ABC):
         return self.gate is None or self.gate.admits(figures)
 
     def rank(self, figures: Mapping[str, Any]) -> tuple[bool, float]:
-        """Compute the key by which estimates are ranked: the smaller, the better.
+        """Compute the sort key of an estimate: the smaller, the better.
 
         All that have no first score, or that the gate does not admit, share the last rank.
         """
@@ -236,7 +236,7 @@ class Task(ABC):
         return self.case(data)
 
     def seen_by(self, plugin: type[AnySolver]) -> str:
-        """Name what one of the task's solvers has to see, by which its example is chosen."""
+        """Name the kind of objects for the example of one of the task's solvers."""
         return plugin.sees
 
     @abstractmethod
@@ -273,7 +273,7 @@ class Task(ABC):
 
     @abstractmethod
     def empty(self, data: Dataset, frame: int) -> Any:
-        """Make the estimate of a solver that found nothing."""
+        """Make an empty estimate."""
 
     @abstractmethod
     def wrong(self, data: Dataset, frame: int) -> Any:
@@ -293,15 +293,15 @@ class Task(ABC):
     def alike(self, data: Dataset, one: Any, other: Any) -> bool:
         """Compare estimates of one case with its cameras in opposite orders.
 
-        They may differ as far as algorithms depend on the order in which they take the cameras.
+        They may differ as far as algorithms depend on the order of the cameras.
         """
         pairs = zip(one.arrays(), other.arrays(), strict=True)
         return all(np.allclose(a, b, rtol=1e-6) for (_, a), (_, b) in pairs)
 
     def images(self, data: Dataset) -> bytes:
         """Draw the first frame of every camera as a PNG."""
-        seen = data.observation(0)
-        return pictures.montage(seen.images, seen.black_dn, seen.white_dn)
+        case = data.observation(0)
+        return pictures.montage(case.images, case.black_dn, case.white_dn)
 
     @abstractmethod
     def picture(self, data: Dataset, source: Source) -> bytes:
@@ -313,7 +313,7 @@ class Task(ABC):
 
 
 class FrameByFrame(Task):
-    """Base of tasks whose solvers receive one observation at a time."""
+    """Base of tasks with solvers that receive one observation at a time."""
 
     def case(self, data: Dataset) -> Observation:
         """Read the first frame's observation."""
@@ -329,10 +329,10 @@ class FrameByFrame(Task):
         """Call the solver on some frames; return the seconds of each."""
         seconds = []
         for frame in frames:
-            found, took = self.call(algorithm, name, data, frame)
+            estimate, took = self.call(algorithm, name, data, frame)
             seconds.append(took)
-            writer.add(found, frame)
-            del found
+            writer.add(estimate, frame)
+            del estimate
             memory.trim()
         return seconds
 
@@ -340,9 +340,9 @@ class FrameByFrame(Task):
         """Call the solver on one frame; return its checked estimate and the seconds."""
         case = data.observation(frame)
         self.check_case(case, f"{data.root}: frame {frame}")
-        found, took = call_solver(algorithm, name, case, self.estimate, f" on frame {frame}")
-        check_estimate(found, name, data, frame)
-        return found, took
+        estimate, took = call_solver(algorithm, name, case, self.estimate, f" on frame {frame}")
+        check_estimate(estimate, name, data, frame)
+        return estimate, took
 
     def check_case(self, case: Observation, source: str) -> None:
         """Raise an InputError for an observation that no solver can use.

@@ -53,7 +53,7 @@ from sabench.worlds.advection import advect
 from sabench.worlds.library.overlaps import contains
 from sabench.worlds.tracers import TOLERANCE, flow_of
 
-_SCATTERED = 4000  # of a scatter plot at most
+_SCATTERED = 4000  # most points of a scatter plot
 
 
 def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) -> Figure:
@@ -62,7 +62,7 @@ def field_figure(field: Velocity, exact_mm_s: F64, unit_mm_s: F64, solver: str) 
     Parameters
     ----------
     exact_mm_s : (z, y, x, 3) the true velocities at its nodes.
-    unit_mm_s : (3,) velocities of one voxel between the two volumes, in which errors are given.
+    unit_mm_s : (3,) velocities of one voxel between the two volumes, the unit of errors.
     """
     errors = (field.velocity_mm_s - exact_mm_s) / unit_mm_s
     # find the axis with the most vorticity in the middle plane across it
@@ -121,9 +121,8 @@ def slice_panel(field: Velocity, normal: int) -> Panel:
         _middle(field.velocity_mm_s, normal)[..., list(_section_axes(normal))],
         np.nan,
     )
-    position_mm = field.low_mm[normal] + field.step_mm[normal] * (
-        field.valid.shape[2 - normal] // 2
-    )
+    node = field.valid.shape[2 - normal] // 2
+    position_mm = field.low_mm[normal] + field.step_mm[normal] * node
     spin = Slice(
         f"vorticity about {'xyz'[normal]}, 1/s",
         *_axes(field, normal),
@@ -162,8 +161,8 @@ def profile_panel(field: Velocity, exact_mm_s: F64, normal: int) -> Panel:
     return Panel(f"along {along} through the middle", f"{along}, mm", "mm/s", tuple(curves))
 
 
-_POINTS = 5  # of the quadrature across a sheet
-_THIN = 0.5  # of the grid's extent across it: light that is thinner is a sheet
+_POINTS = 5  # points of the quadrature across a sheet
+_THIN = 0.5  # largest thickness of a light sheet, share of the grid's extent across it
 
 
 @dataclass(frozen=True)
@@ -184,7 +183,7 @@ class LightSheet:
     def average(self, velocity: Callable[[F64], F64], points_mm: F64) -> F64:
         """Average a velocity at points (n, 3) of the plane over the light across it."""
         layers = (velocity(points_mm + offset * self.normal) for offset in self.offsets_mm)
-        return np.asarray(sum(w * one for w, one in zip(self.weights, layers, strict=True)))
+        return np.asarray(sum(w * layer for w, layer in zip(self.weights, layers, strict=True)))
 
 
 def light_sheet(data: Dataset) -> LightSheet | None:
@@ -221,7 +220,7 @@ def _across(profile: str, thickness_mm: float) -> tuple[F64, F64]:
     return points * thickness_mm / 4.0, weights / weights.sum()
 
 
-_NEIGHBOURS = 8  # true particles whose mean replaces the flow where a data set has none
+_NEIGHBOURS = 8  # number of true particles averaged where a data set has no flow
 
 
 class VelocimetryTask(Task):
@@ -354,7 +353,7 @@ class VelocimetryTask(Task):
             score_pair(data, pair, self.read(data, source, pair[0]))
             for pair in progress_bar(data.setup.pairs(), "score")
         ]
-        means = {key: float(np.mean([one[key] for one in pairs])) for key in pairs[0]}
+        means = {key: float(np.mean([figures[key] for figures in pairs])) for key in pairs[0]}
         scores = {key: finite_or_none(value) for key, value in means.items()}
         spent = source.reconstruction_s if isinstance(source, Result) else None
         return {**scores, "reconstruction_s": spent}
@@ -374,7 +373,7 @@ class VelocimetryTask(Task):
 
 
 class _Volumes:
-    """Reconstructed volumes of the frames of a pair; those of the next pair are kept."""
+    """Reconstructed volumes of a pair's frames; those of the next pair are kept."""
 
     def __init__(self, data: Dataset, solver: str) -> None:
         self._data, self._name = data, solver
@@ -386,11 +385,11 @@ class _Volumes:
         """Reconstruct the volumes of a pair, unless they are already there."""
         if isinstance(self._solver, SequenceSolver):
             return self._together(self._solver, pair)
-        self._kept = {frame: one for frame, one in self._kept.items() if frame in pair}
+        self._kept = {frame: volume for frame, volume in self._kept.items() if frame in pair}
         for frame in pair:
             if frame not in self._kept:
-                found, took = reconstruction.TASK.call(self._solver, self._name, self._data, frame)
-                self._kept[frame] = found
+                volume, took = reconstruction.TASK.call(self._solver, self._name, self._data, frame)
+                self._kept[frame] = volume
                 self.seconds.append(took)
         first, second = (self._kept[frame].volume for frame in pair)
         return VolumePair(first, second, self._data.setup.grid, interval_s(self._data, pair))
@@ -398,8 +397,8 @@ class _Volumes:
     def _together(self, solver: SequenceSolver, pair: tuple[int, int]) -> VolumePair:
         """Reconstruct both frames of a pair from each other."""
         clock, frames = SolverClock(), range(pair[0], pair[1] + 1)
-        found = reconstruction.TASK.call_sequence(solver, self._name, self._data, frames, clock)
-        first, second = (one.volume for one in found)
+        estimates = reconstruction.TASK.call_sequence(solver, self._name, self._data, frames, clock)
+        first, second = (estimate.volume for estimate in estimates)
         self.seconds.append(clock.seconds / len(frames))
         return VolumePair(first, second, self._data.setup.grid, interval_s(self._data, pair))
 
@@ -415,7 +414,7 @@ def interval_s(data: Dataset, pair: tuple[int, int]) -> float:
 
 
 def evaluation_nodes(data: Dataset) -> Velocity:
-    """Make the nodes at which fields are scored: in the light sheet, if there is one."""
+    """Make the nodes for scoring fields: in the light sheet, if there is one."""
     grid, sheet = data.setup.grid, light_sheet(data)
     if sheet is None:
         return velocity_error.evaluation_lattice(grid)
@@ -474,14 +473,14 @@ def true_velocity(data: Dataset, pair: tuple[int, int], points_mm: F64) -> F64:
         from scipy.spatial import cKDTree
 
         first, second = (data.particles(frame) for frame in pair)
-        _, one, other = np.intersect1d(first.id, second.id, return_indices=True)
-        if not len(one):
+        _, rows, other = np.intersect1d(first.id, second.id, return_indices=True)
+        if not len(rows):
             raise InputError(
                 f"{data.root}: frames {pair[0]} and {pair[1]}: "
                 "expected particles that are in both, got none"
             )
-        positions = (first.position_mm[one] + second.position_mm[other]) / 2.0
-        moves = (second.position_mm[other] - first.position_mm[one]) / interval_s(data, pair)
+        positions = (first.position_mm[rows] + second.position_mm[other]) / 2.0
+        moves = (second.position_mm[other] - first.position_mm[rows]) / interval_s(data, pair)
         count = min(_NEIGHBOURS, len(positions))
         near = cKDTree(positions).query(points_mm, k=count)[1].reshape(len(points_mm), count)
         return np.asarray(moves[near].mean(axis=1))

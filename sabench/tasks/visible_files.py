@@ -25,7 +25,7 @@ from sabench.utils.processes.confinement import View, can_confine
 
 _PACKAGE = Path(plugins.__file__).resolve().parent
 _UNFINISHED = re.compile(r"[^\s']*\.result\.h5\.partial-\d+")  # what a killed writer leaves
-_DEEPEST = 6  # folders below a shown one in which data sets are looked for
+_DEEPEST = 6  # largest depth of the search for data sets below a visible folder
 _BESIDE_COMMANDS = ("lib", "lib64", "libexec", "pyvenv.cfg")  # what commands in a bin folder need
 _SKIPPED = {".git", ".venv", "__pycache__", "node_modules", "site-packages"}
 
@@ -44,7 +44,7 @@ def hide_from_solvers(secret: Path | None) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Sandbox:
-    """Folders in which one solver works on one data set.
+    """Folders of one run of a solver on one data set.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Sandbox:
 
     def _rename(self, words: Any, root: Path, out: Path) -> Any:
         if not isinstance(words, str):
-            return [self._rename(one, root, out) for one in words]
+            return [self._rename(word, root, out) for word in words]
         named = words.replace(str(self.observation), str(root)).replace(str(self.result), str(out))
         return _UNFINISHED.sub(lambda _: str(out), named)
 
@@ -94,7 +94,7 @@ def open_sandbox(data: Dataset) -> Iterator[Sandbox]:
 
 
 def _parent(data: Dataset) -> Path | None:
-    """Return the folder in which images can be linked, if not the usual one."""
+    """Return the folder where images can be linked, if not the usual one."""
     parent, usual = data.root.absolute().parent, Path(tempfile.gettempdir())
     other = usual.stat().st_dev != data.root.stat().st_dev
     return parent if other and os.access(parent, os.W_OK) else None
@@ -104,26 +104,26 @@ def view_of_plugin(sandbox: Sandbox, data: Dataset, solver: str) -> View | None:
     """List the files that a Python plug-in sees; None where it cannot be confined."""
     if not sandbox.confined:
         return None
-    own = view_of_import(solver)
-    hidden = _find_data_sets([Path(one) for one in (*own.changeable, *own.writable)], data)
+    view = view_of_import(solver)
+    hidden = _find_data_sets([Path(folder) for folder in (*view.changeable, *view.writable)], data)
     return replace(
-        own,
-        readable=(*own.readable, *_words([sandbox.observation])),
-        writable=(*own.writable, *_words([sandbox.scratch])),
-        hidden=(*own.hidden, *_words(hidden)),
+        view,
+        readable=(*view.readable, *_words([sandbox.observation])),
+        writable=(*view.writable, *_words([sandbox.scratch])),
+        hidden=(*view.hidden, *_words(hidden)),
     )
 
 
 def view_of_import(solver: str) -> View:
     """List the files that the import of a Python plug-in needs.
 
-    sabench's own solvers may write compiled kernels; what another one writes there is forgotten
-    with it, so that it cannot change what later ones run.
+    sabench's own solvers may write compiled kernels; what another solver writes there is discarded,
+    so that it cannot change later runs.
     """
     python = [Path(sys.prefix), Path(sys.base_prefix), _PACKAGE.parent / "pyproject.toml"]
-    own = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
+    folders = [folder for kind in plugins.KINDS for folder in plugins.folders(kind)]
     # list the folders of compiled kernels, of numba and Dr.Jit
-    kernels = [_PACKAGE, *own, *_import_paths(), *[kernel_folder(), Path.home() / ".drjit"]]
+    kernels = [_PACKAGE, *folders, *_import_paths(), *[kernel_folder(), Path.home() / ".drjit"]]
     view = View(readable=_words(python), hidden=_words(_find_secret([*python, *kernels])))
     if plugins.is_bundled("solvers", solver):
         return replace(view, writable=_words(kernels), home=str(Path.home()))
@@ -139,14 +139,14 @@ def view_of_program(sandbox: Sandbox, data: Dataset, program: Path) -> View | No
     if not sandbox.confined:
         return None
     commands = _listed("PATH")
-    beside = [one.parent / name for one in commands for name in _BESIDE_COMMANDS]
+    beside = [command.parent / name for command in commands for name in _BESIDE_COMMANDS]
     python = [Path(sys.prefix), Path(sys.base_prefix)]
-    own = [program.parent, *_listed("SABENCH_VISIBLE")]
-    shown = [*own, *python, *commands, *beside]
+    folders = [program.parent, *_listed("SABENCH_VISIBLE")]
+    shown = [*folders, *python, *commands, *beside]
     return View(
         readable=_words([*shown, sandbox.observation]),
         writable=_words([sandbox.scratch]),
-        hidden=_words([*_find_data_sets(own, data), *_find_secret(shown)]),
+        hidden=_words([*_find_data_sets(folders, data), *_find_secret(shown)]),
     )
 
 
@@ -157,11 +157,11 @@ def _import_paths() -> list[Path]:
     script's nor the checkout's: the package is shown itself.
     """
     python = [Path(sys.prefix), Path(sys.base_prefix)]
-    paths = [*_listed("PYTHONPATH"), *(Path(one).absolute() for one in sys.path[1:] if one)]
+    paths = [*_listed("PYTHONPATH"), *(Path(entry).absolute() for entry in sys.path[1:] if entry)]
     return [
         path
         for path in dict.fromkeys(paths)
-        if path not in _PACKAGE.parents and not any(path.is_relative_to(one) for one in python)
+        if path not in _PACKAGE.parents and not any(map(path.is_relative_to, python))
     ]
 
 
@@ -179,11 +179,11 @@ def _find_data_sets(shown: Iterable[Path], data: Dataset) -> Iterator[Path]:
             if schema.TRUTH in files:
                 yield Path(place)
             deep = len(Path(place).parts) - depth >= _DEEPEST
-            below[:] = [] if deep else [one for one in below if one not in _SKIPPED]
+            below[:] = [] if deep else [name for name in below if name not in _SKIPPED]
 
 
 def _find_secret(shown: Iterable[Path]) -> Iterator[Path]:
-    """Find the paths, also in linked folders, at which a solver would see the secret."""
+    """Find the paths of the secret that a solver could read, also in linked folders."""
     secret = _SECRET.get()
     if secret is None:
         return

@@ -50,8 +50,8 @@ CARD_TEMPLATE = "".join(
 def page(name: str, challenge: Challenge) -> str:
     """Fill in a page in Markdown: one of `NAMES`."""
     task = tasks.of(challenge.task)
-    shown = [one for one in task.columns if one.key not in COSTS]
-    scores = "\n".join(f"| {one.heading} | {one.meaning} |" for one in shown)
+    shown = [column for column in task.columns if column.key not in COSTS]
+    scores = "\n".join(f"| {column.heading} | {column.meaning} |" for column in shown)
     values = {
         "title": challenge.title,
         "task": challenge.task,
@@ -68,7 +68,7 @@ def page(name: str, challenge: Challenge) -> str:
 _PROGRAM = Path(__file__).with_name("score.py")
 _COMMAND = "command: python3 /app/program/score.py /app/input/ /app/output/\n"
 _DIGITS = 6  # that the server's table shows
-_LIMIT_S = 3600  # for the scores of one submission
+_LIMIT_S = 3600  # time limit for scoring one submission
 _DOCKERFILE = """# Image for the scoring program: put the wheel of sabench next to this file.
 FROM python:3.12-slim
 COPY sabench-{version}-py3-none-any.whl /tmp/
@@ -84,7 +84,7 @@ def write_bundle(
     Parameters
     ----------
     named : the data sets with their truth, which go to the reference data alone.
-    image : name of the Docker image in which the server scores.
+    image : name of the server's Docker image for scoring.
     public : archive that participants receive.
     """
     reference = folder / "reference_data"
@@ -150,9 +150,10 @@ leaderboards:
     key: main
     submission_rule: Force_Last
     columns:"""
-    scores = [one for one in tasks.of(challenge.task).columns if one.key not in COSTS]
-    for number, one in enumerate(scores):
-        yield _column(number, one.key, one.heading, "asc" if one.better == "smaller" else "desc")
+    scores = [column for column in tasks.of(challenge.task).columns if column.key not in COSTS]
+    for number, column in enumerate(scores):
+        order = "asc" if column.better == "smaller" else "desc"
+        yield _column(number, column.key, column.heading, order)
     yield _column(len(scores), ADMITTED, "admitted", "desc")
 
 
@@ -185,7 +186,7 @@ def make_challenge(
     Parameters
     ----------
     suite : name or file of a suite. The cases that a solver of the task solves are used.
-    secret : the organiser's file, from which the seeds come.
+    secret : the organiser's file, the source of the seeds.
     out : folder of `private` data sets, `participant.zip` and `codabench.zip`.
     task : of all results; None: the only one of the suite's solvers.
     image : Docker image with sabench for a bundle for Codabench; None: no bundle.
@@ -199,9 +200,9 @@ def make_challenge(
     loaded, cases = load_suite(suite, read_secret(secret))
     chosen = _choose_task(cases, task, str(suite))
     wanted = [case for case in cases if chosen in _tasks(case)]
-    # by hash, so that the order tells no case
-    made = sorted(_data_sets(wanted, out / "private", jobs), key=lambda one: one.content_hash)
-    named = {f"data_{number:03d}": data for number, data in enumerate(made)}
+    # sorted by hash, so that the order does not disclose the case
+    datasets = sorted(_data_sets(wanted, out / "private", jobs), key=lambda data: data.content_hash)
+    named = {f"data_{number:03d}": data for number, data in enumerate(datasets)}
     hashes = {name: data.content_hash for name, data in named.items()}
     challenge = Challenge(title=loaded.title, task=chosen, sabench=__version__, data_sets=hashes)
     with tempfile.TemporaryDirectory(prefix="sabench-", dir=out) as scratch:
@@ -220,14 +221,14 @@ def make_challenge(
 
 
 def _choose_task(cases: list[Case], task: TaskName | None, suite: str) -> TaskName:
-    known = sorted({one for case in cases for one in _tasks(case)})
-    if task is None and len(known) > 1:
+    choices = sorted({name for case in cases for name in _tasks(case)})
+    if task is None and len(choices) > 1:
         raise InputError(
-            f"{suite}: expected solvers of one task, or --task with one of {', '.join(known)}"
+            f"{suite}: expected solvers of one task, or --task with one of {', '.join(choices)}"
         )
-    chosen = task or known[0]
-    if chosen not in known:
-        raise InputError(f"--task: expected one of {', '.join(known)}, got {chosen!r}")
+    chosen = task or choices[0]
+    if chosen not in choices:
+        raise InputError(f"--task: expected one of {', '.join(choices)}, got {chosen!r}")
     return cast("TaskName", chosen)
 
 
@@ -267,7 +268,7 @@ def participate(
     path : archive or folder of the challenge.
     solver : its name, or the path of a program.
     out : archive to create, by the name .zip.
-    results : folder in which the results are kept.
+    results : folder where the results are stored.
     cards : of the solver.
     parameters, limits : as `solve` takes them.
 
@@ -283,7 +284,7 @@ def participate(
     with opened_challenge(path) as folder:
         challenge = read_challenge(folder)
         tag = digest([solver, parameters or {}])[:8]
-        made = []
+        files = []
         for number, name in enumerate(challenge.data_sets, 1):
             text = f"data set {number} of {len(challenge.data_sets)}: {name}"
             console.print(text, markup=False, highlight=False)
@@ -292,9 +293,9 @@ def participate(
             if not _is_there(place, data):
                 solve(solver, data, place, parameters=parameters, limits=limits)
             _check_task(place, data, challenge, shown)
-            made.append((f"{name}.h5", place))
-    pack_results(Submitted(made, []), out, cards, overwrite=overwrite)
-    return len(made)
+            files.append((f"{name}.h5", place))
+    pack_results(Submitted(files, []), out, cards, overwrite=overwrite)
+    return len(files)
 
 
 def _is_there(place: Path, data: Dataset) -> bool:

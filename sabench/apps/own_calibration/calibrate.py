@@ -75,8 +75,8 @@ def calibrate(
         size = case.cameras[0].rows, case.cameras[0].columns
         (partial / "errors.png").write_bytes(pictures.arrows(case.pixels, errors, *size))
         (partial / "residuals").mkdir()
-        for camera, own, off in zip(case.cameras, case.pixels, errors, strict=True):
-            both = pictures.with_cell_means(own.reshape(-1, 2), off.reshape(-1, 2), *size)
+        for camera, pixels, off in zip(case.cameras, case.pixels, errors, strict=True):
+            both = pictures.with_cell_means(pixels.reshape(-1, 2), off.reshape(-1, 2), *size)
             drawn = pictures.arrows(*both, *size)
             (partial / "residuals" / f"{camera.name}.png").write_bytes(drawn)
     return report
@@ -96,12 +96,12 @@ def _choose_unknowns(
 
 def parse_unknowns(text: str) -> tuple[Unknown, ...]:
     """Read names of unknowns that commas separate."""
-    known = [name for part in get_args(Unknown) for name in (get_args(part) or (part,))]
+    valid = [name for part in get_args(Unknown) for name in (get_args(part) or (part,))]
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
-        if name not in known:
+        if name not in valid:
             raise InputError(
-                f"--unknowns: expected auto, or names of {', '.join(known)}, got {name}"
+                f"--unknowns: expected auto, or names of {', '.join(valid)}, got {name}"
             )
     chosen: tuple[Any, ...] = tuple(names)
     return chosen
@@ -137,13 +137,13 @@ def check_finite(answer: Calibration, solver: str) -> None:
 def _write_places(path: Path, recording: Recording, points: F64) -> None:
     """Write the places of all points seen, and distances from known ones."""
     case = recording.case
-    seen = case.found.sum(axis=0)
+    views = case.found.sum(axis=0)
     apart = np.linalg.norm(points - case.known_mm, axis=-1)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_PLACES)
-        for k, i in np.argwhere((seen > 0) & np.isfinite(points).all(axis=-1)).tolist():
-            known = f"{apart[k, i]:.6g}" if np.isfinite(apart[k, i]) else ""
+        for k, i in np.argwhere((views > 0) & np.isfinite(points).all(axis=-1)).tolist():
+            distance = f"{apart[k, i]:.6g}" if np.isfinite(apart[k, i]) else ""
             place = [f"{value:.6f}" for value in points[k, i].tolist()]
             labels = [recording.frames[k], recording.points[k, i]]
-            writer.writerow([*labels, *place, seen[k, i], known])
+            writer.writerow([*labels, *place, views[k, i], distance])

@@ -39,10 +39,10 @@ from sabench.utils.validation import (
     validate,
 )
 
-_FARTHEST_PX = 1e6  # of a point from the image's corner
+_FARTHEST_PX = 1e6  # largest distance of a point from the image's corner
 _FARTHEST_POINT_MM = 1e6  # a kilometre
 _MOST_PIXELS = 20_000_000  # pixels of points in all frames and cameras
-_SIGMA_MM = 0.05  # of a coordinate whose standard deviation is not given
+_SIGMA_MM = 0.05  # standard deviation of a coordinate if none is given
 _AXES = ("x_mm", "y_mm", "z_mm")
 _SIGMAS = ("sigma_x_mm", "sigma_y_mm", "sigma_z_mm")
 _SEEN = ("camera", "frame", "point", "column", "row")
@@ -110,16 +110,16 @@ def read_sightings(path: Path, names: Sequence[str], count: int) -> Sightings:
                 f"{path}: expected points 0 to {count - 1}, got {line.camera}, frame "
                 f"{line.frame}, point {line.point}"
             )
-    made = unseen(np.full((len(names), max(frames, 1), count, 2), np.nan))
+    sightings = unseen(np.full((len(names), max(frames, 1), count, 2), np.nan))
     for line in lines:
-        _enter(made, names, line, line.frame, line.point)
-    return made
+        _enter(sightings, names, line, line.frame, line.point)
+    return sightings
 
 
 def read_loose_points(path: Path, names: Sequence[str]) -> Sightings:
     """Read a points.csv with measured places of points without a target.
 
-    Each point of each frame is one of its own: the arrays have as many frames of one point.
+    Points are not matched between frames: each point of each frame becomes a frame of one point.
     """
     lines = list(_lines(path, names))
     for line in lines:
@@ -137,10 +137,10 @@ def read_loose_points(path: Path, names: Sequence[str]) -> Sightings:
     rows = {label: number for number, label in enumerate(labels)}
     empty = unseen(np.full((len(names), len(labels), 1, 2), np.nan))
     frames, points = np.array(labels, dtype=np.int64).T
-    made = Sightings(empty.pixels, empty.known_mm, empty.sigma_mm, frames, points[:, None])
+    sightings = Sightings(empty.pixels, empty.known_mm, empty.sigma_mm, frames, points[:, None])
     for line in lines:
-        _enter(made, names, line, rows[line.frame, line.point], 0)
-    return made
+        _enter(sightings, names, line, rows[line.frame, line.point], 0)
+    return sightings
 
 
 def read_target(path: Path) -> tuple[tuple[float, float, float], ...]:
@@ -160,24 +160,24 @@ def read_target(path: Path) -> tuple[tuple[float, float, float], ...]:
     return tuple(places[number] for number in range(len(places)))
 
 
-def _enter(made: Sightings, names: Sequence[str], line: _Line, frame: int, point: int) -> None:
+def _enter(sightings: Sightings, names: Sequence[str], line: _Line, frame: int, point: int) -> None:
     """Enter a line's pixel and place into the arrays."""
     camera = names.index(line.camera)
-    if np.isfinite(made.pixels[camera, frame, point, 0]):
+    if np.isfinite(sightings.pixels[camera, frame, point, 0]):
         raise InputError(
             f"{line.where}: {line.camera}, frame {line.frame}: expected point {line.point} once, "
             "got it twice"
         )
-    made.pixels[camera, frame, point] = line.pixel
+    sightings.pixels[camera, frame, point] = line.pixel
     given = np.isfinite(line.known_mm)
-    before, now = made.known_mm[frame, point], np.asarray(line.known_mm)
+    before, now = sightings.known_mm[frame, point], np.asarray(line.known_mm)
     if (given & np.isfinite(before) & (before != now)).any():
         raise InputError(
             f"{line.where}: frame {line.frame}: expected one place of point {line.point} for all "
             f"cameras, got {before.tolist()} and {now.tolist()}"
         )
-    made.known_mm[frame, point, given] = now[given]
-    made.sigma_mm[frame, point, given] = np.asarray(line.sigma_mm)[given]
+    sightings.known_mm[frame, point, given] = now[given]
+    sightings.sigma_mm[frame, point, given] = np.asarray(line.sigma_mm)[given]
 
 
 def _lines(path: Path, names: Sequence[str]) -> Iterator[_Line]:
@@ -188,9 +188,9 @@ def _lines(path: Path, names: Sequence[str]) -> Iterator[_Line]:
                 f"{where}: expected one of the cameras {', '.join(names)}, got {printable(camera)}"
             )
         column, row = (_number(where, line, name, _FARTHEST_PX, "px") for name in _SEEN[3:])
-        known = [_length(where, line, k) if line.get(k) else np.nan for k in _AXES]
+        position = [_length(where, line, k) if line.get(k) else np.nan for k in _AXES]
         sigmas = [_sigma(where, line, name) for name in _SIGMAS]
-        yield _Line(where, camera, frame, point, (column, row), tuple(known), tuple(sigmas))
+        yield _Line(where, camera, frame, point, (column, row), tuple(position), tuple(sigmas))
 
 
 def _sigma(where: str, line: dict[str, str], name: str) -> float:
@@ -278,7 +278,7 @@ class CameraSpec(Table):
 
 
 class KnownSpec(Table):
-    """Point of the target, or a whole frame, whose position was measured.
+    """Measured position of a point of the target, or of a complete frame.
 
     Coordinates that were not measured are left out.
     """
@@ -366,29 +366,30 @@ def read_case(folder: Path) -> Recording:
     )
     names = [camera.name for camera in cameras]
     if len(plain) == 1 and target.pattern == "points":
-        seen = read_loose_points(folder / POINTS, names)
+        sightings = read_loose_points(folder / POINTS, names)
     elif (folder / POINTS).is_file():
-        seen = read_sightings(folder / POINTS, names, len(plain))
+        sightings = read_sightings(folder / POINTS, names, len(plain))
     elif target.pattern == "points":
         raise InputError(
             f"{folder / POINTS}: expected the points that cameras saw, since points of any places "
             "are not detected in images, found none"
         )
     else:
-        seen = unseen(_read_images(folder / IMAGES, target, cameras, plain))
-    _enter_known(configuration, seen, str(path))
-    initial = np.tile(plain, (seen.pixels.shape[1], 1, 1))
+        sightings = unseen(_read_images(folder / IMAGES, target, cameras, plain))
+    _enter_known(configuration, sightings, str(path))
+    initial = np.tile(plain, (sightings.pixels.shape[1], 1, 1))
     case = CalibrationCase(
         target,
-        seen.pixels,
+        sightings.pixels,
         cameras,
         initial,
-        seen.known_mm,
-        seen.sigma_mm,
+        sightings.known_mm,
+        sightings.sigma_mm,
         configuration.unknown,
         configuration.known_cameras is not None,
     )
-    return Recording(replace(case, initial_mm=place_boards(case)), seen.frames, seen.points)
+    case = replace(case, initial_mm=place_boards(case))
+    return Recording(case, sightings.frames, sightings.points)
 
 
 def _target(configuration: Configuration, folder: Path) -> Target:
@@ -487,27 +488,27 @@ def _known_cameras(configuration: Configuration, folder: Path) -> tuple[Camera, 
     return cameras
 
 
-def _enter_known(configuration: Configuration, seen: Sightings, source: str) -> None:
+def _enter_known(configuration: Configuration, sightings: Sightings, source: str) -> None:
     """Enter the measured coordinates of the configuration.
 
     A coordinate of a whole frame has one error, which is spread over its points.
     """
-    for number, known in enumerate(configuration.known):
-        chosen = seen.frames[:, None] == known.frame
-        if known.point is None:
-            chosen = chosen & np.ones_like(seen.points, dtype=np.bool_)
+    for number, spec in enumerate(configuration.known):
+        chosen = sightings.frames[:, None] == spec.frame
+        if spec.point is None:
+            chosen = chosen & np.ones_like(sightings.points, dtype=np.bool_)
         else:
-            chosen = chosen & (seen.points == known.point)
+            chosen = chosen & (sightings.points == spec.point)
         if not chosen.any():
-            frames, points = len(np.unique(seen.frames)), seen.points.max() + 1
+            frames, points = len(np.unique(sightings.frames)), sightings.points.max() + 1
             raise InputError(
                 f"{source}: known.{number}: expected one of {frames} frames and of {points} "
-                f"points, got {known.frame} and {known.point}"
+                f"points, got {spec.frame} and {spec.point}"
             )
-        sigma = known.sigma_mm * np.sqrt(chosen.sum())
-        for axis, value in enumerate((known.x_mm, known.y_mm, known.z_mm)):
+        sigma = spec.sigma_mm * np.sqrt(chosen.sum())
+        for axis, value in enumerate((spec.x_mm, spec.y_mm, spec.z_mm)):
             if value is not None:
-                seen.known_mm[chosen, axis], seen.sigma_mm[chosen, axis] = value, sigma
+                sightings.known_mm[chosen, axis], sightings.sigma_mm[chosen, axis] = value, sigma
 
 
 def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plain: F64) -> F64:
@@ -515,9 +516,8 @@ def _read_images(folder: Path, target: Target, cameras: tuple[Camera, ...], plai
 
     Frames are in the order of their folders' names.
     """
-    frames = (
-        sorted(entry for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []
-    )
+    entries = folder.iterdir() if folder.is_dir() else ()
+    frames = sorted(entry for entry in entries if entry.is_dir())
     if not frames:
         raise InputError(
             f"{folder}: expected folders with an image of each camera, or a {POINTS} next to it, "

@@ -71,20 +71,20 @@ def hold_out(algorithm: Any, case: CalibrationCase, whole: Calibration) -> HeldO
     reference = points if rigid else _triangulated(whole.cameras, case)
     board = reference[int(np.argmax(case.found.any(axis=(0, 2))))]  # with its bend
     errors, loose = np.full(case.pixels.shape, np.nan), np.full(shape, np.nan)
-    known, moved, failed = np.full(shape, np.nan), [], 0
+    from_known, moved, failed = np.full(shape, np.nan), [], 0
     for fold in folds:
         cameras = _without(algorithm, everything, whole, fold)
         if cameras is None:
             failed += 1
             continue
         placed, free = target_places(cameras, case, whole), _triangulated(cameras, case)
-        own = placed if rigid else free
+        positions = placed if rigid else free
         errors[:, fold] = residuals_of(cameras, case, placed)[:, fold]
-        known[fold] = (own - case.known_mm)[fold]
+        from_known[fold] = (positions - case.known_mm)[fold]
         loose[fold] = _off_rigid(free, board)[fold]
-        moved.append(_aligned(own, reference, case))
+        moved.append(_aligned(positions, reference, case))
     unknowns = unknowns_of(whole.cameras, case, whole)
-    return _summary(case, errors, unknowns, loose, known, moved, failed) if moved else None
+    return _summary(case, errors, unknowns, loose, from_known, moved, failed) if moved else None
 
 
 def _without(
@@ -94,7 +94,7 @@ def _without(
     pixels = case.pixels.copy()
     pixels[:, fold] = np.nan
     pairs = zip(whole.cameras, case.cameras, strict=True)
-    cameras = tuple(replace(c, wall=own.wall) for c, own in pairs if isinstance(c, Camera))
+    cameras = tuple(replace(c, wall=nominal.wall) for c, nominal in pairs if isinstance(c, Camera))
     try:
         part = replace(case, pixels=pixels)
         if places_rigidly(whole.cameras, whole) and whole.points_mm is not None:
@@ -110,7 +110,7 @@ def solve_case(algorithm: Any, case: CalibrationCase) -> Calibration:
     Raises
     ------
     InputError
-        Whatever the solver raises, in a sentence.
+        Any error of the solver, in a sentence.
     """
     try:
         answer: Calibration = algorithm.solve(case)
@@ -127,15 +127,15 @@ def target_places(
 ) -> F64:
     """Place the target (frame, point, 3) of every frame by some cameras.
 
-    A target seen by pinholes is placed as a rigid body, with the bend that the whole calibration
-    has found. Others are where they are known to be, or where the cameras triangulate them.
+    A target seen by pinholes is placed as a rigid body, with the bend of the complete calibration.
+    Other targets have their measured or triangulated positions.
     """
     if whole.points_mm is None or not places_rigidly(cameras, whole):
         return case.initial_mm if has_places(case) else _triangulated(cameras, case)
     pinholes = tuple(camera for camera in cameras if isinstance(camera, Camera))
     frame = Frame.from_cameras(pinholes, whole.points_mm)
-    seen = case.found.any(axis=(0, 2))
-    board = whole.points_mm[int(np.argmax(seen))]
+    visible = case.found.any(axis=(0, 2))
+    board = whole.points_mm[int(np.argmax(visible))]
     used = case.found if whole.used is None else whole.used
     weights = np.asarray(used, dtype=np.float64)
     images = BoardImages(board, np.nan_to_num(case.pixels), weights, frame=frame.beyond_kernels)
@@ -151,8 +151,8 @@ def places_rigidly(cameras: tuple[CameraModel, ...], whole: Calibration) -> bool
 
 def has_places(case: CalibrationCase) -> bool:
     """Return whether known points place the target of every frame that is seen."""
-    seen = case.found.any(axis=(0, 2))
-    return bool(np.isfinite(known_places(case)[seen]).all())
+    visible = case.found.any(axis=(0, 2))
+    return bool(np.isfinite(known_places(case)[visible]).all())
 
 
 def _triangulated(cameras: tuple[CameraModel, ...], case: CalibrationCase) -> F64:
@@ -181,26 +181,26 @@ def residuals_of(cameras: tuple[CameraModel, ...], case: CalibrationCase, points
 def _off_rigid(points: F64, board: F64) -> F64:
     """Subtract rigid boards from triangulated points (frame, point, 3)."""
     out = np.full(points.shape, np.nan)
-    for number, own in enumerate(points):
-        there = np.isfinite(own).all(axis=1)
-        if there.sum() > _FIXING:
-            out[number] = own - fit_rigid_motion(board[there], own[there])(board)
+    for number, positions in enumerate(points):
+        finite = np.isfinite(positions).all(axis=1)
+        if finite.sum() > _FIXING:
+            out[number] = positions - fit_rigid_motion(board[finite], positions[finite])(board)
     return out
 
 
 def _aligned(placed: F64, points: F64, case: CalibrationCase) -> F64:
     """Subtract points from those placed by other cameras, in the frame of the wall.
 
-    Motions that the images do not show are taken out, unless known points determine them.
+    Motions that the images do not determine are removed, unless known points determine them.
     """
     frame = Frame.from_cameras(case.cameras, case.initial_mm)
-    own, true = frame.motion(placed), frame.motion(points)
-    there = np.asarray(np.isfinite(own + true).all(axis=-1))
+    aligned, true = frame.motion(placed), frame.motion(points)
+    finite = np.asarray(np.isfinite(aligned + true).all(axis=-1))
     free = np.isfinite(case.known_mm).all(axis=-1).sum() < _FIXING
-    if free and there.sum() > _FIXING and frame.beyond_kernels is None:
+    if free and finite.sum() > _FIXING and frame.beyond_kernels is None:
         fit = fit_rigid_motion if frame.wall is None else fit_lateral_motion
-        own = fit(own[there], true[there])(own)
-    return np.asarray(np.where(there[..., None], own - true, np.nan))
+        aligned = fit(aligned[finite], true[finite])(aligned)
+    return np.asarray(np.where(finite[..., None], aligned - true, np.nan))
 
 
 def _summary(
@@ -208,7 +208,7 @@ def _summary(
     errors: F64,
     unknowns: int,
     loose: F64,
-    known: F64,
+    from_known: F64,
     moved: list[F64],
     failed: int,
 ) -> HeldOut:
@@ -217,8 +217,8 @@ def _summary(
     pairs = neighbours(case.target.points_mm)
     if case.found.shape[2] == 1:
         pairs = neighbours(case.initial_mm[:, 0])
-        loose, known = loose.transpose(1, 0, 2), known.transpose(1, 0, 2)
-    parts = [correlated_part(_inliers(one) @ axes.T, pairs) for one in (loose, known)]
+        loose, from_known = loose.transpose(1, 0, 2), from_known.transpose(1, 0, 2)
+    parts = [correlated_part(_inliers(vectors) @ axes.T, pairs) for vectors in (loose, from_known)]
     bend = np.nan_to_num(np.fmax(*parts))
     spread, depth = _jackknife(np.array(moved))
     return HeldOut(
@@ -226,7 +226,7 @@ def _summary(
         failed,
         rms_px(errors, unknowns),
         _rms(_inliers(loose)),
-        _rms(known),
+        _rms(from_known),
         (float(bend[0]), float(bend[1]), float(bend[2])),
         spread,
         depth,
@@ -265,10 +265,10 @@ def rms_px(errors: F64, unknowns: int) -> float | None:
     Errors are (camera, frame, point, 2). Outliers are left out, and `unknowns` of every frame are
     allowed for.
     """
-    own = _inliers(errors)
-    there = np.asarray(np.isfinite(own[..., 0]))
-    left = 2 * int(there.sum()) - unknowns * int(np.sum(there.any(axis=(0, 2))))
-    return float(np.sqrt(np.nansum(own**2) / left)) if left > 0 else None
+    inliers = _inliers(errors)
+    valid = np.asarray(np.isfinite(inliers[..., 0]))
+    left = 2 * int(valid.sum()) - unknowns * int(np.sum(valid.any(axis=(0, 2))))
+    return float(np.sqrt(np.nansum(inliers**2) / left)) if left > 0 else None
 
 
 def _rms(errors: F64) -> float | None:

@@ -49,7 +49,7 @@ class WallUnknown:
         normal through the world's origin.
     std : smallest standard deviation that the data allow without the nominal value (Cramer-Rao
         bound); None where nothing shows it.
-    shown : whether they say more than a data sheet, a ruler and a spirit level.
+    shown : whether they are more precise than a data sheet, a ruler and a spirit level.
     """
 
     name: str
@@ -89,10 +89,10 @@ def wall_unknowns(
     for number, std in zip(shared.tolist(), shared_std.tolist(), strict=True):
         if number < len(names):
             name, unit, measured = names[number]
-            own = std * float(scales[number])
-            known = own if math.isfinite(own) else None
-            figures = before[number], after[number], known
-            rows.append(WallUnknown(name, unit, *figures, own < measured))
+            deviation = std * float(scales[number])
+            finite = deviation if math.isfinite(deviation) else None
+            figures = before[number], after[number], finite
+            rows.append(WallUnknown(name, unit, *figures, deviation < measured))
     return tuple(rows)
 
 
@@ -111,17 +111,17 @@ def _values(wall: Wall, nominal: Wall) -> F64:
 
 
 def warn_of_unknowns(unknowns: Sequence[WallUnknown]) -> Iterator[str]:
-    """Say in one sentence what the data do not show of the wall."""
-    hidden = [one for one in unknowns if not one.shown]
+    """Report in one sentence which unknowns of the wall are not determined."""
+    hidden = [unknown for unknown in unknowns if not unknown.shown]
     if hidden:
-        listed = " and ".join(_standard_deviation(one) for one in hidden)
+        listed = " and ".join(_standard_deviation(unknown) for unknown in hidden)
         yield f"The data hardly show the {listed}: measure it, and take it out of the unknowns."
 
 
-def _standard_deviation(one: WallUnknown) -> str:
-    unit = f" {one.unit}" if one.unit else ""
-    std = "infinite" if one.std is None else f"{one.std:.3g}{unit}"
-    return f"{one.name} (standard deviation {std})"
+def _standard_deviation(unknown: WallUnknown) -> str:
+    unit = f" {unknown.unit}" if unknown.unit else ""
+    std = "infinite" if unknown.std is None else f"{unknown.std:.3g}{unit}"
+    return f"{unknown.name} (standard deviation {std})"
 
 
 _SHALLOW = 0.002  # error of the depth, part of the distance from the wall, that images leave open
@@ -135,9 +135,9 @@ class Report:
 
     Attributes
     ----------
-    summary : sentences that a reader must know, the most important one first.
+    summary : most important findings, one sentence each, in order of importance.
     unknown : unknowns of lenses, wall and board.
-    compared : fits from which the unknowns were chosen; empty if they were given.
+    compared : fits for choosing the unknowns; empty if they were given.
     noise_px : error of a pixel coordinate, from the residuals.
     misfit_px : the part of it that neighbouring points share: of the model and not of noise.
     true_px : expected mean error of the calibrated cameras, with the misfit; None for solvers
@@ -196,9 +196,9 @@ def report_on(
             "cannot be seen where the calibration puts them: in the wall or before it; check "
             "target_mm, wall and known"
         )
-    seen = np.where(used[..., None], errors, np.nan)
-    misfit = _misfit_px(case, seen)
-    noise = _noise_px(case, answer, seen)
+    residuals = np.where(used[..., None], errors, np.nan)
+    misfit = _misfit_px(case, residuals)
+    noise = _noise_px(case, answer, residuals)
     bound, wall = _bound(case, answer, points, used, noise)
     std = _expected_mm(bound, held_out)
     walled = any(camera.wall for camera in case.cameras)
@@ -225,23 +225,23 @@ def report_on(
             for i, camera in enumerate(answer.cameras)
         ),
         tuple(
-            _line(int(k), errors[:, own], case.found[:, own], used[:, own])
+            _line(int(k), errors[:, of_frame], case.found[:, of_frame], used[:, of_frame])
             for k in np.unique(recording.frames)
-            if (own := recording.frames == k).any()
+            if (of_frame := recording.frames == k).any()
         ),
     )
-    return report, points, seen
+    return report, points, residuals
 
 
 def _noise_px(case: CalibrationCase, answer: Calibration, errors: F64) -> float:
     """Compute the standard deviation of a pixel coordinate, unknowns allowed for."""
-    there = np.isfinite(errors[..., 0])
+    valid = np.isfinite(errors[..., 0])
     free = FreeParameters.from_case(case)
     unknowns = free.per_camera * len(answer.cameras) if free.cameras else 0
     if not places_rigidly(answer.cameras, answer):
         return rms_px(errors, unknowns_of(answer.cameras, case, answer)) or 0.0
-    unknowns += 6 * int(there.any(axis=(0, 2)).sum())
-    return float(np.sqrt(np.nansum(errors**2) / max(2 * int(there.sum()) - unknowns, 1)))
+    unknowns += 6 * int(valid.any(axis=(0, 2)).sum())
+    return float(np.sqrt(np.nansum(errors**2) / max(2 * int(valid.sum()) - unknowns, 1)))
 
 
 def _misfit_px(case: CalibrationCase, errors: F64) -> float:
@@ -265,15 +265,15 @@ def _bound(
         return None, ()
     frame, free = Frame.from_cameras(cameras, points), FreeParameters.from_case(case)
     board = points[int(np.argmax(used.any(axis=(0, 2))))]  # with its bend
-    seen = BoardImages(
+    images = BoardImages(
         board - board.mean(axis=0),
         np.nan_to_num(case.pixels),
         used.astype(np.float64),
         make_anchors(case, frame, noise),
         frame.beyond_kernels,
     )
-    state = frame.state(seen.board, points)
-    bound, nominal = limit(state, seen, free, noise), common_plane(case.cameras)
+    state = frame.state(images.board, points)
+    bound, nominal = limit(state, images, free, noise), common_plane(case.cameras)
     if nominal is None or frame.wall is None:
         return bound, ()
     return bound, wall_unknowns(nominal, frame.wall, free, bound.shared_std)
@@ -300,7 +300,7 @@ def _depth_mm(bound: Limit | None, held_out: HeldOut | None) -> float | None:
 
 
 def _warn_of_depth(case: CalibrationCase, points: F64, depth: float | None) -> Iterator[str]:
-    """Say where the boards do not show the depth, and how to measure it."""
+    """Warn where the boards do not determine the depth."""
     wall = common_plane(case.cameras)
     if wall is None or depth is None:
         return
@@ -316,24 +316,24 @@ def _warn_of_depth(case: CalibrationCase, points: F64, depth: float | None) -> I
 def _warn_of_model(
     case: CalibrationCase, answer: Calibration, misfit: float, noise: float
 ) -> Iterator[str]:
-    """Say what residuals that are no noise, and figures far from nominal ones, show."""
+    """Warn of systematic residuals and of values far from the nominal ones."""
     pinholes = tuple(camera for camera in answer.cameras if isinstance(camera, Camera))
     if pinholes and misfit > max(_MISFIT * noise, _LEAST_PX):
         yield (
             f"Neighbouring points share {misfit:.3g} px of their residuals of {noise:.3g} px, "
             "which is no noise: the model lacks something. Compare with --unknowns auto."
         )
-    nominal, found = common_plane(case.cameras), common_plane(pinholes) if pinholes else None
-    if nominal is None or found is None:
+    nominal, fitted = common_plane(case.cameras), common_plane(pinholes) if pinholes else None
+    if nominal is None or fitted is None:
         return
-    for before, after in zip(nominal.layers, found.layers, strict=True):
+    for before, after in zip(nominal.layers, fitted.layers, strict=True):
         if abs(after.thickness_mm - before.thickness_mm) > THICKNESS * before.thickness_mm:
             yield (
                 f"The fit gives {before.name} a thickness of {after.thickness_mm:.3g} mm where "
                 f"{before.thickness_mm:.3g} mm is nominal: measure it, and take it out of the "
                 "unknowns."
             )
-    for name, old, new in zip(media_of(nominal), nominal.indices, found.indices, strict=True):
+    for name, old, new in zip(media_of(nominal), nominal.indices, fitted.indices, strict=True):
         if abs(new - old) > INDEX:
             yield (
                 f"The fit gives {name} an index of {new:.4g} where {old:.4g} is nominal: measure "
@@ -342,13 +342,13 @@ def _warn_of_model(
 
 
 def _line(
-    name: str | int, errors: F64, found: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_]
+    name: str | int, errors: F64, detected: npt.NDArray[np.bool_], used: npt.NDArray[np.bool_]
 ) -> dict[str, Any]:
-    own = np.linalg.norm(errors, axis=-1)[used]
-    figures = (float(own.mean()), float(own.max())) if len(own) else (None, None)
+    distances = np.linalg.norm(errors, axis=-1)[used]
+    figures = (float(distances.mean()), float(distances.max())) if len(distances) else (None, None)
     return {
         "name": name,
-        "found": int(found.sum()),
+        "found": int(detected.sum()),
         "used": int(used.sum()),
         "mean_px": figures[0],
         "largest_px": figures[1],

@@ -29,7 +29,7 @@ _JITTER = 1e-8  # variance on the diagonal, for rounding
 
 @dataclass(frozen=True)
 class Kernel:
-    """Squared exponential of its own length along each feature, plus a linear part.
+    """Squared exponential with one length per feature, plus a linear part.
 
     Attributes
     ----------
@@ -42,11 +42,11 @@ class Kernel:
     slope: float
     noise: float
 
-    def __call__(self, one: F64, other: F64) -> F64:
+    def __call__(self, points: F64, other: F64) -> F64:
         """Compute covariances (n, m) of points (n, feature) and (m, feature)."""
-        apart = (one[:, None] - other[None]) / self.lengths
+        apart = (points[:, None] - other[None]) / self.lengths
         near = self.amplitude**2 * np.exp(-0.5 * np.sum(apart**2, axis=2))
-        return np.asarray(near + self.slope**2 * (1.0 + one @ other.T))
+        return np.asarray(near + self.slope**2 * (1.0 + points @ other.T))
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class GaussianProcess:
     @cached_property
     def _inverse(self) -> F64:
         """Inverse covariance (n, n) of the measured values."""
-        own = self.kernel(self.points, self.points)
-        own[np.diag_indices_from(own)] += self.kernel.noise**2 + _JITTER
-        return np.asarray(np.linalg.inv(own))
+        covariance = self.kernel(self.points, self.points)
+        covariance[np.diag_indices_from(covariance)] += self.kernel.noise**2 + _JITTER
+        return np.asarray(np.linalg.inv(covariance))
 
     @cached_property
     def _weights(self) -> F64:
@@ -74,9 +74,9 @@ class GaussianProcess:
         Equations 2.25 and 2.26.
         """
         across = self.kernel(points, self.points)
-        own = np.array([self.kernel(one[None], one[None])[0, 0] for one in points])
-        known = np.einsum("ij,jk,ik->i", across, self._inverse, across)
-        variance = np.maximum(own + self.kernel.noise**2 - known, 0.0)
+        prior = np.array([self.kernel(point[None], point[None])[0, 0] for point in points])
+        explained = np.einsum("ij,jk,ik->i", across, self._inverse, across)
+        variance = np.maximum(prior + self.kernel.noise**2 - explained, 0.0)
         return self.values.mean() + across @ self._weights, np.sqrt(variance)
 
     def left_out(self) -> F64:
@@ -99,7 +99,7 @@ class GaussianProcess:
 
 
 _NEIGHBOUR = 0.55396  # mean distance of the nearest neighbour x (number density)^(1/3)
-_MOST_COVERED = 0.5  # of the images
+_MOST_COVERED = 0.5  # share of the images
 _DENSITIES = ("per_pixel", "per_mm3", "count")
 
 
@@ -107,7 +107,7 @@ def plan_density(scene: Scene, view: Viewing, sample: Sample) -> Section:
     """Compute particles per pixel, covered pixels and the ghosts of equation 3.14."""
     cameras, count = view.rig.cameras, len(sample.particles)
     per_mm3 = count / math.prod(scene.volume.size_mm)
-    pixels = float(np.mean([one.rows * one.columns for one in cameras]))
+    pixels = float(np.mean([camera.rows * camera.columns for camera in cameras]))
     per_pixel = sample.visible_share * count / pixels
     path_mm = view.depth_mm / np.abs(view.directions @ view.forward)
     densest = per_mm3 * float(np.nanmean(path_mm * view.pixels_mm**2))
@@ -156,7 +156,7 @@ MODEL = Path(__file__).with_name("expected_scores.json")
 GHOST_FLOOR = 0.01  # ghosts per particle that count as none
 _COST = 0.02  # of Q
 _EDGE = 0.05  # relative: so little outside of the range is inside
-_LEAST, _MOST = 0.005, 0.995  # scores whose logit is taken
+_LEAST, _MOST = 0.005, 0.995  # range of scores for the logit
 
 Values = Mapping[str, float]
 
@@ -164,7 +164,7 @@ Values = Mapping[str, float]
 class Feature(NamedTuple):
     """Figure of a plan that scores depend on.
 
-    `key` is the scene's key to change; None stands for that of the density.
+    `key` is the scene's key to change; None: the key of the density.
     """
 
     value: Callable[[Values], float]
@@ -211,12 +211,12 @@ SCORES = {
 
 def features_of(values: Values) -> F64:
     """Compute the features (feature,) of a plan's figures, without logarithms."""
-    return np.array([one.value(values) for one in FEATURES.values()])
+    return np.array([feature.value(values) for feature in FEATURES.values()])
 
 
 def transform(features: F64) -> F64:
     """Take the logarithms of features (..., feature) that have them."""
-    logarithmic = np.array([one.logarithmic for one in FEATURES.values()])
+    logarithmic = np.array([feature.logarithmic for feature in FEATURES.values()])
     return np.where(logarithmic, np.log(np.where(logarithmic, features, 1.0)), features)
 
 
@@ -283,17 +283,17 @@ def read_model(stored: Mapping[str, Any]) -> ScoreModel:
     """Make a model of what `expected_scores.json` holds."""
     features = np.array(stored["features"])
     low, high = features.min(axis=0), features.max(axis=0)
-    low[[not one.logarithmic for one in FEATURES.values()]] = 0.0
+    low[[not feature.logarithmic for feature in FEATURES.values()]] = 0.0
     points = transform(features)
     mean, scale = points.mean(axis=0), points.std(axis=0)
     processes = {}
     for key, score in SCORES.items():
         values = np.array(stored["scores"][key], dtype=np.float64)  # NaN: not measured
-        known = np.isfinite(values)
+        measured = np.isfinite(values)
         given = stored["kernels"][key]
         kernel = Kernel(np.array(given["lengths"]), *(given[name] for name in _DEVIATIONS))
         processes[key] = GaussianProcess(
-            ((points - mean) / scale)[known], link(score.score, values[known]), kernel
+            ((points - mean) / scale)[measured], link(score.score, values[measured]), kernel
         )
     return ScoreModel(low, high, mean, scale, processes)
 
@@ -304,18 +304,18 @@ _DEVIATIONS = ("amplitude", "slope", "noise")
 def plan_scores(scene: Scene, sections: Sequence[Section]) -> Section | None:
     """Predict scores from the figures of a plan; None where a figure is missing."""
     values = {
-        one.key: one.value
+        quantity.key: quantity.value
         for section in sections
-        for one in section.quantities
-        if one.value is not None
+        for quantity in section.quantities
+        if quantity.value is not None
     }
     if not {"elongation", "source_density"} <= values.keys() or not values["peak_snr"]:
         return None
     model, features = load_model(), features_of(values)
     quantities = []
-    for key, one in SCORES.items():
+    for key, score in SCORES.items():
         value, error = (float(each[0]) for each in model.predict(key, features[None]))
-        quantities.append(Quantity(key, value, f"{one.meaning}, +- {error:.2g}", _SOURCE))
+        quantities.append(Quantity(key, value, f"{score.meaning}, +- {error:.2g}", _SOURCE))
     for key, name in (("q_synthetic_aperture", "msa"), ("q_mart", "mlos_smart")):
         allowed = model.allowed_error_px(key, features, values["image_px"])
         meaning = f"calibration error that costs {name} {_COST:g} in Q"
@@ -327,14 +327,14 @@ _SOURCE = "fitted to measured scenes"
 
 
 def _outside(scene: Scene, model: ScoreModel, features: F64) -> list[Advice]:
-    """Say which figures are outside the range of the fitted scenes, and by how much."""
+    """List the figures outside the range of the fitted scenes."""
     advice = []
-    for number, (name, one) in enumerate(FEATURES.items()):
+    for number, (name, feature) in enumerate(FEATURES.items()):
         value, low, high = features[number], model.low[number], model.high[number]
         if low * (1.0 - _EDGE) <= value <= high * (1.0 + _EDGE):
             continue
         edge, word = (low, "least") if value < low else (high, "largest")
-        key = one.key or density_key(scene)
+        key = feature.key or density_key(scene)
         advice.append(
             Advice(
                 key,

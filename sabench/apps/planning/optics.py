@@ -27,11 +27,11 @@ from sabench.simulation.rendering.particle_images import (
 from sabench.utils.arrays import F64
 
 DIAMETER = 4.0  # diameter of a Gaussian image in standard deviations: the e^-2 circle
-_OVERLAP = 0.95  # of the volume that all cameras should see
+_OVERLAP = 0.95  # share of the volume that all cameras should see
 _COARSE = 1.5  # pixels: a larger voxel loses resolution
-_LONG = 1.05  # of the distance of focal planes: thesis's voxels are as long, rounded
-_SHARP_PX = 1.0  # of defocus harm nothing, however fine diffraction is
-_WAVELENGTH_NM = 550.0  # of white light
+_LONG = 1.05  # voxel over distance of focal planes: that of the thesis, rounded up
+_SHARP_PX = 1.0  # harmless blur by defocus for any diffraction
+_WAVELENGTH_NM = 550.0  # mean wavelength of white light
 
 
 def plan_view(scene: Scene, view: Viewing) -> Section:
@@ -73,7 +73,7 @@ def plan_view(scene: Scene, view: Viewing) -> Section:
 def _advise_view(
     scene: Scene, view: Viewing, shares: F64, quantities: tuple[Quantity, ...]
 ) -> list[Advice]:
-    advice, values = [], {one.key: one.value or 0.0 for one in quantities}
+    advice, values = [], {quantity.key: quantity.value or 0.0 for quantity in quantities}
     if values["scored_share"] < _OVERLAP:
         worst = view.rig.cameras[int(np.argmin(shares))].name
         advice.append(
@@ -166,15 +166,15 @@ def depth_of_field_mm(scene: Scene, camera: Camera, view: Viewing) -> float:
 def wavelength_nm(scene: Scene) -> float:
     """Return the wavelength of a scene's light, of the laser first."""
     lights = (scene.illumination, scene.backlight, scene.lighting)
-    return next((one.wavelength_nm for one in lights if one is not None), _WAVELENGTH_NM)
+    return next((light.wavelength_nm for light in lights if light is not None), _WAVELENGTH_NM)
 
 
 def plan_sharpness(scene: Scene, view: Viewing) -> Section:
     """Compare the blur at the volume's faces with diffraction, in e^-2 diameters."""
     cameras, size = view.rig.cameras, np.asarray(scene.volume.size_mm)
-    airy = DIAMETER * max(diffraction_px(one, wavelength_nm(scene)) for one in cameras)
+    airy = DIAMETER * max(diffraction_px(camera, wavelength_nm(scene)) for camera in cameras)
     front, middle, back = (
-        DIAMETER * max(_largest(defocus_px(one, view.face(share, size))) for one in cameras)
+        DIAMETER * max(_largest(defocus_px(camera, view.face(share, size))) for camera in cameras)
         for share in (0.0, 0.5, 1.0)
     )
     quantities = (
@@ -187,7 +187,7 @@ def plan_sharpness(scene: Scene, view: Viewing) -> Section:
     advice = []
     allowed = max(airy, _SHARP_PX)
     if worst > allowed and scene.cameras.particle_sigma_px is None:
-        stop = min(one.f_number for one in cameras) * math.sqrt(worst / allowed)
+        stop = min(camera.f_number for camera in cameras) * math.sqrt(worst / allowed)
         advice.append(
             Advice(
                 "cameras.f_number",
@@ -199,13 +199,13 @@ def plan_sharpness(scene: Scene, view: Viewing) -> Section:
 
 
 def _largest(values: F64) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.max()) if len(known) else 0.0
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if len(finite) else 0.0
 
 
 _SAMPLE = 2000  # particles that are imaged
 _LEAST_SNR, _MOST_SATURATED, _LEAST_LIT = 5.0, 0.01, 0.99
-_SMALLEST_PX, _LARGEST_PX = 2.0, 4.0  # diameters of images whose centres can be measured well
+_SMALLEST_PX, _LARGEST_PX = 2.0, 4.0  # image diameters with precisely measurable centres
 
 
 @dataclass(frozen=True)
@@ -225,18 +225,18 @@ class Sample:
     @property
     def visible_share(self) -> float:
         """Share of the particles on an image, mean over the cameras."""
-        return float(np.mean([one.visible.mean() for one in self.images]))
+        return float(np.mean([image.visible.mean() for image in self.images]))
 
     @property
     def diameter_px(self) -> float:
         """Median e^-2 diameter of visible images, mean over the cameras."""
-        sizes = [one.sigma_px[one.visible] for one in self.images if one.visible.any()]
-        return DIAMETER * float(np.mean([np.median(one) for one in sizes]))
+        sizes = [image.sigma_px[image.visible] for image in self.images if image.visible.any()]
+        return DIAMETER * float(np.mean([np.median(size) for size in sizes]))
 
     @property
     def light_scatter(self) -> float:
         """Scatter of light between cameras, a deviation of logarithms."""
-        photons = np.array([np.where(one.visible, one.photons, 0.0) for one in self.images])
+        photons = np.array([np.where(image.visible, image.photons, 0.0) for image in self.images])
         photons = photons[:, (photons > 0.0).all(axis=0)]
         if not photons.size:
             return 0.0
@@ -256,8 +256,8 @@ def sample_images(frame: FrameContent, tracers: Tracers) -> Sample | None:
         )
         for camera in frame.rig.cameras
     )
-    seen = any(one.visible.any() for one in images)
-    return Sample(frame, whole, images) if seen else None
+    visible = any(image.visible.any() for image in images)
+    return Sample(frame, whole, images) if visible else None
 
 
 @dataclass(frozen=True)
@@ -280,11 +280,11 @@ def plan_light(sample: Sample) -> Section:
         for number, images in enumerate(sample.images)
         if images.visible.any()
     ]
-    dim = min(exposures, key=lambda one: one.snr)
-    brightest = max(one.photons for one in exposures)
+    dim = min(exposures, key=lambda exposure: exposure.snr)
+    brightest = max(exposure.photons for exposure in exposures)
     ratio = dim.photons / brightest if brightest else None
-    lit = float(np.mean(np.concatenate([one.intensity for one in sample.images]) > 0.0))
-    saturated = max(one.saturated for one in exposures)
+    lit = float(np.mean(np.concatenate([image.intensity for image in sample.images]) > 0.0))
+    saturated = max(exposure.saturated for exposure in exposures)
     quantities = (
         Quantity(
             "image_px", sample.diameter_px, "e^-2 diameter of images", "Adrian and Yao (1985)"

@@ -21,8 +21,8 @@ from sabench.scenes import Scene
 from sabench.scenes.illumination import Illumination
 from sabench.utils.arrays import F64
 
-_NODES = 500  # of a section along each side
-_MARGIN, _NEAR = 0.08, 0.6  # around the whole rig, and around the volume, of its size
+_NODES = 500  # nodes of a section along each side
+_MARGIN, _NEAR = 0.08, 0.6  # margins around the rig and the volume, share of their size
 _CAMERA = 0.03  # length of a camera's symbol, of the window
 _AXES = ("x", "y", "z")
 
@@ -79,7 +79,7 @@ def _outlines(
     points[..., plane[0]] = steps[None, :, 0]
     points[..., plane[1]] = steps[:, None, 1]
     section = points
-    walls = list(dict.fromkeys(one.wall for one in view.rig.cameras if one.wall is not None))
+    walls = list(dict.fromkeys(filter(None, (camera.wall for camera in view.rig.cameras))))
     for wall in walls:
         for depth in _faces(wall):
             for line in _contours(wall.depth_of(section) - depth, low, high):
@@ -91,10 +91,10 @@ def _outlines(
     for camera in view.rig.cameras:
         for ray in _rays(camera, view, plane):
             yield Outline("ray", ray)
-        # make a camera's triangle (3, 2), whose tip is the pinhole
+        # make a camera's triangle (3, 2) with its tip at the pinhole
         length_mm = _CAMERA * (high - low).max()
         tip, forward = (
-            np.asarray(one)[list(plane)] for one in (camera.center_mm, camera.rotation[2])
+            np.asarray(axis)[list(plane)] for axis in (camera.center_mm, camera.rotation[2])
         )
         side = np.array([-forward[1], forward[0]])
         back = tip - length_mm * forward
@@ -112,7 +112,7 @@ def _faces(wall: WallRecord) -> list[float]:
 
 
 def _contours(values: F64, low: F64, high: F64) -> list[F64]:
-    """Find the lines (n, 2) in mm on which values (row, column) of a window are zero."""
+    """Find the zero lines (n, 2) in mm of the values (row, column) of a window."""
     lines = find_contours(values, 0.0)
     return [low + line[:, ::-1] / (_NODES - 1) * (high - low) for line in lines]
 
@@ -127,7 +127,7 @@ def _borders(values: F64, low: F64, high: F64) -> list[F64]:
 def _outside(light: Illumination, points: F64, center_mm: F64, walls: list[WallRecord]) -> F64:
     """Compute how far points (..., 3) are outside the light in the fluid, mm."""
     normal, along = (
-        np.asarray(one) / np.linalg.norm(one) for one in (light.sheet_normal, light.direction)
+        np.asarray(axis) / np.linalg.norm(axis) for axis in (light.sheet_normal, light.direction)
     )
     offset = points - center_mm
     across = np.abs(offset @ normal - (light.shift_mm or 0.0)) - light.thickness_mm / 2.0

@@ -182,18 +182,18 @@ class Plan:
     @property
     def advice(self) -> tuple[Advice, ...]:
         """Warnings of all sections."""
-        return tuple(one for section in self.sections for one in section.advice)
+        return tuple(warning for section in self.sections for warning in section.advice)
 
     def to_dict(self) -> dict[str, Any]:
         """Give all figures and warnings as JSON holds them."""
         return {
             "title": self.scene.title,
             "figures": {
-                one.key: {"value": one.value, "meaning": one.meaning, "source": one.source}
+                entry.key: {"value": entry.value, "meaning": entry.meaning, "source": entry.source}
                 for section in self.sections
-                for one in section.quantities
+                for entry in section.quantities
             },
-            "warnings": [{"key": one.key, "sentence": one.sentence} for one in self.advice],
+            "warnings": [{"key": entry.key, "sentence": entry.sentence} for entry in self.advice],
         }
 
 
@@ -228,10 +228,10 @@ def plan(scene: Scene | str | Path, recorder: Recorder | None = None) -> Plan:
     return Plan(lit, rig, viewing, tuple(sections))
 
 
-_STEPS = 20  # of the search for a distance
+_STEPS = 20  # steps of the search for a distance
 _CLOSE = 1e-4  # relative error of the resolution
 _SCORED = 0.99  # share of the scored volume that all cameras should see
-_LENGTHS = ("spacing_mm", "radius_mm", "x_mm", "y_mm")  # of layouts
+_LENGTHS = ("spacing_mm", "radius_mm", "x_mm", "y_mm")  # lengths of layouts
 _DENSITIES = ("count", "per_mm3", "per_pixel")
 
 Values = dict[str, Any]
@@ -307,7 +307,7 @@ def _scene(values: Mapping[str, Any]) -> Scene:
 
 
 def _figure(scene: Scene, key: str) -> float:
-    figures = {one.key: one.value for part in plan(scene).sections for one in part.quantities}
+    figures = {entry.key: entry.value for part in plan(scene).sections for entry in part.quantities}
     value = figures.get(key)
     if not value:
         raise InputError(f"{scene.title}: illumination: expected light on the particles, got none")
@@ -366,7 +366,7 @@ def _scaled(values: Values, base: Scene, middle: F64, place: F64, scale: float) 
         if key in layout:
             lengths = layout[key]
             many = isinstance(lengths, list)
-            layout[key] = [one * scale for one in lengths] if many else lengths * scale
+            layout[key] = [length * scale for length in lengths] if many else lengths * scale
     if base.cameras.focus_mm is not None:
         moved["cameras"]["focus_mm"] = base.cameras.focus_mm * scale
     return moved
@@ -379,7 +379,7 @@ def _with_crop(values: Values, viewing: Viewing, wanted: Wanted) -> Values:
     for share in np.arange(0.0, 0.45, 0.05):
         cropped = copy.deepcopy(values)
         for edge in across:
-            cropped["grid"]["crop_mm"][edge] = float(share) * min(size[one] for one in across)
+            cropped["grid"]["crop_mm"][edge] = float(share) * min(size[side] for side in across)
         scene = _scene(cropped)
         if view(scene, build_rig(scene, "wanted scene")).share_scored >= _SCORED:
             return cropped

@@ -70,11 +70,11 @@ class Section:
         KeyError
             No quantity of this key.
         """
-        return {one.key: one.value for one in self.quantities}[key]
+        return {quantity.key: quantity.value for quantity in self.quantities}[key]
 
 
 _STEPS = 4001  # along the volume's middle line
-_REACH = 4.0  # of the larger of the volume's depth and an image's width, on either side
+_REACH = 4.0  # searched depth on either side, in volume depths or image widths
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Viewing:
     @property
     def pixels_mm(self) -> F64:
         """Widths (camera,) of all cameras' pixels at the middle."""
-        return np.array([pixel_size_mm([one], self.center_mm) for one in self.rig.cameras])
+        return np.array([pixel_size_mm([camera], self.center_mm) for camera in self.rig.cameras])
 
     @property
     def inner(self) -> int:
@@ -142,7 +142,7 @@ class Viewing:
     @property
     def inner_pair(self) -> tuple[int, int] | None:
         """Innermost camera and its nearest neighbour; None for one camera."""
-        centers, inner = np.array([one.center_mm for one in self.rig.cameras]), self.inner
+        centers, inner = np.array([camera.center_mm for camera in self.rig.cameras]), self.inner
         if len(centers) < 2:
             return None
         distance = np.linalg.norm(centers - centers[inner], axis=1)
@@ -194,11 +194,11 @@ class Viewing:
         camera = self.rig.cameras[0]
         width = self.pixel_mm(0.5) * max(camera.rows, camera.columns)
         steps = np.linspace(-1.0, 1.0, _STEPS) * _REACH * max(self.depth_mm, width)
-        seen = seen_by_all(self.rig.cameras, self.center_mm + steps[:, None] * self.forward)
+        visible = seen_by_all(self.rig.cameras, self.center_mm + steps[:, None] * self.forward)
         middle = _STEPS // 2
-        if not seen[middle]:
+        if not visible[middle]:
             return 0.0
-        unseen = np.flatnonzero(~seen)
+        unseen = np.flatnonzero(~visible)
         before, after = unseen[unseen < middle], unseen[unseen > middle]
         first = before[-1] + 1 if len(before) else 0
         last = after[0] - 1 if len(after) else _STEPS - 1
@@ -209,10 +209,11 @@ def view(scene: Scene, rig: Rig) -> Viewing:
     """Find the lines of sight at a volume's middle, and the edge along them."""
     center = np.asarray(scene.volume.center_mm)
     paths = [
-        trace_to_points(one.wall, np.asarray(one.center_mm), center[None]) for one in rig.cameras
+        trace_to_points(camera.wall, np.asarray(camera.center_mm), center[None])
+        for camera in rig.cameras
     ]
-    directions = np.concatenate([one.arriving for one in paths])
-    directions[~np.concatenate([one.valid for one in paths])] = np.nan
+    directions = np.concatenate([path.arriving for path in paths])
+    directions[~np.concatenate([path.valid for path in paths])] = np.nan
     axis = int(np.argmax(np.nanmean(np.abs(directions), axis=0)))
     sign = -1.0 if np.nanmean(directions[:, axis]) < 0.0 else 1.0
     return Viewing(rig, center, axis, sign, scene.volume.size_mm[axis], directions)

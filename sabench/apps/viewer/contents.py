@@ -55,9 +55,9 @@ class Contents:
     Attributes
     ----------
     title : of the page.
-    facts : pairs of a word and what it stands for.
+    facts : pairs of a label and its text.
     labels : names of the kinds of particles and bubbles, by `KINDS`.
-    data : data set whose images are shown; None for a rig.
+    data : data set of the images; None for a rig.
     volume : reconstruction (z, y, x) of the first frame, where a result has one.
     sort : heading of what the particles are.
     notes : sentences on what is left out.
@@ -74,17 +74,17 @@ class Contents:
     notes: tuple[str, ...] = ()
 
     def totals(self) -> dict[str, dict[str, list[int]]]:
-        """Count every frame's particles and bubbles by their kinds, those that there are."""
+        """Count the particles and bubbles of each kind in every frame."""
         return {
-            "particles": _totals([one.particles for one in self.frames]),
-            "bubbles": _totals([one.bubbles for one in self.frames]),
+            "particles": _totals([frame.particles for frame in self.frames]),
+            "bubbles": _totals([frame.bubbles for frame in self.frames]),
         }
 
 
 def _totals(clouds: Sequence[Cloud]) -> dict[str, list[int]]:
-    counts = np.array([one.counts() for one in clouds]).reshape(-1, len(KINDS))
+    counts = np.array([cloud.counts() for cloud in clouds]).reshape(-1, len(KINDS))
     named = zip(KINDS, counts.T, strict=True)
-    return {kind: own.tolist() for kind, own in named if own.any()}
+    return {kind: column.tolist() for kind, column in named if column.any()}
 
 
 def of_scene(scene: Scene, source: str) -> Contents:
@@ -146,7 +146,7 @@ def of_dataset(data: Dataset, result: Result | None = None) -> Contents:
 
 
 def _frame(data: Dataset, number: int, estimates: Estimates | None) -> Frame:
-    """Collect a frame: what a result found, and the truth of everything else."""
+    """Collect a frame: the estimates of a result, and the truth of everything else."""
     nothing = Cloud.of_kind(np.zeros((0, 3)), 0)
     particles = None if estimates is None else estimates.particles(number)
     bubbles = None if estimates is None else estimates.bubbles(number)
@@ -166,12 +166,12 @@ def _frame(data: Dataset, number: int, estimates: Estimates | None) -> Frame:
 
 
 def _fill_velocities(frames: Sequence[Frame]) -> tuple[Frame, ...]:
-    times = [one.time_s for one in frames]
-    particles = with_velocities([one.particles for one in frames], times)
-    bubbles = with_velocities([one.bubbles for one in frames], times)
+    times = [frame.time_s for frame in frames]
+    particles = with_velocities([frame.particles for frame in frames], times)
+    bubbles = with_velocities([frame.bubbles for frame in frames], times)
     return tuple(
-        Frame(one.number, one.time_s, own, round_ones, one.solids)
-        for one, own, round_ones in zip(frames, particles, bubbles, strict=True)
+        Frame(frame.number, frame.time_s, cloud, round_ones, frame.solids)
+        for frame, cloud, round_ones in zip(frames, particles, bubbles, strict=True)
     )
 
 

@@ -65,7 +65,7 @@ class Stack:
             "across": rounded(self.place.across_mm),
             "down": rounded(self.place.down_mm),
             "step": rounded(self.place.step_mm, 6),
-            "planes": [compress(one, _QUALITY) for one in self.pictures],
+            "planes": [compress(picture, _QUALITY) for picture in self.pictures],
         }
 
 
@@ -87,14 +87,14 @@ def camera_pictures(
     pictures: dict[int, list[str]] = {}
     for frame in progress_bar(frames, "images"):
         grey = [*_grey_images(data, frame)]
-        quality, own = _QUALITY, [compress(one, _QUALITY) for one in grey]
-        while not pictures and sum(map(len, own)) > most_bytes and quality > _LOWEST_QUALITY:
+        quality, encoded = _QUALITY, [compress(image, _QUALITY) for image in grey]
+        while not pictures and sum(map(len, encoded)) > most_bytes and quality > _LOWEST_QUALITY:
             quality -= 20
-            own = [compress(one, quality) for one in grey]
-        most_bytes -= sum(map(len, own))
+            encoded = [compress(image, quality) for image in grey]
+        most_bytes -= sum(map(len, encoded))
         if most_bytes < 0:
             return pictures, False
-        pictures[frame] = own
+        pictures[frame] = encoded
     return pictures, True
 
 
@@ -157,9 +157,9 @@ def volume_stack(volume: F32, grid: Grid) -> Stack:
 
 def _viewing_axis(case: Observation) -> tuple[int, int]:
     """Find the axis of the world that the cameras look along, and the sign."""
-    middles = [np.array([[one.columns / 2.0, one.rows / 2.0]]) for one in case.cameras]
-    rays = [one.back_project(at) for one, at in zip(case.cameras, middles, strict=True)]
-    mean = np.nanmean([one.directions[0] for one in rays], axis=0)
+    middles = [np.array([[camera.columns / 2.0, camera.rows / 2.0]]) for camera in case.cameras]
+    rays = [camera.back_project(at) for camera, at in zip(case.cameras, middles, strict=True)]
+    mean = np.nanmean([ray.directions[0] for ray in rays], axis=0)
     axis = int(np.argmax(np.abs(mean)))
     return axis, -1 if mean[axis] < 0.0 else 1
 
@@ -184,17 +184,17 @@ def _plane_by_plane(case: Observation, images: F32, axis: int, sign: int) -> tup
     low, high = case.grid.box_mm
     place = _place_planes(low, high, axis, sign)
     edges = place.down_mm, place.across_mm
-    pixel = 2.0 * max(np.linalg.norm(one) for one in edges) / _SLICE_PX
+    pixel = 2.0 * max(np.linalg.norm(edge) for edge in edges) / _SLICE_PX
     rows, columns = (
         (np.arange(count) + 0.5) / count
-        for count in (max(2, round(float(np.linalg.norm(one) / pixel))) for one in edges)
+        for count in (max(2, round(float(np.linalg.norm(edge) / pixel))) for edge in edges)
     )
     first = place.corner_mm + rows[:, None, None] * edges[0] + columns[:, None] * edges[1]
-    made = [
+    planes = [
         refocus_on_surface(images, case.cameras, first + n * place.step_mm, "additive").values
         for n in progress_bar(range(_PLANES), "planes")
     ]
-    return np.nan_to_num(np.stack(made)), place
+    return np.nan_to_num(np.stack(planes)), place
 
 
 def _place_planes(low_mm: F64, high_mm: F64, axis: int, sign: int) -> Planes:
@@ -241,9 +241,9 @@ class Packer:
         return base64.b64encode(zlib.compress(b"".join(self._parts), 9)).decode()
 
 
-_FAR = 1.5  # of the volume's size, from its middle: what is farther away is left out
-_BEYOND = 0.05  # of the volume's size, on either side: how far projections hold
-_LEVELS, _STEPS = 65_535, 32_767  # of positions, and of velocities
+_FAR = 1.5  # largest drawn distance from the volume's middle, in volume sizes
+_BEYOND = 0.05  # valid margin of projections around the volume, share of its size
+_LEVELS, _STEPS = 65_535, 32_767  # quantization levels of positions and velocities
 _USUAL = 95.0  # percentile of speeds that has the brightest colour
 _PICTURES_BYTES = 5_000_000
 
@@ -254,10 +254,10 @@ def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
     Returns the values, the arrays as text, and sentences on what is left out.
     """
     near, notes = _leave_out_far(contents)
-    particles = [one.particles for one in near]
+    particles = [frame.particles for frame in near]
     share = shown_share(particles)
     if share < 1.0:
-        count = sum(len(one) for one in particles)
+        count = sum(len(cloud) for cloud in particles)
         notes.append(
             f"Particles are thinned: about {share * count:.0f} of {count} are drawn, "
             f"{100.0 * share:.3g} % of each kind; counts are of all."
@@ -275,7 +275,7 @@ def content_of(contents: Contents) -> tuple[dict[str, Any], str, list[str]]:
         "sort": contents.sort,
         "vectors": contents.sort == "Vectors",
         "backlit": contents.data is not None and is_bright(contents.data),
-        **_seen(contents, notes),
+        **_describe_views(contents, notes),
         "arrays": packer.index,
         "notes": [*contents.notes, *notes],
     }
@@ -287,12 +287,12 @@ def _leave_out_far(contents: Contents) -> tuple[list[Frame], list[str]]:
     around = contents.surroundings
     size = around.high_mm - around.low_mm
     frames, dropped = [], 0
-    for one in contents.frames:
-        off = np.abs(one.particles.position_mm - around.center_mm)
+    for frame in contents.frames:
+        off = np.abs(frame.particles.position_mm - around.center_mm)
         inside: Bool = np.asarray((off <= _FAR * size).all(axis=1))
         dropped += int((~inside).sum())
-        own = one.particles.select(inside)
-        frames.append(Frame(one.number, one.time_s, own, one.bubbles, one.solids))
+        particles = frame.particles.select(inside)
+        frames.append(Frame(frame.number, frame.time_s, particles, frame.bubbles, frame.solids))
     text = f"{dropped} particles farther outside the volume than its size are left out."
     return frames, [text] if dropped else []
 
@@ -300,34 +300,34 @@ def _leave_out_far(contents: Contents) -> tuple[list[Frame], list[str]]:
 def _frames(frames: Sequence[Frame], shown: Sequence[Cloud], packer: Packer) -> dict[str, Any]:
     if not frames:
         return {"frames": []}
-    every = [*shown, *(one.bubbles for one in frames)]
-    low, size = _box([one.position_mm for one in shown])
-    speeds = np.concatenate([np.linalg.norm(one.velocity_mm_s, axis=1) for one in every])
+    every = [*shown, *(frame.bubbles for frame in frames)]
+    low, size = _box([cloud.position_mm for cloud in shown])
+    speeds = np.concatenate([np.linalg.norm(cloud.velocity_mm_s, axis=1) for cloud in every])
     speeds = speeds[np.isfinite(speeds)]
     fastest = max(float(speeds.max(initial=0.0)), 1e-9)
     usual = float(np.percentile(speeds, _USUAL)) if len(speeds) else 0.0
     described = []
-    for number, (frame, own) in enumerate(zip(frames, shown, strict=True)):
+    for number, (frame, cloud) in enumerate(zip(frames, shown, strict=True)):
         earlier = number - 1 if number else None
         described.append(
             {
                 "number": frame.number,
                 "time": frame.time_s,
                 "particles": _particles(
-                    own, None if earlier is None else shown[earlier], low, size, fastest, packer
+                    cloud, None if earlier is None else shown[earlier], low, size, fastest, packer
                 ),
                 "bubbles": _bubbles(frame.bubbles, fastest, packer),
                 "solids": [
                     {
-                        "vertices": packer.add(one.vertices_mm.astype(np.float32)),
-                        "faces": packer.add(one.faces.astype(np.uint32)),
+                        "vertices": packer.add(solid.vertices_mm.astype(np.float32)),
+                        "faces": packer.add(solid.faces.astype(np.uint32)),
                     }
-                    for one in frame.solids
+                    for solid in frame.solids
                 ],
             }
         )
     return {
-        "linked": any((one.trajectory >= 0).any() for one in shown) and len(frames) > 1,
+        "linked": any((cloud.trajectory >= 0).any() for cloud in shown) and len(frames) > 1,
         "box": {"low": rounded(low, 6), "size": rounded(size, 6)},
         "fastest": fastest,
         "usual": usual,
@@ -374,17 +374,17 @@ def _short_velocities(cloud: Cloud, fastest: float) -> Any:
     return np.where(np.isfinite(steps), steps, -_STEPS - 1).astype(np.int16)
 
 
-def _seen(contents: Contents, notes: list[str]) -> dict[str, Any]:
+def _describe_views(contents: Contents, notes: list[str]) -> dict[str, Any]:
     """Describe the cameras' images, projections into them and stacks of planes."""
     maps = projections(contents.surroundings)
     data = contents.data
     if data is None or not has_images(data):
         return {"maps": maps, "pictures": {}, "stacks": []}
-    frames = [one.number for one in contents.frames]
+    frames = [frame.number for frame in contents.frames]
     pictures, complete = camera_pictures(data, frames, _PICTURES_BYTES)
     if not complete:
         notes.append(f"Images of the first {len(pictures)} frames are shown.")
-    described = [one.describe() for one in _stacks(contents, data, notes)]
+    described = [stack.describe() for stack in _stacks(contents, data, notes)]
     return {"maps": maps, "pictures": pictures, "stacks": described}
 
 
@@ -407,11 +407,11 @@ def projections(around: Surroundings) -> list[dict[str, Any] | None]:
     None for a camera without a light path to all of it.
     """
     beyond = _BEYOND * (around.high_mm - around.low_mm)
-    made = []
+    polynomials = []
     for camera in around.cameras:
-        own = _projection(camera, around.low_mm - beyond, around.high_mm + beyond)
-        made.append(own or _projection(camera, around.low_mm, around.high_mm))
-    return made
+        polynomial = _projection(camera, around.low_mm - beyond, around.high_mm + beyond)
+        polynomials.append(polynomial or _projection(camera, around.low_mm, around.high_mm))
+    return polynomials
 
 
 def _projection(camera: CameraModel, low_mm: F64, high_mm: F64) -> dict[str, Any] | None:

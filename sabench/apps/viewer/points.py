@@ -102,29 +102,29 @@ def link_to_earlier(cloud: Cloud, earlier: Cloud | None) -> I64:
     if earlier is None:
         return rows
     for true in (True, False):
-        own, other = (
-            np.flatnonzero((np.isin(one.kind, _OF_TRUTH, invert=not true)) & (one.trajectory >= 0))
-            for one in (cloud, earlier)
+        later, other = (
+            np.flatnonzero(np.isin(part.kind, _OF_TRUTH, invert=not true) & (part.trajectory >= 0))
+            for part in (cloud, earlier)
         )
         _, i, j = np.intersect1d(
-            cloud.trajectory[own], earlier.trajectory[other], return_indices=True
+            cloud.trajectory[later], earlier.trajectory[other], return_indices=True
         )
-        rows[own[i]] = other[j]
+        rows[later[i]] = other[j]
     return rows
 
 
 def with_velocities(clouds: Sequence[Cloud], times_s: Sequence[float]) -> list[Cloud]:
     """Fill in unknown velocities from the positions in the frame before, or after."""
-    velocities = [one.velocity_mm_s.copy() for one in clouds]
+    velocities = [cloud.velocity_mm_s.copy() for cloud in clouds]
     for number in range(1, len(clouds)):
         rows = link_to_earlier(clouds[number], clouds[number - 1])
-        own = np.flatnonzero(rows >= 0)
-        step = clouds[number].position_mm[own] - clouds[number - 1].position_mm[rows[own]]
+        both = np.flatnonzero(rows >= 0)
+        step = clouds[number].position_mm[both] - clouds[number - 1].position_mm[rows[both]]
         mean = step / (times_s[number] - times_s[number - 1])
-        for velocity, which in ((velocities[number], own), (velocities[number - 1], rows[own])):
+        for velocity, which in ((velocities[number], both), (velocities[number - 1], rows[both])):
             unknown = np.isnan(velocity[which]).any(axis=1)
             velocity[which[unknown]] = mean[unknown]
-    return [replace(one, velocity_mm_s=v) for one, v in zip(clouds, velocities, strict=True)]
+    return [replace(cloud, velocity_mm_s=v) for cloud, v in zip(clouds, velocities, strict=True)]
 
 
 def true_particles(data: Dataset, frame: int) -> Cloud:
@@ -148,7 +148,7 @@ def target_points(data: Dataset, frame: int) -> Cloud:
 def classify_particles(found: FoundParticles, data: Dataset, frame: int) -> Cloud:
     """Mark found particles and true ones by the rule of the LPT challenge.
 
-    Without the truth all are found.
+    Without truth, all particles are of the kind FOUND.
     """
     estimate = Cloud.of_kind(found.position_mm, FOUND, found.trajectory, found.velocity_mm_s)
     if not data.has_truth:
@@ -201,7 +201,7 @@ def place_target(found: Calibration, data: Dataset, frame: int) -> Cloud:
 
 
 def _join(estimate: Cloud, true: Cloud, i: I64, j: I64) -> Cloud:
-    """Join an estimate and the truth, whose rows i and j are pairs."""
+    """Join an estimate and the truth; rows i and j are matched."""
     estimate.kind[i] = FOUND
     true.kind[:] = MISSED
     true.kind[j] = TRUE
@@ -219,7 +219,7 @@ _PRIME, _SPAN = 2_654_435_761, 1 << 32  # Knuth's multiplicative hash
 
 def shown_share(clouds: Sequence[Cloud]) -> float:
     """Compute the share of the objects of all frames that a page shows."""
-    counts = [len(one) for one in clouds]
+    counts = [len(cloud) for cloud in clouds]
     return min(1.0, IN_FRAME / max([1, *counts]), IN_ALL / max(sum(counts), 1))
 
 
@@ -227,7 +227,7 @@ def thin(clouds: Sequence[Cloud], share: float) -> list[Cloud]:
     """Keep a share of the objects of all kinds, and trajectories intact."""
     if share >= 1.0:
         return list(clouds)
-    return [one.select(_chosen(one, number, share)) for number, one in enumerate(clouds)]
+    return [cloud.select(_chosen(cloud, number, share)) for number, cloud in enumerate(clouds)]
 
 
 def _chosen(cloud: Cloud, frame: int, share: float) -> Bool:
@@ -290,13 +290,13 @@ class Estimates:
 
     def _of_volume(self, frame: int) -> Cloud | None:
         """Read a volume's particles; a volume without particles shows a code."""
-        found: Reconstruction = self._read(frame)
+        estimate: Reconstruction = self._read(frame)
         if frame == 0:
-            self.volume = found.volume
+            self.volume = estimate.volume
         if self._result.task != "reconstruction":
             return None
-        self.peaks = found.particles_mm is None
-        peaks = find_peaks(found, self._data)
+        self.peaks = estimate.particles_mm is None
+        peaks = find_peaks(estimate, self._data)
         return classify_particles(peaks, self._data, frame)
 
     def _read(self, frame: int) -> Any:

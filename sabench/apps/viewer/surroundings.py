@@ -15,14 +15,14 @@ from sabench.geometry.rigid_motion import frame_of_normal
 from sabench.scenes.illumination import Backlight, Illumination
 from sabench.utils.arrays import F64
 
-_MARGIN = 0.04  # of a wall beyond the light paths through it
+_MARGIN = 0.04  # drawn margin of a wall beyond the light paths through it
 _BEYOND = 1.3  # length of the light over the volume's
 _DECIMALS = 4
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Cameras, and what stands around the particles.
+    """Cameras, walls, light and occluders around the particles.
 
     Attributes
     ----------
@@ -53,23 +53,23 @@ class Surroundings:
     @property
     def walls(self) -> tuple[WallRecord, ...]:
         """Walls that the cameras look through, each once."""
-        walls = [one.wall for one in self.cameras if isinstance(one, Camera)]
-        return tuple(dict.fromkeys(one for one in walls if one is not None))
+        walls = [camera.wall for camera in self.cameras if isinstance(camera, Camera)]
+        return tuple(dict.fromkeys(wall for wall in walls if wall is not None))
 
     def describe(self) -> dict[str, Any]:
         """Describe everything as the page's JSON holds it; lengths in mm."""
         return {
-            "cameras": [self._describe_camera(one) for one in self.cameras],
-            "estimated": [self._describe_camera(one) for one in self.estimated],
+            "cameras": [self._describe_camera(camera) for camera in self.cameras],
+            "estimated": [self._describe_camera(camera) for camera in self.estimated],
             "side": SIDE,
             "volume": rounded([self.low_mm, self.high_mm]),
             "scored": rounded(self.scored_mm),
-            "walls": [_describe_wall(one, self._points_at(one)) for one in self.walls],
+            "walls": [_describe_wall(wall, self._points_at(wall)) for wall in self.walls],
             "sheet": None if self.light is None else self._describe_light(self.light),
             "backlight": None if self.backlight is None else _describe_plate(self.backlight),
             "discs": [
-                {"center": one.center_mm, "normal": one.normal, "radius": one.radius_mm}
-                for one in self.occluders
+                {"center": disc.center_mm, "normal": disc.normal, "radius": disc.radius_mm}
+                for disc in self.occluders
             ],
         }
 
@@ -86,9 +86,9 @@ class Surroundings:
     def _points_at(self, wall: WallRecord) -> F64:
         """Collect points (n, 3) on or behind a wall that its drawing has to reach."""
         paths = [
-            self.frustum(one)[:, 1:-1].reshape(-1, 3)
-            for one in self.cameras
-            if isinstance(one, Camera) and one.wall == wall
+            self.frustum(camera)[:, 1:-1].reshape(-1, 3)
+            for camera in self.cameras
+            if isinstance(camera, Camera) and camera.wall == wall
         ]
         corners = np.array([self.low_mm, self.high_mm, self.center_mm])
         points = np.concatenate([*paths, corners])
@@ -97,7 +97,8 @@ class Surroundings:
     def _describe_light(self, light: Illumination) -> dict[str, Any]:
         """Describe the light as a box that is longer than the volume."""
         normal, along = (
-            np.asarray(one) / np.linalg.norm(one) for one in (light.sheet_normal, light.direction)
+            np.asarray(axis) / np.linalg.norm(axis)
+            for axis in (light.sheet_normal, light.direction)
         )
         length = _BEYOND * float(np.abs(along) @ (self.high_mm - self.low_mm))
         return {
@@ -155,7 +156,7 @@ def _describe_cylinder(wall: CylinderWall, points_mm: F64) -> dict[str, Any]:
 
 def _media(wall: WallRecord) -> list[str]:
     """List the media along a light path, with their refractive indices."""
-    layers = [f"{one.name}, n = {one.index:g}" for one in wall.layers]
+    layers = [f"{layer.name}, n = {layer.index:g}" for layer in wall.layers]
     return [f"n = {wall.air_index:g}", *layers, f"fluid, n = {wall.fluid_index:g}"]
 
 
@@ -181,6 +182,6 @@ def _padded(values: F64) -> tuple[F64, F64]:
 def rounded(values: npt.ArrayLike, decimals: int = _DECIMALS) -> Any:
     """Convert an array to nested lists of short numbers; NaN becomes None."""
     array = np.round(np.asarray(values, dtype=np.float64), decimals) + 0.0
-    made = array.astype(object)
-    made[~np.isfinite(array)] = None
-    return made.tolist()
+    objects = array.astype(object)
+    objects[~np.isfinite(array)] = None
+    return objects.tolist()

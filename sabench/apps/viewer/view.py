@@ -32,7 +32,7 @@ from sabench.utils.errors import InputError
 from sabench.utils.files import complete_or_nothing, is_file, is_folder
 from sabench.utils.version import __version__
 
-_MARGIN, _CAMERA = 0.06, 0.03  # of the drawing's larger side
+_MARGIN, _CAMERA = 0.06, 0.03  # margin and camera size, share of the drawing's larger side
 _NAMES = ("x", "y", "z")
 _ARC = np.linspace(0.0, 2.0 * np.pi, 73)[:, None]
 _SIGNS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
@@ -41,7 +41,7 @@ _SIGNS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 def draw_surroundings(around: Surroundings) -> list[str]:
     """Draw a rig as two SVG elements."""
     rig = around.describe()
-    centers = np.array([one.center_mm for one in around.cameras])
+    centers = np.array([camera.center_mm for camera in around.cameras])
     axis = int(np.argmax(np.abs(centers.mean(axis=0) - around.center_mm)))
     planes = [[axis, vertical] for vertical in range(3) if vertical != axis]
     return [_draw(rig, plane) for plane in planes]
@@ -54,7 +54,7 @@ def _draw(rig: dict[str, Any], plane: list[int]) -> str:
         shapes += [Outline("wall", _hull(face, plane), closed=True) for face in _faces(wall)]
     for camera in rig["cameras"]:
         shapes += [Outline("ray", path[:, plane]) for path in _edges(camera, rig["side"])]
-    ends = np.concatenate([one.points_mm for one in shapes])
+    ends = np.concatenate([shape.points_mm for shape in shapes])
     margin = _MARGIN * float(np.ptp(ends, axis=0).max())
     low, high = ends.min(axis=0) - margin, ends.max(axis=0) + margin
     length = _CAMERA * float((high - low).max())
@@ -99,7 +99,7 @@ def _edges(camera: dict[str, Any], side: int) -> Iterator[F64]:
 
 
 def _symbol(camera: dict[str, Any], plane: list[int], length_mm: float) -> Outline:
-    """Draw a camera as a triangle whose tip is the pinhole."""
+    """Draw a camera as a triangle with its tip at the pinhole."""
     tip, forward = np.array(camera["center"])[plane], np.array(camera["axes"][2])[plane]
     side = np.array([-forward[1], forward[0]])
     back = tip - length_mm * forward
@@ -129,9 +129,9 @@ def render(contents: Contents) -> tuple[str, list[str]]:
         "facts": contents.facts,
         "notes": notes,
         "counts": _count_rows(contents),
-        "frames": [f"{one.time_s:.6g}" for one in contents.frames],
+        "frames": [f"{frame.time_s:.6g}" for frame in contents.frames],
         "cameras": _camera_rows(contents),
-        "drawings": [Markup(one) for one in draw_surroundings(contents.surroundings)],
+        "drawings": [Markup(drawing) for drawing in draw_surroundings(contents.surroundings)],
         "version": __version__,
         "data": inline_json(values),
         "arrays": arrays,
@@ -159,16 +159,16 @@ def _camera_rows(contents: Contents) -> list[tuple[str, str, Any]]:
     """List name, position and image size of each camera."""
     return [
         (
-            one.name,
-            ", ".join(f"{value:.5g}" for value in one.center_mm),
-            f"{one.rows} x {one.columns}",
+            camera.name,
+            ", ".join(f"{value:.5g}" for value in camera.center_mm),
+            f"{camera.rows} x {camera.columns}",
         )
-        for one in contents.surroundings.cameras
+        for camera in contents.surroundings.cameras
     ]
 
 
 _RESULTS = (".h5", ".hdf5")
-_HEIGHT_PX = 760  # in a notebook
+_HEIGHT_PX = 760  # height of a view in a notebook
 
 
 @dataclass(frozen=True)
@@ -211,8 +211,8 @@ def view(source: Scene | Dataset | str | Path, result: str | Path | None = None)
     Parameters
     ----------
     source : a scene, a scene file or the name of a bundled scene; `cameras.json` of calibrated
-        cameras, or the folder with it; a data set; or a result file, whose data set lies in the
-        same folder or directly below it.
+        cameras, or the folder with it; a data set; or a result file with its data set in the same
+        folder or directly below it.
     result : result of the data set.
 
     Raises
@@ -225,8 +225,8 @@ def view(source: Scene | Dataset | str | Path, result: str | Path | None = None)
     summary = {
         "cameras": len(contents.surroundings.cameras),
         "frames": len(contents.frames),
-        "particles": sum(len(one.particles) for one in contents.frames),
-        "bubbles": sum(len(one.bubbles) for one in contents.frames),
+        "particles": sum(len(frame.particles) for frame in contents.frames),
+        "bubbles": sum(len(frame.bubbles) for frame in contents.frames),
         "bytes": len(html.encode()),
     }
     return View(html, tuple(notes), summary)

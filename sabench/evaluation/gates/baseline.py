@@ -8,17 +8,16 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from sabench import plugins, tasks
 from sabench.tasks.quality import FIGURES
-from sabench.tasks.task import Score
+from sabench.tasks.task import Figures, Score
 from sabench.utils.errors import InputError
 from sabench.utils.files import canonical_json, complete_or_nothing, read_json
 from sabench.utils.validation import validate
 
 FORMAT, VERSION = "sabench-baseline", 1
-DATA = "data set"  # stands for a solver where the figures are those of the data set itself
+DATA = "data set"  # in place of a solver for the figures of the data set itself
 TIMES = ("seconds", "reconstruction_s")
 COSTS = (*TIMES, "peak_mb")
 QUALITY = "quality."  # begins the names of figures that need no truth
-Figures = dict[str, float | None]
 
 
 class _Part(BaseModel):
@@ -116,7 +115,7 @@ def score_of(task: str, figure: str) -> Score:
 
 
 def kind_of(task: str, figure: str) -> str:
-    """Return the kind of a figure, by which its tolerance is found.
+    """Return the kind of a figure, which selects its tolerance.
 
     It is the figure's name; for a figure of a data set it is the part of the name that cameras and
     frames have in common.
@@ -167,12 +166,12 @@ def read_baseline(path: Path, suite: str) -> Baseline:
             f"{path}: expected version {VERSION}, got {values.get('version')!r}: make it anew with "
             "--update"
         )
-    found = validate(Baseline, values, str(path))
-    if found.suite != suite:
+    baseline = validate(Baseline, values, str(path))
+    if baseline.suite != suite:
         raise InputError(
-            f"{path}: expected a baseline of the suite {suite}, got one of {found.suite}"
+            f"{path}: expected a baseline of the suite {suite}, got one of {baseline.suite}"
         )
-    return found
+    return baseline
 
 
 def write_baseline(path: Path, baseline: Baseline) -> None:

@@ -70,10 +70,10 @@ def score_known_wrong(data: Dataset, out: Path) -> dict[str, float]:
             for frame in task.frames(data):
                 writer.add(task.wrong(data, frame), frame)
         scores = score(data, out)
-        known = {one.key: scores.get(one.key) for one in task.all_scores}
+        values = {column.key: scores.get(column.key) for column in task.all_scores}
         figures |= {
             f"probe.{task.name}.{key}": float(value)
-            for key, value in known.items()
+            for key, value in values.items()
             if value is not None
         }
     return figures
@@ -87,16 +87,16 @@ def names_of(solver_entries: Sequence[SolverEntry], where: str) -> dict[str, Sol
     """Name each solver of a case: by its label, or its name and parameters."""
     named = {
         (
-            one.label
+            entry.label
             or " ".join(
-                # of a program its file's, which is the same on another machine
+                # a program's file name, which is the same on other machines
                 [
-                    solver_name(one.name),
-                    *(f"{k}={json.dumps(v)}" for k, v in one.parameters.items()),
+                    solver_name(entry.name),
+                    *(f"{k}={json.dumps(v)}" for k, v in entry.parameters.items()),
                 ]
             )
-        ): one
-        for one in solver_entries
+        ): entry
+        for entry in solver_entries
     }
     if len(named) < len(solver_entries):
         raise InputError(
@@ -141,9 +141,8 @@ def run_case(
             )
         ):
             break
-        entry = _solve_again(
-            case, data, solver_entry, out, old.solvers.get(name) if old else None, tolerances
-        )
+        earlier = old.solvers.get(name) if old else None
+        entry = _solve_again(case, data, solver_entry, out, earlier, tolerances)
         now = now.model_copy(update={"solvers": {**now.solvers, name: entry}})
     discard(case, data)
     out.unlink(missing_ok=True)
@@ -178,9 +177,8 @@ def _solve_again(
     """Solve and score; repeat where time or memory seem to have grown."""
     entry = _solve(case, data, solver_entry, out)
     for _ in range(_AGAIN):
-        if earlier is None or not _exceeds_tolerance(
-            earlier, entry, tolerances, task_of(solver_entry)
-        ):
+        task = task_of(solver_entry)
+        if earlier is None or not _exceeds_tolerance(earlier, entry, tolerances, task):
             break
         entry = _cheaper(entry, _solve(case, data, solver_entry, out))
     return entry
@@ -195,22 +193,22 @@ def _solve(case: Case, data: Dataset, solver_entry: SolverEntry, out: Path) -> E
         scores = _figures(case, out) if isinstance(case, RecordedCase) else score(data, out)
     except InputError as error:
         return Entry(error=str(error))
-    kept = {
+    figures = {
         key: value
         for key, value in scores.items()
         if key != _COMPILE
         and (value is None or (isinstance(value, int | float) and not isinstance(value, bool)))
     }
     if share is not None:
-        kept |= {key: value * share for key in TIMES if (value := kept.get(key)) is not None}
-    return Entry(figures=kept, reference_s=reference_s)
+        figures |= {key: value * share for key in TIMES if (value := figures.get(key)) is not None}
+    return Entry(figures=figures, reference_s=reference_s)
 
 
 def _figures(case: RecordedCase, out: Path) -> dict[str, Any]:
-    """Judge a result without truth; figures have names of their own."""
+    """Score a result without truth; the figures have separate names."""
     scores = judge(case, out).scores
-    found = scores["quality"]["figures"] if scores["quality"] else {}
-    return scores | {f"{QUALITY}{key}": value for key, value in found.items()}
+    figures = scores["quality"]["figures"] if scores["quality"] else {}
+    return scores | {f"{QUALITY}{key}": value for key, value in figures.items()}
 
 
 def _exceeds_tolerance(earlier: Entry, entry: Entry, tolerances: Tolerances, task: str) -> bool:
@@ -229,14 +227,14 @@ def _exceeds_tolerance(earlier: Entry, entry: Entry, tolerances: Tolerances, tas
     )
 
 
-def _cheaper(one: Entry, other: Entry) -> Entry:
+def _cheaper(first: Entry, other: Entry) -> Entry:
     """Combine the second run with the least time and memory of both runs.
 
     Times are scaled by the reference kernel.
     """
-    if other.error or one.error:
-        return other if other.error else one
-    here = scale_times(one, other)
+    if other.error or first.error:
+        return other if other.error else first
+    here = scale_times(first, other)
     least = {
         key: min(a, b)
         for key in COSTS
@@ -273,7 +271,7 @@ class Report:
     def to_dict(self) -> dict[str, Any]:
         """Convert to values that JSON can hold."""
         findings = {
-            name: [asdict(one) | {"change": one.change} for one in getattr(self, name)]
+            name: [asdict(finding) | {"change": finding.change} for finding in getattr(self, name)]
             for name in ("worse", "news")
         }
         return {"suite": self.suite, **findings, "figures": self.now.model_dump(mode="json")}
@@ -307,13 +305,13 @@ def check(
     source = find(suite, "scenes/suites")
     name, file = source.stem, path or default_path(source)
     before = read_baseline(file, name) if file.exists() or not update else None
-    solver_entries = [SolverEntry(name=one) if isinstance(one, str) else one for one in solvers]
+    given = [SolverEntry(name=solver) if isinstance(solver, str) else solver for solver in solvers]
     with contextlib.ExitStack() as stack:
         folder = work or Path(
             stack.enter_context(tempfile.TemporaryDirectory(prefix="sabench-check-"))
         )
         report = _compare_suite(
-            suite, before, folder, solvers=solver_entries, exit_first=exit_first and not update
+            suite, before, folder, solvers=given, exit_first=exit_first and not update
         )
     if not update:
         return report
@@ -345,7 +343,7 @@ def _compare_suite(
         data sets another renderer made.
     """
     name, cases = find(suite, "scenes/suites").stem, _select_cases(load_suite(suite)[1], solvers)
-    found: list[Finding] = []
+    findings: list[Finding] = []
     entries = []
     for number, case in enumerate(cases, 1):
         console.print(
@@ -360,11 +358,11 @@ def _compare_suite(
                 f"is, but here they are by {case.renderer}"
             )
         entries.append(run_case(case, work, old, before.tolerances if before else {}, exit_first))
-        found += _compare(case, old, entries[-1], before)
-        if exit_first and any(finding.worse for finding in found):
+        findings += _compare(case, old, entries[-1], before)
+        if exit_first and any(finding.worse for finding in findings):
             break
     else:
-        found += _missing(before, entries)
+        findings += _missing(before, entries)
     now = Baseline(
         suite=name,
         sabench=__version__,
@@ -375,8 +373,8 @@ def _compare_suite(
     )
     return Report(
         name,
-        tuple(one for one in found if one.worse),
-        tuple(one for one in found if not one.worse),
+        tuple(finding for finding in findings if finding.worse),
+        tuple(finding for finding in findings if not finding.worse),
         now,
     )
 
@@ -384,27 +382,27 @@ def _compare_suite(
 def _select_cases(cases: Sequence[Case], solvers: Sequence[SolverEntry]) -> list[Case]:
     """Select the cases that have solvers of the given solvers' tasks.
 
-    They run the given solvers instead of their own. Without given solvers, all cases stay as they
-    are.
+    They run the given solvers instead of those of the suite. Without given solvers, all cases stay
+    as they are.
     """
     if not solvers:
         return list(cases)
-    own = [
+    selected = [
         replace(
             case,
             solvers=tuple(
-                one for one in solvers if task_of(one) in {task_of(other) for other in case.solvers}
+                solver for solver in solvers if task_of(solver) in {*map(task_of, case.solvers)}
             ),
         )
         for case in cases
     ]
-    if not any(case.solvers for case in own):
-        known = ", ".join(sorted({task_of(one) for one in solvers}))
+    if not any(case.solvers for case in selected):
+        given = ", ".join(sorted({task_of(solver) for solver in solvers}))
         raise InputError(
             "solvers: expected some that the suite has cases for, got only some of the task "
-            f"{known}, of which it has none"
+            f"{given}, of which it has none"
         )
-    return [case for case in own if case.solvers]
+    return [case for case in selected if case.solvers]
 
 
 def _compare(
@@ -426,9 +424,9 @@ def _compare(
 
 
 def _missing(before: Baseline | None, entries: Sequence[CaseEntry]) -> Iterator[Finding]:
-    there = {entry.key for entry in entries}
+    keys = {entry.key for entry in entries}
     for case in before.cases if before else ():
-        if case.key not in there:
+        if case.key not in keys:
             text = "a case of the baseline that did not run"
             yield Finding(*case.key, DATA, worse=True, text=text)
 
@@ -449,12 +447,12 @@ def _tolerances(
             named.setdefault(task, set()).update(
                 entry.solvers[name].figures if name in entry.solvers else ()
             )
-    made = {
+    default = {
         task: {key: default_tolerance(task, key) for key in figures}
         for task, figures in named.items()
     }
     earlier = before.tolerances if before else {}
-    return {task: made.get(task, {}) | earlier.get(task, {}) for task in {**made, **earlier}}
+    return {task: default.get(task, {}) | earlier.get(task, {}) for task in {**default, **earlier}}
 
 
 # characters that XML does not allow
@@ -480,7 +478,7 @@ def junit(report: Report) -> ElementTree.Element:
         for case in report.now.cases
         for solver in (DATA, *case.solvers)
     ]
-    lost = [place for one in report.worse if (place := _place(one)) not in places]
+    lost = [place for finding in report.worse if (place := _place(finding)) not in places]
     seconds = {
         place: _seconds(case, place[2])
         for case in report.now.cases
@@ -493,11 +491,11 @@ def junit(report: Report) -> ElementTree.Element:
             suite, "testcase", classname=f"{report.suite}.{name}.seed{seed}", name=_clean(solver)
         )
         case.set("time", f"{seconds.get(place, 0.0):.3f}")
-        worse = [_clean(one.sentence) for one in report.worse if _place(one) == place]
+        worse = [_clean(finding.sentence) for finding in report.worse if _place(finding) == place]
         if worse:
             failure = ElementTree.SubElement(case, "failure", message=worse[0], type="regression")
             failure.text = "\n".join(worse)
-        news = [_clean(one.sentence) for one in report.news if _place(one) == place]
+        news = [_clean(finding.sentence) for finding in report.news if _place(finding) == place]
         if news:
             ElementTree.SubElement(case, "system-out").text = "\n".join(news)
     failures = sum(case.find("failure") is not None for case in suite)
@@ -514,8 +512,8 @@ def junit(report: Report) -> ElementTree.Element:
     return root
 
 
-def _place(one: Finding) -> tuple[str, int, str]:
-    return one.case, one.seed, one.solver
+def _place(finding: Finding) -> tuple[str, int, str]:
+    return finding.case, finding.seed, finding.solver
 
 
 def _seconds(case: CaseEntry, solver: str) -> float:

@@ -60,17 +60,17 @@ def _spread(prefix: str, names: Sequence[str], values: F64) -> dict[str, float]:
 
     Rows with NaN are left out.
     """
-    known = values[np.isfinite(values).all(axis=1)]
-    if not len(known):
+    finite = values[np.isfinite(values).all(axis=1)]
+    if not len(finite):
         return {}
     means = {
         f"{prefix}{name}_mean": float(value)
-        for name, value in zip(names, known.mean(axis=0), strict=True)
+        for name, value in zip(names, finite.mean(axis=0), strict=True)
     }
     return means | {
         f"{prefix}{name}_std": float(value)
-        for name, value in zip(names, known.std(axis=0), strict=True)
-        if len(known) > 1
+        for name, value in zip(names, finite.std(axis=0), strict=True)
+        if len(finite) > 1
     }
 
 
@@ -86,7 +86,7 @@ def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
         every = [data.particles(frame) for frame in frames]
         yield "particles.count", float(sum(map(len, every)))
         position, velocity, diameter = (
-            np.concatenate([getattr(one, name) for one in every])
+            np.concatenate([getattr(frame, name) for frame in every])
             for name in ("position_mm", "velocity_mm_s", "diameter_mm")
         )
         yield from _spread("particles.", axes, position).items()
@@ -96,7 +96,7 @@ def _truth(data: Dataset) -> Iterator[tuple[str, float]]:
         balls = [data.bubbles(frame) for frame in frames]
         yield "bubbles.count", float(sum(map(len, balls)))
         center, size = (
-            np.concatenate([getattr(one, name) for one in balls])
+            np.concatenate([getattr(frame, name) for frame in balls])
             for name in ("center_mm", "semi_axes_mm")
         )
         yield from _spread("bubbles.", axes, center).items()
@@ -128,8 +128,8 @@ def _collect_pixels(data: Dataset, number: int) -> tuple[F64, F64]:
         pixels = np.concatenate(
             [data.sight(frame, data.true_cameras[number]).pixel for frame in frames]
         )
-    known = np.isfinite(pixels).all(axis=1)
-    return points[known], pixels[known]
+    valid = np.isfinite(pixels).all(axis=1)
+    return points[valid], pixels[valid]
 
 
 def _light(data: Dataset, number: int) -> Iterator[tuple[str, float]]:

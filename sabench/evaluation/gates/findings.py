@@ -8,12 +8,11 @@ from sabench.evaluation.gates.baseline import (
     TIMES,
     CaseEntry,
     Entry,
-    Figures,
     Tolerances,
     score_of,
     tolerance_of,
 )
-from sabench.tasks.task import Better
+from sabench.tasks.task import Better, Figures
 
 
 @dataclass(frozen=True)

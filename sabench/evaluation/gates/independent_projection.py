@@ -51,7 +51,7 @@ def shoot(spec: CylinderSpec, pinhole: F64, directions: F64) -> tuple[F64, F64]:
 
 
 def aim_at(spec: CylinderSpec, pinhole: F64, points: F64) -> F64:
-    """Find directions (n, 3) in which light leaves a pinhole towards points (n, 3)."""
+    """Find the directions (n, 3) of light from a pinhole to points (n, 3)."""
     aim = points - pinhole
     aim = aim / np.linalg.norm(aim, axis=1, keepdims=True)
     for _ in range(_STEPS):
@@ -90,8 +90,8 @@ def _across(vectors: F64, axis: F64) -> F64:
     return np.asarray(vectors - (vectors @ axis)[..., None] * axis)
 
 
-def _dot(one: F64, other: F64) -> F64:
-    return np.asarray(np.sum(one * other, axis=-1))
+def _dot(vectors: F64, other: F64) -> F64:
+    return np.asarray(np.sum(vectors * other, axis=-1))
 
 
 _HALVINGS = 100
@@ -126,8 +126,8 @@ def retrace(scene: Scene, camera: Any, points_mm: F64) -> F64:
 def _meet_sensor(image: F64, tilt_deg: tuple[float, float]) -> F64:
     """Find where light through (x, y, 1) meets a tilted sensor.
 
-    The sensor is turned about (0, 0, 1). A place on it is one of an upright sensor under two turns,
-    and two equations say that the light passes there.
+    The sensor is rotated about (0, 0, 1). A position on it is one on an upright sensor after two
+    rotations, which has to lie on the light path: two equations.
     """
     turn = Rotation.from_euler("XY", tilt_deg, degrees=True).as_matrix()
     right, down = turn[:, 0], turn[:, 1]
@@ -152,7 +152,7 @@ def _face(walls: Sequence[Any], pinhole: F64, forward: Any) -> WallSpec:
 
 
 def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
-    """Compute directions (n, 3) in which light leaves a pinhole towards points.
+    """Compute the directions (n, 3) of light from a pinhole to points.
 
     The points are given by their offsets (n, 3) from the pinhole.
     """
@@ -178,10 +178,8 @@ def _leaving(wall: WallSpec, pinhole: F64, offset: F64) -> F64:
                 depth * middle / np.sqrt(index**2 - middle**2)
                 for index, depth in zip(indices, depths, strict=True)
             )
-        low, high = (
-            np.where(reached < radius, middle, low),
-            np.where(reached < radius, high, middle),
-        )
+        inside = reached < radius
+        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
     invariant = np.asarray((low + high) / 2.0)
     sine = invariant / wall.air_index
     return np.asarray(

@@ -71,7 +71,8 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
 
         here = request.path.parent
         solver_entries = [
-            SolverEntry(name=one) if isinstance(one, str) else SolverEntry(**one) for one in solvers
+            SolverEntry(name=solver) if isinstance(solver, str) else SolverEntry(**solver)
+            for solver in solvers
         ]
         where = here / suite if (here / suite).is_file() else suite
         update = bool(request.config.getoption("--sabench-update"))
@@ -84,9 +85,8 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
         if report is None:  # a sentence that needs no traceback
             pytest.fail(fault, pytrace=False)
         if report.worse:
-            pytest.fail(
-                "\n".join([report.summary, *(one.sentence for one in report.worse)]), pytrace=False
-            )
+            lines = [report.summary, *(finding.sentence for finding in report.worse)]
+            pytest.fail("\n".join(lines), pytrace=False)
         return report
 
     return run
@@ -94,7 +94,7 @@ def sabench_check(request: pytest.FixtureRequest, tmp_path: Path) -> Check:
 
 @pytest.fixture
 def sabench_conform() -> Callable[..., None]:
-    """Return `sabench_conform(solver, **parameters)`, which checks the laws.
+    """Return `sabench_conform(solver, **parameters)`, which runs conformance tests.
 
     It fails the test if a law is broken.
     """
@@ -102,10 +102,10 @@ def sabench_conform() -> Callable[..., None]:
     def run(solver: str, **parameters: Any) -> None:
         from sabench.tasks.conformance import check_solver
 
-        broken = [one for one in check_solver(solver, parameters) if one.verdict == "broken"]
+        broken = [check for check in check_solver(solver, parameters) if check.verdict == "broken"]
         if broken:
             lines = [f"solver {solver} breaks {len(broken)} laws:"]
-            lines += [f"{one.law}: {one.text}" for one in broken]
+            lines += [f"{check.law}: {check.text}" for check in broken]
             pytest.fail("\n".join(lines), pytrace=False)
 
     return run

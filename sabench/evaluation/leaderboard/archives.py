@@ -65,7 +65,7 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
     Raises
     ------
     InputError
-        Nothing there, or content that no honest archive has: links, devices, absolute paths, `..`,
+        Nothing there, or forbidden content: links, devices, absolute paths, `..`,
         two members of one name, or too much of anything.
     """
     if path.is_symlink() or not path.exists():
@@ -74,7 +74,7 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
             f"{'a link' if path.is_symlink() else 'none'}"
         )
     if path.is_dir():
-        found = []
+        files = []
         for number, entry in enumerate(path.rglob("*")):
             if number >= _MEMBERS:
                 raise InputError(f"{path}: expected at most {_MEMBERS} files and folders")
@@ -82,8 +82,8 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
                 link = printable(entry.relative_to(path).as_posix())
                 raise InputError(f"{path}: expected no links, got {link}")
             if entry.is_file() and _is_wanted(entry.name):
-                found.append((entry.relative_to(path).as_posix(), entry))
-        yield _sort_files(found, path)
+                files.append((entry.relative_to(path).as_posix(), entry))
+        yield _sort_files(files, path)
     elif not path.is_file():
         raise InputError(f"{path}: expected a file, an archive or a folder")
     elif path.name.lower().endswith((".zip", ".tar", ".tar.gz", ".tgz")):
@@ -94,10 +94,10 @@ def submitted_files(path: Path) -> Iterator[Submitted]:
 
 
 def _sort_files(files: Files, path: Path) -> Submitted:
-    results = sorted(one for one in files if one[0].endswith(_ENDING))
+    results = sorted(entry for entry in files if entry[0].endswith(_ENDING))
     if not results:
         raise InputError(f"{path}: expected result files, whose names end in {_ENDING}, found none")
-    return Submitted(results, sorted(one for one in files if one not in results))
+    return Submitted(results, sorted(entry for entry in files if entry not in results))
 
 
 def _unpack(path: Path, folder: Path) -> Files:
@@ -260,7 +260,7 @@ def pack_results(
 
     Parameters
     ----------
-    files : results, and cards that lie with them.
+    files : results, and cards next to them.
     cards : further solver cards.
 
     Raises
@@ -270,17 +270,17 @@ def pack_results(
         belongs to no result.
     """
     check_name(out)
-    known = read_cards(files.cards, cards)
+    by_solver = read_cards(files.cards, cards)
     for _, file in files.results:
         probe(file)
-    check_solvers(known, [read_solver(file) for _, file in files.results])
+    check_solvers(by_solver, [read_solver(file) for _, file in files.results])
     with (
         complete_or_nothing(out, overwrite=overwrite) as partial,
         tempfile.TemporaryDirectory(prefix="sabench-") as folder,
     ):
-        _copy_results(files, list(known.values()), Path(folder))
+        _copy_results(files, list(by_solver.values()), Path(folder))
         zip_folder(Path(folder), partial)
-    return len(files.results), list(known)
+    return len(files.results), list(by_solver)
 
 
 def check_name(out: Path) -> None:

@@ -28,7 +28,7 @@ _PICTURES_BYTES = 80_000_000
 
 
 def stem_of(record: Record) -> str:
-    """Return the name with which the figures of a result begin."""
+    """Return the common start of the names of a result's figures."""
     return f"{record['solver']}-{record['run_hash'][:8]}"
 
 
@@ -63,18 +63,18 @@ def _pictures(
     have small figures, which are bundled with them.
     """
     small = pictures.parent / _SMALL
-    seen: dict[int, int] = {}
+    counts: dict[int, int] = {}
     rows = [(place, row) for place, case in enumerate(cases) for row in case]
     for number, (place, row) in enumerate(rows):
         run = next((run for run in row["runs"] if run.get("pictures")), None)
         if run is None:
             continue
-        rank = seen[place] = seen.get(place, 0) + 1
+        rank = counts[place] = counts.get(place, 0) + 1
         stem = stem_of(run)
         wanted = [(0, "images", "images")]
         if not row["recorded"] and tasks.of(row["task"]).captions.truth:
             wanted.append((0, "truth", "truth"))
-        # a failed run may have left a figure of an earlier success, which is not this record's
+        # the file may be a figure of an earlier successful run, not of this failed one
         if not run.get("error"):
             wanted += [
                 (rank, f"row{number}", stem),
@@ -82,13 +82,13 @@ def _pictures(
                 (rank, f"left{number}", f"{stem}.left"),
             ]
         for order, name, file in wanted:
-            own = f"{run['pictures']}/{file}"
-            path = _there(pictures, f"{own}.png") or _there(small, f"{own}.webp")
+            base = f"{run['pictures']}/{file}"
+            path = _find_picture(pictures, f"{base}.png") or _find_picture(small, f"{base}.webp")
             if path:
                 yield order, place, name, path
 
 
-def _there(pictures: Path, name: str) -> Path | None:
+def _find_picture(pictures: Path, name: str) -> Path | None:
     """Find the figure of this name.
 
     None where there is none, or where the name leads outside the folder: then one record does not
@@ -149,11 +149,11 @@ def over_seeds(records: list[Record]) -> list[Record]:
     There is a row for every case, solver and machine. It is the first seed's record with `seeds`,
     `runs` and, in place of every score, its `Mean` over the seeds.
 
-    A score that no seed has is None. `ranked` says whether the first score ranks every seed that
-    has not failed, so that a seed that was left out improves no rank. `error` counts the seeds that
-    failed and gives the first one's reason. `runs` are the records of the seeds. Records of
-    unknown tasks make no rows. Those of recorded data sets have figures without truth in place of
-    scores, and no rank.
+    A score that no seed has is None. `ranked` is true if the first score ranks every seed that has
+    not failed, so that leaving out a seed improves no rank. `error` counts the seeds that failed
+    and gives the first one's reason. `runs` are the records of the seeds. Records of unknown tasks
+    make no rows. Those of recorded data sets have figures without truth in place of scores, and no
+    rank.
     """
     groups: dict[str, list[Record]] = {}
     for record in sorted(records, key=lambda record: int(record["seed"])):

@@ -20,21 +20,21 @@ def ranks(scores: F64, larger: bool) -> list[int]:
     """Rank entries by their scores (entry, seed) of the same data sets.
 
     A rank is 1 plus the number of entries that are better beyond chance: the 95 % confidence
-    interval of the mean difference over the seeds, paired by seed, excludes zero. Entries that
-    seeds cannot tell apart share a rank, but none is before an entry with a better mean: a large
+    interval of the mean difference over the seeds, paired by seed, excludes zero. Entries without a
+    significant difference share a rank, but none ranks before an entry with a better mean: a large
     scatter improves no rank. A single seed gives no interval; its scores rank as they are.
     """
     gain = np.asarray(scores if larger else -scores, dtype=np.float64)
-    found, worst = [0] * len(gain), 1
+    places, worst = [0] * len(gain), 1
     for row in np.argsort(-gain.mean(axis=1), kind="stable"):
         worst = max(worst, 1 + int(_beat(gain, gain[row]).sum()))
-        found[row] = worst
-    return found
+        places[row] = worst
+    return places
 
 
-def _beat(gain: F64, one: F64) -> Bool:
+def _beat(gain: F64, scores: F64) -> Bool:
     """Mark the entries (entry, seed) that are better than one (seed,) beyond chance."""
-    apart = gain - one
+    apart = gain - scores
     mean, count = apart.mean(axis=1), apart.shape[1]
     if count == 1:
         return np.asarray(mean > 0.0)
@@ -43,14 +43,14 @@ def _beat(gain: F64, one: F64) -> Bool:
 
 
 def ranks_of_distinct(scores: F64, larger: bool, names: Sequence[Hashable]) -> list[int]:
-    """Rank entries, of which those with one name are one result, sent several times.
+    """Rank entries; entries of one name are one result, submitted several times.
 
-    It takes one rank, so that sending it again pushes nobody down.
+    Such a result takes one rank, so that a repeated submission lowers no other rank.
     """
     first = {name: row for row, name in reversed(list(enumerate(names)))}
     rows = sorted(first.values())
-    found = dict(zip(rows, ranks(scores[rows], larger), strict=True))
-    return [found[first[name]] for name in names]
+    by_row = dict(zip(rows, ranks(scores[rows], larger), strict=True))
+    return [by_row[first[name]] for name in names]
 
 
 def mean_rank(found: Sequence[int | None], last: Sequence[int]) -> float:
@@ -64,11 +64,11 @@ def mean_rank(found: Sequence[int | None], last: Sequence[int]) -> float:
     last : the number of ranked results of each case.
     """
     pairs = zip(found, last, strict=True)
-    return sum(most + 1 if one is None else one for one, most in pairs) / len(found)
+    return sum(most + 1 if rank is None else rank for rank, most in pairs) / len(found)
 
 
-_ENTRY = ("solver", "parameters", "submission")  # on whichever machine it ran
-_SAME_DIGITS = 9  # of scores of one result, which another machine's rounding may change beyond
+_ENTRY = ("solver", "parameters", "submission")  # on any machine
+_SAME_DIGITS = 9  # equal digits of one result's scores on machines with other rounding
 
 
 @dataclass(frozen=True)
@@ -104,33 +104,35 @@ class ComparedCase:
         if entry not in self._runs:
             result = self.results.get(entry)
             runs = _runs_by_data(result.row) if result else {}
-            there = {seed: runs.get(data) for seed, data in self.data.items()}
+            by_seed = {seed: runs.get(data) for seed, data in self.data.items()}
             self._runs[entry] = {
-                seed: run for seed, run in there.items() if run and not run.get("error")
+                seed: run for seed, run in by_seed.items() if run and not run.get("error")
             }
         return self._runs[entry]
 
 
 def compare(results: Sequence[Result]) -> ComparedCase:
-    """Select the data sets on which the results of one case are compared.
+    """Select the data sets for the comparison of the results of one case.
 
     They are those of the run with the most seeds: an entry with fewer is incomplete, so that one
-    lucky seed ranks before nobody. Submissions can add no seed where there is any run. Of runs
+    good seed does not rank it first. Submissions can add no seed where there is any run. Of runs
     with as many, the data that most entries have count, then the newest.
     """
-    own = [one for one in results if not one.row.get("submission")] or results
+    candidates = [result for result in results if not result.row.get("submission")] or results
     sets = [
-        frozenset({run["seed"]: _data_key(run) for run in one.row["runs"]}.items()) for one in own
+        frozenset({run["seed"]: _data_key(run) for run in result.row["runs"]}.items())
+        for result in candidates
     ]
-    counts, dates = Counter(sets), [newest(one.row) for one in own]
+    counts, dates = Counter(sets), [newest(result.row) for result in candidates]
     keys = [(len(data), counts[data], date) for data, date in zip(sets, dates, strict=True)]
     data = dict(sorted(sets[keys.index(max(keys))]))
     chosen: dict[str, Result] = {}
-    for one in sorted(
+    wanted = set(data.values())
+    for result in sorted(
         results,
-        key=lambda one: (len(_runs_by_data(one.row).keys() & set(data.values())), newest(one.row)),
+        key=lambda result: (len(_runs_by_data(result.row).keys() & wanted), newest(result.row)),
     ):
-        chosen[one.entry] = one
+        chosen[result.entry] = result
     return ComparedCase(data, chosen)
 
 
@@ -139,18 +141,20 @@ def signature(task_name: str, runs: dict[int, Record]) -> Hashable | None:
 
     None where they could agree by chance: without any score that is measured and not counted.
     """
-    shown = [one for one in tasks.of(task_name).scores if not one.hidden and one.unit != "s"]
-    telling = [one.key for one in shown if not one.counted and one.better != "steady"]
+    scores = tasks.of(task_name).scores
+    shown = [score for score in scores if not score.hidden and score.unit != "s"]
+    telling = [score.key for score in shown if not score.counted and score.better != "steady"]
     if not any(run.get(key) is not None for run in runs.values() for key in telling):
         return None
     return tuple(
-        (seed, *(_digits(run.get(one.key)) for one in shown)) for seed, run in sorted(runs.items())
+        (seed, *(_digits(run.get(score.key)) for score in shown))
+        for seed, run in sorted(runs.items())
     )
 
 
 def distinct(records: Sequence[Record]) -> list[Record]:
     """Select one record of each result, of records of one data set and task."""
-    named = [signature(one["task"], {one["seed"]: one}) for one in records]
+    named = [signature(record["task"], {record["seed"]: record}) for record in records]
     keys = [name or number for number, name in enumerate(named)]
     return list(dict(zip(keys, records, strict=True)).values())
 
@@ -204,12 +208,12 @@ class Cell:
 def fill_column(
     task: Task, cases: list[ComparedCase]
 ) -> tuple[dict[str, Cell], dict[str, Hashable]]:
-    """Make the cells of the entries, and names that tell different results apart."""
+    """Make the cells of the entries, and a name for each different result."""
     entries = list(dict.fromkeys(entry for case in cases for entry in case.results))
     cells = {entry: _cell(task, cases, entry) for entry in entries}
     signed = [[signature(task.name, case.runs(entry)) for case in cases] for entry in entries]
     names: dict[str, Hashable] = {
-        entry: tuple(own) if all(own) else entry for entry, own in zip(entries, signed, strict=True)
+        entry: tuple(key) if all(key) else entry for entry, key in zip(entries, signed, strict=True)
     }
     return _with_speed(task, _with_ranks(task, cases, cells, names)), names
 
@@ -223,12 +227,12 @@ def _with_ranks(
         return cells
     values = np.array([_values(task, cases, entry) for entry in ranked])
     larger = task.columns[0].better == "larger"
-    found = ranks_of_distinct(values, larger, [names[entry] for entry in ranked])
+    places = ranks_of_distinct(values, larger, [names[entry] for entry in ranked])
     means = values.mean(axis=1)
     top = means.max() if larger else means.min()
     marked = {
         entry: replace(cells[entry], rank=rank, best=bool(mean == top))
-        for entry, rank, mean in zip(ranked, found, means, strict=True)
+        for entry, rank, mean in zip(ranked, places, means, strict=True)
     }
     return cells | marked
 
@@ -239,14 +243,14 @@ def _values(task: Task, cases: list[ComparedCase], entry: str) -> list[float]:
     Cases without a common seed give one value.
     """
     key = task.columns[0].key
-    own = [case.runs(entry) for case in cases]
+    by_case = [case.runs(entry) for case in cases]
     seeds = sorted(set.intersection(*(set(case.data) for case in cases)))
     if not seeds:
         return [
-            math.fsum(_average([run[key] for run in runs.values()]) or 0.0 for runs in own)
-            / len(own)
+            math.fsum(_average([run[key] for run in runs.values()]) or 0.0 for runs in by_case)
+            / len(by_case)
         ]
-    return [math.fsum(runs[seed][key] for runs in own) / len(own) for seed in seeds]
+    return [math.fsum(runs[seed][key] for runs in by_case) / len(by_case) for seed in seeds]
 
 
 def _cell(task: Task, cases: list[ComparedCase], entry: str) -> Cell:
@@ -273,22 +277,22 @@ def _cell(task: Task, cases: list[ComparedCase], entry: str) -> Cell:
 
 
 def _average(values: list[float | None]) -> float | None:
-    there = [value for value in values if value is not None and math.isfinite(value)]
-    return math.fsum(there) / len(there) if there else None
+    finite = [value for value in values if value is not None and math.isfinite(value)]
+    return math.fsum(finite) / len(finite) if finite else None
 
 
 def _note(cases: list[ComparedCase], entry: str) -> str:
     results = [case.results.get(entry) for case in cases]
-    there = [one.row for one in results if one]
-    if len(there) < len(cases):
-        return f"{len(there)} of {len(cases)} cases"
-    if failed := [row for row in there if row["error"]]:
+    rows = [result.row for result in results if result]
+    if len(rows) < len(cases):
+        return f"{len(rows)} of {len(cases)} cases"
+    if failed := [row for row in rows if row["error"]]:
         runs = [run for row in failed for run in row["runs"] if run.get("error")]
         return "declined" if all(run.get("declined") for run in runs) else "failed"
     for case in cases:
         if (count := len(case.runs(entry))) < len(case.data):
             return f"{count} of {len(case.data)} seeds"
-    return "" if all(row["ranked"] for row in there) else "not ranked"
+    return "" if all(row["ranked"] for row in rows) else "not ranked"
 
 
 def _with_speed(task: Task, cells: dict[str, Cell]) -> dict[str, Cell]:

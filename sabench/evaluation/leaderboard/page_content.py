@@ -34,10 +34,7 @@ class Table(NamedTuple):
         """Scores that it shows, the one that ranks first, if there is one."""
         if not self.recorded:
             return self.task.columns
-        return (
-            *FIGURES_OF.get(self.task.name, ()),
-            *(score for score in COSTS if not score.hidden),
-        )
+        return (*FIGURES_OF.get(self.task.name, ()), *(cost for cost in COSTS if not cost.hidden))
 
 
 def every_table() -> list[Table]:
@@ -46,7 +43,7 @@ def every_table() -> list[Table]:
 
 
 def table_of(record: Record) -> Table:
-    """Return the table in which a record stands."""
+    """Return the table of a record."""
     return Table(tasks.of(record["task"]), bool(record.get("recorded")))
 
 
@@ -61,8 +58,8 @@ _RESIDUALS = "The first frame's images of all cameras, then what the particles l
 _MAIN = 3  # scores that are shown before all are asked for, and the two of cost
 _CASE = ("task", "recorded", "case", "scene_hash", "renderer", "split")
 _ENTRY = (*_CASE, "solver", "parameters", "machine", "submission")
-# degrees of freedom whose Student's quantile the page has; beyond them the last one is a little
-# too wide
+# largest degrees of freedom in the page's table of Student's quantiles; beyond them the last one is
+# a little too wide
 _DEGREES = 100
 # digits of every score on the page: more than any table shows, to keep small differences of pairs
 # correct
@@ -134,15 +131,15 @@ def _table(table: Table) -> dict[str, Any]:
     """Describe a table for the page: its columns and the captions of its figures."""
     columns = [
         {
-            "key": one.key,
-            "heading": one.heading,
-            "decimals": one.decimals,
-            "meaning": f"{one.meaning}; {one.better} is better" if table.recorded else one.meaning,
+            "key": column.key,
+            "heading": column.heading,
+            "decimals": column.decimals,
+            "meaning": column.meaning + (f"; {column.better} is better" if table.recorded else ""),
         }
-        for one in table.columns
+        for column in table.columns
     ]
     # curve over the matching distance, if the task has one
-    own = None if table.recorded else table.task.tolerance
+    curve = None if table.recorded else table.task.tolerance
     captions = table.task.captions
     pictured = {
         "heading": captions.heading,
@@ -156,21 +153,22 @@ def _table(table: Table) -> dict[str, Any]:
         "main": len(columns) if table.recorded else _MAIN,
         "larger": None if table.recorded else table.columns[0].better == "larger",
         "gate": _NO_RANK if table.recorded else gate_text(table.task),
-        "tolerance": own and {key: getattr(own, key) for key in ("heading", "unit", "distances")},
+        "tolerance": curve
+        and {key: getattr(curve, key) for key in ("heading", "unit", "distances")},
         "pictured": pictured,
     }
 
 
 def gate_text(task: Task) -> str:
-    """Say in one sentence which rows the first score ranks; "" where it ranks all."""
+    """Describe in one sentence which rows are ranked; "" where all are."""
     if task.gate is None:
         return ""
-    one, first = task.score_of(task.gate.key), task.columns[0]
-    return f"{first.heading} ranks results whose {one.heading} is {task.gate.least:g} or more."
+    gate, first = task.score_of(task.gate.key), task.columns[0]
+    return f"{first.heading} ranks results whose {gate.heading} is {task.gate.least:g} or more."
 
 
 def details_of(rows: Sequence[Record]) -> Record:
-    """Collect what the records of a case say of it; older ones lack some values."""
+    """Collect the properties of a case from its records; older ones lack some values."""
     return {
         name: next((row[name] for row in rows if row.get(name)), None)
         for name in ("suite", "difficulty", "axis", "axes")
@@ -201,22 +199,22 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
     keys = [score.key for score in table_of(row).columns]
     machine = [row["machine"].get(key) for key in ("cpu", "backend")]
     reference = [run["reference_s"] for run in runs if run.get("reference_s")]
-    # return the card of a submission, and the entry whose estimates it repeats
-    known = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
+    # return the card of a submission, and the entry with the same estimates
+    optional = {"card": row.get("card"), "twin": row.get("same_estimates_as")}
     # return seconds and first score after iterations of the first run that has them
-    found = next((run["iterations"] for run in runs if run.get("iterations")), None)
+    steps = next((run["iterations"] for run in runs if run.get("iterations")), None)
     return {
         "id": hashlib.sha256(key_of(row, _ENTRY).encode()).hexdigest()[:10],
         "case": case,
         "solver": pool(row.get("label") or row["solver"]),
         "name": pool(row["solver"]),
         "parameters": pool(text_of(row["parameters"])),
-        "machine": pool(", ".join(str(one) for one in machine if one)),
+        "machine": pool(", ".join(str(part) for part in machine if part)),
         "machineAll": pool(text_of(row["machine"])),
         "versions": pool(text_of(row["versions"])),
         "submission": row.get("submission"),
-        **{key: one for key, one in known.items() if one},
-        **({"iterations": [[short(value) for value in one] for one in found]} if found else {}),
+        **{key: value for key, value in optional.items() if value},
+        **({"iterations": [[short(value) for value in step] for step in steps]} if steps else {}),
         "commands": [pool(text) for text in commands(runs)],
         "seeds": [run["seed"] for run in runs],
         "datasets": [pool(run.get("identity") or run["dataset"]) for run in runs],
@@ -242,12 +240,12 @@ def _row(row: Record, case: int, pool: _Pool) -> dict[str, Any]:
 
 def _curve(row: Record) -> list[list[float] | None] | None:
     """Average the curve over the matching distance over the seeds; None without one."""
-    keys = [] if row["recorded"] else [one.key for one in tasks.of(row["task"]).curve]
+    keys = [] if row["recorded"] else [score.key for score in tasks.of(row["task"]).curve]
     values = [
         [run[key] for run in row["runs"] if run.get(key) is not None and not run.get("error")]
         for key in keys
     ]
-    return [pair(mean_of(own)) for own in values] if any(values) else None
+    return [pair(mean_of(scores)) for scores in values] if any(values) else None
 
 
 def commands(runs: Sequence[Record]) -> list[str]:
@@ -256,28 +254,28 @@ def commands(runs: Sequence[Record]) -> list[str]:
     It is one command with all seeds if the commands differ in the seed alone, else one for each
     seed.
     """
-    known = [run for run in runs if run.get("command")]
+    given = [run for run in runs if run.get("command")]
     plain = {
-        re.sub(rf"--seed {run['seed']}(?= |$)", "--seed", run["command"], count=1) for run in known
+        re.sub(rf"--seed {run['seed']}(?= |$)", "--seed", run["command"], count=1) for run in given
     }
     if len(plain) == 1:
         return [
             re.sub(
                 r"--seed(?= |$)",
-                " ".join(f"--seed {run['seed']}" for run in known),
+                " ".join(f"--seed {run['seed']}" for run in given),
                 plain.pop(),
                 count=1,
             )
         ]
-    return list(dict.fromkeys(run["command"] for run in known))
+    return list(dict.fromkeys(run["command"] for run in given))
 
 
 def pair(score: Mean | None) -> list[float] | None:
     """Return a mean with its half width, if there is one."""
     if score is None:
         return None
-    known = (score.mean, score.half_width)
-    return [short(value) for value in known if value is not None]
+    figures = (score.mean, score.half_width)
+    return [short(value) for value in figures if value is not None]
 
 
 def short(value: float) -> float:

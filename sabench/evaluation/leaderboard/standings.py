@@ -66,10 +66,10 @@ class Curve:
 def curves_of(cases: Sequence[Sequence[Record]]) -> list[Curve]:
     """Find all curves among cases, as the page has them.
 
-    Scenes of bundled suites are compared as a whole; of other cases the varied values are known.
+    Scenes of bundled suites are compared by all their facts, other cases by their varied values.
     """
     groups: dict[str, dict[int, Facts]] = {}
-    bundled = {one.file.stem: one.file for one in plugins.tables("suite")}
+    bundled = {table.file.stem: table.file for table in plugins.tables("suite")}
     for place, rows in enumerate(cases):
         head = rows[0] | details_of(rows)
         if not table_of(head).recorded and (facts := _facts(head, bundled)):
@@ -85,14 +85,14 @@ def curves_of(cases: Sequence[Sequence[Record]]) -> list[Curve]:
 
 def _varied(group: Mapping[int, Facts]) -> Iterator[tuple[str, tuple[tuple[float, int], ...]]]:
     """Yield each property with the cases that differ in it alone, usual ones first."""
-    known = list(_QUANTITIES)
+    order = list(_QUANTITIES)
     keys = {key for facts in group.values() for key in facts}
-    for key in sorted(keys, key=lambda one: (known.index(one) if one in known else 99, one)):
+    for key in sorted(keys, key=lambda name: (order.index(name) if name in order else 99, name)):
         alike: dict[str, list[tuple[float, int]]] = {}
         for place, facts in group.items():
             value = facts.get(key)
             if isinstance(value, int | float) and not isinstance(value, bool):
-                rest = {name: one for name, one in facts.items() if name != key}
+                rest = {name: fact for name, fact in facts.items() if name != key}
                 alike.setdefault(key_of({"rest": rest}, ("rest",)), []).append((value, place))
         for points in alike.values():
             if len({value for value, _ in points}) > 1:
@@ -136,7 +136,7 @@ def _flatten(table: Mapping[str, Any], head: str = "") -> Facts:
 
 
 DIFFICULTIES = ("easy", "standard", "hard")
-_MOST_COLUMNS = 6  # of cases without a difficulty; more of them are averaged in one column
+_MOST_COLUMNS = 6  # columns of cases without a difficulty; more cases are averaged in one
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Line:
     ----------
     result : one of its rows.
     place : 1 is the best mean rank; None where it misses a column.
-    also : names under which the same result was sent again.
+    also : names of later submissions of the same result.
     """
 
     result: Result
@@ -207,20 +207,20 @@ def boards_of(cases: Sequence[Sequence[Record]]) -> list[Board]:
         for details in [details_of(rows)]
         for row in rows
     ]
-    scored = sorted((one for one in results if not table_of(one.row).recorded), key=_group)
+    scored = sorted((result for result in results if not table_of(result.row).recorded), key=_group)
     boards = [_board(list(group)) for _, group in groupby(scored, key=_group)]
     return sorted(
         boards,
-        key=lambda one: (
-            sum(column.name in DIFFICULTIES for column in one.columns) == 0,
-            -len(one.lines),
-            one.suite,
+        key=lambda board: (
+            sum(column.name in DIFFICULTIES for column in board.columns) == 0,
+            -len(board.lines),
+            board.suite,
         ),
     )
 
 
-def _group(one: Result) -> tuple[str, ...]:
-    row = one.row
+def _group(result: Result) -> tuple[str, ...]:
+    row = result.row
     return row["task"], row.get("suite") or row["scene"], row["renderer"], row["split"]
 
 
@@ -228,13 +228,13 @@ def _board(results: list[Result]) -> Board:
     task_name, suite, renderer, split = _group(results[0])
     task, cases = tasks.of(task_name), _newest_cases(results)
     grouped = _columns(cases)
-    compared = {number: compare(own) for number, own in cases.items()}
+    compared = {number: compare(of_case) for number, of_case in cases.items()}
     columns, cells, names = [], list[dict[str, Cell]](), list[dict[str, Hashable]]()
     for name, numbers in grouped:
-        own = [compared[number] for number in numbers]
-        seeds = min(len(one.data) for one in own)
+        members = [compared[number] for number in numbers]
+        seeds = min(len(case.data) for case in members)
         columns.append(Column(name, tuple(numbers), seeds))
-        filled, signed = fill_column(task, own)
+        filled, signed = fill_column(task, members)
         cells.append(filled)
         names.append(signed)
     lines = _placed(list(_lines(results, cells, names)))
@@ -244,18 +244,19 @@ def _board(results: list[Result]) -> Board:
 def _newest_cases(results: list[Result]) -> dict[int, list[Result]]:
     """Group results by their cases; of several versions of a case, keep the newest."""
     cases: dict[int, list[Result]] = {}
-    for one in results:
-        cases.setdefault(one.case, []).append(one)
+    for result in results:
+        cases.setdefault(result.case, []).append(result)
     by_name: dict[str, tuple[str, int]] = {}
-    for number, own in cases.items():
-        name = own[0].row["case"]
-        by_name[name] = max(by_name.get(name, ("", -1)), (max(newest(o.row) for o in own), number))
-    kept = sorted(number for _, number in by_name.values())
-    return {number: cases[number] for number in kept}
+    for number, of_case in cases.items():
+        name = of_case[0].row["case"]
+        date = max(newest(result.row) for result in of_case)
+        by_name[name] = max(by_name.get(name, ("", -1)), (date, number))
+    numbers = sorted(number for _, number in by_name.values())
+    return {number: cases[number] for number in numbers}
 
 
 def _columns(cases: dict[int, list[Result]]) -> list[tuple[str, list[int]]]:
-    heads = {number: own[0].row for number, own in cases.items()}
+    heads = {number: of_case[0].row for number, of_case in cases.items()}
     graded = {
         level: [
             number
@@ -277,27 +278,27 @@ def _lines(
     """Make the lines; a result that was sent again shares the line of the first one."""
     # count the different results of a column that have a rank
     last = [
-        len({name[entry] for entry, cell in own.items() if cell.rank})
-        for own, name in zip(cells, names, strict=True)
+        len({name[entry] for entry, cell in column.items() if cell.rank})
+        for column, name in zip(cells, names, strict=True)
     ]
     same: dict[Hashable, list[Line]] = {}
     entries: dict[str, Result] = {}
-    for one in sorted(results, key=_seniority):
-        entries.setdefault(one.entry, one)
+    for candidate in sorted(results, key=_seniority):
+        entries.setdefault(candidate.entry, candidate)
     for entry, result in entries.items():
-        own = tuple(column.get(entry, Cell(None, None, "no result")) for column in cells)
-        if any(cell.places for cell in own):
-            line = Line(result, own, mean_rank([cell.rank for cell in own], last))
+        row = tuple(column.get(entry, Cell(None, None, "no result")) for column in cells)
+        if any(cell.places for cell in row):
+            line = Line(result, row, mean_rank([cell.rank for cell in row], last))
             same.setdefault(tuple(name.get(entry) for name in names), []).append(line)
     for first, *others in same.values():
         yield replace(first, also=tuple(other.result.row for other in others))
 
 
-def _seniority(one: Result) -> tuple[bool, str, str, str]:
-    """Compute the key by which the first sender of a result comes first."""
-    sent = one.row.get("submission") or {}
-    first = min((run.get("date") or "" for run in one.row["runs"]), default="")
-    return bool(sent), sent.get("date", ""), first, one.entry
+def _seniority(result: Result) -> tuple[bool, str, str, str]:
+    """Compute the sort key of a result: the first submission comes first."""
+    sent = result.row.get("submission") or {}
+    first = min((run.get("date") or "" for run in result.row["runs"]), default="")
+    return bool(sent), sent.get("date", ""), first, result.entry
 
 
 def _placed(lines: list[Line]) -> list[Line]:
@@ -309,10 +310,10 @@ def _placed(lines: list[Line]) -> list[Line]:
         else line
         for line in lines
     ]
-    return sorted(placed, key=lambda one: (one.missing, one.mean_rank, one.result.place))
+    return sorted(placed, key=lambda line: (line.missing, line.mean_rank, line.result.place))
 
 
-_MOST_LINES = 100  # of one suite, the best first
+_MOST_LINES = 100  # lines of one suite, the best first
 _MOST_STATIC = 200  # lines of the table for browsers without scripts
 
 
@@ -326,12 +327,12 @@ def front_of(cases: Sequence[Sequence[Record]]) -> tuple[dict[str, Any], list[di
         "boards": [_describe(board) for board in boards],
         "curves": [
             {
-                "task": one.task,
-                "quantity": one.quantity,
-                "logarithmic": one.logarithmic,
-                "points": [[short(value), place] for value, place in one.points],
+                "task": curve.task,
+                "quantity": curve.quantity,
+                "logarithmic": curve.logarithmic,
+                "points": [[short(value), place] for value, place in curve.points],
             }
-            for one in curves_of(cases)
+            for curve in curves_of(cases)
         ],
     }
     return front, list(_static(boards))
@@ -347,8 +348,8 @@ def _describe(board: Board) -> dict[str, Any]:
         "task": board.task.name,
         "title": _title(board),
         "columns": [
-            {"name": one.name, "cases": list(one.cases), "seeds": one.seeds}
-            for one in board.columns
+            {"name": column.name, "cases": list(column.cases), "seeds": column.seeds}
+            for column in board.columns
         ],
         "sufficient": f"{first.heading} of {task.sufficient:g} {words}",
         "more": len(board.lines) - len(lines),
@@ -359,7 +360,7 @@ def _describe(board: Board) -> dict[str, Any]:
                 "place": line.place,
                 "meanRank": short(line.mean_rank),
                 "also": [_sender(row) for row in line.also],
-                "cells": [_cell(cell, own) for cell, own in zip(line.cells, tied, strict=True)],
+                "cells": [_cell(cell, marks) for cell, marks in zip(line.cells, tied, strict=True)],
             }
             for line, name in zip(lines, names, strict=True)
         ],
@@ -401,22 +402,22 @@ def _sender(row: Record) -> str:
 
 
 def _names(rows: Sequence[Record]) -> list[str]:
-    """Name entries; those of one name with the parameters in which they differ."""
+    """Name entries; add the differing parameters to equal names."""
     shown = [row.get("label") or row["solver"] for row in rows]
     counts = Counter(shown)
     names = []
     for name, row in zip(shown, rows, strict=True):
-        others = [own["parameters"] for one, own in zip(shown, rows, strict=True) if one == name]
+        others = [row["parameters"] for text, row in zip(shown, rows, strict=True) if text == name]
         more = _difference(row["parameters"], others) if counts[name] > 1 else ""
         names.append(f"{name} ({more})" if more else name)
     return names
 
 
-def _difference(own: Record, all_: Sequence[Record]) -> str:
+def _difference(parameters: Record, all_: Sequence[Record]) -> str:
     differ = {
         key: value
-        for key, value in own.items()
-        if len({json.dumps(one.get(key), sort_keys=True) for one in all_}) > 1
+        for key, value in parameters.items()
+        if len({json.dumps(other.get(key), sort_keys=True) for other in all_}) > 1
     }
     return text_of(differ)
 
@@ -432,7 +433,8 @@ def _static(boards: Sequence[Board]) -> Iterator[dict[str, Any]]:
                 "task": board.task.name.replace("_", " "),
                 "title": _plain(_title(board)),
                 "columns": [
-                    _plain(f"{one.name}: {board.task.columns[0].heading}") for one in board.columns
+                    _plain(f"{column.name}: {board.task.columns[0].heading}")
+                    for column in board.columns
                 ],
                 "left": len(board.lines) - len(lines),
                 "lines": [

@@ -1,7 +1,7 @@
 """Submitted results: checked, matched to data sets, scored and ranked.
 
 Submissions are data only: sabench executes nothing of them. A record discloses neither scene nor
-seed of a private test set, and names the earlier record whose estimates a submission repeats.
+seed of a private test set, and names an earlier record with the same estimates.
 """
 
 import datetime
@@ -38,7 +38,7 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
     The values are those of a run's record of the same data set, if there is one. Else they are
     those of its manifest, but only if its scene and seed are public.
     """
-    runs = [one for one in known if not one["submission"] and not one["recorded"]]
+    runs = [record for record in known if not record["submission"] and not record["recorded"]]
     here = {"dataset": data.content_hash, "identity": data.identity}
     twin = next((record for record in runs if same_data(record, here)), None)
     if twin:
@@ -46,9 +46,9 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
     manifest = data.manifest
     # check whether a data set's scene and seed are public already
     recorded = any(
-        (one["scene_hash"], one["seed"], one["split"])
+        (run["scene_hash"], run["seed"], run["split"])
         == (manifest.scene_hash, manifest.seed, "public")
-        for one in runs
+        for run in runs
     )
     if not (recorded or is_public(manifest.scene_hash, manifest.seed)):
         # describe a private data set by its content hash alone
@@ -79,32 +79,32 @@ def describe_data(data: Dataset, known: list[Record]) -> Record:
 def bundled_records(leaderboard: Path) -> list[Record]:
     """Read the records that sabench brings, unless they are the leaderboard's own."""
     folder = plugins.bundled_folder("leaderboard") / "records"
-    own = folder.resolve() == (leaderboard / "records").resolve()
-    return [] if own or not folder.is_dir() else read_records(folder)
+    bundled = folder.resolve() == (leaderboard / "records").resolve()
+    return [] if bundled or not folder.is_dir() else read_records(folder)
 
 
 def recognise(record: Record, known: Sequence[Record]) -> str | None:
-    """Name the other solver entry whose estimates a submitted record has, if any.
+    """Name the other solver entry with the same estimates, if any.
 
     Estimates are the same if they are of the same data set and have the same content hash. A run of
-    a solver is not another entry than a result of the solver by its own name. Records that repeat
-    others' estimates themselves do not count.
+    a solver and a result of the same solver name are one entry. Records that repeat others'
+    estimates themselves do not count.
     """
     first = [
-        one
-        for one in known
-        if one.get("estimate_hash") == record["estimate_hash"]
-        and same_data(one, record)
-        and not one.get("same_estimates_as")
+        earlier
+        for earlier in known
+        if earlier.get("estimate_hash") == record["estimate_hash"]
+        and same_data(earlier, record)
+        and not earlier.get("same_estimates_as")
     ]
-    other = all(_is_other(one, record) for one in first)
+    other = all(_is_other(earlier, record) for earlier in first)
     return _entry(first[0]) if first and other else None
 
 
-def _is_other(one: Record, record: Record) -> bool:
-    if one["solver"] != record["solver"]:
+def _is_other(earlier: Record, record: Record) -> bool:
+    if earlier["solver"] != record["solver"]:
         return True
-    sender = (one.get("submission") or {}).get("name")
+    sender = (earlier.get("submission") or {}).get("name")
     return sender not in (None, record["submission"]["name"])
 
 
@@ -160,7 +160,7 @@ def submit(
     ------
     InputError
         A bad name, archive, result or solver card, two results of one data set, solver and
-        parameters, a result whose data set is not in `data`, or one that the submitter has sent
+        parameters, a result of a data set that is not in `data`, or one that the submitter has sent
         today already.
     UncheckedError
         A file could not be checked in the time for it.
@@ -170,33 +170,33 @@ def submit(
         "name": name.strip(),
         "date": (date or datetime.datetime.now(datetime.UTC).date()).isoformat(),
     }
-    known = read_records(leaderboard / "records")
+    existing = read_records(leaderboard / "records")
     with submitted_files(path) as files:
         carded = read_cards(files.cards, cards)
         sets = match_data_sets(files.results, data)
-        made = [
-            _record(label, file, sets[label], known) | {"submission": submission}
+        records = [
+            _record(label, file, sets[label], existing) | {"submission": submission}
             for label, file in progress_bar(files.results, "check and score")
         ]
     labels = [label for label, _ in files.results]
-    check_solvers(carded, [record["solver"] for record in made])
-    made = [
+    check_solvers(carded, [record["solver"] for record in records])
+    records = [
         record | {"card": card.model_dump()} if (card := carded.get(record["solver"])) else record
-        for record in made
+        for record in records
     ]
-    _refuse_twins(path, labels, made)
-    _refuse_known(labels, made, known)
-    for label, record in zip(labels, made, strict=True):
+    _refuse_twins(path, labels, records)
+    _refuse_known(labels, records, existing)
+    for label, record in zip(labels, records, strict=True):
         try:
             encode(record)
         except InputError as error:
             raise InputError(f"{printable(label)}: {error}") from error
-    made = _recognised(labels, made, [*known, *bundled_records(leaderboard)])
-    for record in made:
+    records = _recognised(labels, records, [*existing, *bundled_records(leaderboard)])
+    for record in records:
         append(leaderboard / "records" / "submitted.jsonl", record)
     build_board(leaderboard)
     every = latest(read_records(leaderboard / "records"))
-    return [standing(record, every) for record in made]
+    return [standing(record, every) for record in records]
 
 
 def check_name(name: str) -> None:
@@ -207,28 +207,28 @@ def check_name(name: str) -> None:
         )
 
 
-def _recognised(labels: list[str], made: list[Record], known: list[Record]) -> list[Record]:
-    """Note in records, and say, whose estimates they repeat."""
+def _recognised(labels: list[str], records: list[Record], existing: list[Record]) -> list[Record]:
+    """Note and print which records repeat the estimates of others."""
     noted: list[Record] = []
-    for label, record in zip(labels, made, strict=True):
-        if twin := recognise(record, [*known, *noted]):
+    for label, record in zip(labels, records, strict=True):
+        if twin := recognise(record, [*existing, *noted]):
             text = f"{printable(label)}: its estimates are those of {twin}; the record says so"
             console.print(text, markup=False, highlight=False, soft_wrap=True)
         noted.append({**record, "same_estimates_as": twin})
     return noted
 
 
-def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Record:
+def _record(label: str, file: Path, data: Dataset, existing: list[Record]) -> Record:
     """Make the record of one result, which is scored in a child process."""
     scores = score_safely(label, file, data)
-    head = describe_data(data, known) | {
+    head = describe_data(data, existing) | {
         key: scores[key] for key in ("task", "solver", "parameters")
     }
     identity = data.identity if head["split"] == "public" else None
     run_hash = digest([identity or data.content_hash, head["solver"], head["parameters"]])
     costs = {"seconds": None, "peak_mb": None}  # measured on an unknown machine
     task = tasks.of(head["task"])
-    figures = {one.key: scores[one.key] for one in (*task.columns, *task.curve)}
+    figures = {score.key: scores[score.key] for score in (*task.columns, *task.curve)}
     rest = {
         "dataset": data.content_hash,
         "identity": identity,
@@ -242,11 +242,11 @@ def _record(label: str, file: Path, data: Dataset, known: list[Record]) -> Recor
     return head | rest | figures | costs
 
 
-def _refuse_known(labels: list[str], made: list[Record], known: list[Record]) -> None:
+def _refuse_known(labels: list[str], records: list[Record], existing: list[Record]) -> None:
     """Refuse a result that its submitter has sent today already."""
-    there = {run_key(record) for record in known}
-    for label, record in zip(labels, made, strict=True):
-        if run_key(record) in there:
+    keys = {run_key(record) for record in existing}
+    for label, record in zip(labels, records, strict=True):
+        if run_key(record) in keys:
             raise InputError(
                 f"{printable(label)}: expected the first result of today by "
                 f"{record['submission']['name']} of this data set, solver "
@@ -255,16 +255,16 @@ def _refuse_known(labels: list[str], made: list[Record], known: list[Record]) ->
             )
 
 
-def _refuse_twins(path: Path, labels: list[str], made: list[Record]) -> None:
-    seen: dict[str, str] = {}
-    for label, record in zip(labels, made, strict=True):
-        if record["run_hash"] in seen:
-            first, second = printable(seen[record["run_hash"]]), printable(label)
+def _refuse_twins(path: Path, labels: list[str], records: list[Record]) -> None:
+    by_hash: dict[str, str] = {}
+    for label, record in zip(labels, records, strict=True):
+        if record["run_hash"] in by_hash:
+            first, second = printable(by_hash[record["run_hash"]]), printable(label)
             raise InputError(
                 f"{path}: expected one result for each data set, solver and parameters, got "
                 f"{first} and {second}"
             )
-        seen[record["run_hash"]] = label
+        by_hash[record["run_hash"]] = label
 
 
 def standing(record: Record, every: Sequence[Record]) -> Standing:
@@ -277,22 +277,23 @@ def standing(record: Record, every: Sequence[Record]) -> Standing:
     score = task.columns[0]
     key, sign = score.key, 1.0 if score.better == "larger" else -1.0
     rivals = [
-        one
-        for one in every
-        if same_data(one, record)
-        and one["task"] == record["task"]
-        and _has(one, key)
-        and task.admits(one)
+        rival
+        for rival in every
+        if same_data(rival, record)
+        and rival["task"] == record["task"]
+        and _has(rival, key)
+        and task.admits(rival)
     ]
-    own = record.get(key) if task.admits(record) else None
-    better = [one for one in rivals if own is not None and sign * one[key] > sign * own]
-    rank = None if own is None else 1 + len(distinct(better))
+    value = record.get(key) if task.admits(record) else None
+    better = [rival for rival in rivals if value is not None and sign * rival[key] > sign * value]
+    rank = None if value is None else 1 + len(distinct(better))
     others = [
-        one
-        for one in rivals
-        if (one["run_hash"], one.get("submission")) != (record["run_hash"], record["submission"])
+        rival
+        for rival in rivals
+        if (rival["run_hash"], rival.get("submission"))
+        != (record["run_hash"], record["submission"])
     ]
-    best = max(others, key=lambda one: sign * one[key], default=None)
+    best = max(others, key=lambda rival: sign * rival[key], default=None)
     count = len(distinct(rivals))
     return Standing(record, rank, count, (entry_name(best), best[key]) if best else None)
 

@@ -34,7 +34,7 @@ class TorchSamples(Dataset):  # type: ignore[misc]
 class TorchBatches(IterableDataset):  # type: ignore[misc]
     """Batches of a stream or a data set, for a `DataLoader` of `batch_size=None`.
 
-    Its workers share the batches, which come in the same order however many they are.
+    Its workers share the batches; their order does not depend on the number of workers.
 
     Parameters
     ----------

@@ -101,7 +101,7 @@ class Schedule:
         return not self._open and (self._next == self._frames or self._broken)
 
     def take(self, last: int | None) -> Task | None:
-        """Return a task for a worker whose last frame was `last`; None if it has to wait."""
+        """Return a task for a worker after frame `last`; None if it has to wait."""
         while len(self._open) < self._ahead and self._next < self._frames and not self._broken:
             self._open[self._next] = _Frame()
             self._next += 1
@@ -199,7 +199,7 @@ class UnfinishedError(InputError):
 
 
 class InProcess:
-    """Pool whose only worker is this process."""
+    """Pool with this process as its only worker."""
 
     ahead = 1
 

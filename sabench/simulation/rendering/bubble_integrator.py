@@ -2,7 +2,7 @@
 
 Import this module only after sabench.utils.backend.mitsuba(), as `camera_rays`.
 
-Bubbles are primitives of one `ellipsoids` shape. Mitsuba says which one a ray enters; where it
+Bubbles are primitives of one `ellipsoids` shape. Mitsuba returns which one a ray enters; where it
 leaves again, and the normals, follow from the ellipsoid's equation, so that spheroids are exact and
 thousands need no triangles. At every surface a ray is either reflected or refracted, with Fresnel's
 probability. Radiance is carried as L / n^2, which no interface changes but by what it reflects.
@@ -160,7 +160,7 @@ def radiance(
     Pixels are numbered row by row. Each gets `samples` rays that share one random shift of a
     lattice, from the points `starts` (n,) of it on.
 
-    Means of the same pixel under other seeds (n,) are independent, and their scatter tells the
+    Means of the same pixel under other seeds (n,) are independent, and their scatter estimates the
     error.
     """
     device = _Device(stage, camera, origin)

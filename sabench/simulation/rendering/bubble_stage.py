@@ -1,6 +1,6 @@
 """Stage of a render: bubbles, drops, bodies, tracers, walls and lights.
 
-Positions are in the frame of the render, whose origin is the lamps' centre: single precision.
+Positions are relative to the lamps' centre, because Mitsuba has single precision.
 """
 
 from __future__ import annotations

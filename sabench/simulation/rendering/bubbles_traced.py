@@ -36,8 +36,8 @@ class PassTally:
 
     Parameters
     ----------
-    counted : (rows, columns) the pixels whose mean error is to be reached: those that show
-        something. With an even background among them, errors elsewhere could be of any size.
+    counted : (rows, columns) pixels that have to reach the mean error: those that show something.
+        With a uniform background among them, errors elsewhere could be of any size.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class PassTally:
         return float(off[self._counted].mean()) if self._counted.any() else 0.0
 
     def wanted(self, off: F64, error: float) -> I64:
-        """Tell how many passes (n,) bring the mean of the errors `off` to `error`.
+        """Estimate how many passes (n,) bring the mean of the errors `off` to `error`.
 
         The fewest rays do so if a pixel's passes go with the power 2/3 of a pass's error. Pixels
         that do not count get as many as others of their error, until that is `error`.
@@ -142,8 +142,8 @@ def _fill_errors(
 def _share_out(off: Any, count: Any, counted: Any, error: float) -> Any:
     """Share passes out among pixels.
 
-    Returns (n,) each one's share, and the passes for a share of 1. Pixels whose share is less than
-    the passes that they have keep their errors, and the others get the rest.
+    Returns (n,) each one's share, and the passes for a share of 1. Pixels that already have more
+    passes than their share keep their errors, and the others get the rest.
     """
     share, factor = np.empty(len(off)), 0.0
     for n in range(len(off)):
@@ -257,8 +257,8 @@ def _passes(
 ) -> F64:
     """Render so many more passes of some pixels (n,), one pixel after the other.
 
-    A pass is some rays each, spread over the exposure. The passes of a pixel take turns to go on
-    with `STREAMS` lattices, whose points are the same whenever they are rendered.
+    A pass is some rays each, spread over the exposure. The passes of a pixel continue `STREAMS`
+    lattices in turn; the points of a lattice do not depend on when they are rendered.
     """
     from sabench.simulation.rendering import bubble_integrator  # needs the variant
 

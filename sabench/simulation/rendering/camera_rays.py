@@ -24,7 +24,7 @@ def mean_of_rays(numbers: tuple[I64 | U32, ...], samples: int, trace: Callable[.
     """Compute the mean radiance (n,) of the rays of pixels, some at a time.
 
     Rays of one pixel are neighbours and are added up in their order, so that the image does not
-    depend on how threads are scheduled (a film, to which threads add as they finish, would).
+    depend on how threads are scheduled (as Mitsuba's film would).
 
     Parameters
     ----------

@@ -20,8 +20,8 @@ def fluence(light: Illumination, center_mm: F64, positions_mm: F64) -> F64:
     """Compute photons per mm2 of one pulse at positions (n, 3) in a sheet.
 
     Across the sheet and along its height, a top-hat spreads the energy evenly and is zero outside;
-    a gaussian is exp(-8 s^2 / w^2) with the e^-2 width w, and the same energy. An even height is
-    that of a top-hat that goes on.
+    a gaussian is exp(-8 s^2 / w^2) with the e^-2 width w, and the same energy. A uniform height is
+    that of an unlimited top-hat.
     """
     normal, along = _unit(light.sheet_normal), _unit(light.direction)
     offset = positions_mm - center_mm
@@ -96,7 +96,7 @@ def _window(entry: EntrySpec, fluid_index: float) -> Wall:
 
 
 def _cut(inward: F64, normal: F64, along: F64) -> F64:
-    """Return the unit vector along the line in which a sheet cuts the window."""
+    """Return the unit vector along the intersection of a sheet and the window."""
     line = cross(inward, normal)
     length = float(np.linalg.norm(line))
     if length < 1e-9:  # the sheet's plane is the window's: light never enters

@@ -23,10 +23,10 @@ class Route:
     ----------
     wall : what the light crosses, unfolded; None in plain air.
     normal : (3,) unit vector across the faces that reflect.
-    offset_mm : by which the unfolded particle lies further along the normal: its own distance from
+    offset_mm : further distance of the unfolded particle along the normal: its own distance from
         the plane below, or none.
-    mirror_mm : position along the normal of the plane in which particles are mirrored; None if an
-        even number of faces reflects.
+    mirror_mm : position along the normal of the plane that mirrors particles; None if an even
+        number of faces reflects.
     faces : refractive indices on both sides of each face that reflects.
     """
 
@@ -75,16 +75,16 @@ class Route:
 
 
 def direct(wall: Wall | CylinderWall | None) -> Route:
-    """Return the route on which no face reflects."""
+    """Return the route without reflections."""
     return Route(wall, np.zeros(3))
 
 
 def reflections(wall: Wall, rear: tuple[Layer, ...]) -> list[Route]:
-    """List the routes on which faces reflect: one behind the fluid or two before it.
+    """List the routes with reflections: one behind the fluid or two before it.
 
-    Behind it are the faces of the back wall, whose layers come in the order in which light from the
-    fluid meets them, with air behind; before it, light goes to and fro once between two faces of
-    the wall. Routes with more reflections carry less than a thousandth of the light.
+    Behind it are the faces of the back wall, with layers ordered from the fluid to the air; before
+    it, light goes to and fro once between two faces of the wall. Routes with more reflections carry
+    less than a thousandth of the light.
     """
     indices, layers = wall.indices, wall.layers
     routes = []

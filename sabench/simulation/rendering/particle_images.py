@@ -1,8 +1,8 @@
 """Particle images in one camera: light paths, position, photons, size.
 
 Both renderers start from these figures. The lens is a round aperture. Moving the pinhole over it
-gives, through the wall, the directions in which light must leave a particle to pass it: the spread
-of these directions is the solid angle of the lens, the spread of the pixels is the defocus.
+gives, through the wall, the directions of light from a particle that pass it: the spread of these
+directions is the solid angle of the lens, the spread of the pixels is the defocus.
 
 All but the pixel changes slowly over a volume. For many particles it is interpolated between the
 exact paths of a lattice of Chebyshev's points in a box, and only the pixel is exact.
@@ -105,8 +105,7 @@ def find_paths(camera: Camera, points_mm: F64, box: Box | None = None) -> LightP
 def object_steps(camera: Camera, points_mm: F64, direction: F64) -> F64:
     """Compute the shifts (n, 2, 3) of points, mm, that move their images by a pixel.
 
-    Along columns and rows; they lie across the light paths, of which the directions (n, 3) are
-    given.
+    Along columns and rows; they lie across the light paths of the given directions (n, 3).
     """
     steps: F64 = _apply_in_chunks(_object_shape, camera, points_mm, direction)[1]
     return steps
@@ -375,7 +374,7 @@ def image_particles(
     """Compute position, brightness and size of every particle's image.
 
     By default the route is the direct one. On a route with reflections, all is that of the unfolded
-    particle, which `Route.place` and `Route.behind` tell; the light is that of the particle.
+    particle, given by `Route.place` and `Route.behind`; the light is that of the particle.
 
     Photons = intensity x solid angle of the lens x Fresnel transmission of the wall. The image is
     Gaussian with the summed variances of the particle's disc (M d / 4), of diffraction (Airy,
@@ -403,7 +402,7 @@ def image_particles(
 
 
 def _box(scene: Scene, route: Route) -> Box:
-    """Return the box in which a camera sees the scene's volume on a route."""
+    """Return the apparent box of the scene's volume for a camera on a route."""
     half = _SLACK * np.asarray(scene.volume.size_mm) / 2.0
     corners = np.asarray(list(itertools.product((-1.0, 1.0), repeat=3))) * half
     seen = route.place(np.asarray(scene.volume.center_mm) + corners)
@@ -446,8 +445,8 @@ def diffract(camera: Camera, photons: F64, wavelength_nm: float) -> F64:
     """Blur an image (row, column) by a Gaussian as wide as the lens's Airy disc.
 
     Samples of a narrow Gaussian are narrower than it is: at 0.43 px they have two thirds of its
-    variance. The kernel is the discrete one whose variance is exact at any width (T. Lindeberg,
-    IEEE Trans. Pattern Anal. Mach. Intell. 12, 234-254, 1990).
+    variance. The kernel is the discrete one with an exact variance at any width (T. Lindeberg, IEEE
+    Trans. Pattern Anal. Mach. Intell. 12, 234-254, 1990).
     """
     from scipy.ndimage import convolve1d  # takes long to load
     from scipy.special import ive

@@ -3,7 +3,7 @@
 Source of the Mie series: Bohren and Huffman (1983), chapter 4 and appendix A. The scattering of one
 size is tabulated over angles where a particle of that size occurs. Sizes lie on a lattice
 (`worlds.library.size_lattice`), so that a particle's brightness is that of its own diameter,
-whatever else is in the frame.
+independent of the other particles in the frame.
 """
 
 from __future__ import annotations
@@ -320,7 +320,7 @@ def _average(
 
 
 class Scatterers:
-    """All materials of a scene's particles, and which particle is of which.
+    """Materials of a scene, and the material of each particle.
 
     Tables grow with the sizes that occur and serve all frames, and other scenes with the same rig.
 

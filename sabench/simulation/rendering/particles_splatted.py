@@ -3,10 +3,10 @@
 A Gaussian has the core of Airy's pattern, but not the light far from it: 4 to 8 % of all light lies
 more than five pixels away. A filter turns the Gaussian pattern of a whole image into Airy's.
 
-Images are ellipses, whose axes may lie at any angle to the pixels. By Mehler's expansion (J. reine
-angew. Math. 66, 161-176, 1866) the integral of a Gaussian with the correlation r over a pixel is a
-series in r whose terms are products of a column's and a row's factor, so that a window is a sum of
-few outer products.
+Images are ellipses with axes at any angle to the pixels. By Mehler's expansion (J. reine angew.
+Math. 66, 161-176, 1866) the integral of a Gaussian with the correlation r over a pixel is a series
+in r whose terms are products of a column's and a row's factor, so that a window is a sum of few
+outer products.
 """
 
 import math
@@ -78,9 +78,9 @@ _ANY_ORDER = {"contract", "nsz"}
 def render(camera: Camera, images: ParticleImages) -> F64:
     """Render photons (rows, columns) of one exposure.
 
-    Light outside a particle's window of `_REACH` standard deviations is left out. Particles whose
-    centre lies outside the sensor still illuminate the pixels that their window reaches. Pixels are
-    exact to 2e-8 of each particle's light, and the same for any number of threads.
+    Light outside a particle's window of `_REACH` standard deviations is left out. Particles with
+    their centre outside the sensor still illuminate the pixels of their window. Pixels are exact to
+    2e-8 of each particle's light, and the same for any number of threads.
     """
     given = images.pixel, images.photons, images.spread_px2
     image = np.zeros((camera.rows, camera.columns))

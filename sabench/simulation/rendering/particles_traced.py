@@ -1,12 +1,11 @@
 """Mitsuba renderer of tracers behind real dielectric interfaces.
 
-Each particle is a Gaussian glow whose width is the one that the camera's diffraction, defocus and
-the particle's disc give it. Every ray is followed through the dielectric planes (the transmitted
-direction, its Fresnel weight and the n^2 law of radiance are Mitsuba's own) and collects the glow
-of the particles on its way. Where in the image a particle may be seen at all is taken from its
-projection, with room for a pixel; where it is seen in there, the rays decide. Pixels take a regular
-grid of rays, so the pictures have no Monte Carlo noise: for Gaussians the midpoint rule is nearly
-exact.
+Each particle is a Gaussian glow with a width from the camera's diffraction, defocus and the
+particle's disc. Every ray is followed through the dielectric planes (the transmitted direction, its
+Fresnel weight and the n^2 law of radiance are Mitsuba's own) and collects the glow of the particles
+on its way. Where in the image a particle may be seen at all is taken from its projection, with room
+for a pixel; where it is seen in there, the rays decide. Pixels take a regular grid of rays, so the
+pictures have no Monte Carlo noise: for Gaussians the midpoint rule is nearly exact.
 """
 
 import math

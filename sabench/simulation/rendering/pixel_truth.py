@@ -1,7 +1,7 @@
 """True visibility of bubbles and bodies, along refracted lines of sight.
 
 Lines of sight are the camera's own (`Camera.back_project`) and bubbles are met by their equation:
-nothing here comes from the renderer, whose depths and masks would be those of straight rays.
+nothing here comes from the renderer, which gives depths and masks of straight rays.
 """
 
 from collections.abc import Sequence

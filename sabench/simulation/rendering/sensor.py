@@ -1,7 +1,7 @@
 """Sensor: photons to electrons to grey values, with exact noise.
 
-A pixel's random numbers come from Philox blocks of its own, whose counters are its column and row,
-an attempt, and a purpose. The first attempt's words are handed in; few numbers need others. Uniform
+A pixel's random numbers come from separate Philox blocks with counters of its column and row, an
+attempt, and a purpose. The first attempt's words are handed in; few numbers need others. Uniform
 numbers have 53 bits.
 """
 
@@ -196,7 +196,7 @@ def _look_up(words: Any, mean: float) -> Any:
 
 @numba.njit(cache=True)
 def _invert(u: float, mean: float) -> Any:
-    """Find a small mean's number whose cumulative probability exceeds u."""
+    """Find a small mean's first number with a cumulative probability above u."""
     if u < 1.0 - mean:  # which is less than exp(-mean)
         return 0.0
     k, chance = 0, math.exp(-mean)
@@ -318,8 +318,8 @@ def make_pattern(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generato
     """Draw the pattern of a camera's pixels (row, column).
 
     Responses and offsets are normal, signals of hot pixels exponential (EMVA 1288 release 4.0,
-    sections 6 and 8: non-uniformities, defect pixels). All draws are made whatever the sensor has,
-    so that a flaw does not depend on the others.
+    sections 6 and 8: non-uniformities, defect pixels). All draws are made for any sensor, so that a
+    flaw does not depend on the others.
     """
     response = 1.0 + (sensor.prnu or 0.0) * rng.standard_normal(shape)
     offset = (sensor.dsnu_e or 0.0) * rng.standard_normal(shape)
@@ -342,7 +342,7 @@ def expose(
     light, adds the mean signal of hot pixels before, and offsets after the full well. With
     nonlinearity a, electrons e in the well W count as e (1 - a (e / W)^2).
 
-    `rng` gives the key of the noise, in which each pixel has numbers of its own: the same for any
+    `rng` gives the key of the noise; each pixel has separate random numbers: the same for any
     number of threads.
     """
     pixels = None if pattern is None else (pattern.response, pattern.hot_e, pattern.offset_e)
@@ -356,7 +356,7 @@ def expose(
 
 
 class _Chain(NamedTuple):
-    """Figures of a sensor for the kernel, in the order in which a signal meets them."""
+    """Parameters of a sensor for the kernel, in the order of the signal path."""
 
     quantum_efficiency: float
     dark_e: float

@@ -88,9 +88,9 @@ class _Target:
 def _rays(camera: Camera, origin: F64, pixel: Any, sub: Any, samples: int) -> Any:
     """Make rays of numbers in pixels, from all over the aperture.
 
-    A pixel is sampled on a lattice of which no two points share a column or a row, shifted from
-    pixel to pixel, as the aperture's points are rotated. With one pattern for all, an edge that
-    runs along the pixels would move by whole steps of it, and corners with it.
+    A pixel is sampled on a lattice without two points in a column or a row. The lattice is shifted
+    from pixel to pixel, and the aperture's points are rotated. With one pattern for all, an edge
+    that runs along the pixels would move by whole steps of it, and corners with it.
     """
     row, column = pixel // camera.columns, pixel % camera.columns
     shift_across, shift_down, rotation = (
