@@ -63,9 +63,7 @@ def test_scored_part_is_the_same_for_voxels_and_positions() -> None:
 # The field of a perfect reconstruction
 
 
-def test_a_volume_that_fills_the_memory_fits(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_volume_that_fills_the_memory_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     need_mb = 12 * 30 * 41 * 4 / 1e6
     for there in (None, need_mb, 2.0 * need_mb):
         monkeypatch.setattr(machine_limits, "available_mb", lambda there=there: there)

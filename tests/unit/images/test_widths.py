@@ -9,12 +9,7 @@ from scipy.stats import multivariate_normal
 
 from sabench.algorithms.particles.image_model import MARGIN_PX, make_room
 from sabench.images.peaks import find_peaks
-from sabench.images.widths import (
-    ImageStatistics,
-    image_widths,
-    measure_images,
-    noise_below_black,
-)
+from sabench.images.widths import ImageStatistics, image_widths, measure_images, noise_below_black
 from sabench.utils.arrays import F64
 from tests.helpers.image_model import profile
 

@@ -59,9 +59,7 @@ def test_a_principal_point_aside_is_the_mean_reprojection_error() -> None:
     assert scores["true_ratio"] * scores["bound_px"] == pytest.approx(0.5, rel=1e-6)
 
 
-def test_efficiency_is_relative_to_the_bound(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_efficiency_is_relative_to_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     bounds: list[Limit | None] = []
 
     def spy(*arguments: Any) -> Limit | None:

@@ -54,9 +54,7 @@ def test_candidates_put_the_wheel_before_the_system(monkeypatch: pytest.MonkeyPa
     ]
 
 
-def test_a_broken_wheel_is_replaced_by_the_system(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_broken_wheel_is_replaced_by_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(backend.LLVM_VARIABLE, raising=False)
     both = [("the wheel", "/wheel/libLLVM.so"), ("the system", "/usr/lib/libLLVM-21.so")]
     monkeypatch.setattr(backend, "_llvm_candidates", lambda: both)

@@ -8,10 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sabench import plugins
-from sabench.algorithms.calibration.bundle_adjustment import (
-    BoardImages,
-    normal_equations,
-)
+from sabench.algorithms.calibration.bundle_adjustment import BoardImages, normal_equations
 from sabench.algorithms.calibration.cramer_rao import limit
 from sabench.algorithms.calibration.parameters import Frame, FreeParameters
 from sabench.algorithms.calibration.problem import fit_free_motion

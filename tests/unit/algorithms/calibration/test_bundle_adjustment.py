@@ -176,9 +176,7 @@ def test_the_kernel_of_covariances_reads_and_writes_nothing_beyond_its_arrays() 
 
 
 @pytest.mark.parametrize("moving", ["cameras", "boards"])
-def test_one_half_is_found_while_the_other_stays(
-    moving: bundle_adjustment.Moving,
-) -> None:
+def test_one_half_is_found_while_the_other_stays(moving: bundle_adjustment.Moving) -> None:
     _, state, seen = truth()
     rng, free, boards = np.random.default_rng(5), FreeParameters(), moving == "boards"
     own, shared = free.columns(3)

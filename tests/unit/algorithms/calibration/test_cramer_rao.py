@@ -15,12 +15,7 @@ from sabench.plugins import load
 from sabench.scenes import Scene
 from sabench.simulation.pipeline import generate
 from sabench.tasks.solve_and_score import score, solve
-from tests.helpers.calibration_cases import (
-    board_images,
-    calibration_scene,
-    case_of,
-    true_error_px,
-)
+from tests.helpers.calibration_cases import board_images, calibration_scene, case_of, true_error_px
 
 
 @pytest.mark.parametrize(

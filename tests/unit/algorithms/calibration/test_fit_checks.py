@@ -102,9 +102,7 @@ def test_unknown_layers_and_walls_are_a_sentence(name: str, value: Any, words: s
         solve(make_tank()[0], **{name: value})
 
 
-def test_a_depth_that_images_put_into_the_wall_is_held(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_depth_that_images_put_into_the_wall_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
     """Images so coarse that their best depth is in the wall, from every start."""
     case, _, _ = make_tank()
     case = replace(case, initial_mm=place_boards(case))

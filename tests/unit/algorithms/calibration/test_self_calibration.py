@@ -88,9 +88,7 @@ def test_sets_that_agree_by_chance_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_without_room_for_all_sets_images_are_left_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_room_for_all_sets_images_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = particle_scene(2.0)
     shot = simulate(scene, seed=3)
     monkeypatch.setattr(disparity, "_SETS", 20_000)

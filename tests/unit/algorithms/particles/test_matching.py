@@ -162,9 +162,7 @@ def straight_and_oblique(*tilts: float) -> VolumePolynomials:
 
 
 @pytest.mark.parametrize("tilts", [(25.0, 0.0), (0.0, 25.0), (25.0, -25.0)])
-def test_lines_of_sight_are_followed_closely(
-    tilts: tuple[float, float],
-) -> None:
+def test_lines_of_sight_are_followed_closely(tilts: tuple[float, float]) -> None:
     maps = straight_and_oblique(*tilts)
     points = np.array([[0.1, -0.2, z] for z in (-0.99, -0.4, 0.1, 0.63, 0.99)])
     for point in points:
@@ -228,9 +226,7 @@ def test_noise_without_particles_makes_none() -> None:
     assert len(solve(case, floor=1e-6).position_mm) == 0
 
 
-def test_peaks_that_agree_by_chance_are_thinned(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_peaks_that_agree_by_chance_are_thinned(monkeypatch: pytest.MonkeyPatch) -> None:
     case = noisy(make_small(3).observation, black=20.0)
     monkeypatch.setattr(module, "_MOST_BY_CHANCE", 0.01)
     with pytest.warns(UserWarning, match=r"at most 0.01 sets .* by chance .* \d+ of \d+ in camera"):

@@ -141,9 +141,7 @@ def test_true_particles_stay_and_nothing_moves(maps: Maps) -> None:
 
 
 @pytest.mark.slow
-def test_squares_left_are_those_of_noise_where_particles_fit(
-    maps: Maps,
-) -> None:
+def test_squares_left_are_those_of_noise_where_particles_fit(maps: Maps) -> None:
     points, light = 0.8 * unit_points(30), even_light(30)
     model, room = model_of(maps, noisy(maps, points, light)), room_of(maps)
     particles = particles_of(points, light)
@@ -197,9 +195,7 @@ def test_shapes_that_change_over_the_box_are_learned(maps: Maps, shaped: bool) -
     assert_allclose(model.shapes, expected, atol=2e-3)
 
 
-def test_a_far_tail_alone_says_nothing_of_widths(
-    maps: Maps,
-) -> None:
+def test_a_far_tail_alone_says_nothing_of_widths(maps: Maps) -> None:
     """Its squared image there is less than the least number: quotients by it have no bound."""
     images = paint(maps, np.zeros((1, 3)), even_light(1), ROWS, COLUMNS)
     particles = particles_of(np.zeros((1, 3)), even_light(1))
