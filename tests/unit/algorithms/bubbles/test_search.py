@@ -31,13 +31,6 @@ def test_an_outline_is_where_the_disc_is(column: float, row: float, radius: floa
     assert depth == pytest.approx(7.0)
 
 
-def test_nothing_is_found_in_the_light() -> None:
-    nothing = Hypotheses(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
-    images = np.ones(SHAPE, np.float32)
-    found = search_bubbles(images, CAMERAS, lambda half_angle: PROFILE, None, nothing, LIMITS, 1)
-    assert found.center_mm.shape == (0, 3)
-
-
 def test_two_bubbles_are_found_and_a_third_is_not_invented() -> None:
     true = np.array([[0.5, -0.4, 36.0], [-0.9, 0.3, 37.5]])
     images = model_of(start_of(true[0], 0.8), start_of(true[1], 0.6)).images
@@ -58,3 +51,7 @@ def test_what_is_left_of_a_shadow_is_no_bubble() -> None:
         for limits in (LIMITS, Limits(0.35, 4.5, 0.5), Limits(0.1, 0.25, 0.5))
     ]
     assert counts == [1, 0, 0]
+    nothing = Hypotheses(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
+    light = np.ones(SHAPE, np.float32)
+    found = search_bubbles(light, CAMERAS, lambda angle: PROFILE, None, nothing, LIMITS, 1)
+    assert found.center_mm.shape == (0, 3)

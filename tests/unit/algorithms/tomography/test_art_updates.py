@@ -189,10 +189,8 @@ def test_iteration_stops_when_little_changes() -> None:
 
 @pytest.mark.parametrize("name", STEPS)
 def test_black_pixels_leave_no_light_but_finite_values(name: str) -> None:
-    state, measured = (
-        make_state(),
-        art_updates.RecordedLight(np.float32(art_updates.DARKEST) * WHITE, NOWHERE),
-    )
+    state, black = make_state(), np.float32(art_updates.DARKEST) * WHITE
+    measured = art_updates.RecordedLight(black, NOWHERE)
     for _ in range(5):
         STEPS[name](state, measured)
     assert np.isfinite(state.values).all()

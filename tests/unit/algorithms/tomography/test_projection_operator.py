@@ -27,14 +27,14 @@ from sabench.algorithms.tomography.projection_operator import (
     make_geometry,
 )
 from sabench.api import Observation
-from sabench.geometry.camera import Camera, aim
+from sabench.geometry.camera import Camera
 from sabench.geometry.grid import Grid
 from sabench.geometry.lens import Distortion
-from sabench.geometry.refraction import Layer, Wall
+from sabench.geometry.refraction import Wall
 from sabench.utils.arrays import F32, F64, triple
-from tests.helpers import cameras
+from tests.unit.algorithms.refocus import test_synthetic_aperture
+from tests.unit.algorithms.refocus.test_synthetic_aperture import TILTED
 
-TILTED = Wall((0.0, 0.0, 0.0), (0.28, 0.0, 0.96), 1.0, (Layer("glass", 1.52, 5.0),), 1.333)
 GRID = Grid((-0.5, 0.7, 40.0), (0.05, 0.045, 0.06), (5, 12, 19))
 BLOB = gaussian(0.6)
 ROWS, COLUMNS = 36, 44
@@ -43,18 +43,10 @@ ROWS, COLUMNS = 36, 44
 def make_camera(
     x: float, y: float, wall: Wall | None, shift_px: tuple[float, float] = (0.0, 0.0)
 ) -> Camera:
-    middle = (COLUMNS - 1) / 2.0, (ROWS - 1) / 2.0
-    camera = cameras.make_camera(
-        rows=ROWS,
-        columns=COLUMNS,
-        center_mm=(x, y, -300.0),
-        rotation=cameras.ALONG_Z,
-        principal_distance_mm=68.0,
-        principal_point_px=middle,
-        distortion=Distortion(-0.4, 2.0),
-        wall=wall,
-    )
-    aimed = aim(camera, [float(axis.mean()) for axis in GRID.axes_mm])
+    middle, lens = ((COLUMNS - 1) / 2.0, (ROWS - 1) / 2.0), Distortion(-0.4, 2.0)
+    own: dict[str, Any] = {"rows": ROWS, "columns": COLUMNS, "principal_point_px": middle}
+    own |= {"principal_distance_mm": 68.0, "at": [axis.mean() for axis in GRID.axes_mm]}
+    aimed = test_synthetic_aperture.make_camera(x, y, wall, lens, **own)
     return replace(aimed, principal_point_px=triple([*np.add(middle, shift_px), 0.0])[:2])
 
 
@@ -284,11 +276,9 @@ def test_volume_is_the_sum_of_blobs(count: tuple[int, int, int], sigma: float) -
 def share_of(axis: F64, step: float, centre: float, sigma: float) -> F64:
     """The part of a Gaussian's light in each voxel along one axis."""
     edges = np.append(axis - step / 2.0, axis[-1] + step / 2.0)
-    return np.diff(
-        erf((edges - centre) / (sigma * np.sqrt(2.0))) / 2.0
-        if sigma
-        else (edges > centre).astype(np.float64)
-    )
+    if not sigma:
+        return np.diff((edges > centre).astype(np.float64))
+    return np.diff(erf((edges - centre) / (sigma * np.sqrt(2.0))) / 2.0)
 
 
 def test_dim_voxels_become_zero() -> None:

@@ -24,8 +24,8 @@ from sabench.geometry.grid import Grid, gradient, inner, synthesise
 from sabench.metrics.velocity_error import precision_interval, response
 from sabench.plugins import load
 from sabench.utils.arrays import F32, F64
-from sabench.utils.errors import InputError
 from sabench.worlds.advection import advect
+from tests.helpers.refusals import refused
 
 GRID = Grid((-4.0, -4.0, -2.0), (0.05, 0.05, 0.1), (40, 160, 160))
 WINDOW = (16, 32, 32)
@@ -193,17 +193,12 @@ def test_windows_without_signal_are_invalid_and_finite() -> None:
     assert np.isfinite(field.velocity_mm_s).all()
 
 
-@pytest.mark.parametrize(
-    ("parameters", "sentence"),
-    [
-        ({"window": (320, 32, 16)}, "window: expected one that fits into the volume of 160 x 160"),
-        ({"overlap": 0.7}, "overlap: expected a part of 32 x 32 x 16 voxels that leaves whole"),
-    ],
-)
-def test_impossible_windows_are_named(parameters: dict[str, Any], sentence: str) -> None:
+def test_impossible_windows_are_named() -> None:
     case, _ = pair_of("linear_flow")
-    with pytest.raises(InputError, match=f"^{sentence}"):
-        solved(case, **parameters)
+    with refused("window", "160 x 160"):
+        solved(case, window=(320, 32, 16))
+    with refused("overlap", "32 x 32 x 16"):
+        solved(case, overlap=0.7)
 
 
 def test_outliers_are_found_and_filled() -> None:
@@ -274,18 +269,12 @@ def test_narrow_particles_are_widened_by_a_gaussian() -> None:
 def test_weighted_windows_resolve_more() -> None:
     """A Gaussian's weights see more of a wave than equal ones. The wave is twice as long as the
     window."""
-    parameters = {
-        "along": (1.0, 0.0, 0.0),
-        "across": (0.0, 1.0, 0.0),
-        "wavelength_mm": 3.2,
-        "peak_mm_s": 0.05,
-    }
-    case, flow = pair_of("shear_wave", **parameters)
+    parameters = {"along": (1.0, 0.0, 0.0), "across": (0.0, 1.0, 0.0)}
+    case, flow = pair_of("shear_wave", wavelength_mm=3.2, peak_mm_s=0.05, **parameters)
     found = []
     for taper in (None, 0.25):
         field = solved(case, first_window=(32, 32, 16), passes=1, taper=taper)
-        exact = flow.velocity(field.positions_mm.reshape(-1, 3), 0.5).reshape(
-            field.velocity_mm_s.shape
-        )
-        found.append(response(field.velocity_mm_s[field.valid], exact[field.valid]))
+        valid = field.valid
+        exact = flow.velocity(field.positions_mm[valid], 0.5)
+        found.append(response(field.velocity_mm_s[valid], exact))
     assert 0.5 < found[0] < found[1] < 1.05
